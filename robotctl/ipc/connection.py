@@ -10,6 +10,7 @@ from typing import Any
 
 from robotctl.errors import NoDaemon, RobotctlError
 from robotctl.ipc.client_limits import ClientLimits
+from robotctl.ipc.deadline import Deadline, DeadlineMissed
 from robotctl.ipc.method import Method
 from robotctl.ipc.protocol import (
     MAX_REQUEST_BYTES,
@@ -40,7 +41,10 @@ class Connection:
         self._sock = sock
         self._limits = limits
         self._over_cap = over_cap
-        self._handler = RequestHandler(sock, methods, identity, limits, over_cap=over_cap)
+        self._deadline = Deadline()
+        self._handler = RequestHandler(
+            sock, methods, identity, limits, self._deadline, over_cap=over_cap
+        )
         self._lines = LineBuffer(MAX_REQUEST_BYTES)
         self._is_listening = False
 
@@ -64,7 +68,6 @@ class Connection:
             if line is None:
                 return
             await self._send(await self._answer(line))
-            await asyncio.sleep(0)  # neither call waits while a client keeps both directions full
             if lines_left is not None:
                 lines_left -= 1
 
@@ -72,7 +75,7 @@ class Connection:
         """Send the reason why this connection is closed."""
         await self._send(encode_failure(None, code, error))
 
-    async def _answer(self, line: bytes) -> bytes:
+    async def _answer(self, line: bytes) -> bytes | bytearray:
         try:
             request = parse_request(line)
         except ProtocolError as error:
@@ -88,35 +91,41 @@ class Connection:
         limits = self._limits
         deadline_s = limits.overflow_request_s if self._over_cap else limits.request_s
         try:
-            async with asyncio.timeout(deadline_s):
-                while (line := self._lines.next_line()) is None:
+            with self._deadline.within(deadline_s):
+                line = self._lines.next_line()
+                if line is not None:
+                    await asyncio.sleep(0)  # a turn for others, however many lines are here
+                while line is None:
                     data = await self._receive()
                     if not data:
                         return None
                     self._lines.receive(data)
+                    line = self._lines.next_line()
                 return line
         except ProtocolError as error:
             await self.refuse(error.code, error)
-        except TimeoutError:
+        except DeadlineMissed:
             text = f"no whole request within {deadline_s:g} s: the connection is closed"
             await self.refuse(Code.TIMEOUT, RobotctlError(text))
         return None
 
     async def _receive(self) -> bytes:
-        """Read as `loop.sock_recv` does, but a cancelled read leaves the data in the socket."""
-        while True:
-            try:
-                return self._sock.recv(MAX_REQUEST_BYTES)
-            except BlockingIOError:
-                self._is_listening = True
-                try:
-                    await until_readable(self._sock)
-                finally:
-                    self._is_listening = False
+        """Read as `loop.sock_recv` does, but a cancelled read leaves the data in the socket.
 
-    async def _send(self, line: bytes) -> None:
+        Others get a turn, also if there are data already.
+        """
+        while True:
+            self._is_listening = True
+            try:
+                await until_readable(self._sock)
+            finally:
+                self._is_listening = False
+            with suppress(BlockingIOError):
+                return self._sock.recv(MAX_REQUEST_BYTES)
+
+    async def _send(self, line: bytes | bytearray) -> None:
         """Send a reply in time; other tasks get no turn if the socket takes it at once."""
-        async with asyncio.timeout(self._limits.write_s):
+        with self._deadline.within(self._limits.write_s):
             await asyncio.get_running_loop().sock_sendall(self._sock, line)
 
     def _say_last(self, request_id: int | str | None, code: Code, error: RobotctlError) -> None:

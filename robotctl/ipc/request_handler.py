@@ -16,6 +16,7 @@ import msgspec
 from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.answers import Hello
 from robotctl.ipc.client_limits import ClientLimits
+from robotctl.ipc.deadline import Deadline, DeadlineMissed
 from robotctl.ipc.method import Method
 from robotctl.ipc.params import HelloParams, decode
 from robotctl.ipc.peer import guest_of
@@ -32,6 +33,8 @@ from robotctl.ipc.readiness import is_hung_up
 _log = logging.getLogger(__name__)
 
 P = TypeVar("P")
+
+_encoder = msgspec.json.Encoder()
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +64,12 @@ class RequestHandler:
         methods: Mapping[str, Method[Any]],
         identity: Identity,
         limits: ClientLimits,
+        deadline: Deadline,
         *,
         over_cap: bool,
     ) -> None:
         """`over_cap` says that only an emergency stop is taken; `sock` shows a disconnect."""
+        self._deadline = deadline
         self._sock = sock
         self._methods = methods
         self._identity = identity
@@ -72,7 +77,7 @@ class RequestHandler:
         self._over_cap = over_cap
         self._greeted = False
 
-    async def reply(self, request: Request) -> bytes:
+    async def reply(self, request: Request) -> bytes | bytearray:
         """Carry out a request and return its one reply, for any failure of the handler.
 
         Raises:
@@ -111,14 +116,12 @@ class RequestHandler:
             raise _Rejected(Code.METHOD_NOT_FOUND, UsageError(text))
         params = self._vouched(_decode(request, method.params))
         try:
-            async with asyncio.timeout(method.deadline_s) as deadline:
+            with self._deadline.within(method.deadline_s):
                 if method.deadline_s is not None:
                     return await method.handler(params)
-                with self._until_hangup(deadline):
+                with self._until_hangup():
                     return await method.handler(params)
-        except TimeoutError:
-            if not deadline.expired():
-                raise
+        except DeadlineMissed:
             text = f"{request.method} took longer than {method.deadline_s} s"
             raise _Rejected(Code.TIMEOUT, RobotctlError(text)) from None
 
@@ -154,8 +157,8 @@ class RequestHandler:
             raise _Rejected(Code.INVALID_REQUEST, UsageError(text))
 
     @contextmanager
-    def _until_hangup(self, deadline: asyncio.Timeout) -> Iterator[None]:
-        """Expire `deadline` when the client disconnects.
+    def _until_hangup(self) -> Iterator[None]:
+        """Let the deadline be missed when the client disconnects.
 
         The end of the client's stream is not enough: it may have closed its sending half only. So
         the socket itself is checked.
@@ -166,7 +169,7 @@ class RequestHandler:
         def look() -> None:
             nonlocal timer
             if is_hung_up(self._sock):
-                deadline.reschedule(loop.time())
+                self._deadline.miss()
             else:
                 timer = loop.call_later(period_s, look)
 
@@ -203,9 +206,11 @@ def _decode(request: Request, kind: type[P]) -> P:
         raise _Rejected(Code.INVALID_PARAMS, cause) from None
 
 
-def _encode_result(request_id: int | str, result: object) -> bytes:
+def _encode_result(request_id: int | str, result: object) -> bytearray:
     """Encode one reply line; NaN and infinity, the unknown values of ROS, become null."""
-    line = msgspec.json.encode({"jsonrpc": "2.0", "id": request_id, "result": result}) + b"\n"
+    line = bytearray()
+    _encoder.encode_into({"jsonrpc": "2.0", "id": request_id, "result": result}, line)
+    line += b"\n"
     if len(line) > MAX_RESPONSE_BYTES:
         raise ValueError(f"a reply of {len(line)} bytes: the limit is {MAX_RESPONSE_BYTES}")
     return line
