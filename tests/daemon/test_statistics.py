@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from robotctl.daemon.recording.topic_rates import (
     RateMeter,
 )
 from robotctl.recording import RecorderState, RecorderStats, TopicStats
-from robotctl.recording.format.message_counts import total
+from robotctl.recording.format.topics import total
 from robotctl.ros.nodes.diagnostics_publisher import DiagnosticLevel
 
 S = 1_000_000_000
@@ -30,7 +29,7 @@ HEAVY = round(1.2 * HEAVY_BYTES_PER_S)
 
 
 def topic(name: str = "/scan", type_name: str = "t", **counts: Any) -> TopicStats:
-    return replace(TopicStats(name=name, type_name=type_name), **counts)
+    return TopicStats(name=name, type_name=type_name, **counts)
 
 
 def recorder(*topics: TopicStats, failure: str = "") -> RecorderStats:

@@ -9,11 +9,12 @@ from typing import Any, get_type_hints
 import msgspec
 import pytest
 
+from robotctl.daemon.recording import topic_rows
 from robotctl.daemon.recording.topic_rows import TopicRows
 from robotctl.ipc.answers import TopicAnswer
 from robotctl.recording import Recorder, Topic
-from robotctl.recording.format.message_counts import RunningTotal, total
-from robotctl.recording.format.topics import LATCHED_QOS, TopicStats
+from robotctl.recording.format.message_counts import COUNTERS
+from robotctl.recording.format.topics import LATCHED_QOS, TopicStats, total
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.counts_of_topics import CountsOfTopics
 from robotctl.recording.write.latched_repeats import repeats
@@ -24,8 +25,8 @@ GID = bytes(16)
 RATE = {("/b", "T"): 2.5}
 
 
-def decoded(rows: list[msgspec.Raw]) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = msgspec.json.decode(msgspec.json.encode(rows))
+def decoded(rows: msgspec.Raw) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = msgspec.json.decode(rows)
     return found
 
 
@@ -46,13 +47,20 @@ def test_the_channels_of_a_topic_are_one_row_and_rows_are_sorted() -> None:
     assert rows[2] | {"count": 4, "written": 3, "queued": 1, "throttled": 4, "bytes": 40} == rows[2]
 
 
-def test_a_row_follows_its_counts_its_rate_and_new_topics() -> None:
+def test_a_row_follows_its_counts_its_rate_and_new_topics(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = TopicRows()
+    encoded = list[str]()
+
+    def encode(row: msgspec.Struct) -> bytes:
+        encoded.append(row.name)  # type: ignore[attr-defined]
+        return msgspec.json.encode(row)
+
+    monkeypatch.setattr(topic_rows, "_encode", encode)
     still, moving = TopicStats(1, name="/a", type_name="T"), TopicStats(name="/b", type_name="T")
     first = rows.encoded((still, moving), {})
     moving = TopicStats(received=7, name="/b", type_name="T")
     second = rows.encoded((still, moving), {})
-    assert second[0] is first[0]
+    assert encoded == ["/a", "/b", "/b"]
     assert [decoded(each)[1]["count"] for each in (first, second)] == [0, 7]
     assert decoded(rows.encoded((still, moving), RATE))[1]["rate"] == 2.5
     more = rows.encoded((still, moving, TopicStats(name="/aa", type_name="T")), RATE)
@@ -63,15 +71,25 @@ def test_a_row_follows_its_counts_its_rate_and_new_topics() -> None:
     ]
 
 
-def test_a_running_total_is_the_sum() -> None:
-    running = RunningTotal()
-    counts = [TopicStats(received=number, lost=1, throttled=number % 3) for number in range(100)]
-    for changed in (0, 3, 0, 60, 1):
-        counts[:changed] = [TopicStats(received=each.received + 2) for each in counts[:changed]]
-        assert running.of(tuple(counts)) == total(counts)
-    counts.append(TopicStats(written=9))
-    assert running.of(tuple(counts)) == total(counts)
-    assert running.of(()) == total(())
+def test_the_counts_of_a_topic_begin_with_the_counters_of_the_ledger() -> None:
+    assert TopicStats._fields[: len(COUNTERS)] == COUNTERS
+    assert total([TopicStats(received=3, lost=1, bytes=9), TopicStats(received=4)])["received"] == 7
+
+
+def test_the_sums_follow_the_counts() -> None:
+    marks, topic = bytearray(b"\1" * 100), Topic("/a", "T")
+    channels = [ChannelState(topic, marks=marks, number=number) for number in range(100)]
+    counts = CountsOfTopics(channels, marks)
+    assert counts.sums == total(())
+    for changed in (0, 3, 0, 60, 1, 100):
+        channels.append(ChannelState(topic, marks=marks, number=len(channels)))
+        marks.append(1)
+        for state in channels[:changed]:
+            state.received += 2
+            state.throttled += state.number % 3
+            state.mark()
+        counts.update()
+        assert counts.sums == total([state.stats() for state in channels])
 
 
 def test_the_counts_of_a_topic_are_the_same_object_until_one_changes(tmp_path: Path) -> None:
@@ -102,15 +120,17 @@ def test_counts_that_the_writer_thread_changes_are_seen(tmp_path: Path) -> None:
 @pytest.mark.parametrize("count", ["dropped_by_writer", "not_repeated"])
 def test_what_the_writer_thread_loses_is_seen(count: str) -> None:
     state = ChannelState(Topic("/a", "T", offered_qos=LATCHED_QOS), received=1)
-    counts = CountsOfTopics([state])
-    assert counts.now() is counts.now()
+    counts = CountsOfTopics([state], state.marks)
+    counts.update()
     if count == "not_repeated":
         state.keep_latched(GID, b"data", 1, 1, 0, room=100)
         assert repeats([state], 1, split_bytes=4) == []
-        assert counts.now()[0].not_repeated == 1
+        counts.update()
+        assert counts.topics[0].not_repeated == 1
     else:
         WriterThread._drop(SimpleNamespace(_channels=[state], failure="full"), {0: 1})  # type: ignore[arg-type]
-        assert counts.now()[0].dropped == 1
+        counts.update()
+        assert counts.topics[0].dropped == 1
 
 
 def test_a_row_has_the_fields_of_its_answer() -> None:

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.recording.format.ledger_record import ledger_values, read_ledger
-from robotctl.recording.format.message_counts import COUNTERS, total
+from robotctl.recording.format.message_counts import COUNTERS
 from robotctl.recording.format.metadata_names import LEDGER_RECORD
-from robotctl.recording.format.topics import Topic, TopicStats, by_topic
+from robotctl.recording.format.topics import Topic, TopicStats, by_topic, total
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.sequence_gaps import MAX_PUBLISHERS, SequenceGaps
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from robotctl.recording import RecorderState, RecorderStats
-from robotctl.recording.format.message_counts import COUNTERS, MessageCounts
+from robotctl.recording.format.message_counts import COUNTERS
 from robotctl.recording.format.topics import by_topic
 from robotctl.ros.nodes.diagnostics_publisher import Diagnosis, DiagnosticLevel
 
@@ -19,7 +19,7 @@ def diagnose(stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
     if stats.state is not RecorderState.RECORDING:
         level, message = DiagnosticLevel.ERROR, stats.failure or stats.state.value
     elif stats.dropped or stats.lost:
-        level, message = DiagnosticLevel.WARN, _lacking(stats)
+        level, message = DiagnosticLevel.WARN, _lacking(stats.dropped, stats.lost)
     elif warnings:
         level, message = DiagnosticLevel.WARN, warnings[0]
     else:
@@ -34,8 +34,8 @@ def _values(stats: RecorderStats) -> Iterator[tuple[str, str]]:
         yield name, str(getattr(stats, name))
     lacking = [topic for topic in by_topic(stats.topics) if topic.dropped or topic.lost]
     lacking.sort(key=lambda topic: (-topic.dropped - topic.lost, topic.name))
-    yield from ((topic.name, _lacking(topic)) for topic in lacking[:MAX_TOPICS])
+    yield from ((each.name, _lacking(each.dropped, each.lost)) for each in lacking[:MAX_TOPICS])
 
 
-def _lacking(counts: MessageCounts) -> str:
-    return f"{counts.dropped} messages dropped, {counts.lost} lost on their way here"
+def _lacking(dropped: int, lost: int) -> str:
+    return f"{dropped} messages dropped, {lost} lost on their way here"

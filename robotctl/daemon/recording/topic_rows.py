@@ -51,17 +51,16 @@ class TopicRows:
 
         self._topics: Sequence[TopicStats] = ()
         self._rates: Mapping[TopicKey, float] = {}
-        self._encoded: list[msgspec.Raw] = []
+        self._encoded: list[bytes] = []
+        self._joined = msgspec.Raw(b"[]")
 
-    def encoded(
-        self, topics: Sequence[TopicStats], rates: Mapping[TopicKey, float]
-    ) -> list[msgspec.Raw]:
-        """Return each row in JSON; counts that did not change are the same objects as before.
+    def encoded(self, topics: Sequence[TopicStats], rates: Mapping[TopicKey, float]) -> msgspec.Raw:
+        """Return the list of rows in JSON; counts that did not change are the objects of before.
 
         A topic that is missing in `rates` has a rate of 0.
         """
         if topics is self._topics and rates is self._rates:
-            return self._encoded
+            return self._joined
         before = self._topics
         if len(topics) != len(before):
             self._arrange(topics)
@@ -72,13 +71,14 @@ class TopicRows:
         if rates is not self._rates:
             changed |= dict.fromkeys(self._take_rates(rates))
         if changed:
-            self._encoded = encoded = self._encoded.copy()
+            encoded = self._encoded
             for row in changed:
                 places = row.places
                 stats = topics[places[0]] if len(places) == 1 else _sum(topics, places)
-                encoded[row.at] = msgspec.Raw(_encode(_answer(stats, row.rate)))
+                encoded[row.at] = _encode(_answer(stats, row.rate))
+            self._joined = msgspec.Raw(b"[" + b",".join(encoded) + b"]")
         self._topics = topics
-        return self._encoded
+        return self._joined
 
     def _arrange(self, topics: Sequence[TopicStats]) -> None:
         keys = [(topic.name, topic.type_name) for topic in topics]
@@ -86,7 +86,7 @@ class TopicRows:
         for place, key in enumerate(keys):
             rows[key].places.append(place)
         self._rows, self._row_of = list(rows.values()), [rows[key] for key in keys]
-        self._encoded = [msgspec.Raw()] * len(rows)
+        self._encoded = [b""] * len(rows)
         self._rates = {}
 
     def _take_rates(self, rates: Mapping[TopicKey, float]) -> list[_Row]:

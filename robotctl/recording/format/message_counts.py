@@ -1,20 +1,14 @@
-"""The counters of the loss ledger; this is the only list of them."""
+"""The counters of the loss ledger."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
-from operator import attrgetter
 from typing import Final
 
 
 @dataclass(slots=True)
 class MessageCounts:
-    """What happened to messages: received = written + queued + dropped.
-
-    Not frozen: `status` makes one object for each topic in the loop, and frozen ones take three
-    times as long.
-    """
+    """What happened to messages: received = written + queued + dropped."""
 
     received: int = 0
     written: int = 0
@@ -34,32 +28,3 @@ class MessageCounts:
 
 
 COUNTERS: Final = tuple(field.name for field in fields(MessageCounts))
-
-_values = attrgetter(*COUNTERS)
-
-
-def total(counts: Iterable[MessageCounts]) -> dict[str, int]:
-    """Return the sum of each counter, by name."""
-    sums = map(sum, zip(*map(_values, counts), strict=True))
-    return dict(zip(COUNTERS, sums, strict=False)) or dict.fromkeys(COUNTERS, 0)
-
-
-class RunningTotal:
-    """The sum of counts of which most are the same objects as at the last sum."""
-
-    def __init__(self) -> None:
-        self._counts: Sequence[MessageCounts] = ()
-        self._sums = dict.fromkeys(COUNTERS, 0)
-
-    def of(self, counts: Sequence[MessageCounts]) -> dict[str, int]:
-        """Return the sum of each counter, by name, as `total` does."""
-        before, self._counts = self._counts, counts
-        if counts is before:
-            return self._sums
-        changes = [(old, new) for old, new in zip(before, counts, strict=False) if old is not new]
-        if len(counts) != len(before) or 2 * len(changes) > len(counts):
-            self._sums = total(counts)
-        elif changes:
-            gone, come = (total(side) for side in zip(*changes, strict=True))
-            self._sums = {name: self._sums[name] - gone[name] + come[name] for name in COUNTERS}
-        return self._sums

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
+from typing import NamedTuple, cast
 
-from robotctl.recording.format.message_counts import MessageCounts, total
+from robotctl.recording.format.message_counts import COUNTERS
 
 LATCHED_QOS = "durability: transient_local"
 """In the offered QoS of a topic with a latched publisher."""
@@ -32,13 +34,30 @@ class Topic:
         return LATCHED_QOS in self.offered_qos
 
 
-@dataclass(slots=True)
-class TopicStats(MessageCounts):
-    """The counts of one topic; `bytes` counts the data of received messages."""
+class TopicStats(NamedTuple):
+    """The MessageCounts of one topic; `bytes` counts the data of received messages.
 
+    A tuple, with the counters first: `status` makes and sums one for each topic in the loop.
+    """
+
+    received: int = 0
+    written: int = 0
+    queued: int = 0
+    dropped: int = 0
+    lost: int = 0
+    unseen: int = 0
+    not_repeated: int = 0
+    throttled: int = 0
     name: str = ""
     type_name: str = ""
     bytes: int = 0
+
+
+def total(counts: Iterable[TopicStats]) -> dict[str, int]:
+    """Return the sum of each counter, by name."""
+    columns = cast(Iterable[tuple[int, ...]], islice(zip(*counts, strict=True), len(COUNTERS)))
+    sums = dict(zip(COUNTERS, map(sum, columns), strict=False))
+    return sums or dict.fromkeys(COUNTERS, 0)
 
 
 def by_topic(channels: Iterable[TopicStats]) -> list[TopicStats]:

@@ -103,7 +103,7 @@ class BagWriter:
         for channel, index in packed.indexes.items():
             state = self._channels[channel]
             state.written += len(index) // 2
-            state.recounted = True
+            state.mark()
 
     def begin_seal(self) -> None:
         """Begin to seal the first file; later ones are sealed as they begin."""
@@ -143,7 +143,7 @@ class BagWriter:
             for channel, *_ in messages:
                 state = self._channels[channel]
                 state.not_repeated += 1
-                state.recounted = True
+                state.mark()
         self._write_metadata()
         with suppress(Exception):  # a failing listener must not stop the recording
             self._on_split(successor.path)

@@ -72,11 +72,11 @@ class ChannelState:
     dropped_by_writer: int = 0
     """Changed by the writer thread: taken from the queue, but not written."""
 
-    recounted: bool = False
-    """Set by the writer thread after each change of a count; cleared by `stats`."""
+    marks: bytearray = field(default_factory=lambda: bytearray(b"\1"))
+    """A byte for each channel of the recording, 1 where a count has changed: see CountsOfTopics."""
 
-    told: int = 0
-    """`arrived`, when `stats` was called last."""
+    number: int = 0
+    """Which byte is this channel's."""
 
     def __post_init__(self) -> None:
         """Set `expected`, and `latched` if the topic is latched."""
@@ -113,6 +113,10 @@ class ChannelState:
         """Return a copy, for the writer thread."""
         return list(self.latched.values()) if self.latched else []
 
+    def mark(self) -> None:
+        """Note that a count has changed, after the change."""
+        self.marks[self.number] = 1
+
     @property
     def arrived(self) -> int:
         """How many messages came, recorded or not."""
@@ -125,22 +129,12 @@ class ChannelState:
         return received == self.written + self.dropped_by_writer + self.dropped_by_loop
 
     def stats(self) -> TopicStats:
-        """Return a copy in which the counts agree, for the loop.
-
-        The next one differs only if `recounted` is set or `arrived` is not `told`: the loop changes
-        its other counts together with `received` or `throttled`.
-        """
-        self.recounted = False  # first: a change that this copy lacks sets it again
-        self.told = self.arrived
-        return self.new_stats()
-
-    def new_stats(self) -> TopicStats:
         """Return a copy in which the counts agree, for any thread."""
         written, dropped = self.written, self.dropped_by_loop + self.dropped_by_writer
         received = self.received  # read last, so that queued is never negative
         queued, not_repeated = received - written - dropped, self.not_kept + self.not_repeated
         gaps, topic = self.gaps, self.topic
-        return TopicStats(  # by position, which is twice as fast
+        return TopicStats(
             received,
             written,
             queued,

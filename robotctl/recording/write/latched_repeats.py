@@ -39,5 +39,5 @@ def repeats(
         if left < 0:
             state = channels[latched[position][0]]
             state.not_repeated += 1
-            state.recounted = True
+            state.mark()
     return [message for message, fit in zip(latched, fits, strict=True) if fit]

@@ -16,7 +16,6 @@ from mcap.opcode import Opcode
 
 from robotctl.errors import Refused
 from robotctl.recording.disk.storage import Buffer
-from robotctl.recording.format.message_counts import RunningTotal, total
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.records import (
     MAX_SEQUENCE,
@@ -24,7 +23,7 @@ from robotctl.recording.format.records import (
     MESSAGE_FIELDS_BYTES,
     MESSAGE_HEAD,
 )
-from robotctl.recording.format.topics import Topic, TopicStats
+from robotctl.recording.format.topics import Topic, TopicStats, total
 from robotctl.recording.write.bag_writer import begin_bag
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer
 from robotctl.recording.write.channel_state import MAX_PACKERS, ChannelState, Packer
@@ -71,8 +70,8 @@ class Recorder:
         options = options or RecorderOptions()
         self._channels: list[ChannelState] = []
         self._channel_of: dict[Topic, int] = {}
-        self._counts = CountsOfTopics(self._channels)
-        self._total = RunningTotal()
+        self._marks = bytearray()
+        self._counts = CountsOfTopics(self._channels, self._marks)
         self._closed = False
         self._chunk_bytes = options.chunk_bytes
         self._memory_bytes = options.memory_bytes
@@ -98,7 +97,8 @@ class Recorder:
         if channel >= MAX_TOPICS:
             raise Refused(f"a recording holds at most {MAX_TOPICS} topics: exclude some")
         self._buffer.make_indexes(channel + 1)
-        self._channels.append(ChannelState(topic))
+        self._channels.append(ChannelState(topic, marks=self._marks, number=channel))
+        self._marks.append(1)
         self._channel_of[topic] = channel
         return channel
 
@@ -112,6 +112,7 @@ class Recorder:
         """
         state = self._channels[channel]
         state.received += 1
+        self._marks[channel] = 1
         try:
             size = len(data)
             state.size += size
@@ -150,6 +151,7 @@ class Recorder:
         """Count a message as throttled: it is not recorded, and its number leaves no gap."""
         state = self._channels[channel]
         state.throttled += 1
+        self._marks[channel] = 1
         state.newest_ns = log_ns
         state.gaps.note(gid, sequence)
 
@@ -178,8 +180,8 @@ class Recorder:
 
         So are `topics`. Call it in the loop's thread.
         """
-        topics = self._counts.now()
-        return self._stats(topics, self._total.of(topics))
+        self._counts.update()
+        return self._stats(self._counts.topics, self._counts.sums)
 
     def _stats(self, topics: tuple[TopicStats, ...], sums: Mapping[str, int]) -> RecorderStats:
         return RecorderStats(
@@ -200,7 +202,7 @@ class Recorder:
         """
         self._closed = True
         self._thread.stop()
-        topics = tuple([state.new_stats() for state in self._channels])
+        topics = tuple([state.stats() for state in self._channels])
         return self._stats(topics, total(topics))
 
     def _state(self) -> RecorderState:

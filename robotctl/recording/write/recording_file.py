@@ -138,7 +138,7 @@ class RecordingFile:
         """Write the final metadata, and close the file."""
         self._announce_topics()
         self._add_bag_metadata()
-        topics = [state.new_stats() for state in self._channels[: self._announced]]
+        topics = [state.stats() for state in self._channels[: self._announced]]
         self._mcap.add_metadata(LEDGER_RECORD, ledger_values(topics))
         self._mcap.commit()
         self._mcap.sync()

@@ -189,7 +189,7 @@ class WriterThread:
         for channel, count in counts.items():
             state = self._channels[channel]
             state.dropped_by_writer += count
-            state.recounted = True
+            state.mark()
             if not self.failure:
                 self.no_memory += count
 
