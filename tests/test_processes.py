@@ -38,9 +38,19 @@ fd = report_fd(sys.argv)
 
 NOISE = """
 import os, sys
-if any(name in sys.orig_argv for name in {modules}):
+
+class Noise:
+    def find_spec(self, name, path=None, target=None):
+        if name == "rclpy":
+            say()
+
+def say():
     for fd in (1, 2):
         os.write(fd, b'[RTPS_TRANSPORT_SHM Error] Failed fastrtps_port7412\\n{{"x": 1}}\\n')
+
+sys.meta_path.insert(0, Noise())
+if any(name in sys.orig_argv for name in {modules}):
+    say()
 """
 """Prints as Fast DDS does, before the process reports, and also lines that look like reports."""
 
@@ -70,12 +80,10 @@ def all_of(process: Child) -> list[dict[str, Any]]:
 
 @pytest.fixture
 def noisy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Let each child print to stdout and stderr when it starts; return the folder for it."""
-    modules = [
-        "robotctl.replay",
-        "robotctl.rerun.check_process",
-        "robotctl.recording.keep.clip_process",
-    ]
+    """Let each child print to stdout and stderr when it starts, or imports rclpy; return the folder
+    for it.
+    """
+    modules = ["robotctl.rerun.check_process", "robotctl.recording.keep.clip_process"]
     folder = tmp_path / "site"
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(NOISE.format(modules=modules))
@@ -360,7 +368,8 @@ def test_every_child_is_started_in_one_way() -> None:
     from robotctl.cli.support import early_player, launch
     from robotctl.rerun import check_many as checking
 
-    programs = (launch.DAEMON, early_player.PLAYER, checking.WORKER, black_box.CUTTER)
+    player = program(early_player.PLAYER)
+    programs = (launch.DAEMON, player, checking.WORKER, black_box.CUTTER)
     assert all(each[:3] == (sys.executable, "-P", "-m") for each in programs)
     root = Path(robotctl.__file__).parent
     cli = root / "cli"  # what is foreign runs programs that are not ours

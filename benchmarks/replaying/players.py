@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import io
 import os
-import sys
 import threading
 import time
 from collections import deque
@@ -43,9 +41,8 @@ def play_with_robotctl(file: Path, domain_id: int) -> list[int]:
 
     ReplaySession.open = noted  # type: ignore[method-assign]
     read_fd, write_fd = os.pipe()
-    os.write(write_fd, f"{Job(file, 'robot', domain_id).to_json()}\n".encode())
+    os.write(write_fd, f"{Job(file, domain_id).to_json()}\n".encode())
     os.dup2(read_fd, 0)
-    sys.stdin = io.TextIOWrapper(os.fdopen(os.dup(0), "rb"))
     with open(os.devnull, "wb") as progress:
         if code := process.main([REPORT_OPTION, str(progress.fileno())]):
             raise SystemExit(f"the replay ended with exit code {code}")

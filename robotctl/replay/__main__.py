@@ -7,6 +7,7 @@ Each report is one line of JSON: {"note"}, {"waiting"}, {"start"}, {"progress"},
 
 from __future__ import annotations
 
+import json
 import os
 import select
 import sys
@@ -20,8 +21,6 @@ from typing import TYPE_CHECKING, Any
 from robotctl import environment
 from robotctl.errors import RobotctlError
 from robotctl.processes import LineSplitter, report_fd, send_report
-from robotctl.replay.job import Job
-from robotctl.replay.other_daemons import domain_of
 
 if TYPE_CHECKING:
     from robotctl.replay.replay_report import Emit
@@ -51,11 +50,11 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
         line = next(lines, b"")
         if not line:
             return 0
-        job = Job.from_json(line.decode())
-        debug = job.debug
+        request = json.loads(line)
+        debug = request["debug"]
         if note:
             emit({"note": note})
-        _play(job, at_end.enter_context(Membership(domain_of(job))), lines, emit)
+        _play(line.decode(), at_end.enter_context(Membership(request["domain_id"])), lines, emit)
     except RobotctlError as error:
         emit({"error": str(error), "exit_code": error.exit_code, **error.details()})
         return error.exit_code
@@ -68,14 +67,15 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
     return 0
 
 
-def _play(job: Job, membership: Membership, lines: Iterator[bytes], emit: Emit) -> None:
-    """Play a job under the control of `lines`."""
+def _play(job: str, membership: Membership, lines: Iterator[bytes], emit: Emit) -> None:
+    """Play a job, a line of `Job.to_json`, under the control of `lines`."""
     # Discovery goes on during these imports.
     from robotctl.replay.commands import command_of
+    from robotctl.replay.job import Job
     from robotctl.replay.run import Replay
     from robotctl.ros.playback.playback import ReplaySession
 
-    replay = Replay(job, ReplaySession(membership), emit)
+    replay = Replay(Job.from_json(job), ReplaySession(membership), emit)
 
     def obey() -> None:
         for line in lines:
@@ -91,7 +91,7 @@ def _play(job: Job, membership: Membership, lines: Iterator[bytes], emit: Emit) 
 def _lines() -> Iterator[bytes]:
     """Yield the lines of stdin, unbuffered, because a thread in a buffered read delays the exit."""
     lines = LineSplitter()
-    while piece := os.read(sys.stdin.fileno(), 1 << 16):
+    while piece := os.read(0, 1 << 16):
         yield from lines.feed(piece)
 
 

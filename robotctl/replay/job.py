@@ -26,15 +26,14 @@ class Job:
 
     Times are recorded time: play from `start_offset_s` after the first message, for `duration_s`.
     Only `delay_s` is real time. Without `topics` and `regex` all topics are played, otherwise those
-    that one of them selects. With `domain_id` None, the domain of the robot's daemon is used.
-    Nothing is sent before there are `wait_for` subscribers, of all topics together.
+    that one of them selects. Nothing is sent before there are `wait_for` subscribers, of all topics
+    together.
     `original_names` allows the recorded names in a domain with a daemon; `changed_types` plays
     topics whose type has another definition here.
     """
 
     file: Path
-    robot: str
-    domain_id: int | None = None
+    domain_id: int
     rate: float | None = 1.0
     topics: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()

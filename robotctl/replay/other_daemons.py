@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from robotctl.errors import NoDaemon, RobotctlError, UsageError
 from robotctl.ipc.client import Client
 from robotctl.paths import chain_to, runtime_folder
-from robotctl.replay.job import Job
 
 ANSWER_DEADLINE_S = 2.0
 
@@ -53,11 +52,11 @@ def daemons_in(domain_id: int) -> list[RunningDaemon]:
     ]
 
 
-def domain_of(job: Job) -> int:
-    """Return the domain of a job: the requested one, else that of the robot's daemon, else 0."""
-    if job.domain_id is not None:
-        return job.domain_id
-    daemon = ask(job.robot)
+def domain_to_play_in(requested: int | None, robot: str) -> int:
+    """Return the requested domain, else that of the robot's daemon, else 0."""
+    if requested is not None:
+        return requested
+    daemon = ask(robot)
     return 0 if daemon is None else daemon.domain_id or 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Final
 
 from robotctl.replay.clock import Clock
@@ -16,8 +17,8 @@ Send = Callable[[bytes], bool | None]
 """Sends a serialized message: False if the middleware did not accept it, None if it held nothing to
 send."""
 
-LEAD_NS: Final = 20_000_000
-"""Time between the start and the first message, so that it is on time as well."""
+LEAD_NS: Final = 5_000_000
+"""Time between the start and the first message, which has been read then: it is on time as well."""
 
 SLICE_NS: Final = 50_000_000
 """Maximum delay until a stop or a changed schedule takes effect."""
@@ -91,8 +92,10 @@ class Player:
 
     def run(self) -> None:
         """Send until the entries end or `stop` is called."""
+        batches = iter(self._batches)
+        first = next(batches, ())
         self.control.begin(self._clock.now_ns() + LEAD_NS + self._delay_ns)
-        for batch in self._batches:
+        for batch in chain((first,), batches):
             for at_ns, topic, data in batch:
                 due_ns = self._wait_for(at_ns)
                 if self._stopped:

@@ -14,8 +14,7 @@ from robotctl.cli.support.early_process import early_or_new
 class Child:
     """A process that is never started."""
 
-    def __init__(self, command: object, **_: object) -> None:
-        assert command is PLAYER
+    def __init__(self) -> None:
         self.killed = False
 
     def kill(self) -> None:
@@ -29,11 +28,12 @@ class Child:
 def started(monkeypatch: pytest.MonkeyPatch) -> list[Child]:
     made: list[Child] = []
 
-    def start(command: object, **options: object) -> Child:
-        made.append(Child(command, **options))
+    def begin(*_: object, **__: object) -> Child:
+        made.append(Child())
         return made[-1]
 
-    monkeypatch.setattr(early_process, "start", start)
+    monkeypatch.setattr(early_process, "start", begin)
+    monkeypatch.setattr(early_process, "fork", begin)
     return made
 
 

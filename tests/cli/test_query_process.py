@@ -32,8 +32,7 @@ class Started:
         self.count = 0
         self.killed = 0
 
-    def __call__(self, command: object, **_: object) -> Any:
-        assert command is query_process.QUERY
+    def __call__(self, *_: object, **__: object) -> Any:
         self.count += 1
         return self
 
@@ -48,6 +47,7 @@ class Started:
 def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[Started]:
     made = Started()
     monkeypatch.setattr(early_process, "start", made)
+    monkeypatch.setattr(early_process, "fork", made)
     yield made
     assert made.killed == made.count
 
@@ -89,10 +89,11 @@ def test_where_a_daemon_answers_no_process_is_started_for_a_list(started: Starte
 def test_an_answer_comes_before_the_process_has_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    program, fifo = tmp_path / "look.py", tmp_path / "fifo"
-    program.write_text(LINGERING)
+    look, fifo = tmp_path / "look.py", tmp_path / "fifo"
+    look.write_text(LINGERING)
     os.mkfifo(fifo)
-    monkeypatch.setattr(query_process, "QUERY", (sys.executable, str(program), str(fifo)))
+    monkeypatch.setattr(early_process, "program", lambda _: (sys.executable, str(look), str(fifo)))
+    monkeypatch.setattr(early_process, "has_one_thread", lambda: False)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     with query_processes(["topic", "list", "--domain-id", "7"]):
         answer: Any = RosView("robot", "", 7, through_daemon=False).names()

@@ -32,7 +32,7 @@ TOPICS = (
 
 
 def job(**options: Any) -> Job:
-    return Job(Path("run.mcap"), "robot", **options)
+    return Job(Path("run.mcap"), 0, **options)
 
 
 def names(**options: Any) -> set[str]:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from robotctl.cli.support.early_player import PLAYER
-from robotctl.processes import start
+from robotctl.processes import program, start
 from robotctl.replay.commands import Command
 from robotctl.replay.job import Job
 from robotctl.replay.schedule import RATES
@@ -26,7 +26,7 @@ class Playing:
     """The replay process, controlled as the command line does."""
 
     def __init__(self, job: Job) -> None:
-        self._child = start(PLAYER, with_stdin=True)
+        self._child = start(program(PLAYER), with_stdin=True)
         self.write(f"{job.to_json()}\n".encode())
 
     def urgent_threads(self) -> int:
@@ -78,7 +78,7 @@ def play(
         lines = [Line("/alpha", STRING, n * period_ms, text(f"{n}")) for n in range(count)]
         listener.listen("/alpha", STRING)
         file = write_bag(tmp_path / "run.mcap", lines)
-        return child(Job(file, "robot", domain_id, **options))
+        return child(Job(file, domain_id, **options))
 
     return begin
 
@@ -108,7 +108,7 @@ async def test_what_is_stopped_before_everybody_is_known_opens_nothing(
     tmp_path: Path, listener: Any, child: Any, domain_id: int
 ) -> None:
     file = write_bag(tmp_path / "run.mcap", [Line("/alpha", STRING, 0.0, text("alpha"))])
-    exit_code, summary = child(Job(file, "robot", domain_id)).end()
+    exit_code, summary = child(Job(file, domain_id)).end()
     assert (exit_code, summary["topics"], summary["interrupted"]) == (0, [], True)
 
 

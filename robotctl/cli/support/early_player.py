@@ -7,9 +7,8 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Final
 
 from robotctl.cli.support.early_process import started_early
-from robotctl.processes import program
 
-PLAYER: Final = program("robotctl.replay")
+PLAYER: Final = "robotctl.replay"
 
 _PLAYS_NOTHING: Final = frozenset(
     {"--check", "--what-if", "--resim", "--draw-only", "--help", "-h"}

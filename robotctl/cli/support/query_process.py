@@ -13,9 +13,9 @@ from typing import Final
 
 from robotctl.cli.support.early_process import END_S, early_or_new, started_early
 from robotctl.paths import DEFAULT_ROBOT, ROBOT_VARIABLE, socket_path
-from robotctl.processes import Child, program
+from robotctl.processes import Child
 
-QUERY: Final = program("robotctl.ros.queries")
+QUERY: Final = "robotctl.ros.queries"
 
 _ALWAYS: Final = (("service", "call"), ("topic", "echo"), ("topic", "hz"))
 """The commands that look through a process of their own even where a daemon runs."""

@@ -177,13 +177,13 @@ def replay(
         parse_rate,
         parse_remap,
     )
+    from robotctl.replay.other_daemons import domain_to_play_in
 
     name = _only(files)
     path = find_local_recording(str(name), robot)
     job = Job(
         file=path.absolute(),
-        robot=daemon_robot,
-        domain_id=requested_domain(domain_id),
+        domain_id=0 if draw_only else domain_to_play_in(requested_domain(domain_id), daemon_robot),
         rate=parse_rate(rate),
         topics=_names(topics),
         regex=check_regex(regex),
