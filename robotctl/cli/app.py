@@ -6,6 +6,7 @@ interrupt them.
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ PLAYS = ["replay"]
 def main() -> None:
     """Run the command line of this process, and exit."""
     open_standard_streams()
+    gc.disable()  # imports make no garbage, and the search for it takes a tenth of their time
     sys.exit(run(sys.argv[1:]))
 
 
@@ -72,6 +74,8 @@ def _parse_and_run(arguments: list[str]) -> None:
     with _process_for(arguments):
         from robotctl.cli.registry import dispatch
 
+        gc.freeze()
+        gc.enable()
         dispatch(arguments)
         sys.stdout.flush()  # the answer is there before the process has left ROS
 

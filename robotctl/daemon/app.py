@@ -125,6 +125,7 @@ async def serve(
             raise
         gc.collect()
         gc.freeze()  # a full collection over all imported objects would block the loop for 70 ms
+        gc.enable()  # in a process of its own it is off until here
 
         def ready(summary: StartSummary) -> None:
             serve_logger_levels(session, levels)

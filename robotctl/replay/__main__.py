@@ -7,6 +7,7 @@ Each report is one line of JSON: {"note"}, {"waiting"}, {"start"}, {"progress"},
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import select
@@ -41,6 +42,7 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
     note = environment.prepare()
     emit = partial(_emit, report_fd(arguments))
     sys.setswitchinterval(SWITCH_INTERVAL_S)
+    gc.disable()  # until it plays: imports make no garbage
     debug = False
     try:
         # After environment.prepare(), because it imports rclpy; before the wait for the job.

@@ -195,6 +195,7 @@ class Replay:
                 failures.append(failure)
 
         gc.freeze()  # a full collection would delay a message
+        gc.enable()
         if self._stopped.is_set():  # stopped while waiting for subscribers
             player.stop()
         thread = threading.Thread(target=run, name="player", daemon=True)

@@ -9,6 +9,7 @@ ends with its stdin, so it does not outlive its parent.
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import os
 import sys
@@ -29,6 +30,7 @@ def main(arguments: list[str]) -> int:
             # After environment.prepare(), because it imports rclpy; before the wait for the line.
             from robotctl.ros.queries.by_name import look
 
+            gc.enable()  # a copy of a command has it disabled
             line = _first_line()
             if not line:
                 return 0
