@@ -5,9 +5,9 @@ from __future__ import annotations
 import resource
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from typing import Any, Final
+from typing import Any
 
-from robotctl import environment
+from robotctl import environment, open_files
 from robotctl.daemon import command_line as command_line
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.lock import owned
@@ -16,9 +16,6 @@ from robotctl.daemon.start_report import StartReport
 from robotctl.errors import INTERRUPTED_EXIT_CODE, Refused, RobotctlError
 from robotctl.paths import lock_path
 from robotctl.streams import open_standard_streams
-
-LEAST_FILES: Final = 128
-"""A daemon with a simulated robot opens about 100; without a free one it could answer no client."""
 
 
 def main(arguments: list[str]) -> int:
@@ -68,9 +65,7 @@ def allow_many_files() -> None:
         Refused: The limit cannot be raised far enough.
     """
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if most != resource.RLIM_INFINITY and most < LEAST_FILES:
-        raise Refused(
-            f"this process may open {most} files, and a daemon needs {LEAST_FILES}",
-            "raise the limit: ulimit -n 1024, or LimitNOFILE in a unit",
-        )
+    if most != resource.RLIM_INFINITY and most < open_files.LEAST:
+        text = f"this process may open {most} files, and a daemon needs {open_files.LEAST}"
+        raise Refused(text, open_files.CURE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from robotctl import open_files
 from robotctl.doctor.finding import Finding, fault, ok, warning
 from robotctl.errors import RobotctlError
 from robotctl.paths import chain_to
@@ -19,9 +20,6 @@ SCARCE_BYTES: Final = 2_000_000_000
 
 FULL_BYTES: Final = 500_000_000
 """The recorder does not begin when less is free (`stop_free_bytes`)."""
-
-ENOUGH_FILES: Final = 256
-"""A daemon with a simulated robot has about 100 open; each client and each topic adds some."""
 
 BUILT_S: Final = 1_735_689_600.0
 """2025-01-01: a clock before that was never set."""
@@ -98,14 +96,14 @@ def check_descriptors() -> Iterator[Finding]:
     check = "open files"
     _, limit = resource.getrlimit(resource.RLIMIT_NOFILE)  # to which a daemon raises its own
     told = f"a process may open {limit} at a time"
-    if limit == resource.RLIM_INFINITY or limit >= ENOUGH_FILES:
+    if limit == resource.RLIM_INFINITY or limit >= open_files.ENOUGH:
         yield ok(check, told)
+    elif limit >= open_files.LEAST:
+        text = f"{told}: a daemon may need {open_files.ENOUGH}"
+        yield warning(check, text, open_files.CURE)
     else:
-        yield warning(
-            check,
-            f"{told}: a daemon may need {ENOUGH_FILES}",
-            "raise it: ulimit -n 1024, LimitNOFILE in a unit",
-        )
+        text = f"{told}: a daemon needs {open_files.LEAST} to start"
+        yield fault(check, text, open_files.CURE)
 
 
 def check_priority(fifo_priority: int) -> Iterator[Finding]:

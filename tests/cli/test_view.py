@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 from collections.abc import Callable
@@ -39,6 +40,26 @@ async def test_a_recording_is_shown_without_ros_until_ctrl_c(
     out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (130, "")
     assert json.loads(out)["error"]["kind"] == "interrupted"
+
+
+def test_another_ros_that_was_dropped_is_named(
+    file: Path,
+    spawn: Callable[..., subprocess.Popen[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    library = tmp_path / "ros" / "lib" / "librcl.so"
+    library.parent.mkdir(parents=True)
+    library.touch()
+    monkeypatch.setenv(
+        "LD_LIBRARY_PATH", f"{library.parent}:{os.environ.get('LD_LIBRARY_PATH', '')}"
+    )
+    process = spawn("view", str(file), "--port", "0", "--json")
+    assert process.stdout is not None
+    assert json.loads(process.stdout.readline())["url"]
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert err == "robotctl: dropped another ROS from LD_LIBRARY_PATH\n"
 
 
 def _maps_of_children(pid: int) -> str:

@@ -232,7 +232,13 @@ def test_a_priority_beyond_the_limit_is_named(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize(
     ("limit", "level"),
-    [(64, Level.WARNING), (1024, Level.OK), (resource.RLIM_INFINITY, Level.OK)],
+    [
+        (127, Level.FAULT),
+        (128, Level.WARNING),
+        (255, Level.WARNING),
+        (256, Level.OK),
+        (resource.RLIM_INFINITY, Level.OK),
+    ],
 )
 def test_a_limit_of_open_files_that_a_daemon_may_reach_is_named(
     limit: int, level: Level, monkeypatch: pytest.MonkeyPatch

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from importlib.util import find_spec
@@ -76,6 +77,8 @@ def start_view(job: ViewJob, log: Path | None = None) -> tuple[Child, dict[str, 
         with suppress(BrokenPipeError):  # it has ended; the next line notices
             child.send(f"{job.to_json()}\n".encode())
         for said in reports_of(child, READY_S):
+            if "note" in said:
+                print(f"robotctl: {printable(said['note'])}", file=sys.stderr)
             if "ready" in said:
                 return child, said["ready"]
         raise RobotctlError("the process of the view has ended")
