@@ -148,6 +148,8 @@ class OnDemandTap:
         except Exception as error:  # noqa: BLE001 - a foreign topic must not end the others
             reason = short_name(f"{type(error).__name__}: {error}")
             self._tell(topic, f"{topic} is not shown: it cannot be subscribed to ({reason})")
+        else:
+            self._tell(topic, "")
 
     def _offered(self, topic: str) -> dict[str, list[QoSProfile]]:
         """Return type -> the profiles of its publishers."""
