@@ -106,6 +106,20 @@ def test_csv_keeps_what_is_no_number_lists_bytes_and_any_text(cli: Cli, tmp_path
     assert [row["time_s"] for row in rows[:2]] == ["0.0", "1.0"]
 
 
+def test_a_carriage_return_in_a_text_ends_no_row_of_csv(cli: Cli) -> None:
+    recorder = Recorder(Path("returns"), on_failure=print)
+    definition = parse_definition("p/msg/Text", "string a\nstring b\n")
+    channel = recorder.add_topic(Topic("/text", "p/msg/Text", "string a\nstring b\n"))
+    texts = {"a": "one\rtwo", "b": "end\r"}
+    recorder.write(channel, encode(definition, texts), START_NS, START_NS, 1, GID)
+    recorder.close()
+    assert cli("export", "returns", "--topic", "/text", "-o", "text.csv").exit_code == 0
+    assert not Path("text.csv").read_bytes().endswith(b"\r\n")
+    with Path("text.csv").open(newline="") as stream:
+        (row,) = csv.DictReader(stream)
+    assert {name: row[name] for name in texts} == texts
+
+
 def test_json_lines_are_valid_json_and_say_nan(cli: Cli, tmp_path: Path) -> None:
     ran = cli("export", str(written(tmp_path)), "--topic", "/all", "--json")
 

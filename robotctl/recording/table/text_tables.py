@@ -7,12 +7,16 @@ import json
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import isfinite
-from typing import Any, TextIO
+from typing import Any, Final, TextIO
 
 from robotctl.cdr.flat import Column, ColumnKind
 from robotctl.recording.table.topic_table import Row
 
 _Change = Callable[[Any], Any]
+
+_BOTH: Final = "\r\n"
+"""The end of a row for csv, which before Python 3.13 puts a text with one of these characters in
+quotes only if rows end with it; to a reader both end a row."""
 
 
 def write_csv(columns: Sequence[Column], rows: Iterable[Row], stream: TextIO) -> int:
@@ -20,7 +24,7 @@ def write_csv(columns: Sequence[Column], rows: Iterable[Row], stream: TextIO) ->
 
     Lines end with a line feed. Lists are JSON, bytes are base64, and NaN and infinity `nan`, `inf`.
     """
-    writer = csv.writer(stream, lineterminator="\n")
+    writer = csv.writer(_LineFeeds(stream), lineterminator=_BOTH)
     writer.writerow([column.name for column in columns])
     counted = _Counted(_changed(columns, rows, json_of))
     writer.writerows(counted)
@@ -44,6 +48,16 @@ def json_of(value: Any) -> str:
         return json.dumps(value, allow_nan=False)
     except (ValueError, TypeError):
         return json.dumps(_plain(value))
+
+
+class _LineFeeds:
+    """Takes the rows of csv, and ends them with a line feed alone."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, row: str) -> int:
+        return self._stream.write(f"{row.removesuffix(_BOTH)}\n")
 
 
 class _Counted:
