@@ -7,6 +7,11 @@ from math import ceil, floor, log10
 from typing import Final
 
 RELATIVE_SPAN: Final = 1e-9
+SMALLEST_SPAN: Final = 1e-300
+"""A shorter axis has no finite scale."""
+
+DIGIT_PX: Final = 7.5
+"""The width of a digit beside an axis, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +51,16 @@ def axis_for(low: float, high: float, begin: float, end: float, *, least_span: f
 
 def label(value: float) -> str:
     """Return the text beside a tick."""
-    return f"{value:.10g}" if abs(value) > 1e-12 else "0"
+    return f"{value:.12g}"
+
+
+def label_end(text: str, left: float) -> float:
+    """Return where the text left of an axis ends: beside it, or further right to have room."""
+    return max(left - 6, len(text) * DIGIT_PX)
 
 
 def least_span_of(low: float, high: float) -> float:
     """Return how long an axis of such values must be, so that rounding is not drawn as a change."""
     if low == high:
-        return abs(high) or 1.0
-    return RELATIVE_SPAN * max(abs(low), abs(high))
+        return max(abs(high), SMALLEST_SPAN) if high else 1.0
+    return max(RELATIVE_SPAN * max(abs(low), abs(high)), SMALLEST_SPAN)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import IO, TYPE_CHECKING, Final
 
-from robotctl.report.axis import Axis, label
+from robotctl.report.axis import Axis, label, label_end
 from robotctl.report.field_series import FieldSeries
 from robotctl.report.markup import shown
 from robotctl.report.time_plot import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, time_axis, value_axis
@@ -42,7 +42,8 @@ def _draw_field(draw: ImageDraw, field: FieldSeries, time: Axis, top: float) -> 
     for tick in values.ticks(4):
         y = top + values.at(tick)
         _line(draw, [(LEFT, y), (RIGHT, y)], GRID, 1)
-        _text(draw, LEFT - 6, y, label(tick), SOFT, "rm", 11)
+        text = label(tick)
+        _text(draw, label_end(text, LEFT), y, text, SOFT, "rm", 11)
     for tick in time.ticks(12):
         x = time.at(tick)
         _line(draw, [(x, top + TOP), (x, top + BOTTOM)], GRID, 1)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from robotctl.report.axis import Axis, label
+from robotctl.report.axis import Axis, label, label_end
 from robotctl.report.driven import DrivenPlace
 from robotctl.report.markup import Markup, plain, tag
 from robotctl.report.traces import Point, TracedMoment
@@ -130,6 +130,7 @@ def _axes(ground: Ground) -> list[Markup]:
     for tick in ground.y.ticks(8):
         at = ground.y.at(tick)
         pieces.append(tag("path", d=f"M{left} {plain(at)}H{right}", class_="grid"))
-        pieces.append(tag("text", label(tick), x=left - 6, y=at + 4, class_="value"))
+        text = label(tick)
+        pieces.append(tag("text", text, x=label_end(text, left), y=at + 4, class_="value"))
     unit = tag("text", "x [m]", x=right, y=bottom + 30, class_="tick last")
     return [*pieces, unit, tag("text", "y [m]", x=left - 6, y=MARGIN_TOP - 2, class_="value")]

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from robotctl.report.axis import Axis, axis_for, label, least_span_of
+from robotctl.report.axis import Axis, axis_for, label, label_end, least_span_of
 from robotctl.report.markup import Content, Markup, plain, tag
 from robotctl.report.series import Sample, Series
 from robotctl.report.traces import ModeSpan, TracedMoment
@@ -187,7 +187,8 @@ def _grid(time: Axis, values: Axis) -> list[Markup]:
     for tick in values.ticks(4):
         y = values.at(tick)
         pieces.append(tag("path", d=f"M{LEFT} {plain(y)}H{RIGHT}", class_="grid"))
-        pieces.append(tag("text", label(tick), x=LEFT - 6, y=y + 4, class_="value"))
+        text = label(tick)
+        pieces.append(tag("text", text, x=label_end(text, LEFT), y=y + 4, class_="value"))
     return [*pieces, *_time_labels(time, Axis(0.0, 1.0, BOTTOM, TOP), HEIGHT)]
 
 

@@ -150,3 +150,45 @@ def test_a_terminal_without_braille_gets_stars(
     out = cli("plot", "run.mcap", "/t", "x").out
     assert out.isascii()
     assert "*" in out
+
+
+@pytest.mark.parametrize("values", [[5e-324] * 3, [0.0, 5e-324], [1e-310, 3e-310]])
+def test_the_smallest_numbers_there_are_can_be_drawn(
+    values: list[float], cli: Callable[..., Any]
+) -> None:
+    write(Path("small.mcap"), [(value, []) for value in values])
+    ran = cli("plot", "small.mcap", "/t", "x")
+    assert (ran.exit_code, ran.err) == (0, "")
+    for name in ("small.png", "small.svg"):
+        assert cli("plot", "small.mcap", "/t", "x", "-o", name).exit_code == 0
+
+
+@pytest.mark.parametrize("value", [-1.23456e-5, -1.23456e14, -1.23456e-300])
+def test_a_long_number_leaves_the_axis_where_it_is(value: float, cli: Callable[..., Any]) -> None:
+    write(Path("long.mcap"), [(value, []), (value * 2, [])])
+    lines = cli("plot", "long.mcap", "/t", "x").out.splitlines()
+    assert {line.find("│") for line in lines[1:-1]} == {11}
+
+
+def texts_of(picture: str) -> list[ElementTree.Element]:
+    return list(ElementTree.parse(picture).getroot().iter("{http://www.w3.org/2000/svg}text"))
+
+
+def test_a_number_beside_a_picture_is_written_whole(cli: Callable[..., Any]) -> None:
+    write(Path("stamps.mcap"), [(1.7e9 + n / 20, []) for n in range(21)])
+    assert cli("plot", "stamps.mcap", "/t", "x", "-o", "stamps.svg").exit_code == 0
+    numbers = [text for text in texts_of("stamps.svg") if text.get("class") == "value"]
+    assert [text.text for text in numbers] == ["1700000000", "1700000000.5", "1700000001"]
+    for text in numbers:  # they end at x
+        assert float(text.get("x", 0)) >= 7 * len(text.text or "")
+    assert cli("plot", "stamps.mcap", "/t", "x", "-o", "stamps.png").exit_code == 0
+    with Image.open("stamps.png") as image:
+        edge = image.convert("L").crop((0, 0, 4, image.height))
+        assert edge.getextrema() == (255, 255)  # nothing is cut off
+
+
+def test_the_numbers_beside_small_values_are_not_zero(cli: Callable[..., Any]) -> None:
+    write(Path("tiny.mcap"), [(n * 1e-14, []) for n in range(1, 5)])
+    assert cli("plot", "tiny.mcap", "/t", "x", "-o", "tiny.svg").exit_code == 0
+    numbers = [text.text for text in texts_of("tiny.svg") if text.get("class") == "value"]
+    assert numbers == ["1e-14", "2e-14", "3e-14", "4e-14"]

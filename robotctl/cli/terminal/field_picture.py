@@ -42,6 +42,12 @@ def _range(field: FieldSeries) -> str:
     return f"{series.least:.6g} to {series.most:.6g}, {series.count} values"
 
 
+def _label(value: float) -> str:
+    """Return a number with as many of five digits as have room beside the axis."""
+    texts = (f"{value:.{digits}g}" for digits in range(5, 0, -1))
+    return next(text for text in texts if len(text) < LABEL)
+
+
 def _picture(
     field: FieldSeries, duration_s: float, across: int, rows: int, colour: bool, ascii_only: bool
 ) -> Iterator[str]:
@@ -53,7 +59,7 @@ def _picture(
     for run in field.series.lines():
         canvas.line([(round(time.at(t_s)), round(values.at(value))) for t_s, value in run])
     for row in range(rows):
-        label = {0: f"{values.high:.5g}", rows - 1: f"{values.low:.5g}"}.get(row, "")
+        label = {0: _label(values.high), rows - 1: _label(values.low)}.get(row, "")
         drawn = "".join(
             canvas.character(column, row, ascii_only=ascii_only) for column in range(across)
         ).rstrip()
