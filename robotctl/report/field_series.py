@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Final
 
 from robotctl.cdr.definition import (
-    NUMBERS,
     Definition,
     FieldShape,
     UnreadableType,
@@ -25,9 +24,10 @@ from robotctl.recording import Recording, TopicInfo
 from robotctl.report.series import Series
 
 MAX_SEARCHED: Final = 5000
+MAX_LISTS: Final = 24
 MAX_NAMED: Final = 24
 MAX_FIELDS: Final = 8
-"""Fields that are searched, that a message names, and that one picture shows."""
+"""Fields and lists that are searched, fields that a message names, and that a picture shows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ def _numbers_at(definition: Definition, path: str) -> dict[str, Steps]:
         text = str(error)
         cure = "" if "did you mean" in text else _named(definition)
         raise UsageError(text, cure, sentence=IN_PARENTHESES) from None
-    leaves = _leaves(definition)
+    leaves = list(islice(leaf_fields(definition, *_listed(definition, steps)), MAX_SEARCHED))
     leaf = next((each for each in leaves if each.steps == steps), None)
     if leaf is None and isinstance(steps[-1], int):
         owner = next((each for each in leaves if each.steps == steps[:-1]), None)
@@ -127,9 +127,10 @@ def _numbers_at(definition: Definition, path: str) -> dict[str, Steps]:
             return {path: steps}
     if leaf is not None and leaf.is_number:
         return {path: steps}
-    if leaf is not None and leaf.field.shape is not FieldShape.ONE:
-        first = f"{path}[0]" + ("" if leaf.field.type_name in NUMBERS else ".x")
-        raise UsageError(f"{path} is a list: {leaf.field.type_text}", f"choose one value: {first}")
+    inside = [] if leaf is None else [leaf, *islice(_inside(definition, leaf), MAX_SEARCHED)]
+    if leaf is not None and (names := _names(inside)):
+        cause = f"{path} is a list: {leaf.field.type_text}"
+        raise UsageError(cause, f"choose one value: {names[0]}")
     below = {
         each.path: each.steps
         for each in leaves
@@ -140,17 +141,53 @@ def _numbers_at(definition: Definition, path: str) -> dict[str, Steps]:
     raise UsageError(f"{path} is no number", _named(definition))
 
 
-def _leaves(definition: Definition) -> list[LeafField]:
-    return list(islice(leaf_fields(definition), MAX_SEARCHED))
+def _listed(definition: Definition, steps: Steps) -> tuple[str, Steps]:
+    """Return the last message in a sequence on the way along the steps: its type and its place."""
+    found: tuple[str, Steps] = definition.root, ()
+    fields = definition.types[definition.root]
+    field = fields[0]
+    for place, step in enumerate(steps, 1):
+        if isinstance(step, str):
+            field = next(each for each in fields if each.name == step)
+            fields = definition.types.get(field.type_name, ())
+        elif fields and field.shape is FieldShape.SEQUENCE:
+            found = field.type_name, steps[:place]
+    return found
+
+
+def _inside(
+    definition: Definition, leaf: LeafField, room: Iterator[int] | None = None
+) -> Iterator[LeafField]:
+    """Yield the leaves of the first message, if the leaf is a sequence of messages.
+
+    `room` ends with the number of sequences that are searched: each costs a look at all types.
+    """
+    room = iter(range(MAX_LISTS)) if room is None else room
+    if leaf.field.type_name in definition.types and next(room, None) is not None:
+        for each in leaf_fields(definition, leaf.field.type_name, (*leaf.steps, 0)):
+            yield each
+            yield from _inside(definition, each, room)
+
+
+def _with_inside(definition: Definition) -> Iterator[LeafField]:
+    room = iter(range(MAX_LISTS))
+    for leaf in leaf_fields(definition):
+        yield leaf
+        yield from _inside(definition, leaf, room)
+
+
+def _names(leaves: Iterable[LeafField]) -> list[str]:
+    """Return the paths of those leaves that are numbers, or that of their first number."""
+    return [
+        f"{leaf.path}[0]" if leaf.is_number_list else leaf.path
+        for leaf in leaves
+        if leaf.is_number or leaf.is_number_list
+    ]
 
 
 def _named(definition: Definition) -> str:
     """Return the numbers of a type, as a sentence."""
-    names = [
-        f"{leaf.path}[0]" if leaf.is_number_list else leaf.path
-        for leaf in _leaves(definition)
-        if leaf.is_number or leaf.is_number_list
-    ]
+    names = _names(islice(_with_inside(definition), MAX_SEARCHED))
     if not names:
         return "it has no numbers"
     more = len(names) - MAX_NAMED

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Callable
 from math import inf, nan
 from pathlib import Path
@@ -13,6 +14,9 @@ import pytest
 from mcap.writer import Writer
 from PIL import Image
 
+from robotctl.cdr.definition import parse_definition
+from robotctl.cdr.values import encode
+
 DEFINITION = """\
 float64 x
 Point place
@@ -22,6 +26,17 @@ string name
 MSG: a/Point
 float64 x
 float64 y
+"""
+TRANSFORMS = """\
+Place[] places
+================
+MSG: a/Place
+string[] names
+float64 x
+Point[] points
+================
+MSG: a/Point
+int32 y
 """
 START_NS = 1_700_000_000_000_000_000
 
@@ -192,3 +207,46 @@ def test_the_numbers_beside_small_values_are_not_zero(cli: Callable[..., Any]) -
     assert cli("plot", "tiny.mcap", "/t", "x", "-o", "tiny.svg").exit_code == 0
     numbers = [text.text for text in texts_of("tiny.svg") if text.get("class") == "value"]
     assert numbers == ["1e-14", "2e-14", "3e-14", "4e-14"]
+
+
+def write_transforms(path: Path) -> None:
+    """Write two messages, the first with a list of two messages, the second with none."""
+    definition = parse_definition("a/msg/T", TRANSFORMS)
+    place = {"names": ["a"], "x": 1.5, "points": [{"y": 3}, {"y": 4}]}
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema("a/msg/T", "ros2msg", TRANSFORMS.encode())
+        channel = writer.register_channel("/tf", "cdr", schema)
+        for number, places in enumerate(([place, place], [])):
+            data = encode(definition, {"places": places})
+            writer.add_message(channel, START_NS + number, data, START_NS)
+        writer.finish()
+
+
+def test_numbers_of_messages_in_a_list_are_named_and_drawn(cli: Callable[..., Any]) -> None:
+    write_transforms(Path("tf.mcap"))
+    said = cli("plot", "tf.mcap", "/tf").err
+    assert "its numbers are places[0].x, places[0].points[0].y" in said
+    assert "choose one value: places[0].x" in cli("plot", "tf.mcap", "/tf", "places").err
+    assert "places[1].names is no number" in cli("plot", "tf.mcap", "/tf", "places[1].names").err
+    ran = cli("plot", "tf.mcap", "/tf", "places[1]", "places[0].points[1].y", "places[2].x")
+    assert ran.exit_code == 8
+    named = [line.split("  ") for line in ran.out.splitlines() if "values" in line]
+    assert [(words[-2].strip(), words[-1]) for words in named] == [
+        ("places[1].x", "1.5 to 1.5, 1 values"),
+        ("places[0].points[1].y", "4 to 4, 1 values"),
+        ("places[2].x", "no values"),
+    ]
+    assert "places[2].x: 2 messages have a shorter list" in ran.err
+
+
+def test_a_type_of_endless_lists_is_searched_for_a_moment_only(cli: Callable[..., Any]) -> None:
+    parts = ["P0[] a\nP0[] b\n"]
+    parts += [f"MSG: a/P{n}\nP{n + 1}[] a\nP{n + 1}[] b\n" for n in range(50)]
+    parts += ["MSG: a/P50\nstring s\n", *(f"MSG: a/Q{n}\nfloat64 x\n" for n in range(2000))]
+    write(Path("lists.mcap"), [], f"{'=' * 80}\n".join(parts))
+    before_s = time.process_time()
+    assert "it has no numbers" in cli("plot", "lists.mcap", "/t").err
+    assert "a is no number: it has no numbers" in cli("plot", "lists.mcap", "/t", "a").err
+    assert time.process_time() - before_s < 3.0
