@@ -15,6 +15,7 @@ from robotctl.ipc.answers import TopicAnswer
 from robotctl.recording import Recorder, Topic
 from robotctl.recording.format.message_counts import COUNTERS
 from robotctl.recording.format.topics import LATCHED_QOS, TopicStats, total
+from robotctl.recording.write import counts_of_topics
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.counts_of_topics import CountsOfTopics
 from robotctl.recording.write.latched_repeats import repeats
@@ -106,6 +107,47 @@ def test_the_counts_of_a_topic_are_the_same_object_until_one_changes(tmp_path: P
     assert (after.topics[busy].received, after.topics[busy].dropped) == (1, 1)
     recorder.leave_out(busy, 1, 6, GID)
     assert recorder.stats().topics[busy].throttled == 1
+
+
+def test_a_change_is_seen_after_memory_ran_out_while_it_was_copied(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    topic, marks = Topic("/a", "T"), bytearray(b"\1\1")
+    channels = [ChannelState(topic, marks=marks, number=number) for number in range(2)]
+    counts = CountsOfTopics(channels, marks)
+    counts.update()
+    for state in channels:
+        state.received += 1
+        state.mark()
+
+    def fail(_: object) -> None:
+        raise MemoryError
+
+    with monkeypatch.context() as memory:
+        memory.setattr(counts_of_topics, "total", fail)
+        with pytest.raises(MemoryError):
+            counts.update()
+    counts.update()
+    assert [each.received for each in counts.topics] == [1, 1]
+    assert counts.sums == total([state.stats() for state in channels])
+
+
+def test_a_topic_that_found_no_memory_hinders_no_later_one(tmp_path: Path) -> None:
+    class Full(bytearray):
+        def append(self, mark: Any) -> None:
+            if failing:
+                raise MemoryError
+            super().append(mark)
+
+    recorder, failing = Recorder(tmp_path / "run", on_failure=pytest.fail), True
+    recorder._marks = recorder._counts._marks = Full()
+    with pytest.raises(MemoryError):
+        recorder.add_topic(Topic("/a", "T"))
+    failing = False
+    for name in ("/b", "/c"):
+        recorder.write(recorder.add_topic(Topic(name, "T")), b"data", 1, 1, 0, GID)
+    stats = recorder.close()
+    assert (stats.received, stats.written, stats.queued) == (2, 2, 0)
 
 
 def test_counts_that_the_writer_thread_changes_are_seen(tmp_path: Path) -> None:

@@ -30,12 +30,19 @@ class CountsOfTopics:
             return
         counts, gone, come = list(self.topics), list[TopicStats](), list[TopicStats]()
         counts += [TopicStats()] * (len(channels) - len(counts))
-        while place >= 0:
-            marks[place] = 0  # first: a change that the copy lacks marks it again
-            gone.append(counts[place])
-            counts[place] = new = channels[place].stats()
-            come.append(new)
-            place = marks.find(1, place + 1)
-        before, after = total(gone), total(come)
-        self.sums = {name: self.sums[name] - before[name] + after[name] for name in COUNTERS}
-        self.topics = tuple(counts)
+        changed = []
+        try:
+            while place >= 0:
+                changed.append(place)
+                marks[place] = 0  # first: a change that the copy lacks marks it again
+                gone.append(counts[place])
+                counts[place] = new = channels[place].stats()
+                come.append(new)
+                place = marks.find(1, place + 1)
+            before, after = total(gone), total(come)
+            sums = {name: self.sums[name] - before[name] + after[name] for name in COUNTERS}
+            self.topics, self.sums = tuple(counts), sums
+        except MemoryError:
+            for place in changed:
+                marks[place] = 1
+            raise

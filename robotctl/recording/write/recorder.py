@@ -97,8 +97,10 @@ class Recorder:
         if channel >= MAX_TOPICS:
             raise Refused(f"a recording holds at most {MAX_TOPICS} topics: exclude some")
         self._buffer.make_indexes(channel + 1)
+        if len(self._marks) == channel:  # unless memory ran out behind it, the last time
+            self._marks.append(0)
         self._channels.append(ChannelState(topic, marks=self._marks, number=channel))
-        self._marks.append(1)
+        self._marks[channel] = 1
         self._channel_of[topic] = channel
         return channel
 
