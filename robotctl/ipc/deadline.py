@@ -58,7 +58,8 @@ class Deadline:
         task, self._task, self._due_s = self._task, None, math.inf
         if self._is_missed and task is not None:
             self._is_missed = False
-            if task.uncancel() <= self._cancelling and kind is asyncio.CancelledError:
+            ends = kind is not None and issubclass(kind, asyncio.CancelledError | TimeoutError)
+            if task.uncancel() <= self._cancelling and ends:
                 raise DeadlineMissed from error
 
     def _set_timer(self, loop: asyncio.AbstractEventLoop) -> None:

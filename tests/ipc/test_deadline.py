@@ -139,6 +139,20 @@ def test_an_error_of_the_work_comes_out_as_it_is() -> None:
     run(work)
 
 
+def test_work_that_answers_its_cancellation_with_a_timeout_of_its_own_is_late() -> None:
+    async def work(loop: VirtualLoop, deadline: Deadline) -> None:
+        async def give_up() -> None:
+            try:
+                await asyncio.sleep(60.0)
+            except asyncio.CancelledError:
+                raise TimeoutError from None
+
+        with pytest.raises(DeadlineMissed), deadline.within(1.0):
+            await give_up()
+
+    run(work)
+
+
 def test_work_can_be_told_that_its_time_is_over() -> None:
     async def work(loop: VirtualLoop, deadline: Deadline) -> None:
         loop.call_later(3.0, deadline.miss)
