@@ -24,10 +24,11 @@ def has_one_thread() -> bool:
         return False
 
 
-def fork(work: Callable[[int, int], None]) -> Child:
+def fork(work: Callable[[int, int], int | None]) -> Child:
     """Start a copy of this process that ends after `work`; it has nothing to import.
 
     `work(stdin, reports)` gets two descriptors: one to read our lines from, one for `send_report`.
+    It may return an exit code.
     The copy has its own process group, as after `start`. Fork a process with one thread only: a
     lock that another thread holds would stay locked in the copy.
 
@@ -56,7 +57,7 @@ def fork(work: Callable[[int, int], None]) -> Child:
 
 
 def _run_copy(
-    work: Callable[[], None], ends: Iterable[int], signals: Iterable[signal.Signals | int]
+    work: Callable[[], int | None], ends: Iterable[int], signals: Iterable[signal.Signals | int]
 ) -> NoReturn:
     """Do the work of a copy, and end it; `ends` are the parent's ends of its pipes."""
     exit_code = 1
@@ -68,8 +69,7 @@ def _run_copy(
         for descriptor in ends:
             os.close(descriptor)
         gc.freeze()  # a search through what the parent made would copy its memory
-        work()
-        exit_code = 0
+        exit_code = work() or 0
     except BaseException:  # noqa: BLE001 - nothing may go on behind the fork
         traceback.print_exc()
     finally:

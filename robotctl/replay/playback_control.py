@@ -26,9 +26,12 @@ class PlaybackControl:
         return self._schedule
 
     def begin(self, moment_ns: int) -> None:
-        """Start playback at `moment_ns` of the steady clock, or at the end of a current pause."""
+        """Start playback at `moment_ns` of the steady clock, or at the end of a current pause.
+
+        Recorded time that has passed until now does not count: nothing was played.
+        """
         with self._changing:
-            self._schedule = replace(self._schedule, moment_ns=moment_ns)
+            self._schedule = replace(self._schedule, moment_ns=moment_ns, at_ns=0)
 
     def pause(self) -> None:
         """Stop recorded time until `resume`."""

@@ -105,6 +105,7 @@ class Replay:
                 routes.remove(route)
                 self._report.withhold(route)
             routes, sends = open_routes(routes, ros, job, self._report)
+            gc.enable()  # the process begins without
             self._wait()
             player = self._play(recording, guard, routes, sends, ticks, span)
         message = summary(self._report, player, routes, interrupted=self._stopped.is_set())
@@ -195,7 +196,6 @@ class Replay:
                 failures.append(failure)
 
         gc.freeze()  # a full collection would delay a message
-        gc.enable()
         if self._stopped.is_set():  # stopped while waiting for subscribers
             player.stop()
         thread = threading.Thread(target=run, name="player", daemon=True)

@@ -23,7 +23,7 @@ def main(arguments):
     os.write(1, b"on stdout")
     send_report(report_fd(arguments), {"pid": os.getpid(), "said": line.decode()})
     os.read(0, 1)
-    return 0
+    return 7
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))
@@ -54,7 +54,7 @@ def ask(module: str) -> bytes:
         report = child.receive_one(60.0)
         command = command_of(child.pid)
         assert report == {"pid": child.pid, "said": "hello\n"}
-        assert child.close(10.0) == 0
+        assert child.close(10.0) == 7
     return command
 
 

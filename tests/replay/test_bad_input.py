@@ -229,6 +229,7 @@ async def test_of_a_truncated_file_what_can_be_read_is_played_and_the_rest_is_to
         (["--duration", "0"], "--duration 0: give seconds"),
         (["--topics", "/nope"], "--topics /nope: not in the recording, which has /alpha"),
         (["--domain-id", "233"], "--domain-id is '233': use 0 to 232"),
+        (["--draw-only", "--domain-id", "233"], "--domain-id is '233': use 0 to 232"),
         (["--robot", "a b"], "robot name 'a b'"),
     ],
 )

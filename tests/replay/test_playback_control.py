@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 
 import pytest
@@ -211,3 +211,23 @@ def test_every_command_crosses_to_the_player_and_does_something_harmless(command
 )
 def test_what_is_no_command_is_none(line: bytes) -> None:
     assert command_of(line) is None
+
+
+def test_keys_pressed_while_the_first_messages_are_read_make_none_late() -> None:
+    clock, sent = ScriptClock(), list[int]()
+
+    def batches() -> Iterator[list[Entry]]:
+        clock.time_ns += SECOND
+        player.control.faster()
+        player.control.slower()
+        player.control.toggle()
+        player.control.toggle()
+        yield [(number * 100 * MS, "/a", b"") for number in range(3)]
+
+    def send(_: bytes) -> bool:
+        sent.append((clock.time_ns - SECOND - LEAD_NS) // MS)
+        return True
+
+    player = Player(batches(), {"/a": send}, rate=1.0, clock=clock)
+    player.run()
+    assert sent == [0, 100, 200]

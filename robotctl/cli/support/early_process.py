@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from importlib import import_module
 from typing import Final
@@ -48,9 +49,12 @@ def _new(module: str) -> Child:
     return start(program(module), with_stdin=True)
 
 
-def _run(module: str, stdin: int, reports: int) -> None:
+def _run(module: str, stdin: int, reports: int) -> int:
     """Do in a copy of this process what `_new` lets a new one do."""
     os.dup2(stdin, 0)
     os.close(stdin)
     os.dup2(2, 1)
-    import_module(f"{module}.__main__").main([REPORT_OPTION, str(reports)])
+    exit_code: int = import_module(f"{module}.__main__").main([REPORT_OPTION, str(reports)])
+    with suppress(OSError):  # nobody reads stderr any more
+        sys.stdout.flush()
+    return exit_code

@@ -179,11 +179,12 @@ def replay(
     )
     from robotctl.replay.other_daemons import domain_to_play_in
 
+    domain = requested_domain(domain_id)
     name = _only(files)
     path = find_local_recording(str(name), robot)
     job = Job(
         file=path.absolute(),
-        domain_id=0 if draw_only else domain_to_play_in(requested_domain(domain_id), daemon_robot),
+        domain_id=0 if draw_only else domain_to_play_in(domain, daemon_robot),
         rate=parse_rate(rate),
         topics=_names(topics),
         regex=check_regex(regex),
