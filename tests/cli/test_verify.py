@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.writer import Writer
 
 from robotctl.recording import Recorder
 from robotctl.testing.drives import TWIST
@@ -30,6 +31,22 @@ def test_a_whole_recording_without_a_seal_exits_with_4(recording: Path, cli: Cli
     assert ran.out.splitlines()[0].split() == ["whole", str(recording)]
     assert "100 messages, finished" in ran.out
     assert "not sealed" in ran.err
+
+
+def test_a_file_of_the_mcap_library_is_whole_though_it_names_groups_without_records(
+    tmp_path: Path, cli: Cli
+) -> None:
+    file = tmp_path / "library.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+        channel = writer.register_channel("/a", "cdr", schema)
+        writer.add_message(channel, 1, b"\0\1\0\0\2\0\0\0a\0", 1)
+        writer.finish()
+    ran = cli("verify", str(file))
+    assert ran.out.splitlines()[0].split() == ["whole", str(file)]
+    assert ran.exit_code == 4
 
 
 def test_a_flipped_bit_exits_with_7_and_its_byte_is_named(recording: Path, cli: Cli) -> None:
