@@ -127,8 +127,7 @@ def _numbers_at(definition: Definition, path: str) -> dict[str, Steps]:
             return {path: steps}
     if leaf is not None and leaf.is_number:
         return {path: steps}
-    inside = [] if leaf is None else [leaf, *islice(_inside(definition, leaf), MAX_SEARCHED)]
-    if leaf is not None and (names := _names(inside)):
+    if leaf is not None and (names := _names(_with_lists(definition, [leaf]))):
         cause = f"{path} is a list: {leaf.field.type_text}"
         raise UsageError(cause, f"choose one value: {names[0]}")
     below = {
@@ -155,25 +154,20 @@ def _listed(definition: Definition, steps: Steps) -> tuple[str, Steps]:
     return found
 
 
-def _inside(
-    definition: Definition, leaf: LeafField, room: Iterator[int] | None = None
-) -> Iterator[LeafField]:
-    """Yield the leaves of the first message, if the leaf is a sequence of messages.
+def _with_lists(definition: Definition, leaves: Iterable[LeafField]) -> Iterable[LeafField]:
+    """Return MAX_SEARCHED leaves, with those of the first message of each sequence of messages.
 
-    `room` ends with the number of sequences that are searched: each costs a look at all types.
+    MAX_LISTS sequences are searched: each costs a look at all types.
     """
-    room = iter(range(MAX_LISTS)) if room is None else room
-    if leaf.field.type_name in definition.types and next(room, None) is not None:
-        for each in leaf_fields(definition, leaf.field.type_name, (*leaf.steps, 0)):
-            yield each
-            yield from _inside(definition, each, room)
-
-
-def _with_inside(definition: Definition) -> Iterator[LeafField]:
     room = iter(range(MAX_LISTS))
-    for leaf in leaf_fields(definition):
-        yield leaf
-        yield from _inside(definition, leaf, room)
+
+    def walk(leaves: Iterable[LeafField]) -> Iterator[LeafField]:
+        for leaf in leaves:
+            yield leaf
+            if leaf.field.type_name in definition.types and next(room, None) is not None:
+                yield from walk(leaf_fields(definition, leaf.field.type_name, (*leaf.steps, 0)))
+
+    return islice(walk(leaves), MAX_SEARCHED)
 
 
 def _names(leaves: Iterable[LeafField]) -> list[str]:
@@ -187,7 +181,7 @@ def _names(leaves: Iterable[LeafField]) -> list[str]:
 
 def _named(definition: Definition) -> str:
     """Return the numbers of a type, as a sentence."""
-    names = _names(islice(_with_inside(definition), MAX_SEARCHED))
+    names = _names(_with_lists(definition, leaf_fields(definition)))
     if not names:
         return "it has no numbers"
     more = len(names) - MAX_NAMED
