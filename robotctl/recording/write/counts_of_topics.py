@@ -30,10 +30,8 @@ class CountsOfTopics:
             return
         counts, gone, come = list(self.topics), list[TopicStats](), list[TopicStats]()
         counts += [TopicStats()] * (len(channels) - len(counts))
-        changed = []
         try:
             while place >= 0:
-                changed.append(place)
                 marks[place] = 0  # first: a change that the copy lacks marks it again
                 gone.append(counts[place])
                 counts[place] = new = channels[place].stats()
@@ -43,6 +41,6 @@ class CountsOfTopics:
             sums = {name: self.sums[name] - before[name] + after[name] for name in COUNTERS}
             self.topics, self.sums = tuple(counts), sums
         except MemoryError:
-            for place in changed:
-                marks[place] = 1
+            for state in channels:
+                state.mark()
             raise
