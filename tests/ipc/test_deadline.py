@@ -48,6 +48,11 @@ def run(work: Callable[[VirtualLoop, Deadline], Awaitable[None]]) -> None:
         runner.run(main())
 
 
+async def wait_too_long(deadline: Deadline) -> None:
+    with deadline.within(10.0):
+        await asyncio.sleep(60.0)
+
+
 def test_work_that_is_late_is_cancelled_at_its_deadline() -> None:
     async def work(loop: VirtualLoop, deadline: Deadline) -> None:
         for limit_s in (5.0, 2.0, 10.0):
@@ -100,11 +105,7 @@ def test_work_that_is_in_time_needs_few_timers() -> None:
 
 def test_a_cancellation_by_others_is_none_by_the_deadline() -> None:
     async def work(loop: VirtualLoop, deadline: Deadline) -> None:
-        async def wait() -> None:
-            with deadline.within(10.0):
-                await asyncio.sleep(60.0)
-
-        task = asyncio.create_task(wait())
+        task = asyncio.create_task(wait_too_long(deadline))
         await asyncio.sleep(1.0)
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
@@ -116,11 +117,7 @@ def test_a_cancellation_by_others_is_none_by_the_deadline() -> None:
 
 def test_a_cancellation_just_as_the_deadline_is_missed_is_not_lost() -> None:
     async def work(loop: VirtualLoop, deadline: Deadline) -> None:
-        async def wait() -> None:
-            with deadline.within(10.0):
-                await asyncio.sleep(60.0)
-
-        task = asyncio.create_task(wait())
+        task = asyncio.create_task(wait_too_long(deadline))
         await asyncio.sleep(0.0)
         deadline.miss()
         task.cancel()

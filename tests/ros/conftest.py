@@ -11,6 +11,7 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from threading import Event
 from types import ModuleType
 from typing import Any
 
@@ -244,6 +245,22 @@ def borrowed_action() -> ModuleType:
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture
+def no_subscription(monkeypatch: pytest.MonkeyPatch) -> Event:
+    """While it is set, no tap can subscribe."""
+    from robotctl.ros.tap.subscription import TappedSubscription
+
+    create, failing = TappedSubscription._create, Event()
+
+    def maybe(self: TappedSubscription, sink: Any, requested: Any) -> Any:
+        if failing.is_set():
+            raise RuntimeError("no descriptor is free")
+        return create(self, sink, requested)
+
+    monkeypatch.setattr(TappedSubscription, "_create", maybe)
+    return failing
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from threading import Event
 from typing import Any
 
 import pytest
@@ -150,23 +151,16 @@ async def test_a_subscription_that_fails_is_named_and_the_others_go_on(
 
 
 async def test_a_topic_that_cannot_be_followed_for_a_while_is_named_until_it_can(
-    taken: Any, node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+    taken: Any, node: Any, topic: str, until: Until, no_subscription: Event
 ) -> None:
     reliable = publisher(node, topic)
     await until(reliable.get_subscription_count)
-    create, failing = TappedSubscription._create, True
-
-    def maybe(self: TappedSubscription, sink: Any, requested: Any) -> Any:
-        if failing:
-            raise RuntimeError("no descriptor is free")
-        return create(self, sink, requested)
-
-    monkeypatch.setattr(TappedSubscription, "_create", maybe)
+    no_subscription.set()
     weaker = publisher(node, topic, qos.SENSOR)
     problems = taken.tap.unrecorded.problems
     await until(lambda: problems)
     assert "cannot be subscribed to (RuntimeError: no descriptor is free)" in problems[topic]
-    failing = False
+    no_subscription.clear()
     await until(lambda: not problems and weaker.get_subscription_count())
     weaker.publish(number(5))
     await until(lambda: taken.values(topic) == [5])

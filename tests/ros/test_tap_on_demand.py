@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from threading import Event
 from typing import Any
 
-import pytest
-
 from robotctl.ros.tap.on_demand import OnDemandTap
-from robotctl.ros.tap.subscription import TappedSubscription
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
@@ -32,18 +30,11 @@ class Watcher:
 
 
 async def test_a_problem_is_taken_back_once_the_topic_can_be_subscribed_to(
-    session: Any, node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+    session: Any, node: Any, topic: str, until: Until, no_subscription: Event
 ) -> None:
     from std_msgs.msg import UInt64
 
-    create, failing = TappedSubscription._create, True
-
-    def maybe(self: TappedSubscription, sink: Any, requested: Any) -> Any:
-        if failing:
-            raise RuntimeError("no descriptor is free")
-        return create(self, sink, requested)
-
-    monkeypatch.setattr(TappedSubscription, "_create", maybe)
+    no_subscription.set()
     published, watcher = node.create_publisher(UInt64, topic, 10), Watcher()
     tap = OnDemandTap(session.node("_view"), watcher)
     watching = asyncio.create_task(tap.run())
@@ -55,7 +46,7 @@ async def test_a_problem_is_taken_back_once_the_topic_can_be_subscribed_to(
             "cannot be subscribed to (RuntimeError: no descriptor is free)"
             in watcher.problems[topic]
         )
-        failing = False
+        no_subscription.clear()
         await until(published.get_subscription_count)
         assert watcher.problems[topic] == ""
         published.publish(UInt64(data=5))
