@@ -26,7 +26,7 @@ PLAYS = ["replay"]
 def main() -> None:
     """Run the command line of this process, and exit."""
     open_standard_streams()
-    gc.disable()  # imports make no garbage, and to search for it takes a tenth more time
+    gc.disable()  # imports make no garbage; a search takes a tenth more time
     sys.exit(run(sys.argv[1:]))
 
 

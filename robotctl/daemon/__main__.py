@@ -5,7 +5,7 @@ import sys
 
 from robotctl.errors import INTERRUPTED_EXIT_CODE
 
-gc.disable()  # until it is ready: imports make no garbage, and to search takes a tenth more time
+gc.disable()  # until it is ready: imports make no garbage; a search takes a tenth more time
 try:
     from robotctl.daemon.startup import main
 

@@ -16,7 +16,7 @@ class DeadlineMissed(TimeoutError):
 
 
 class Deadline:
-    """A deadline that is set again for each work; used by one task at a time, and not nested.
+    """A deadline, set anew for each piece of work. One task uses it at a time; it is not nested.
 
         with deadline.within(10.0):
             await work()
@@ -30,7 +30,7 @@ class Deadline:
         self._due_s = math.inf
         self._is_missed = False
         self._timer: asyncio.TimerHandle | None = None
-        """Set for `_due_s` or earlier; then it is set again, if there is work."""
+        """It fires at `_due_s` or earlier; if earlier, it is set again."""
 
     def within(self, limit_s: float | None) -> Self:
         """Set the deadline for the work of the `with` block; None: no deadline."""

@@ -18,7 +18,7 @@ Send = Callable[[bytes], bool | None]
 send."""
 
 LEAD_NS: Final = 5_000_000
-"""Time between the start and the first message, which has been read then: it is on time as well."""
+"""Time from the start to the first message, which was read before: so it is on time as well."""
 
 SLICE_NS: Final = 50_000_000
 """Maximum delay until a stop or a changed schedule takes effect."""

@@ -24,8 +24,8 @@ _waiting: dict[str, Child] = {}
 def started_early(module: str) -> Iterator[None]:
     """Start a process that `early_or_new` may use; kill it at the end if it was not used.
 
-    It is a copy of this one, which saves the start of a Python, unless it must be another: with
-    threads, or where `environment.prepare` has to begin again without another ROS.
+    It is a copy of this process, which saves the start of a Python. Where this one has other
+    threads, or another ROS precedes ours, it is a new one.
     """
     if has_one_thread() and not environment.has_foreign_ros():
         _waiting[module] = fork(partial(_run, module))

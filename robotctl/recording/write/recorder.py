@@ -97,7 +97,7 @@ class Recorder:
         if channel >= MAX_TOPICS:
             raise Refused(f"a recording holds at most {MAX_TOPICS} topics: exclude some")
         self._buffer.make_indexes(channel + 1)
-        if len(self._marks) == channel:  # unless memory ran out behind it, the last time
+        if len(self._marks) == channel:  # the last attempt may have added it, and then failed
             self._marks.append(0)
         self._channels.append(ChannelState(topic, marks=self._marks, number=channel))
         self._marks[channel] = 1
