@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from robotctl import __version__, ros_arguments
+from robotctl import __version__, retired, ros_arguments
 from robotctl.cli.options import ROS_WORD, new_app
 from robotctl.errors import IN_PARENTHESES, UsageError
 
@@ -80,6 +80,8 @@ class LazyGroup(TyperGroup):
         if cmd_name not in COMMANDS:
             from robotctl.cli.support.words_of_other_tools import OTHER_WORDS
 
+            if cmd_name in retired.COMMANDS:
+                raise UsageError(f"{cmd_name!r} is retired", retired.COMMANDS[cmd_name])
             if cmd_name in OTHER_WORDS:
                 raise UsageError(f"No such command {cmd_name!r}", OTHER_WORDS[cmd_name])
             self.commands = {name: self.get_command(ctx, name) for name in COMMANDS}
@@ -137,5 +139,8 @@ def dispatch(arguments: list[str]) -> None:
         if describe is None:
             raise
         where = getattr(getattr(error, "ctx", None), "command_path", "robotctl")
+        option = (where.removeprefix("robotctl "), getattr(error, "option_name", ""))
+        if option in retired.OPTIONS:
+            raise UsageError(f"{option[1]} is retired", retired.OPTIONS[option]) from error
         text = " ".join(describe().split()).rstrip(".")
         raise UsageError(text, f"see: {where} --help", sentence=IN_PARENTHESES) from error

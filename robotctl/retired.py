@@ -1,0 +1,26 @@
+"""What earlier versions had and this one has not, with what a user does instead.
+
+A retired command or option is refused with that sentence, a retired key of a configuration gives
+one warning and is ignored, and a retired field of a journal at its default changes no verdict.
+Each row stays for one version, but those of journals, which are read for as long as there are
+recordings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+COMMANDS: Mapping[str, str] = {}
+"""Commands, as typed after `robotctl`, with what replaces them."""
+
+OPTIONS: Mapping[tuple[str, str], str] = {}
+"""Options by command (`replay`, `boot install`), with what replaces them."""
+
+CONFIG_KEYS: Mapping[str, str] = {}
+"""Dotted keys of configuration files and launch arguments, with what replaces them."""
+
+JOURNAL_FIELDS: Mapping[str, object] = {}
+"""Fields of journal entries as `Name.path`, with the default at which they are ignored."""
+
+CAUSES: Mapping[str, str] = {}
+"""Causes that journals name, with why there is no such cause any more."""
