@@ -6,7 +6,6 @@ import ast
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -134,65 +133,25 @@ def test_no_imports_go_in_a_circle() -> None:
     TopologicalSorter(graph).prepare()  # raises CycleError, with the circle
 
 
-LONGEST_LINES = 300
-
-LONGER: Mapping[str, str] = {}
-"""The files that are longer, each with the reason."""
+LONGEST_LINES = 700
 
 
-def test_no_file_has_more_lines_than_a_reader_can_hold() -> None:
+def test_no_file_has_more_lines_than_one_concept_needs() -> None:
     lengths = {
         path.relative_to(ROOT.parent).as_posix(): len(path.read_bytes().splitlines())
         for path in modules("")
     }
-    longer = {name for name, lines in lengths.items() if lines > LONGEST_LINES}
-    assert longer == set(LONGER), "split by idea; a file that became shorter leaves the list"
+    assert {name for name, lines in lengths.items() if lines > LONGEST_LINES} == set()
 
 
-NAMED_BY_RULE: Mapping[str, str] = {
-    "cli.commands": "a command and the files of its folder are named as the user types it",
-    "cdr": "what reads a message is named like the values that the kernel takes from it",
-    "daemon.api": "methods of the socket are named like what they are about",
-    "ros.executables": "the nodes of the tutorial, which the roles of the daemon resemble",
-}
-"""The rooms whose modules, and in executables classes, may share a name with others."""
-
-NAMED_ALIKE: Mapping[str, str] = {
-    "Source": "documented, of the bytes of a file; and of events for the executor",
-    "source": "documented, of the bytes of a file; and of events for the executor",
-    "app": "the composition of a process, of the command line and of the daemon",
-    "effects": "decided by the kernel, carried out by the daemon",
-    "errors": "those of the executor, which imports nothing of ours",
-    "faults": "of the simulated robot, and documented ones for tests of users",
-    "indexing": "of all recordings for questions, and of one file for a reader",
-    "mode_service": "the role, and the process of it alone",
-    "parameters": "of the kernel, and their change while the daemon runs",
-    "params": "of a method of the socket, and of the kernel",
-    "safety_inputs": "what the kernel takes, and the role that receives it",
-    "software": "of a daemon, noted in its recordings, and of the gate",
-    "Change": "of a result, and when a parameter takes a new value",
-    "Divergence": "documented, as an error with an exit code and as what a check found",
-    "Failure": "of a recording in the gate, and on the socket",
-    "Finding": "of the doctor, and of the safety table",
-    "Measured": "a base, and a recording in the gate",
-    "Tick": "an event of the kernel, and a documented one of the executor",
-}
-"""The other modules and classes that share a name, each with what they are."""
-
-
-def test_a_name_of_a_module_or_class_says_which_one_is_meant() -> None:
-    homes: dict[str, set[str]] = {}
+def test_a_name_of_a_class_is_unique_in_its_package() -> None:
+    homes: dict[tuple[str, str], set[str]] = {}
     for name, path in own_modules().items():
-        by_rule = any(is_within(name, room) for room in NAMED_BY_RULE)
-        if path.stem not in ("__init__", "__main__") and not by_rule:
-            homes.setdefault(path.stem, set()).add(name)
-        if not is_within(name, "ros.executables"):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.ClassDef):
-                    homes.setdefault(node.name, set()).add(name)
-    assert {name: sorted(found) for name, found in homes.items() if len(found) > 1}.keys() == (
-        NAMED_ALIKE.keys()
-    ), "find a name of its own; a name that is unique leaves the list"
+        package = name if path.stem == "__init__" else name.rpartition(".")[0]
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef):
+                homes.setdefault((package, node.name), set()).add(name)
+    assert {key: sorted(found) for key, found in homes.items() if len(found) > 1} == {}
 
 
 def test_the_kernel_is_pure() -> None:
