@@ -13,7 +13,9 @@ from collections.abc import Mapping
 COMMANDS: Mapping[str, str] = {}
 """Commands, as typed after `robotctl`, with what replaces them."""
 
-OPTIONS: Mapping[tuple[str, str], str] = {}
+OPTIONS: Mapping[tuple[str, str], str] = {
+    ("report", "--compare"): "use: robotctl gate RECORDINGS --baseline FILE",
+}
 """Options by command (`replay`, `boot install`), with what replaces them."""
 
 CONFIG_KEYS: Mapping[str, str] = {}

@@ -17,9 +17,9 @@ MAX_PLACES: Final = 1000
 def cursor_data(
     axis: Axis,
     plots: Sequence[Plot],
-    modes: Sequence[ModeSpan] = (),
-    places: Sequence[DrivenPlace] = (),
-    ground: Ground | None = None,
+    modes: Sequence[ModeSpan],
+    places: Sequence[DrivenPlace],
+    ground: Ground | None,
 ) -> dict[str, object]:
     """Return the data for plots on this time axis; `places` are shown on `ground`."""
     return {
@@ -43,8 +43,4 @@ def _places(places: Sequence[DrivenPlace], ground: Ground) -> list[list[float]]:
 
 
 def _points(line: PlotLine) -> list[list[float]]:
-    return [
-        [round(column.end_s - line.begin_s, 3), float(f"{column.last:.4g}")]
-        for column in line.series.columns
-        if column.end_s >= line.begin_s
-    ]
+    return [[round(column.end_s, 3), float(f"{column.last:.4g}")] for column in line.series.columns]

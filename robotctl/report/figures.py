@@ -1,4 +1,4 @@
-"""The figures of a recording: what a reader wants to know first, and what two are compared by."""
+"""The figures of a recording: what a reader wants to know first."""
 
 from __future__ import annotations
 

@@ -54,14 +54,14 @@ def report_page(recorded: Recorded, judged: ReportFindings) -> str:
         _notes(recorded),
         _figures(figures_of(recorded)),
         *_sections(recorded, judged, axis, ground),
-        footer(),
+        _footer(),
     )
     places = traces.driven.whole()
     data = cursor_data(axis, _plots(traces), traces.modes, places, ground)
-    return document(f"{name}: robotctl report", body, data)
+    return _document(f"{name}: robotctl report", body, data)
 
 
-def document(title: str, body: Markup, data: dict[str, object]) -> str:
+def _document(title: str, body: Markup, data: dict[str, object]) -> str:
     """Return a whole page; its policy lets nothing but its own script and style take effect."""
     style, script = (_FOLDER.joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
     policy = (
@@ -87,8 +87,7 @@ def document(title: str, body: Markup, data: dict[str, object]) -> str:
     return f"<!doctype html>\n{whole}\n"
 
 
-def section(name: str, title: str, *content: Content) -> Markup:
-    """Return a part of the page with its heading."""
+def _section(name: str, title: str, *content: Content) -> Markup:
     return tag("section", tag("h2", title), *content, id=name)
 
 
@@ -160,24 +159,24 @@ def _sections(
 ) -> Iterator[Content]:
     traces = recorded.traces
     if ground is not None:
-        yield section("path", "Path", _path(traces, ground))
-    yield section("time", "Over time", *_time_plots(traces, axis))
+        yield _section("path", "Path", _path(traces, ground))
+    yield _section("time", "Over time", *_time_plots(traces, axis))
     if traces.moments:
-        yield section("moments", "What happened", moments_table(traces.moments))
+        yield _section("moments", "What happened", moments_table(traces.moments))
     if judged.explanations:
-        yield section("why", "Why", *map(_explanation, judged.explanations))
+        yield _section("why", "Why", *map(_explanation, judged.explanations))
     if traces.drives:
-        yield section("drives", "Drives", drives_table(traces.drives))
+        yield _section("drives", "Drives", drives_table(traces.drives))
     if traces.modes:
-        yield section("modes", "Modes", modes_table(traces.modes))
+        yield _section("modes", "Modes", modes_table(traces.modes))
     if judged.judgements:
-        yield section("verdicts", "Verdicts", *map(_judgement, judged.judgements))
-    yield section("messages", "Messages", messages_table(recorded))
-    yield section("provenance", "Provenance", provenance_table(recorded))
+        yield _section("verdicts", "Verdicts", *map(_judgement, judged.judgements))
+    yield _section("messages", "Messages", messages_table(recorded))
+    yield _section("provenance", "Provenance", provenance_table(recorded))
     parameters = parameters_table(recorded)
     if parameters is not None:
         folded = tag("details", tag("summary", "Parameters of the last file"), parameters)
-        yield section("parameters", "Parameters", folded)
+        yield _section("parameters", "Parameters", folded)
 
 
 def _ground(traces: Traces) -> Ground | None:
@@ -240,6 +239,5 @@ def _judgement(each: CommandVerdict) -> Markup:
     return tag("article", head, sentences if each.sentences else None)
 
 
-def footer() -> Markup:
-    """Return the end of a page."""
+def _footer() -> Markup:
     return tag("footer", tag("p", f"Made by robotctl {__version__} from the recording alone."))

@@ -155,18 +155,13 @@ def provenance_table(recorded: Recorded) -> Markup:
 
 def parameters_table(recorded: Recorded) -> Markup | None:
     """Return the parameters that the robot had when the last file began, None if not known."""
-    found = parameter_values(recorded)
-    return table(("Parameter", "Value"), list(found.items())) if found else None
-
-
-def parameter_values(recorded: Recorded) -> dict[str, str]:
-    """Return the parameters that the metadata of the last file tells."""
     told = recorded.info.metadata.get(INFO_RECORD, {})
-    return {
-        key.removeprefix(PARAMETER_PREFIX): value
+    rows = [
+        (key.removeprefix(PARAMETER_PREFIX), value)
         for key, value in told.items()
         if key.startswith(PARAMETER_PREFIX)
-    }
+    ]
+    return table(("Parameter", "Value"), rows) if rows else None
 
 
 def _number(value: float, unit: str) -> str:

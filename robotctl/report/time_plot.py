@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -30,19 +30,11 @@ LEAST_SPEED, LEAST_ERROR_M = 0.05, 0.01
 
 @dataclass(frozen=True, slots=True)
 class PlotLine:
-    """A line of a plot: its name in the legend, the class of its colour, and its time 0 [s]."""
+    """A line of a plot: its name in the legend, and the class of its colour."""
 
     series: Series
     name: str
     colour: str
-    begin_s: float = 0.0
-
-    def runs(self) -> Iterator[list[Sample]]:
-        """Yield the points of each unbroken line from time 0 on."""
-        for run in self.series.lines():
-            shifted = [(t_s - self.begin_s, value) for t_s, value in run if t_s >= self.begin_s]
-            if shifted:
-                yield shifted
 
 
 def time_axis(duration_s: float) -> Axis:
@@ -84,7 +76,7 @@ def plot_svg(plot: Plot, time: Axis, number: int, **attributes: Content) -> Mark
     if values is None:
         return None
     drawn = [
-        tag("path", d=path_data(line.runs(), time, values), class_=f"line {line.colour}")
+        tag("path", d=path_data(line.series.lines(), time, values), class_=f"line {line.colour}")
         for line in lines
     ]
     return tag(

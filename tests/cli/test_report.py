@@ -89,13 +89,3 @@ def test_a_recording_is_never_replaced_by_its_page(folder: Path, cli: Callable[.
     assert ran.exit_code == 2
     assert "ends in .html" in ran.err
     assert file.read_bytes() == before
-
-
-def test_two_recordings_are_compared_on_one_page(folder: Path, cli: Callable[..., Any]) -> None:
-    record(Path("recordings/robot_20260101_130000"), drive(1.5))
-    ran = cli("report", "--compare", str(folder), "last")
-    assert ran.exit_code == 0
-    page = folder / "compared_with_robot_20260101_130000.html"
-    assert HtmlPage(page.read_text()).wrong == []
-    for words in (("report", "last", str(folder)), ("report", "--compare", "last")):
-        assert cli(*words).exit_code == 2

@@ -12,7 +12,6 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 
 from robotctl.kernel.units import DAY_S
 from robotctl.recording import Recorder, RecorderOptions, read_info
-from robotctl.recording.format.derived_files import comparison_file
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip
 from robotctl.recording.keep.removal_notes import NOTES_FILE, note_removal
@@ -58,7 +57,7 @@ def test_the_oldest_go_until_the_rest_fits(tmp_path: Path) -> None:
 def test_what_robotctl_made_of_a_recording_goes_with_it_and_nothing_else(tmp_path: Path) -> None:
     for name in ("run", "mine"):
         recorded(tmp_path / name, age_s=100.0)
-        for made in ("path.png", "report.html", "index.parquet", comparison_file("other")):
+        for made in ("path.png", "report.html", "index.parquet", "compared_with_other.html"):
             (tmp_path / name / made).touch()
     (tmp_path / "mine" / "notes.txt").touch()
     enforce_retention(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)

@@ -11,7 +11,6 @@ from PIL import Image
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import ModeRequested
-from robotctl.report.compare import comparison_page
 from robotctl.report.judged import CommandVerdict, ReportFindings, Tone
 from robotctl.report.page import report_page
 from robotctl.report.recorded import read_recorded
@@ -143,13 +142,3 @@ def test_without_its_script_the_page_is_as_complete(browser: Chromium, page: Pat
     browser.call("Emulation.setScriptExecutionDisabled", value=False)
     assert count == with_script
     assert pointers == 0
-
-
-def test_a_comparison_opens_without_a_complaint(browser: Chromium, page: Path) -> None:
-    side = read_recorded(page.parent / "robot_20260101_120000"), ReportFindings()
-    compared = page.with_name("compared.html")
-    compared.write_text(comparison_page(side, side))
-    browser.open(compared.as_uri())
-    browser.value("document.querySelector('#pointer input').value = 1")
-    browser.value("document.querySelector('#pointer input').dispatchEvent(new Event('input'))")
-    assert cursor(browser) == 1.0

@@ -12,8 +12,6 @@ import pytest
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import DriveReport, Event, ModeRequested
 from robotctl.recording import Recorder
-from robotctl.recording.format.journal import JournalEntry
-from robotctl.report.compare import comparison_page
 from robotctl.report.figures import figures_of
 from robotctl.report.judged import CommandVerdict, Explanation, ReportFindings, Tone
 from robotctl.report.page import report_page
@@ -162,7 +160,6 @@ def test_text_of_a_recording_never_becomes_markup_nor_too_long_a_page(
     assert_harmless(text, page)
     for part in ("moments", "why", "verdicts", "messages", "provenance", "parameters"):
         assert "<script>alert(1)</script>" in page.sections[part]  # as text
-    assert_harmless(*page_of_two(made, made))
 
 
 def test_the_fullest_page_keeps_its_limit(folder: Path) -> None:
@@ -193,13 +190,6 @@ def test_the_fullest_page_keeps_its_limit(folder: Path) -> None:
     assert_harmless(text, HtmlPage(text))
     assert "more modes, moments, drives or wanted paths are not shown" in text
     assert re.search(r"and [5-9]\d\d more", text)
-    both = comparison_page((full, judged), (full, judged))
-    assert_harmless(both, HtmlPage(both))
-
-
-def page_of_two(first: Path, second: Path) -> tuple[str, HtmlPage]:
-    text = comparison_page((read_recorded(first), JUDGED), (read_recorded(second), JUDGED))
-    return text, HtmlPage(text)
 
 
 def test_the_name_of_a_recording_is_text_too(tmp_path: Path, folder: Path) -> None:
@@ -268,19 +258,6 @@ def test_figures_of_impossible_drives_are_not_known(folder: Path) -> None:
         assert figures["cross_track_rms_m"] is None
         text = report_page(found, JUDGED)
         assert_harmless(text, HtmlPage(text))
-
-
-def test_two_recordings_are_compared_figure_by_figure(
-    tmp_path: Path, folder: Path, written: list[Written]
-) -> None:
-    shorter = [each for each in written if not isinstance(each, JournalEntry) or each.seq < 300]
-    other = record(tmp_path / "other", shorter)
-    text, page = page_of_two(folder, other)
-    assert_harmless(text, page)
-    for figure in figures_of(read_recorded(folder)):
-        assert figure.name in page.sections["figures"]
-    assert page.ids.keys() >= {"figures", "path", "plot-1", "plot-2", "plot-3", "parameters"}
-    assert page.tags["h1"] == 2
 
 
 def test_a_recording_that_is_being_written_is_shown_as_far_as_it_is_committed(

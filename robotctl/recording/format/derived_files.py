@@ -14,12 +14,8 @@ PAGE_FILE: Final = "report.html"
 INDEX_FILE: Final = "index.parquet"
 """What `robotctl index` makes."""
 
-_COMPARISON: Final = "compared_with_{}.html"
-
-
-def comparison_file(other: str) -> str:
-    """Return the name of the page that compares a recording with another."""
-    return _COMPARISON.format(other)
+_COMPARISONS: Final = "compared_with_*.html"
+"""Pages that earlier versions made of two recordings."""
 
 
 def derived_files(folder: Path) -> Iterator[Path]:
@@ -29,6 +25,6 @@ def derived_files(folder: Path) -> Iterator[Path]:
         OSError: The folder cannot be read.
     """
     unfinished_index = f".{INDEX_FILE}.*.tmp"  # of a process that was killed
-    made = (PICTURE_FILE, PAGE_FILE, INDEX_FILE, unfinished_index, _COMPARISON.format("*"))
+    made = (PICTURE_FILE, PAGE_FILE, INDEX_FILE, unfinished_index, _COMPARISONS)
     for pattern in made:
         yield from folder.glob(pattern)

@@ -80,7 +80,7 @@ def open_as(shown: ShownPage, kind: OpenAs, *, as_json: bool) -> None:
     else:
         from robotctl.cli.commands.report.command import report
 
-        report([file], as_json=as_json)
+        report(file, as_json=as_json)
         _show_page(shown)
 
 

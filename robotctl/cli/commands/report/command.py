@@ -18,7 +18,7 @@ from robotctl.cli.support.recording_paths import (
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import row, short_path, size
 from robotctl.errors import Refused, UnreadableFile, UsageError
-from robotctl.recording.format.derived_files import PAGE_FILE, comparison_file
+from robotctl.recording.format.derived_files import PAGE_FILE
 
 if TYPE_CHECKING:
     from robotctl.report.figures import Figure
@@ -27,20 +27,16 @@ if TYPE_CHECKING:
 app = new_app()
 
 SUFFIX: Final = ".html"
-COMPARED: Final = 2
 
 
 @app.command()
 def report(
-    files: Annotated[
-        list[str],
+    file: Annotated[
+        str,
         typer.Argument(
             metavar="FILE", help="An MCAP file, a recording's folder or name, a URL, or `last`."
         ),
     ],
-    compare: Annotated[
-        bool, typer.Option("--compare", help="Two recordings beside each other, on one page.")
-    ] = False,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -64,35 +60,23 @@ def report(
     Examples:
       robotctl report last
       robotctl report run.mcap -o run.html
-      robotctl report --compare recordings/robot_20260101_120000 last
     """
-    if len(files) != (COMPARED if compare else 1):
-        cure = "give two recordings" if compare else "give one, or two with --compare"
-        raise UsageError(f"{len(files)} recordings", cure)
     if output is not None and output.suffix != SUFFIX:
         raise UsageError(f"-o {output}", f"give a name that ends in {SUFFIX}")
     from robotctl.cli.commands.report.judging import judge
-    from robotctl.report.compare import comparison_page
     from robotctl.report.page import report_page
 
-    paths = [find_recording(file, robot, folder) for file in files]
-    recorded = [_read(path, quiet=as_json) for path in paths]
-    judged = [judge(path, each, quiet=as_json) for path, each in zip(paths, recorded, strict=True)]
-    if compare:
-        page = comparison_page((recorded[0], judged[0]), (recorded[1], judged[1]))
-        target = output or _beside(paths[0], comparison_file(paths[1].resolve().stem))
-    else:
-        page = report_page(recorded[0], judged[0])
-        target = output or page_of(paths[0])
-    data = page.encode()
+    path = find_recording(file, robot, folder)
+    recorded = _read(path, quiet=as_json)
+    judged = judge(path, recorded, quiet=as_json)
+    target = output or page_of(path)
+    data = report_page(recorded, judged).encode()
     _write(target, data)
-    reports = [
-        _as_object(path, each, {one.command: one.verdict for one in found.judgements})
-        for path, each, found in zip(paths, recorded, judged, strict=True)
-    ]
-    answer = {"report": str(target), "bytes": len(data), "recordings": reports}
-    lines = [f"{short_path(target)} ({size(len(data))})", *_lines(reports)]
-    print_answer(answer, lines, as_json=as_json, error=_incomplete(paths, recorded))
+    about = _as_object(path, recorded, {one.command: one.verdict for one in judged.judgements})
+    answer = {"report": str(target), "bytes": len(data), "recordings": [about]}
+    lines = [f"{short_path(target)} ({size(len(data))})", *_lines(about)]
+    damaged = UnreadableFile(f"{path} could not be read completely", cure_of_damage(path))
+    print_answer(answer, lines, as_json=as_json, error=damaged if recorded.missing else None)
 
 
 def _read(path: Path, *, quiet: bool) -> Recorded:
@@ -103,20 +87,15 @@ def _read(path: Path, *, quiet: bool) -> Recorded:
 
 
 def page_of(path: Path) -> Path:
-    """Return where the page of a recording is written."""
-    return _beside(path, PAGE_FILE)
-
-
-def _beside(path: Path, name: str) -> Path:
-    """Return where a page about a recording goes: into its folder, or beside the file.
+    """Return where the page of a recording is written: into its folder, or next to the file.
 
     That of a recording in a store goes into the working directory.
     """
     from robotctl.store.store_path import StorePath
 
     if isinstance(path, StorePath):
-        return Path(f"{path.stem}.{name}")
-    return path / name if path.is_dir() else path.with_name(f"{path.stem}.{name}")
+        return Path(f"{path.stem}.{PAGE_FILE}")
+    return path / PAGE_FILE if path.is_dir() else path.with_name(f"{path.stem}.{PAGE_FILE}")
 
 
 def _write(target: Path, data: bytes) -> None:
@@ -144,22 +123,10 @@ def _as_object(path: Path, recorded: Recorded, verdicts: dict[str, str]) -> dict
     }
 
 
-def _lines(reports: list[dict[str, Any]]) -> list[str]:
-    lines: list[str] = []
-    for each in reports:
-        verdicts = ", ".join(f"{name}: {word}" for name, word in each["verdicts"].items())
-        live = ", still being written" if each["is_live"] else ""
-        lines += row("  ", f"{short_path(each['path'])}{live}: {verdicts}")
-        for sentence in each["missing"]:
-            lines += row("  not read: ", sentence)
+def _lines(about: dict[str, Any]) -> list[str]:
+    verdicts = ", ".join(f"{name}: {word}" for name, word in about["verdicts"].items())
+    live = ", still being written" if about["is_live"] else ""
+    lines = [*row("  ", f"{short_path(about['path'])}{live}: {verdicts}")]
+    for sentence in about["missing"]:
+        lines += row("  not read: ", sentence)
     return lines
-
-
-def _incomplete(paths: list[Path], recorded: list[Recorded]) -> UnreadableFile | None:
-    for path, each in zip(paths, recorded, strict=True):
-        if each.missing:
-            return UnreadableFile(
-                f"{path} could not be read completely",
-                cure_of_damage(path),
-            )
-    return None
