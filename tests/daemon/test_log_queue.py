@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import pytest
 
-from robotctl.daemon.log.queue import CAPACITY_BYTES
+from robotctl.daemon.log.lines import CAPACITY_BYTES
 from tests.support.waiting import DEADLINE_S
 
 LOGGING = """

@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import pytest
 
+from robotctl.daemon.log.lines import WRITTEN
 from robotctl.daemon.log.loop_handler import CAPACITY, LINES_PER_TURN, LoopHandler
-from robotctl.daemon.log.repeats import WRITTEN
 from tests.support.waiting import loop_until
 
 

@@ -1,14 +1,43 @@
-"""The format of log lines, and the handler that queues them without blocking the loop."""
+"""Log lines: their format, repeated ones counted, and the queue in front of stderr.
+
+The reader of stderr may stop: a terminal after Ctrl-S, a full pipe, a disk that hangs. Nothing that
+logs waits for it.
+"""
 
 from __future__ import annotations
 
+import fcntl
 import logging
+import os
+import select
+import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from logging.handlers import QueueHandler, QueueListener
+from typing import Any, Final
 
-from robotctl.daemon.log.queue import StderrQueue
-from robotctl.daemon.log.repeats import Repeats
 from robotctl.printable import printable, without_colours
+
+CAPACITY_BYTES: Final = 1024 * 1024
+"""Size of the queue: the largest pipe that Linux grants (/proc/sys/fs/pipe-max-size)."""
+
+FLUSH_S: Final = 1.0
+"""How long the end waits until the queue is written."""
+
+WINDOW_S: Final = 10.0
+"""Length of a burst of equal lines, from the first of them."""
+
+WRITTEN: Final = 3
+"""Equal lines of a burst that are written; a lasting fault must not fill the disk."""
+
+MAX_REMEMBERED: Final = 200
+"""Different lines that are remembered; a further one replaces the oldest."""
+
+_FORMAT: Final = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+_STDERR: Final = 2
+_READ_BYTES: Final = 65536
+_END: Final = b"\0"
 
 
 class PlainFormatter(logging.Formatter):
@@ -20,48 +49,207 @@ class PlainFormatter(logging.Formatter):
         return "\n    ".join(printable(line) for line in lines)
 
 
-class QueueHandler(logging.Handler):
-    """A handler that queues records without waiting, and counts repeated ones instead."""
+@dataclass(slots=True)
+class _Burst:
+    record: logging.LogRecord
+    text: str
+    begun: float
+    count: int = 1
 
-    def __init__(self, queue: StderrQueue) -> None:
-        super().__init__()
-        self._queue = queue
+
+class Repeats:
+    """A filter for repeated records. Equal records have the same logger, level, text, exception.
+
+    Records below the level of a warning are always written.
+    """
+
+    def __init__(self) -> None:
+        self._bursts: dict[tuple[str, int, str, str], _Burst] = {}
+
+    def admit(self, record: logging.LogRecord) -> Iterator[logging.LogRecord]:
+        """Yield the records to write now: notes about finished bursts, then the record itself."""
+        yield from self._over(record.created)
+        if record.levelno < logging.WARNING:
+            yield record
+            return
+        text, error = record.getMessage(), record.exc_info
+        key = (record.name, record.levelno, text, repr(error[1]) if error else "")
+        burst = self._bursts.get(key)
+        if burst is None:
+            if len(self._bursts) >= MAX_REMEMBERED:
+                yield from _note(self._bursts.pop(next(iter(self._bursts))))
+            self._bursts[key] = _Burst(record, text, record.created)
+            yield record
+        else:
+            burst.count += 1
+            if burst.count <= WRITTEN:
+                yield record
+
+    def end(self) -> Iterator[logging.LogRecord]:
+        """Yield the notes about all bursts."""
+        for burst in self._bursts.values():
+            yield from _note(burst)
+        self._bursts.clear()
+
+    def _over(self, now: float) -> Iterator[logging.LogRecord]:
+        while self._bursts:
+            key, burst = next(iter(self._bursts.items()))  # the oldest
+            if 0.0 <= now - burst.begun < WINDOW_S:
+                return
+            del self._bursts[key]
+            yield from _note(burst)
+
+
+def _note(burst: _Burst) -> Iterator[logging.LogRecord]:
+    """Yield a note with the number of lines left out, if there were any."""
+    left_out = burst.count - WRITTEN
+    if left_out > 0:
+        record = burst.record
+        text = f"repeated {left_out} times more: {burst.text}"
+        yield logging.LogRecord(record.name, record.levelno, "", 0, "%s", (text,), None)
+
+
+class LineHandler(QueueHandler):
+    """A handler that queues lines without waiting, and counts repeated and lost ones instead."""
+
+    def __init__(self, lines: Any = None) -> None:
+        super().__init__(lines)
+        self.lost = 0
+        """Lines that could not be queued; counted under the handler's lock."""
         self._repeats = Repeats()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Queue the record's lines, and the notes about repeated records that are due."""
-        try:
-            for due in self._repeats.admit(record):
-                self._queue.put(self.format(due))
-        except Exception:  # noqa: BLE001 - no memory for a line: count it
-            self._queue.count_lost()
+        """Queue the record, and the notes about repeated records that are due."""
+        self._queue(self._repeats.admit(record))
 
     def close(self) -> None:
         """Queue the notes about the last repeated records."""
-        for due in self._repeats.end():
-            self._queue.put(self.format(due))
+        self._queue(self._repeats.end())
         super().close()
 
+    def _queue(self, records: Iterator[logging.LogRecord]) -> None:
+        try:
+            for record in records:
+                self.enqueue(self.prepare(record))
+        except Exception:  # noqa: BLE001 - no room or no memory for a line; logging would print
+            self.lost += 1
 
-_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+
+class _StderrListener(QueueListener):
+    """The thread that writes to stderr what is in a pipe, which is the queue: no write to it waits.
+
+    If stderr is a terminal, a pipe or a socket, the output of C and C++ libraries goes through the
+    pipe as well. They write directly to a regular file, so that the last words of an abort are
+    kept.
+    """
+
+    def __init__(self) -> None:
+        self.untaken = 0
+        """Lines that stderr did not take."""
+        self._is_ending = False
+        self._stderr = fcntl.fcntl(_STDERR, fcntl.F_DUPFD_CLOEXEC, _STDERR + 1)
+        self._reading, self.writing = os.pipe2(os.O_CLOEXEC)
+        os.set_blocking(self.writing, False)
+        with suppress(OSError):  # the user's limit of pipe memory is reached: keep a small one
+            fcntl.fcntl(self.writing, fcntl.F_SETPIPE_SZ, CAPACITY_BYTES)
+        if not stat.S_ISREG(os.fstat(_STDERR).st_mode):
+            os.dup2(self.writing, _STDERR)
+        no_queue: Any = None
+        super().__init__(no_queue)
+
+    def dequeue(self, block: bool) -> Any:
+        """Return what is in the pipe, the sentinel after its end."""
+        data = os.read(self._reading, _READ_BYTES)
+        if not (self._is_ending and _END in data):
+            return data
+        self.handle(data.replace(_END, b""))
+        return None
+
+    def handle(self, record: Any) -> None:
+        """Write lines, and wait as long as stderr does."""
+        rest = memoryview(record)
+        while rest:
+            try:
+                rest = rest[os.write(self._stderr, rest) :]
+            except BlockingIOError:  # another process made the shared terminal non-blocking
+                poll = select.poll()
+                poll.register(self._stderr, select.POLLOUT)
+                poll.poll()
+            except OSError:  # no space left, or no reader
+                self.untaken += bytes(rest).count(b"\n")
+                return
+
+    def stop(self) -> None:
+        """Write the rest; drop what cannot be written in time, and everything after it."""
+        self._is_ending = True
+        with suppress(BlockingIOError):
+            os.write(self.writing, _END)  # fd 2 keeps the pipe open, so there is no end of file
+        thread = self._thread
+        assert thread is not None
+        thread.join(FLUSH_S)  # not forever
+        if thread.is_alive():
+            os.dup2(os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC), _STDERR)
+            return
+        os.dup2(self._stderr, _STDERR)
+        for descriptor in (self._stderr, self._reading, self.writing):
+            os.close(descriptor)
+
+
+class _StderrHandler(LineHandler):
+    """Writes lines into the pipe of a listener, after a note about those that are missing."""
+
+    def __init__(self, listener: _StderrListener, line: str) -> None:
+        super().__init__()
+        self.setFormatter(PlainFormatter(line))
+        self._listener = listener
+        self._told = 0
+        self._is_torn = False
+
+    def prepare(self, record: logging.LogRecord) -> str:
+        return f"{self.format(record)}\n"
+
+    def enqueue(self, record: Any) -> None:
+        """Queue a line.
+
+        Raises:
+            BlockingIOError: It does not fit.
+        """
+        untold = self._untold()
+        note = f"log: {untold} lines are missing here, stderr did not take them\n" if untold else ""
+        data = f"{chr(10) * self._is_torn}{note}{record}".encode(errors="backslashreplace")
+        written = os.write(self._listener.writing, data)
+        self._told += untold
+        self._is_torn = written < len(data)
+        self.lost += self._is_torn
+
+    def close(self) -> None:
+        super().close()
+        if self._untold():
+            with suppress(BlockingIOError):
+                self.enqueue("")
+
+    def _untold(self) -> int:
+        return self.lost + self._listener.untaken - self._told
 
 
 @contextmanager
 def log_to_stderr(line: str = _FORMAT) -> Iterator[None]:
     """Log to stderr within the block; at its end, write the queue for at most 1 s.
 
-    `line` is the format of a line, as for `logging.Formatter`.
+    `line` is the format of a line, as for `logging.Formatter`. Lines that do not fit, or that
+    stderr does not take, are counted and reported later.
     """
-    with StderrQueue() as queue:
-        handler = QueueHandler(queue)
-        handler.setFormatter(PlainFormatter(line))
-        root = logging.getLogger()
-        root.addHandler(handler)
-        root.setLevel(logging.INFO)
-        logging.captureWarnings(True)
-        try:
-            yield
-        finally:
-            logging.captureWarnings(False)
-            root.removeHandler(handler)
-            handler.close()
+    listener = _StderrListener()
+    handler = _StderrHandler(listener, line)
+    listener.start()
+    root = logging.getLogger()
+    root.addHandler(handler)
+    root.setLevel(logging.INFO)
+    logging.captureWarnings(True)
+    try:
+        yield
+    finally:
+        logging.captureWarnings(False)
+        root.removeHandler(handler)
+        handler.close()
+        listener.stop()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import queue
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
-from robotctl.daemon.log.lines import PlainFormatter
-from robotctl.daemon.log.repeats import Repeats
+from robotctl.daemon.log.lines import LineHandler, PlainFormatter
 
 CAPACITY: Final = 500
 """Lines that may wait for the loop."""
@@ -18,27 +18,24 @@ CAPACITY: Final = 500
 LINES_PER_TURN: Final = 10
 """Lines that are published in one turn of the loop: a control tick must not wait for a burst."""
 
+Line = tuple[logging.LogRecord, str]
 Publish = Callable[[logging.LogRecord, str], None]
 """Publishes a record with its text, which is safe for a terminal."""
 
 
-class LoopHandler(logging.Handler):
+class LoopHandler(LineHandler):
     """A handler for records of any thread; none of them waits, and the loop publishes them.
 
-    Equal warnings are counted as in the log. Lines that do not fit or cannot be published are
-    counted, and a line says how many are missing. What is logged while a line is published is left
-    out, so that no line leads to the next.
+    Lines that do not fit or cannot be published are counted, and a line says how many are missing.
+    What is logged while a line is published is left out, so that no line leads to the next.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, publish: Publish) -> None:
-        super().__init__()
+        self._waiting: deque[Line] = deque()
+        super().__init__(self._waiting)
         self.setFormatter(PlainFormatter())
         self._loop = loop
         self._publish = publish
-        self._repeats = Repeats()
-        self._waiting: deque[tuple[logging.LogRecord, str]] = deque()
-        self._dropped = 0
-        """Lines that did not fit; counted under the handler's lock."""
         self._failed = 0
         """Lines that could not be published; counted in the loop."""
         self._told = 0
@@ -47,31 +44,33 @@ class LoopHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Queue a record for the loop, and the notes about repeated records that are due."""
-        if threading.get_ident() == self._publishing_thread:
-            return
-        try:
-            for due in self._repeats.admit(record):
-                self._put(due)
-        except Exception:  # noqa: BLE001 - no memory for a line, or no loop any more
-            self._dropped += 1
+        if threading.get_ident() != self._publishing_thread:
+            super().emit(record)
 
-    def close(self) -> None:
-        """Publish what waits; called in the loop."""
-        for due in self._repeats.end():
-            self._put(due)
-        while self._waiting:
-            self._publish_some()
-        self._tell_missing()
-        super().close()
+    def prepare(self, record: logging.LogRecord) -> Line:
+        """Return the record with its text."""
+        return record, self.format(record)
 
-    def _put(self, record: logging.LogRecord) -> None:
+    def enqueue(self, record: Any) -> None:
+        """Queue a line, and call the loop.
+
+        Raises:
+            queue.Full: It does not fit.
+            RuntimeError: There is no loop any more.
+        """
         if len(self._waiting) >= CAPACITY:
-            self._dropped += 1
-            return
-        self._waiting.append((record, self.format(record)))
+            raise queue.Full
+        self._waiting.append(record)
         if not self._is_called:
             self._is_called = True
             self._loop.call_soon_threadsafe(self._turn)
+
+    def close(self) -> None:
+        """Publish what waits; called in the loop."""
+        super().close()
+        while self._waiting:
+            self._publish_some()
+        self._tell_missing()
 
     def _turn(self) -> None:
         self._is_called = False  # before the queue is read: a line may come in between
@@ -96,7 +95,7 @@ class LoopHandler(logging.Handler):
             self._publishing_thread = None
 
     def _tell_missing(self) -> None:
-        missing = self._dropped + self._failed - self._told
+        missing = self.lost + self._failed - self._told
         if missing:
             self._told += missing
             text = f"{missing} log lines are missing here: the log file has them"
