@@ -18,11 +18,13 @@ OPTIONS: Mapping[tuple[str, str], str] = {
 }
 """Options by command (`replay`, `boot install`), with what replaces them."""
 
-CONFIG_KEYS: Mapping[str, str] = {}
+CONFIG_KEYS: Mapping[str, str] = {
+    "shadow": "compare other parameters on recordings: robotctl replay FILE --what-if KEY=VALUE",
+}
 """Dotted keys of configuration files and launch arguments, with what replaces them."""
 
 JOURNAL_FIELDS: Mapping[str, object] = {}
-"""Fields of journal entries as `Name.path`, with the default at which they are ignored."""
+"""Fields of a journal's snapshots as `Snapshot.path`, with the default that is ignored."""
 
 CAUSES: Mapping[str, str] = {}
 """Causes that journals name, with why there is no such cause any more."""

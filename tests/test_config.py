@@ -7,15 +7,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from robotctl.config import (
-    MAX_FILE_BYTES,
-    Config,
-    ShadowSettings,
-    flat,
-    load,
-    read_shadow,
-    with_setting,
-)
+from robotctl import retired
+from robotctl.config import MAX_FILE_BYTES, Config, flat, load, with_setting
 from robotctl.errors import ConfigError
 from robotctl.kernel.patterns import PatternKind
 
@@ -228,40 +221,21 @@ def test_patterns_of_topics_are_read_as_they_stand(tmp_path: Path) -> None:
     assert load(write(tmp_path, yaml.safe_dump(flat(config)))) == config
 
 
-SHADOWS = {
-    "no file": (None, "No such file"),
-    "unknown key": ("# fast\nlimits.linear_mp: 1", "line 2: limits.linear_mp: no such key"),
-    "value": ("limits:\n  linear_mps: 99", "line 2: limits.linear_mps: 99 is not allowed"),
-    "a key of the recorder": ("recording.seal: false", "no decision depends on it: leave it out"),
-    "the rate": ("rate_hz: 20", "decides on the ticks of the robot"),
-    "does not fit": ("\nbattery.stop_level: 0.3", "battery.clear_level: 0.2 is not allowed"),
-    "twice": (
-        "rate_hz: 1\n\nlimits: {linear_mps: 1}\nlimits.linear_mps: 1",
-        "line 4: limits.linear",
-    ),
-}
-
-
-@pytest.mark.parametrize(("content", "says"), SHADOWS.values(), ids=SHADOWS)
-def test_a_bad_file_of_a_shadow_is_refused_with_its_line(
-    tmp_path: Path, content: str | None, says: str
+@pytest.mark.parametrize("key", retired.CONFIG_KEYS)
+def test_a_retired_key_is_ignored_with_one_warning(
+    tmp_path: Path, key: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    if content is not None:
-        (tmp_path / "shadow.yaml").write_text(content)
-    config = load(write(tmp_path, "shadow: shadow.yaml"))
-    with pytest.raises(ConfigError) as caught:
-        read_shadow(config)
-    assert str(caught.value).startswith(f"{tmp_path / 'shadow.yaml'}: ")
-    assert says in str(caught.value)
+    section, _, name = key.rpartition(".")
+    nested = f"{section}:\n  {name}: 7" if section else f"{name}: 7"
+    path = write(tmp_path, f"rate_hz: 40.0\n{nested}")
+    assert load(path) == with_setting(Config(), "rate_hz", 40.0)
+    (record,) = caplog.records
+    assert record.getMessage() == (
+        f"{path}: {key} is retired and ignored: {retired.CONFIG_KEYS[key]}"
+    )
+    with pytest.raises(ConfigError, match=f"{key} is retired: "):
+        with_setting(Config(), key, "7")
 
 
-def test_a_shadow_has_the_parameters_of_the_robot_but_for_those_of_its_file(tmp_path: Path) -> None:
-    (tmp_path / "shadow.yaml").write_text("robot: {ros__parameters: {limits: {linear_mps: 0.3}}}")
-    config = load(write(tmp_path, "tracking.k_y: 8.0\nlimits.linear_mps: 0.5\nshadow: shadow.yaml"))
-    shadow = read_shadow(config)
-    assert shadow is not None
-    assert shadow.own == {"limits.linear_mps": "0.3"}
-    assert shadow.params.tracking.k_y == 8.0
-    assert shadow.params.limits.linear_mps == 0.3
-    assert read_shadow(Config()) is None
-    assert shadow.digest != ShadowSettings(shadow.file, config.kernel, {}).digest
+def test_no_key_of_today_is_retired() -> None:
+    assert not set(retired.CONFIG_KEYS) & set(flat(Config()))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl import ros_arguments
+from robotctl import retired, ros_arguments
 from robotctl.config import Config, flat
 from robotctl.config.ros_file import check_parameter_files
 from robotctl.config.ros_settings import RosSettings, apply_arguments
@@ -42,6 +42,17 @@ def test_parameters_are_applied_in_their_order_and_a_later_one_wins(tmp_path: Pa
     values = flat(settings.config)
     assert (values["limits.linear_mps"], values["limits.angular_rps"]) == (0.3, 1.2)
     assert settings.use_sim_time
+
+
+@pytest.mark.parametrize("key", retired.CONFIG_KEYS)
+def test_a_retired_parameter_is_ignored_with_one_warning(
+    tmp_path: Path, key: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = write(tmp_path, f"/**: {{ros__parameters: {{{key}: 7}}}}")
+    settings = applied("--params-file", str(file), "-p", f"{key}:=x", "-p", "rate_hz:=40.0")
+    assert flat(settings.config) == flat(Config()) | {"rate_hz": 40.0}
+    (record,) = caplog.records
+    assert record.getMessage() == f"{key} is retired and ignored: {retired.CONFIG_KEYS[key]}"
 
 
 @pytest.mark.parametrize(

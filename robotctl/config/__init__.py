@@ -5,7 +5,6 @@
 - `values`: whether a value is allowed for a key.
 - `declarations`: each key with its type, its allowed values and when it may change.
 - `file`: read a `Config` from a YAML file.
-- `shadow_file`: read the parameters of the shadow.
 """
 
 from robotctl.config.allowed_values import PATTERN_HELP, is_topic_pattern
@@ -13,7 +12,6 @@ from robotctl.config.declarations import Declaration, Kind, declarations
 from robotctl.config.file import MAX_FILE_BYTES, load
 from robotctl.config.schema import Config, RecordingParams
 from robotctl.config.settings import check_all, check_together, flat, with_setting, with_text
-from robotctl.config.shadow_file import ShadowSettings, read_shadow
 
 __all__ = [
     "MAX_FILE_BYTES",
@@ -22,14 +20,12 @@ __all__ = [
     "Declaration",
     "Kind",
     "RecordingParams",
-    "ShadowSettings",
     "check_all",
     "check_together",
     "declarations",
     "flat",
     "is_topic_pattern",
     "load",
-    "read_shadow",
     "with_setting",
     "with_text",
 ]

@@ -20,9 +20,6 @@ RATES_HELP = 'use topics, globs or types with rates, such as {"/camera/*": 5}'
 MAX_GROUP_NAME = 256
 """Longer than a name of group(5) or of a directory service."""
 
-MAX_PATH = 4096
-"""As PATH_MAX of Linux."""
-
 PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/msg/Image)"
 
 
@@ -57,8 +54,6 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
         raise not_allowed(key, value, f"use the name of a frame, such as base_link{none}")
     if metadata.get("group") and not _is_group(value):
         raise not_allowed(key, value, 'use the name of a Unix group, or "" for none')
-    if metadata.get("file") and not _is_file(value):
-        raise not_allowed(key, value, 'use the path of a file, or "" for none')
     if metadata.get("corners") and not _are_corners(value):
         raise not_allowed(key, value, "use 3 to 64 corners, such as 0,0 2,0 2,1")
     if type(value) is not kind:
@@ -73,10 +68,6 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
 
 def _is_group(value: object) -> bool:
     return isinstance(value, str) and value.isprintable() and len(value) <= MAX_GROUP_NAME
-
-
-def _is_file(value: object) -> bool:
-    return isinstance(value, str) and value.isprintable() and len(value) <= MAX_PATH
 
 
 def _are_corners(value: object) -> bool:

@@ -82,8 +82,6 @@ def _allowed(value: object, metadata: Mapping[str, Any]) -> str:
         return 'a command line; "" for none'
     if metadata.get("group"):
         return 'a Unix group; "" for none'
-    if metadata.get("file"):
-        return 'a file; "" for none'
     if metadata.get("frame"):
         return 'the name of a frame; "" for any' if metadata["optional"] else "the name of a frame"
     if isinstance(value, bool):

@@ -12,13 +12,12 @@ Anchors and aliases are refused: with them, a file of a few lines can expand bey
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from reprlib import repr as short_repr
 from typing import Any
 
 from robotctl.config.schema import Config
-from robotctl.config.settings import RATE_KEYS, check_together, with_setting
+from robotctl.config.settings import RATE_KEYS, check_together, warn_of_retired, with_setting
 from robotctl.errors import ConfigError
 from robotctl.regular_file import open_regular
 
@@ -27,13 +26,15 @@ MAX_FILE_BYTES = 1_000_000
 
 
 def load(path: Path) -> Config:
-    """Return the configuration in the file `path`; a relative `shadow` is beside that file.
+    """Return the configuration in the file `path`; a retired key is ignored with a warning.
 
     Raises:
         ConfigError: The file cannot be read, or a key or value is not allowed.
     """
     config = Config()
     for key, value in read_settings(path):
+        if warn_of_retired(key, f"{path}: "):
+            continue
         try:
             config = with_setting(config, key, value)
         except ConfigError as error:
@@ -42,7 +43,7 @@ def load(path: Path) -> Config:
         check_together(config.kernel)
     except ConfigError as error:
         raise file_error(path, error.cause.partition(":")[0], error) from None
-    return replace(config, shadow=str(path.parent / config.shadow) if config.shadow else "")
+    return config
 
 
 def read_settings(path: Path) -> list[tuple[str, object]]:

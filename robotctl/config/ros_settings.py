@@ -11,7 +11,13 @@ from robotctl.config.file import read_value
 from robotctl.config.parameter_nodes import NODES, node_of
 from robotctl.config.ros_file import is_for, read_parameter_file
 from robotctl.config.schema import Config
-from robotctl.config.settings import check_together, flat, keyed_leaves, with_setting
+from robotctl.config.settings import (
+    check_together,
+    flat,
+    keyed_leaves,
+    warn_of_retired,
+    with_setting,
+)
 from robotctl.errors import ConfigError, UsageError
 from robotctl.ros_arguments import NO_ARGUMENTS, Assignment, Remap, RosArguments
 
@@ -31,6 +37,8 @@ class RosSettings:
 def apply_arguments(config: Config, given: RosArguments, namespace: str) -> RosSettings:
     """Return the configuration as the arguments change it, for nodes in this namespace.
 
+    A retired key is ignored with a warning.
+
     Raises:
         ConfigError: A key, a value, or a file is wrong, or is for other nodes.
         UsageError: There is no such node.
@@ -41,7 +49,7 @@ def apply_arguments(config: Config, given: RosArguments, namespace: str) -> RosS
             if not isinstance(value, bool):
                 raise ConfigError(f"{key}: {value!r} is not allowed", "use true or false")
             use_sim_time = value
-        else:
+        elif not warn_of_retired(key):
             config = with_setting(config, key, value)
     config, others = _with_topics(config, given.remaps, namespace)
     if given != NO_ARGUMENTS:

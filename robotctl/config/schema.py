@@ -92,8 +92,7 @@ class Config:
     `fifo_priority` is the SCHED_FIFO priority of the loop's thread, from 1 (low) to 99; 0 leaves
     the scheduling as it is. `on_recorder_failure` is stop or warn: whether the robot must stop
     when recording fails. `on_topic_trouble` is warn or refuse: whether a topic of others that is
-    not as expected refuses the start of a motion. `shadow` is a file of parameters with
-    which a second kernel decides beside the first; it commands nothing.
+    not as expected refuses the start of a motion.
     """
 
     kernel: KernelParams = field(default_factory=KernelParams)
@@ -113,10 +112,4 @@ class Config:
         "what a topic that is silent, slow or fast does to the start of a motion",
         Change.START,
         choices=("warn", "refuse"),
-    )
-    shadow: str = setting(
-        "",
-        "parameters of a second kernel that decides and commands nothing",
-        Change.START,
-        file=True,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from contextlib import suppress
 from difflib import get_close_matches
@@ -10,11 +11,14 @@ from functools import cache
 from reprlib import repr as short_repr
 from typing import Any, get_type_hints
 
+from robotctl import retired
 from robotctl.config.allowed_values import checked_value, not_allowed
 from robotctl.config.schema import Config
 from robotctl.errors import ConfigError
 from robotctl.kernel.parameters import Leaf, conflict, leaves, value_at, with_value
 from robotctl.kernel.params import KernelParams
+
+_log = logging.getLogger(__name__)
 
 
 def check_together(kernel: KernelParams) -> None:
@@ -28,6 +32,17 @@ def check_together(kernel: KernelParams) -> None:
         raise not_allowed(*clash)
 
 
+def warn_of_retired(key: str, where: str = "") -> bool:
+    """Return whether an earlier version had this key; log what replaces it, if so.
+
+    `where` is the beginning of the warning.
+    """
+    instead = retired.CONFIG_KEYS.get(key)
+    if instead is not None:
+        _log.warning("%s%s is retired and ignored: %s", where, key, instead)
+    return instead is not None
+
+
 def with_setting(config: Config, key: str, value: object) -> Config:
     """Return `config` with the dotted `key` set to `value`.
 
@@ -35,6 +50,8 @@ def with_setting(config: Config, key: str, value: object) -> Config:
         ConfigError: There is no such key, or the value is not allowed.
     """
     known = dict(keyed_leaves(config))
+    if key in retired.CONFIG_KEYS:
+        raise ConfigError(f"{key} is retired", retired.CONFIG_KEYS[key])
     if key not in known:
         near = get_close_matches(key, known, n=1)
         hint = f"did you mean {near[0]}?" if near else f"use {', '.join(sorted(known))}"

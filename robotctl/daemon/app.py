@@ -9,7 +9,7 @@ import time
 from contextlib import AsyncExitStack, ExitStack
 
 from robotctl import __version__
-from robotctl.config import Config, load, read_shadow
+from robotctl.config import Config, load
 from robotctl.config.parameter_nodes import MODE_SERVICE
 from robotctl.daemon.command_choice import choose_command_type
 from robotctl.daemon.command_line import DaemonOptions
@@ -50,7 +50,6 @@ async def serve(
     manager = ServiceManager()
     settings = options.applied_to(load(options.config) if options.config else Config())
     config = settings.config
-    shadow = None if options.observe else read_shadow(config)
     group = socket_group(config.socket.group)
     address = socket_path(options.robot)
     # A daemon whose lock file was deleted may still own the robot: it answers at the socket.
@@ -83,12 +82,9 @@ async def serve(
             notes += chain_to(folder).group_writable()
         if group is not None:
             notes.append(f"each member of group {group.name} may give commands (socket.group)")
-        if shadow is not None:
-            notes.append(f"a shadow decides with {shadow.file} as well, and commands nothing")
         host = Host(
             options,
             config,
-            shadow,
             alone,
             supervisor,
             time.monotonic() + DISCOVERY_S,

@@ -16,7 +16,6 @@ from robotctl.daemon.api.parameters import parameter_methods
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.simulation import simulation_methods
 from robotctl.daemon.api.status import StatusSource
-from robotctl.daemon.configured_shadow import shadow_run
 from robotctl.daemon.control.decisions import Decisions
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.effects import Effects
@@ -90,10 +89,8 @@ class Driver:
             session,
             lambda: kernel.state.mode.name,
             on_failure=lambda detail: self._inputs.recorder_failed(detail),
-            on_file=lambda: self._control.begin_file(time.monotonic_ns()),
-            shadow=host.shadow,
+            on_file=lambda: self._control.journal_snapshot(time.monotonic_ns()),
         )
-        shadow = shadow_run(host, kernel.state, self.recorder)
         tap = self.recorder.tap
         for topic in (command_topic(params.command.topic, command), STATUS, *CALLS):
             tap.subscribe_own(topic)
@@ -124,12 +121,11 @@ class Driver:
             host.supervisor.callback_failed,
             partial(urgent_event, self._watchdog),
             decisions.asked,
-            shadow,
         )
         self._parameters = Parameters(host.config, self._control, self.recorder.reconfigure)
         self._loop = ControlLoop(params.rate_hz, self._control, self._watchdog, self._velocity)
         host.supervisor.report_to(self._control.dispatch)
-        self._robot_report = RobotReport(self._control, truth, shadow)
+        self._robot_report = RobotReport(self._control, truth)
         self._status = StatusSource(
             host.options,
             self.recorder.report,
@@ -187,7 +183,7 @@ class Driver:
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
         """Run every task until the daemon is stopped."""
-        self._control.begin_file(time.monotonic_ns())
+        self._control.journal_snapshot(time.monotonic_ns())
         # Without a last snapshot, a check could not tell whether the last entries are there.
         self._host.session.last.callback(
             lambda: self._control.journal_snapshot(time.monotonic_ns())

@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from robotctl.config import Config, ShadowSettings
+from robotctl.config import Config
 from robotctl.daemon.api.status import PartWarning
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
@@ -29,9 +29,6 @@ class Host:
 
     options: DaemonOptions
     config: Config
-    shadow: ShadowSettings | None
-    """The parameters of the kernel that decides beside the driving one, None for none."""
-
     alone: bool
     """Whether no other process was in the ROS domain at the start."""
 

@@ -96,7 +96,6 @@ class Observer:
             "stalls": None,
             "odometry_dropped": None,
             "drive": None,
-            "shadow": None,
         }
 
     def remedies(self) -> tuple[Remedy, ...]:

@@ -13,7 +13,6 @@ from robotctl.ipc.drive_answers import DriveFacts as DriveFacts
 from robotctl.ipc.drive_answers import DrivenPath as DrivenPath
 from robotctl.ipc.drive_answers import HoldAnswer as HoldAnswer
 from robotctl.ipc.drive_answers import ModeAnswer as ModeAnswer
-from robotctl.ipc.shadow_answers import ShadowFacts as ShadowFacts
 
 
 class Hello(TypedDict):
@@ -60,8 +59,6 @@ class RobotFacts(TypedDict):
     odometry_dropped: int | None
     drive: DriveFacts | None
     """The drive that is going on, None if there is none."""
-    shadow: ShadowFacts | None
-    """None where no shadow is configured."""
 
 
 class CountsAnswer(TypedDict):

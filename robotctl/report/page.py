@@ -12,7 +12,6 @@ from typing import Final
 
 from robotctl import __version__
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording.read.shadow_record import shadow_sentence
 from robotctl.report.axis import Axis
 from robotctl.report.cursor_data import cursor_data
 from robotctl.report.figures import Figure, figures_of
@@ -133,8 +132,6 @@ def _notes(recorded: Recorded) -> Markup | None:
             f"There is no journal of robotctl in it. Drawn: {drawn}. Wanted path, error, modes, "
             "ticks and reasons are not known."
         )
-    if shadow := shadow_sentence(recorded.info):
-        notes.append(f"{shadow[0].upper()}{shadow[1:]}.")
     notes += [f"Not read: {sentence}" for sentence in recorded.missing]
     if recorded.traces.left_out:
         notes.append(

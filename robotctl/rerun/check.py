@@ -14,7 +14,6 @@ from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.metadata_names import INFO_RECORD, OWN_LIBRARY
 from robotctl.recording.read.journal_reader import journal_topic, journal_topics
 from robotctl.recording.read.messages import Message
-from robotctl.recording.read.shadow_record import shadow_sentence
 from robotctl.recording.read.source import Source
 from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.batch import Batch
@@ -38,6 +37,7 @@ from robotctl.rerun.recording_ends import RecordingEnds
 from robotctl.rerun.recording_groups import FileGroup, file_groups
 from robotctl.rerun.rerun import Rerun
 from robotctl.rerun.snapshot_proofs import SnapshotProofs
+from robotctl.rerun.unknown_fields import without_retired_fields
 from robotctl.store.store_path import StorePath
 
 Progress = Callable[[int, int], None]
@@ -133,8 +133,6 @@ class _Check:
             raise UnreadableFile("it holds no journal of robotctl: there are no decisions to check")
         for other in sorted(journal_topics(info) - {topic}):
             report.notes.append(f"the journal {other} of another robot was not checked")
-        if shadow := shadow_sentence(info):
-            report.notes.append(f"{shadow}: not checked")
         self._ends = RecordingEnds(self._recording, info, report, JournalOrigin(info, topic))
         self._compared = Comparisons(report, info, topic)
         self._reading = CheckReading(
@@ -176,11 +174,11 @@ class _Check:
         self._compared.run(run, was_checked=rerun is not None and rerun.is_trusting)
 
     def _snapshot(self, entry: JournalEntry) -> None:
-        report = self._report
+        report, known = self._report, without_retired_fields(entry)
         try:
             if self._rerun is None:
-                self._format.begin(entry)
-            self._format.compare(entry)
+                self._format.begin(known)
+            self._format.compare(known)
             if self._rerun is None:
                 report.made_by = read_snapshot(entry).made_by
                 version = report.version if report.same_version else report.other_version
@@ -189,7 +187,7 @@ class _Check:
                 report.notes += comparison.notes()
                 self._rerun = Rerun(comparison)
                 self._ends.begin(entry)
-            snapshot, divergence = self._rerun.snapshot(entry)
+            snapshot, divergence = self._rerun.snapshot(known)
         except UnreadableFile as error:
             self._interrupt_at(error)
             return

@@ -17,7 +17,6 @@ from robotctl.recording import Recording
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
-from robotctl.recording.read.shadow_record import shadow_entries
 from robotctl.rerun.command_bytes import command_topic, is_zero, numbers_of
 from robotctl.rerun.entry_order import Gap
 from robotctl.rerun.journal_steps import Step, steps
@@ -68,8 +67,6 @@ class Incident:
     """Time and event at which the ramp to this stop began, None if there was no ramp."""
 
     next_change: tuple[int, ModeChanged] | None = None
-    shadow: tuple[JournalEntry, ...] | None = None
-    """What the shadow decided differently on the event, None without a shadow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,19 +95,7 @@ def find_incident(
         incident = search.run(on_progress)
         if incident is not None:
             _Context(recording, topic, incident).fill()
-            incident.shadow = _shadow(recording, incident, search)
     return Searched(incident, search.missing)
-
-
-def _shadow(
-    recording: Recording, incident: Incident, search: _Search
-) -> tuple[JournalEntry, ...] | None:
-    try:
-        found = shadow_entries(recording, incident.seq, incident.log_ns, search.miss)
-    except UnreadableFile as error:
-        search.miss(f"what the shadow decided: {error}")
-        return None
-    return None if found is None else tuple(found)
 
 
 class _Search:

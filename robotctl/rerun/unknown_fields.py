@@ -1,4 +1,4 @@
-"""Finds fields in journal entries of another version that this version does not know."""
+"""Finds fields in journal entries that this version does not know, or retired."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
+from robotctl import retired
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
 from robotctl.recording.format.journal import EntryKind, JournalEntry
@@ -23,6 +24,30 @@ _READERS = {
     EntryKind.EFFECT: read_effect,
     EntryKind.SNAPSHOT: read_snapshot,
 }
+
+
+def without_retired_fields(entry: JournalEntry) -> JournalEntry:
+    """Return the entry without the retired fields that have their default."""
+    names = {
+        path.partition(".")[2]: default
+        for path, default in retired.JOURNAL_FIELDS.items()
+        if path.startswith(f"{entry.name}.") and f'"{path.rpartition(".")[2]}":' in entry.data
+    }
+    if not names:
+        return entry
+    try:
+        data = json.loads(entry.data)
+    except (ValueError, RecursionError):
+        return entry
+    for path, default in names.items():
+        *sections, name = path.split(".")
+        section = data
+        for each in sections:
+            section = section.get(each) if isinstance(section, dict) else None
+        if isinstance(section, dict) and section.get(name) == default:
+            section.pop(name, None)
+    # As the journal is written: a float reads back to the same bits.
+    return entry._replace(data=json.dumps(data, separators=(",", ":")))
 
 
 class Vocabulary:

@@ -32,7 +32,6 @@ from robotctl.kernel.types import (
 )
 from robotctl.rerun.incident import Incident, IncidentKind
 from robotctl.rerun.sentences import driven, sentence_of, span
-from robotctl.rerun.shadow_sentences import shadow_words
 
 _MEASURES: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
     {
@@ -68,7 +67,6 @@ class Why:
     asked: str
     went_out: tuple[str, ...]
     since: str
-    shadow: str
 
 
 def explain(incident: Incident) -> Why:
@@ -82,7 +80,6 @@ def explain(incident: Incident) -> Why:
         asked=_asked(incident),
         went_out=tuple(_went_out(incident)),
         since=_since(incident),
-        shadow=shadow_words(incident.shadow, incident.effects),
     )
 
 

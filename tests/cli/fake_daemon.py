@@ -83,7 +83,6 @@ class FakeDaemon:
             "lease": None,
             "namespace": "",
             "stalls": 0,
-            "shadow": None,
             "odometry_dropped": 0,
             "drive": DRIVE if self.mode == 1 else None,
             "topics": [

@@ -6,12 +6,22 @@ from pathlib import Path
 
 import pytest
 
-from robotctl import __version__
-from robotctl.recording.format.journal import EntryKind, JournalEntry
-from robotctl.recording.format.metadata_names import MADE_BY
+from robotctl import __version__, retired
+from robotctl.cdr.known_types import JOURNAL_ENTRY
+from robotctl.kernel.types import ModeRequested
+from robotctl.recording import Recorder, RecorderOptions
+from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
+from robotctl.recording.format.metadata_names import MADE_BY, SHADOW_RECORD
+from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
+from robotctl.rerun.incident import find_incident
 from robotctl.testing.drives import (
+    BEGIN_NS,
     Written,
+    drive,
+    drive_requested,
+    installed_topic,
+    record,
 )
 from tests.support.checked_drives import altered, checked, rechained
 
@@ -120,6 +130,30 @@ def test_a_journal_with_other_fields_is_of_another_version_and_not_diverged(
 
 
 @pytest.mark.parametrize("version", [__version__, "0.0.9"])
+@pytest.mark.parametrize("value", ["false", "true"])
+def test_a_retired_field_is_ignored_at_its_default_and_named_at_another_value(
+    tmp_path: Path,
+    drive_of_3_s: list[Written],
+    monkeypatch: pytest.MonkeyPatch,
+    version: str,
+    value: str,
+) -> None:
+    monkeypatch.setattr(retired, "JOURNAL_FIELDS", {"Snapshot.state.moody": False})
+    changed = [
+        each._replace(data=each.data.replace('"mode":', f'"moody":{value},"mode":', 1))
+        if isinstance(each, JournalEntry) and each.kind is EntryKind.SNAPSHOT
+        else each
+        for each in drive_of_3_s
+    ]
+    report = checked(tmp_path, rechained(changed), version=version)
+    if value == "false":
+        assert (report.verdict, report.missing) == (Verdict.SAME, [])
+    else:
+        assert report.verdict is Verdict.INCOMPLETE
+        assert "state.moody" in report.missing[0]
+
+
+@pytest.mark.parametrize("version", [__version__, "0.0.9"])
 def test_an_entry_that_is_nested_too_deeply_is_named(
     tmp_path: Path, drive_of_3_s: list[Written], version: str
 ) -> None:
@@ -147,3 +181,26 @@ def test_floats_of_another_platform_may_differ_by_a_billionth(
     assert (report.divergence is None) is same
     assert not report.bitwise
     assert report.notes[0].startswith("made with another, this is Python ")
+
+
+def test_what_a_second_kernel_decided_in_an_old_recording_is_no_journal(tmp_path: Path) -> None:
+    entry = encode(JournalEntry(1, 0, EntryKind.EFFECT, "Nothing", "{}"))
+    channel: int | None = None
+
+    def beside(recorder: Recorder, time_ns: int) -> None:
+        nonlocal channel
+        if channel is None:
+            channel = recorder.add_topic(installed_topic("/robotctl/shadow", JOURNAL_ENTRY))
+        recorder.write(channel, entry, time_ns, time_ns, 0, bytes(16))
+
+    estop = ModeRequested(BEGIN_NS + 1_000_000_000, 2, 3, "operator")
+    records = {SHADOW_RECORD: {"file": "next.yaml", "parameter.tracking.k_y": "8.0"}}
+    folder = record(
+        tmp_path / "run",
+        drive(1.2, requests=[drive_requested(), estop]),
+        beside=beside,
+        options=RecorderOptions(records=records),
+    )
+    report = check_recording(folder)
+    assert (report.verdict, report.notes) == (Verdict.SAME, [])
+    assert find_incident(folder).incident is not None

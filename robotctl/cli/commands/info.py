@@ -16,7 +16,7 @@ from robotctl.cli.support.recording_paths import (
     cure_of_damage,
     find_recording,
 )
-from robotctl.cli.terminal.text import duration, moment, printable, row, short_path, size
+from robotctl.cli.terminal.text import duration, moment, printable, short_path, size
 from robotctl.cli.terminal.topic_lines import TopicLines
 from robotctl.errors import UnreadableFile
 
@@ -121,8 +121,6 @@ def as_object(found: RecordingInfo) -> dict[str, Any]:
 
 def info_lines(found: RecordingInfo) -> Iterator[str]:
     """Yield the lines of `robotctl info`."""
-    from robotctl.recording.read.shadow_record import shadow_sentence
-
     count = len(found.files)
     files = "" if count == 1 else f" in {count} files"
     yield short_path(found.path)
@@ -134,8 +132,6 @@ def info_lines(found: RecordingInfo) -> Iterator[str]:
     if not found.indexed:
         yield "  index      missing: the file was scanned from its beginning"
     yield f"  writer     {printable(found.library)}, profile {printable(found.profile) or 'none'}"
-    if shadow := shadow_sentence(found):
-        yield from row("  shadow     ", shadow)
     table = TopicLines((topic.name, topic.type_name) for topic in found.topics)
     if found.topics:
         yield ""

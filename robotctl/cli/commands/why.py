@@ -186,7 +186,6 @@ def why_lines(found: FoundIncident) -> Iterator[str]:
         ("rule", told.rule),
         ("asked for", told.asked),
         *(("went out" if not i else "", text) for i, text in enumerate(told.went_out)),
-        ("shadow", told.shadow),
         ("since", for_robot(told.since, robot)),
         ("then", _later(found)),
         *(("missing", sentence) for sentence in found.missing),
@@ -236,7 +235,6 @@ def as_object(found: FoundIncident) -> dict[str, Any]:
         "asked": told.asked,
         "went_out": list(told.went_out),
         "since": for_robot(told.since, robot),
-        "shadow": told.shadow,
         "missing": list(found.missing),
     }
 

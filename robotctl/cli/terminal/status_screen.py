@@ -22,9 +22,6 @@ def status_screen_lines(status: Status) -> Iterator[str]:
     if status.get("mode_reason"):
         yield from row(f"  {'reason':{_LABEL_WIDTH}} ", status["mode_reason"])
     yield from (f"  {label:{_LABEL_WIDTH}} {text}" for label, text in status_rows(status))
-    shadow = status.get("shadow")
-    if shadow:
-        yield from row(f"  {'shadow':{_LABEL_WIDTH}} ", shadow_text(shadow))
     topics = status["topics"]
     if topics:
         table = TopicLines((topic["name"], topic["type"]) for topic in topics)
@@ -114,23 +111,6 @@ def drive_lines(drive: Mapping[str, Any]) -> Iterator[str]:
     closed = "" if drive.get("closure_m") is None else f", closure {closure} m"
     if drive.get("heading_rms_rad") is not None:
         yield f"heading {heading} rad RMS, {most} rad at most{closed}"
-
-
-def shadow_text(shadow: Mapping[str, Any]) -> str:
-    """Return how often the shadow decided differently, and how it did last."""
-    steps, differing, last = shadow["steps"], shadow["differing"], shadow["last"]
-    text = "off; until then: " if shadow["failure"] else ""
-    if not differing:
-        return f"{text}decides the same in {steps} steps"
-    counts = ", ".join(f"{count} {name}" for name, count in shadow["aspects"].items() if count)
-    text += f"differs in {differing} of {steps} steps ({counts})"
-    if shadow["apart_s"] is not None:
-        text += f"; apart for {duration(shadow['apart_s'])}: {shadow['mode']}, {shadow['reason']}"
-    if last:
-        text += (
-            f"; last {duration(last['ago_s'])} ago: {last['shadow']} instead of {last['driving']}"
-        )
-    return text
 
 
 def velocity_text(status: Mapping[str, Any]) -> str:

@@ -10,7 +10,6 @@ from dataclasses import replace
 from robotctl.daemon.control.decisions import Request
 from robotctl.daemon.control.journal_writer import Journal
 from robotctl.daemon.control.pending_requests import PendingRequests
-from robotctl.daemon.control.shadow_run import HandledStep, ShadowRun
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.params import KernelParams
@@ -32,7 +31,7 @@ class Control:
     """The owner of the kernel. `dispatch` is synchronous, for the loop's thread only.
 
     An event that is dispatched while another is handled waits in a FIFO. Each event is journaled
-    before it is handled, each effect after it is carried out. A shadow decides after all of them.
+    before it is handled, each effect after it is carried out.
     """
 
     def __init__(
@@ -44,7 +43,6 @@ class Control:
         on_failure: Callable[[Exception, str], None],
         urgent: Callable[[], Event | None] = lambda: None,
         asked: Callable[[Request], None] = lambda request: None,
-        shadow: ShadowRun | None = None,
     ) -> None:
         """`on_failure(error, where)` is called for an effect that could not be carried out.
 
@@ -59,9 +57,6 @@ class Control:
         self._on_failure = on_failure
         self._urgent = urgent
         self._asked = asked
-        self._shadow = shadow
-        self._handled: list[HandledStep] = []
-        """Steps that the shadow has not decided on yet."""
         self._events: deque[Event] = deque()
         self._busy = False
         self._failing = ""
@@ -92,20 +87,14 @@ class Control:
                 self._step(self._events.popleft())
         finally:
             self._busy = False
-        if self._shadow is not None:
-            handled, self._handled = self._handled, []
-            self._shadow.take(handled)
 
     def journal_snapshot(self, t_ns: int) -> None:
-        """Write the kernel's state into the journal, now and then every 10 s."""
+        """Write the kernel's state into the journal, now and then every 10 s.
+
+        So a file that begins here can be re-run alone.
+        """
         self._snapshot_t_ns = t_ns
         self._journal.snapshot(t_ns, self._kernel)
-
-    def begin_file(self, t_ns: int) -> None:
-        """Write the states of the kernels, so that the next file can be re-run alone."""
-        self.journal_snapshot(t_ns)
-        if self._shadow is not None:
-            self._shadow.snapshot(t_ns)
 
     def new_request_id(self) -> int:
         """Return a new request id."""
@@ -143,10 +132,9 @@ class Control:
         is_due = last is not None and event.t_ns - last >= SNAPSHOT_PERIOD_NS
         if is_due and not isinstance(event, LoopStalled):
             self.journal_snapshot(event.t_ns)
-        seq = self._journal.event(event)
+        self._journal.event(event)
         problem = ""
-        effects = self._kernel.step(event)
-        for effect in effects:
+        for effect in self._kernel.step(event):
             done = effect
             if problem and isinstance(effect, Reply):
                 done = replace(effect, ok=False, message=f"{effect.message}, but {problem}")
@@ -158,8 +146,6 @@ class Control:
             self._journal.effect(event.t_ns, effect)
         if not problem:
             self._failing = ""
-        if self._shadow is not None:
-            self._handled.append(HandledStep(seq, event, effects, self._kernel.state))
 
     def _tell(self, error: Exception, problem: str) -> None:
         if problem != self._failing:  # once, and not at each tick

@@ -28,10 +28,9 @@ class Journal:
         self._seq = 0
         self._crc = 0
 
-    def event(self, event: Event) -> int:
-        """Write an event, and return the number of its entry."""
+    def event(self, event: Event) -> None:
+        """Write an event."""
         self._add(event.t_ns, EntryKind.EVENT, event)
-        return self._seq - 1
 
     def effect(self, t_ns: int, effect: Effect) -> None:
         """Write an effect, with the time of the event that caused it."""

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.ground_truth import GroundTruth
-from robotctl.daemon.control.shadow_run import ShadowRun
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import ConditionAnswer, DriveFacts, DrivenPath, Preflight, RobotFacts
 from robotctl.ipc.conditions import condition_of
@@ -75,16 +74,10 @@ _EXPECTED = (
 class RobotReport:
     """A report of the kernel's state, and the driven path; `sim`: the robot is simulated."""
 
-    def __init__(
-        self,
-        control: Control,
-        ground_truth: GroundTruth | None = None,
-        shadow: ShadowRun | None = None,
-    ) -> None:
+    def __init__(self, control: Control, ground_truth: GroundTruth | None = None) -> None:
         self.sim = False
         self.ground_truth = ground_truth or GroundTruth()
         self._control = control
-        self._shadow = shadow
         self._driven: list[Pose] = []
         self._wanted: list[Pose] = []
         self._drive_id: int | None = None
@@ -158,7 +151,6 @@ class RobotReport:
             "stalls": state.health.stalls.count,
             "odometry_dropped": state.health.odometry_sources.dropped,
             "drive": _drive_facts(state, self.ground_truth),
-            "shadow": None if self._shadow is None else self._shadow.facts(),
         }
 
     def preflight(self, robot: str) -> Preflight:

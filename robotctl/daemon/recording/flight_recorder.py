@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from shutil import rmtree
 
-from robotctl.config import Config, ShadowSettings, flat
+from robotctl.config import Config, flat
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.daemon.recording.call_in_loop import in_loop
@@ -64,7 +64,6 @@ class FlightRecorder:
         mode: Callable[[], str],
         on_failure: Callable[[str], None] = lambda detail: None,
         on_file: Callable[[], None] = lambda: None,
-        shadow: ShadowSettings | None = None,
     ) -> None:
         """Start to record.
 
@@ -97,7 +96,6 @@ class FlightRecorder:
             sealer=RobotSealer(options.robot, in_loop(self._heads.take)),
             evidence=frozenset(evidence),
             names={} if options.observe else names,
-            shadow=shadow,
         )
         topics = (config.kernel.command.topic, config.kernel.odometry.topic)
         own = (mode_service.STATUS.name, journal_publisher.TOPIC.name)
@@ -163,16 +161,6 @@ class FlightRecorder:
             now_ns = time.time_ns()
             write(serialized, now_ns, now_ns, seq + 1, UNKNOWN_GID)
             publisher.publish(serialized)
-
-        return write_entry
-
-    def open_shadow(self) -> Callable[[bytes], None]:
-        """Return the function that records a serialized entry of the shadow."""
-        write = self.tap.reserve(journal_publisher.SHADOW)
-
-        def write_entry(serialized: bytes) -> None:
-            now_ns = time.time_ns()
-            write(serialized, now_ns, now_ns, 0, UNKNOWN_GID)
 
         return write_entry
 
@@ -269,7 +257,6 @@ def _own_topics(config: Config) -> list[str]:
     """Return the topics that the daemon publishes itself."""
     own = (
         journal_publisher.TOPIC,
-        journal_publisher.SHADOW,
         mode_service.STATUS,
         mark_publisher.TOPIC,
         diagnostics_publisher.TOPIC,

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from robotctl.config import Config, RecordingParams, ShadowSettings, flat
+from robotctl.config import Config, RecordingParams, flat
 from robotctl.daemon.recording.provenance import provenance
 from robotctl.daemon.recording.software import software
 from robotctl.decision_log.folder import log_folder
@@ -19,7 +19,6 @@ from robotctl.recording import Recorder, RecorderOptions
 from robotctl.recording.format.metadata_names import (
     FOXGLOVE_RECORD,
     PARAMETER_PREFIX,
-    SHADOW_RECORD,
     SOFTWARE_RECORD,
 )
 from robotctl.recording.keep.retention import RetentionPolicy
@@ -59,7 +58,6 @@ def open_recorder(
     sealer: Sealer | None = None,
     evidence: frozenset[str] = frozenset(),
     names: Mapping[str, str] | None = None,
-    shadow: ShadowSettings | None = None,
 ) -> Recorder:
     """Start the recording ROBOT_DATE_TIME.
 
@@ -68,7 +66,7 @@ def open_recorder(
     `present()` returns the configuration that a later file names; `config` where it is None.
     `sealer` seals the files if the configuration says so.
     `evidence` are the full names of the topics that a check needs, `names` those of the daemon's
-    own topics and services by their keys in the metadata. The parameters of `shadow` are recorded.
+    own topics and services by their keys in the metadata.
 
     Raises:
         Refused: The recording cannot be written.
@@ -82,9 +80,6 @@ def open_recorder(
         return {"mode": mode(), **described, **head, **parameters}
 
     records = {SOFTWARE_RECORD: software(), FOXGLOVE_RECORD: {"deviceName": robot}}
-    if shadow is not None:
-        own = {f"{PARAMETER_PREFIX}{key}": value for key, value in shadow.own.items()}
-        records[SHADOW_RECORD] = {"file": str(shadow.file), "digest": shadow.digest, **own}
     return Recorder(
         _new_folder(recordings, f"{robot}_{time.strftime('%Y%m%d_%H%M%S')}"),
         RecorderOptions(

@@ -13,13 +13,8 @@ from robotctl.errors import UnreadableFile
 
 TOPIC = "robotctl/journal"
 SHADOW_TOPIC = "robotctl/shadow"
-"""What a shadow decided differently, in entries like those of the journal: `seq` is the number of
-the event in the journal."""
-
-NO_EFFECT = "Nothing"
-SHADOW_FAILED = "Failed"
-"""The names of a shadow's entries that are no effects: the shadow decided nothing where the driving
-kernel did, and the shadow was switched off."""
+"""In files of earlier versions: what a second kernel decided that drove nothing, in entries like
+those of the journal. No journal to check."""
 
 MAX_TEXT_BYTES = 256 << 10
 """Maximum size of the JSON of an entry. A request to the kernel has at most 64 kB."""

@@ -15,14 +15,13 @@ INFO_RECORD = "robotctl"
 """The robot, and what made the recording; written when a file begins."""
 
 PARAMETER_PREFIX = "parameter."
-"""The beginning of the keys in INFO_RECORD and SHADOW_RECORD that are parameters."""
+"""The beginning of the keys in INFO_RECORD that are parameters."""
 
 SOFTWARE_RECORD = "robotctl.software"
 """The content hashes of the modules that decide and command; written when a file begins."""
 
 SHADOW_RECORD = "robotctl.shadow"
-"""The parameters of the shadow that are its own, their file, and the digest of them all; written
-when a file begins."""
+"""In files of 0.1 and 0.2: the parameters of a second kernel that decided and drove nothing."""
 
 FOXGLOVE_RECORD = "foxglove"
 """The name of the device, where Foxglove looks for it; written when a file begins."""

@@ -14,8 +14,6 @@ from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import Session
 
 TOPIC = OwnTopic("robotctl/journal", JournalEntry, qos.JOURNAL)
-SHADOW = OwnTopic("robotctl/shadow", JournalEntry, qos.JOURNAL)
-"""What a shadow decides differently: recorded, and not published."""
 
 _log = logging.getLogger(__name__)
 

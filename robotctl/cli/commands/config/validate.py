@@ -10,7 +10,7 @@ import typer
 from robotctl.cli.options import Json
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.terminal.text import short_path
-from robotctl.config import Config, flat, load, read_shadow
+from robotctl.config import Config, flat, load
 
 
 def validate(
@@ -24,7 +24,6 @@ def validate(
       robotctl config validate robot.yaml
     """
     config = load(file)
-    read_shadow(config)
     defaults, values = flat(Config()), flat(config)
     changed = {key: value for key, value in values.items() if value != defaults[key]}
     line = f"{short_path(file)} is valid; changed from the defaults: {len(changed)}"

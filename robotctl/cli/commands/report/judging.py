@@ -29,7 +29,7 @@ _NOT_VERIFIED: Final = "of a store only what is drawn is read: robotctl verify U
 
 _CHECK_TONES: Final = {Verdict.SAME: Tone.GOOD, Verdict.INCOMPLETE: Tone.UNSURE}
 _VERIFY_TONES: Final = {"sealed": Tone.GOOD, "whole": Tone.UNSURE}
-_ROWS: Final = ("came_in", "known", "rule", "asked", "went_out", "shadow", "since")
+_ROWS: Final = ("came_in", "known", "rule", "asked", "went_out", "since")
 
 
 def judge(path: Path, recorded: Recorded, *, quiet: bool) -> ReportFindings:
