@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import Annotated, Any
 
 import typer
@@ -124,6 +125,8 @@ def dispatch(arguments: list[str]) -> None:
     Raises:
         UsageError: typer could not parse it; the error names the help to read.
     """
+    if "robotctl.store.opened_bucket" in sys.modules:  # a listing lives as long as one command
+        sys.modules["robotctl.store.opened_bucket"].opened_bucket.cache_clear()
     command = typer.main.get_command(app)
     arguments, ros_words = ros_arguments.split(arguments)
     arguments += [f"{ROS_WORD}={word}" for word in ros_words]

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.store.opened_bucket import opened_bucket
 from tests.cli.conftest import Ran
 from tests.support.faulty_bucket import FaultyBucket, serving
 
@@ -81,7 +80,6 @@ def test_what_sync_has_collected_is_read_without_its_hashes(
         (folder, "s3://robots/all/robot_20261122_041522"),
         (file, f"s3://robots/all/robot_20261122_041522/{file.name}"),
     ):
-        opened_bucket.cache_clear()
         assert cli("info", url).out == cli("info", str(here)).out.replace(str(here), url)
     (found,) = json.loads(cli("replay", "--check", "s3://robots/all", "--json").out)["recordings"]
     assert found["path"] == "s3://robots/all/robot_20261122_041522"
@@ -141,7 +139,6 @@ def test_failures_of_five_percent_change_no_check(cli: Cli, bucket: FaultyBucket
     here = cli("replay", "--check", str(STOPPED))
     bucket.failing_share = bucket.short_share = 0.05
     for _ in range(5):
-        opened_bucket.cache_clear()  # as another process would
         there = cli("replay", "--check", URL, "--all-bytes")
         assert there.out == here.out.replace(str(STOPPED), URL)
     assert bucket.requests > 20
