@@ -122,6 +122,8 @@ class DecisionLog:
             except Exception as error:  # noqa: BLE001 - the log must go on, whatever fails
                 self._fail(error)
             if self._ending:
+                with suppress(OSError):  # what is written was synced
+                    self._close()
                 return
 
     def _turn(self) -> None:

@@ -64,9 +64,13 @@ async def _until_announced(subscription: _rclpy.Subscription, publisher: _rclpy.
             announced.set_result(None)
 
     fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+    at_end = ExitStack()
+    at_end.callback(os.close, fd)
     try:
         announcements.watch(Announcement.MESSAGE, subscription.pointer, fd)
+        at_end.callback(announcements.unwatch, Announcement.MESSAGE, subscription.pointer)
         loop.add_reader(fd, announce)
+        at_end.callback(loop.remove_reader, fd)
         async with asyncio.timeout(TIMEOUT_S):
             # Messages that are published before the two are matched are lost.
             while not publisher.get_subscription_count():  # noqa: ASYNC110 - no event tells it
@@ -80,9 +84,7 @@ async def _until_announced(subscription: _rclpy.Subscription, publisher: _rclpy.
             "set RMW_IMPLEMENTATION=rmw_fastrtps_cpp or use an executor of rclpy"
         ) from None
     finally:
-        announcements.unwatch(Announcement.MESSAGE, subscription.pointer)
-        loop.remove_reader(fd)
-        os.close(fd)
+        at_end.close()
 
 
 def _check_take(subscription: _rclpy.Subscription) -> None:
