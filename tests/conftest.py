@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, settings
 
 from robotctl.domains import reserved_domain
 from robotctl.environment import prepare
+from tests.support.isolation import FileSurroundings, start_once
 from tests.support.s3_server import s3_server
 from tests.support.waiting import loop_until
 
@@ -28,6 +29,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 _notes: list[str] = []
+_file_surroundings = FileSurroundings()
 
 
 def pytest_plugin_registered(plugin: object, plugin_name: str) -> None:
@@ -38,6 +40,11 @@ def pytest_plugin_registered(plugin: object, plugin_name: str) -> None:
     if plugin_name == "capturemanager":
         stop = plugin.stop_global_capturing  # type: ignore[attr-defined]
         _notes.append(prepare(before_restart=stop))
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Hear of the fixtures of the whole run, which the hooks of this file do not."""
+    config.pluginmanager.register(_file_surroundings)
 
 
 def pytest_report_header() -> list[str]:
@@ -77,7 +84,17 @@ def isolated_session() -> Iterator[None]:
         patch.delenv("ROBOTCTL_ROBOT", raising=False)
         for name in ("fsync", "fdatasync"):  # no file of a test need outlive a power cut
             patch.setattr(os, name, lambda descriptor: None)
+        start_once()
         yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def isolated_file(isolated_session: None) -> Iterator[None]:
+    """A file leaves the process as it found it, so that files may run in any order."""
+    _file_surroundings.begin()
+    yield
+    if found := _file_surroundings.left_over():
+        pytest.fail("the file leaves behind:\n" + "\n".join(found), pytrace=False)
 
 
 @pytest.fixture

@@ -78,6 +78,7 @@ class Impostor:
                         sock.sendall(json.dumps(reply).encode() + b"\n")
 
     def close(self) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)  # `accept` returns
         self._listener.close()
 
 

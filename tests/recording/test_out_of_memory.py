@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from robotctl.recording.write.buffer import LargeMessage, PackBuffer
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.writer_thread import WriterThread
 from robotctl.testing.drives import TWIST
+from tests.support.fork_server import fork_server
 from tests.support.recordings import read_strictly, record_without_memory, write_numbered
 from tests.support.waiting import until
 
@@ -119,13 +119,13 @@ def test_a_message_that_is_packed_by_half_leaves_the_others_whole(recorder: Reco
 
 
 def test_in_an_address_space_that_is_full_all_is_accounted_for(tmp_path: Path) -> None:
-    context = get_context("forkserver")
-    ours, theirs = context.Pipe()
-    child = context.Process(target=record_without_memory, args=(tmp_path / "run", theirs))
-    child.start()
-    assert ours.poll(60)
-    failures, received, stats = ours.recv()
-    child.join()
+    with fork_server() as context:
+        ours, theirs = context.Pipe()
+        child = context.Process(target=record_without_memory, args=(tmp_path / "run", theirs))
+        child.start()
+        assert ours.poll(60)
+        failures, received, stats = ours.recv()
+        child.join()
     assert child.exitcode == 0
     assert stats.received == received == stats.written + stats.dropped
     assert stats.queued == 0

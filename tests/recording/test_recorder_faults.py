@@ -8,10 +8,9 @@ import random
 import signal
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import partial
-from multiprocessing import get_context
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from shutil import rmtree
@@ -35,6 +34,7 @@ from robotctl.recording.write.buffer import PackBuffer
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.testing.drives import TWIST
 from robotctl.testing.faults import FailingFile, GatedFile, VolatileFile
+from tests.support.fork_server import fork_server
 from tests.support.recordings import (
     number_of,
     numbered,
@@ -57,11 +57,10 @@ CURES = {
 
 
 @pytest.fixture(scope="module")
-def fork() -> ForkServerContext:
+def fork() -> Iterator[ForkServerContext]:
     """A fork server that has the recorder imported, so that no threads are copied."""
-    context = get_context("forkserver")
-    context.set_forkserver_preload(["tests.support.recordings"])
-    return context
+    with fork_server("tests.support.recordings") as context:
+        yield context
 
 
 def assert_accounted(stats: RecorderStats, received: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from math import nan
 from types import SimpleNamespace
 from typing import Any
@@ -102,9 +102,12 @@ class Served:
 
 
 @pytest.fixture
-async def served(session: Session) -> Served:
+async def served(session: Session) -> AsyncIterator[Served]:
     """The action of a node in the namespace /r2."""
-    return Served(session)
+    served = Served(session)
+    yield served
+    served.action._server._goal_handles.clear()  # those of the tests are not rclpy's
+    served.action.close()
 
 
 async def test_a_goal_is_forwarded_and_told_how_far_it_is(served: Served) -> None:
