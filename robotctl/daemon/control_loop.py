@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Final
 
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.daemon.control.foreign_commands import ForeignCommands
+from robotctl.daemon.control.inputs import ForeignCommands
 from robotctl.daemon.control.watchdog import Watchdog
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import FaultReported, LoopStalled, Tick

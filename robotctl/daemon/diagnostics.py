@@ -8,7 +8,7 @@ from typing import Final
 
 from robotctl.daemon.api.status import StatusSource
 from robotctl.daemon.recording.recorder_report import RecorderReport
-from robotctl.ros.nodes.diagnostics_publisher import (
+from robotctl.ros.nodes.publishers import (
     Diagnosis,
     DiagnosticLevel,
     DiagnosticsPublisher,

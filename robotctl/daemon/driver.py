@@ -8,24 +8,18 @@ from collections.abc import Coroutine, Mapping
 from functools import partial
 from typing import Any
 
-from robotctl.daemon.api.common import common_methods
 from robotctl.daemon.api.driving import DrivingMethods
-from robotctl.daemon.api.graph import graph_methods
 from robotctl.daemon.api.lease import LeaseMethods
 from robotctl.daemon.api.parameters import parameter_methods
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.simulation import simulation_methods
-from robotctl.daemon.api.status import StatusSource
+from robotctl.daemon.api.status import StatusSource, common_methods, graph_methods
 from robotctl.daemon.control.decisions import Decisions
-from robotctl.daemon.control.dispatcher import Control
+from robotctl.daemon.control.dispatcher import Control, Journal, PendingRequests
 from robotctl.daemon.control.effects import Effects
-from robotctl.daemon.control.graph_watch import has_odometry_publisher, watch_graph
-from robotctl.daemon.control.ground_truth import GroundTruth
-from robotctl.daemon.control.inputs import Inputs
-from robotctl.daemon.control.journal_writer import Journal
+from robotctl.daemon.control.inputs import Inputs, has_odometry_publisher, watch_graph
 from robotctl.daemon.control.latch import Latch
-from robotctl.daemon.control.pending_requests import PendingRequests
-from robotctl.daemon.control.robot_report import RobotReport
+from robotctl.daemon.control.robot_report import GroundTruth, RobotReport
 from robotctl.daemon.control.watchdog import Watchdog
 from robotctl.daemon.control_loop import ControlLoop, urgent_event
 from robotctl.daemon.diagnostics import Diagnostics
@@ -55,9 +49,9 @@ from robotctl.ros.messages.command_type import CommandType
 from robotctl.ros.messages.qos import ODOMETRY
 from robotctl.ros.nodes.command_lock import CommandLock
 from robotctl.ros.nodes.drive_action import DriveAction
-from robotctl.ros.nodes.journal_publisher import JournalPublisher
 from robotctl.ros.nodes.mode_service import CALLS, STATUS, ModeService
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
+from robotctl.ros.nodes.publishers import JournalPublisher
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher, command_topic
 

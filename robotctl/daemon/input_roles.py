@@ -6,10 +6,12 @@ from robotctl.daemon.control.inputs import Inputs
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.safety_inputs import Use
 from robotctl.ros.messages.command_type import CommandType
-from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
-from robotctl.ros.nodes.guard_subscriber import GuardSubscriber
-from robotctl.ros.nodes.safety_inputs import SafetyInputs
-from robotctl.ros.nodes.scan_subscriber import ScanSubscriber
+from robotctl.ros.nodes.input_subscribers import (
+    BatterySubscriber,
+    GuardSubscriber,
+    SafetyInputs,
+    ScanSubscriber,
+)
 from robotctl.ros.session import Session
 
 

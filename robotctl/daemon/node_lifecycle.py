@@ -8,7 +8,7 @@ from robotctl.daemon.control.inputs import Inputs
 from robotctl.kernel.health import Health
 from robotctl.kernel.lifecycle import LifecycleState
 from robotctl.kernel.state import State
-from robotctl.ros.nodes.managed_node import ManagedNode
+from robotctl.ros.nodes.node_services import ManagedNode
 
 
 def with_lifecycle(state: State, *, autostart: bool) -> State:

@@ -6,11 +6,9 @@ import logging
 from collections.abc import Iterator, Mapping
 from typing import Any, NoReturn
 
-from robotctl.daemon.api.common import common_methods
-from robotctl.daemon.api.graph import graph_methods
 from robotctl.daemon.api.parameters import list_method
 from robotctl.daemon.api.recording import recording_methods
-from robotctl.daemon.api.status import StatusSource
+from robotctl.daemon.api.status import StatusSource, common_methods, graph_methods
 from robotctl.daemon.diagnostics import Diagnostics
 from robotctl.daemon.host import Host, Ready, running
 from robotctl.daemon.recording.flight_recorder import FlightRecorder

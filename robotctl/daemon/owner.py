@@ -7,7 +7,7 @@ from collections.abc import Coroutine
 from dataclasses import replace
 from typing import Any
 
-from robotctl.daemon.control.graph_watch import watch_graph
+from robotctl.daemon.control.inputs import watch_graph
 from robotctl.daemon.driver import Driver
 from robotctl.daemon.host import Host
 from robotctl.kernel.checks import stands_alone

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from robotctl.daemon.log.levels import LoggerLevels
 from robotctl.daemon.log.loop_handler import LoopHandler
 from robotctl.log_levels import LEVELS, LogLevel, level_name
-from robotctl.ros.nodes.logger_services import LoggerServices, set_native_level
-from robotctl.ros.nodes.rosout_publisher import RosoutLine, RosoutPublisher
+from robotctl.ros.nodes.node_services import LoggerServices, set_native_level
+from robotctl.ros.nodes.publishers import RosoutLine, RosoutPublisher
 from robotctl.ros.session import Session
 
 

@@ -11,7 +11,7 @@ from robotctl.daemon.parameters import Parameters, Setting
 from robotctl.errors import RobotctlError
 from robotctl.ipc.advice import advice
 from robotctl.kernel.ranges import Change
-from robotctl.ros.nodes.parameter_services import Declared, ParameterServices
+from robotctl.ros.nodes.node_services import Declared, ParameterServices
 from robotctl.ros.session import Session
 
 

@@ -13,7 +13,7 @@ from robotctl.cdr.definition import parse_definition
 from robotctl.cdr.motion import encode_twist
 from robotctl.cdr.type_hash import rihs01_hash
 from robotctl.config import Config, flat
-from robotctl.daemon.control.journal_writer import Journal
+from robotctl.daemon.control.dispatcher import Journal
 from robotctl.errors import UnreadableFile
 from robotctl.kernel import command_types
 from robotctl.kernel.kernel import Kernel

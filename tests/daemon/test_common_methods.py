@@ -6,7 +6,7 @@ import asyncio
 from types import SimpleNamespace
 from typing import Any
 
-from robotctl.daemon.api.common import common_methods
+from robotctl.daemon.api.status import common_methods
 from robotctl.ipc.method_names import STATUS
 from robotctl.ipc.params import NoParams
 

@@ -7,9 +7,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import cast
 
-from robotctl.daemon.control.dispatcher import Control
-from robotctl.daemon.control.journal_writer import Journal
-from robotctl.daemon.control.pending_requests import PendingRequests
+from robotctl.daemon.control.dispatcher import Control, Journal, PendingRequests
 from robotctl.daemon.shutdown import send_zero, stand_still
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from robotctl.daemon.api.driving import DrivingMethods
-from robotctl.daemon.control.ground_truth import GroundTruth
+from robotctl.daemon.control.robot_report import GroundTruth
 from robotctl.errors import Refused, UsageError
 from robotctl.ipc.params import (
     DriveParams,

@@ -9,11 +9,10 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon.control import latch_file
+from robotctl.daemon.control import latch
+from robotctl.daemon.control.dispatcher import PendingRequests, UnsavedReply
 from robotctl.daemon.control.effects import Effects
-from robotctl.daemon.control.latch import Latch
-from robotctl.daemon.control.latch_file import LatchedStop
-from robotctl.daemon.control.pending_requests import PendingRequests, UnsavedReply
+from robotctl.daemon.control.latch import Latch, LatchedStop
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import (
     Cause,
@@ -54,13 +53,13 @@ def world(tmp_path: Path) -> World:
 async def test_a_stop_is_confirmed_when_it_is_on_the_disk(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    disk, write = threading.Event(), latch_file.write
+    disk, write = threading.Event(), latch.write
 
     def write_slowly(path: Path, stop: LatchedStop) -> None:
         disk.wait()
         write(path, stop)
 
-    monkeypatch.setattr(latch_file, "write", write_slowly)
+    monkeypatch.setattr(latch, "write", write_slowly)
     reply = world.requests.expect_reply(1)
     world.effects.carry_out(LatchEmergencyStop("test"))
     world.effects.carry_out(REPLY)

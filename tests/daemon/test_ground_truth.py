@@ -7,7 +7,7 @@ from math import pi
 
 import pytest
 
-from robotctl.daemon.control.ground_truth import GroundTruth, TrueErrors
+from robotctl.daemon.control.robot_report import GroundTruth, TrueErrors
 from robotctl.kernel.course import PLAIN, Course, Held
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.patterns import Pattern, PatternKind

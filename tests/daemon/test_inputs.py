@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon.control import graph_watch
-from robotctl.daemon.control.foreign_commands import MAX_TOLD, NAMELESS, ForeignCommands
-from robotctl.daemon.control.graph_watch import watch_graph
+from robotctl.daemon.control import inputs
+from robotctl.daemon.control.inputs import MAX_TOLD, NAMELESS, ForeignCommands, watch_graph
 from robotctl.kernel.types import (
     CommandListenersSeen,
     CommandPublishersSeen,
@@ -54,7 +53,7 @@ async def look_again(velocity: Velocity, times: int) -> None:
 async def test_other_publishers_are_events_when_they_appear_and_disappear(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(graph_watch, "PUBLISHER_POLL_S", 0.0)
+    monkeypatch.setattr(inputs, "PUBLISHER_POLL_S", 0.0)
     velocity: Any = Velocity()
     watching = asyncio.create_task(watch_graph(velocity, velocity, velocity.dispatch))
 
@@ -73,7 +72,7 @@ async def test_other_publishers_are_events_when_they_appear_and_disappear(
 async def test_a_change_of_the_command_subscribers_is_an_event(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(graph_watch, "PUBLISHER_POLL_S", 0.0)
+    monkeypatch.setattr(inputs, "PUBLISHER_POLL_S", 0.0)
     velocity: Any = Velocity()
     watching = asyncio.create_task(watch_graph(velocity, velocity, velocity.dispatch))
     told: list[tuple[int, tuple[str, ...]]] = []

@@ -10,9 +10,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.daemon.control import latch as latch_module
-from robotctl.daemon.control import latch_file
-from robotctl.daemon.control.latch import Latch
-from robotctl.daemon.control.latch_file import LatchedStop
+from robotctl.daemon.control.latch import Latch, LatchedStop
 from robotctl.errors import UsageError
 from robotctl.kernel.types import Cause
 from tests.support.waiting import loop_until
@@ -68,14 +66,14 @@ async def test_a_latch_that_cannot_be_saved_says_so_until_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     monkeypatch.setattr(latch_module, "RETRY_S", 0.01)
-    failures, write = iter([error, error]), latch_file.write
+    failures, write = iter([error, error]), latch_module.write
 
     def fail_twice(path: Path, stop: LatchedStop) -> None:
         for failure in failures:
             raise failure
         write(path, stop)
 
-    monkeypatch.setattr(latch_file, "write", fail_twice)
+    monkeypatch.setattr(latch_module, "write", fail_twice)
     latch = Latch(tmp_path / "emergency-stop")
     problems: list[str] = []
     latch.set("reason", BY_OPERATOR)
@@ -121,13 +119,13 @@ async def test_a_disk_that_hangs_delays_the_answer_for_a_moment_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(latch_module, "DISK_S", 0.05)
-    disk, write = threading.Event(), latch_file.write
+    disk, write = threading.Event(), latch_module.write
 
     def hang(path: Path, stop: LatchedStop) -> None:
         disk.wait()
         write(path, stop)
 
-    monkeypatch.setattr(latch_file, "write", hang)
+    monkeypatch.setattr(latch_module, "write", hang)
     latch = Latch(tmp_path / "emergency-stop")
     problems: list[str] = []
     latch.set("reason", BY_OPERATOR)

@@ -21,7 +21,7 @@ from robotctl.daemon.recording.topic_rates import (
 )
 from robotctl.recording import RecorderState, RecorderStats, TopicStats
 from robotctl.recording.format.topics import total
-from robotctl.ros.nodes.diagnostics_publisher import DiagnosticLevel
+from robotctl.ros.nodes.publishers import DiagnosticLevel
 
 S = 1_000_000_000
 CAMERA, SCAN = ("/camera", "sensor_msgs/msg/Image"), ("/scan", "sensor_msgs/msg/LaserScan")

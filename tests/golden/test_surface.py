@@ -11,13 +11,12 @@ import pytest
 
 from robotctl import errors
 from robotctl.config import Config, flat, load
-from robotctl.daemon.api.common import common_methods
 from robotctl.daemon.api.driving import DrivingMethods
-from robotctl.daemon.api.graph import graph_methods
 from robotctl.daemon.api.lease import LeaseMethods
 from robotctl.daemon.api.parameters import parameter_methods
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.simulation import simulation_methods
+from robotctl.daemon.api.status import common_methods, graph_methods
 from robotctl.ipc.method import Method
 from robotctl.ipc.params import HelloParams
 from robotctl.ipc.protocol import PROTOCOL_VERSION

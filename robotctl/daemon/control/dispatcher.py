@@ -5,14 +5,15 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 from robotctl.daemon.control.decisions import Request
-from robotctl.daemon.control.journal_writer import Journal
-from robotctl.daemon.control.pending_requests import PendingRequests
+from robotctl.kernel.codec import to_json
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.params import KernelParams
+from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     DriveEnded,
@@ -22,6 +23,115 @@ from robotctl.kernel.types import (
     Reply,
 )
 from robotctl.kernel.units import NS_PER_S
+from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, encode
+from robotctl.recording.format.metadata_names import MADE_BY
+
+
+class Journal:
+    """The journal; each entry goes to `write` in order, serialized as a ROS message."""
+
+    def __init__(
+        self, write: Callable[[bytes, int], None], commands: Callable[[], int] = lambda: 0
+    ) -> None:
+        """`write(serialized, seq)` is called for each entry.
+
+        `commands()` returns how many commands the journal accounts for so far.
+        """
+        self._write = write
+        self._commands = commands
+        self._seq = 0
+        self._crc = 0
+
+    def event(self, event: Event) -> None:
+        """Write an event."""
+        self._add(event.t_ns, EntryKind.EVENT, event)
+
+    def effect(self, t_ns: int, effect: Effect) -> None:
+        """Write an effect, with the time of the event that caused it."""
+        self._add(t_ns, EntryKind.EFFECT, effect)
+
+    def snapshot(self, t_ns: int, kernel: Kernel) -> None:
+        """Write a snapshot, from which a re-run can start."""
+        proof = Proof(self._commands(), self._crc)
+        self._add(t_ns, EntryKind.SNAPSHOT, Snapshot(MADE_BY, kernel.params, kernel.state, proof))
+
+    def _add(self, t_ns: int, kind: EntryKind, value: Any) -> None:
+        entry = JournalEntry(self._seq, t_ns, kind, type(value).__name__, to_json(value))
+        serialized = encode(entry)
+        self._crc = chained(serialized, self._crc)
+        self._write(serialized, self._seq)
+        self._seq += 1
+
+
+@dataclass(frozen=True, slots=True)
+class UnsavedReply(Reply):
+    """The reply to a stop that happened but could not be saved: a restart would forget it."""
+
+
+T = TypeVar("T", Reply, DriveEnded)
+
+
+class PendingRequests:
+    """The futures by request id; used in the loop's thread only."""
+
+    def __init__(self) -> None:
+        self._last_id = 0
+        self._replies: dict[int, asyncio.Future[Reply]] = {}
+        self._ends: dict[int, asyncio.Future[DriveEnded]] = {}
+        self._replies_now: dict[int, Reply | None] = {}
+        self._at_once: dict[int, Reply] = {}
+
+    def new_id(self) -> int:
+        """Return a new request id."""
+        self._last_id += 1
+        return self._last_id
+
+    def expect_reply(self, request_id: int) -> asyncio.Future[Reply]:
+        """Return the future of the one reply to a request."""
+        return _expect(self._replies, request_id)
+
+    def expect_reply_now(self, request_id: int) -> None:
+        """Keep the reply to a request for `reply_now`: its caller does not wait."""
+        self._replies_now[request_id] = None
+
+    def keep_now(self, reply: Reply) -> bool:
+        """Keep the reply to a request that waits in `reply_now`; return False if none does."""
+        if reply.request_id not in self._replies_now:
+            return False
+        self._replies_now[reply.request_id] = reply
+        return True
+
+    def reply_now(self, request_id: int) -> Reply:
+        """Return the reply that was kept."""
+        reply = self._replies_now.pop(request_id)
+        assert reply is not None, "the request was dispatched while another event was handled"
+        return reply
+
+    def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
+        """Return the future of the end of the drive that a request will start."""
+        return _expect(self._ends, request_id)
+
+    def answer(self, reply: Reply) -> None:
+        """Set the future of a reply, if there is one."""
+        _settle(self._replies, reply)
+
+    def end_drive(self, ended: DriveEnded) -> None:
+        """Set the future of the end of a drive, if there is one."""
+        _settle(self._ends, ended)
+
+
+def _expect(waiting: dict[int, asyncio.Future[T]], request_id: int) -> asyncio.Future[T]:
+    future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
+    waiting[request_id] = future
+    future.add_done_callback(lambda _: waiting.pop(request_id, None))
+    return future
+
+
+def _settle(waiting: dict[int, asyncio.Future[T]], result: T) -> None:
+    future = waiting.get(result.request_id)
+    if future is not None and not future.done():
+        future.set_result(result)
+
 
 SNAPSHOT_PERIOD_NS = 10 * NS_PER_S
 """The longest part of the journal that must be re-run to know the state at one moment."""

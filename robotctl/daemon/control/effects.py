@@ -8,9 +8,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import assert_never
 
-from robotctl.daemon.control.ground_truth import TrueErrors
+from robotctl.daemon.control.dispatcher import PendingRequests, UnsavedReply
 from robotctl.daemon.control.latch import Latch
-from robotctl.daemon.control.pending_requests import PendingRequests, UnsavedReply
+from robotctl.daemon.control.robot_report import TrueErrors
 from robotctl.ipc.advice import advice
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterChanged

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import time
 from collections.abc import Callable
 
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import RobotReport
+from robotctl.daemon.waiting import until
 from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types import (
     BatteryReceived,
     Cause,
+    CommandListenersSeen,
+    CommandPublishersSeen,
+    Event,
     FaultReported,
+    ForeignCommandHeard,
     GuardedCommandReceived,
     ModeRequested,
     Odometry,
@@ -25,6 +31,106 @@ from robotctl.kernel.types import (
     ScanReceived,
     Twist,
 )
+from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
+from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
+
+REPEAT_NS = 200_000_000
+"""The shortest time between two events about one publisher while the robot does not move.
+
+A flood of commands must not fill the journal."""
+
+MAX_TOLD = 16
+"""The most publishers with an event within `REPEAT_NS` while the robot does not move."""
+
+NAMELESS = "a publisher that is gone, or has no name yet,"
+
+
+class ForeignCommands:
+    """A check of the publisher of each command; a foreign command becomes an event.
+
+    `name_of(gid)` returns the name of the node with this publisher, "" if unknown. While `moves()`
+    returns true, each foreign command is an event: the first one ends the motion. Otherwise there
+    is one event in 0.2 s about each publisher.
+    """
+
+    def __init__(
+        self,
+        own_gid: bytes,
+        name_of: Callable[[bytes], str],
+        moves: Callable[[], bool],
+        dispatch: Callable[[Event], None],
+    ) -> None:
+        self._own_gid = own_gid
+        self._name_of = name_of
+        self._moves = moves
+        self._dispatch = dispatch
+        self._told_ns: dict[bytes, int] = {}
+        """Time of the last event of each recent publisher [steady ns]."""
+
+    def heard(self, gid: bytes) -> None:
+        """Handle one command of the publisher with this gid."""
+        if gid == self._own_gid:
+            return
+        now_ns = time.monotonic_ns()
+        if not self._moves() and not self._may_tell(gid, now_ns):
+            return
+        self._told_ns[gid] = now_ns
+        self._dispatch(ForeignCommandHeard(now_ns, self._name_of(gid) or NAMELESS))
+
+    def _may_tell(self, gid: bytes, now_ns: int) -> bool:
+        told_ns = self._told_ns.get(gid)
+        if told_ns is not None and now_ns - told_ns < REPEAT_NS:
+            return False
+        if len(self._told_ns) >= MAX_TOLD:
+            recent = {g: t for g, t in self._told_ns.items() if now_ns - t < REPEAT_NS}
+            self._told_ns = recent
+        return len(self._told_ns) < MAX_TOLD
+
+
+PUBLISHER_POLL_S = 0.2
+
+LOOKS_PER_INSPECTION = 5
+"""Subscriptions are inspected at each such look, even if their number is the same."""
+
+
+async def has_odometry_publisher(
+    odometry: OdomSubscriber, stop: asyncio.Event, until_s: float
+) -> bool:
+    """Wait for a publisher of odometry until the steady time `until_s` [s] or until `stop`.
+
+    Return whether there is one.
+    """
+    remaining_s = until_s - time.monotonic()
+    await until(lambda: odometry.count_publishers() > 0 or stop.is_set(), remaining_s)
+    return odometry.count_publishers() > 0
+
+
+async def watch_graph(
+    velocity: VelocityPublisher,
+    odometry: OdomSubscriber,
+    dispatch: Callable[[Event], None],
+    looked: Callable[[], None] = lambda: None,
+) -> None:
+    """Dispatch changes of the command's other publishers and of its subscribers, until cancelled.
+
+    Also find the names of the publishers of odometry. `looked()` is called after each look.
+    """
+    publishers: tuple[str, ...] = ()
+    listeners: tuple[int, tuple[str, ...], str] | None = None
+    count = -1
+    for look in itertools.count():
+        others = velocity.other_publishers()
+        if others != publishers:
+            publishers = others
+            dispatch(CommandPublishersSeen(time.monotonic_ns(), others))
+        if count != (count := velocity.count_listeners()) or look % LOOKS_PER_INSPECTION == 0:
+            seen = velocity.listeners()
+            if seen != listeners:
+                listeners = seen
+                dispatch(CommandListenersSeen(time.monotonic_ns(), *seen))
+        odometry.find_names()
+        looked()
+        await asyncio.sleep(PUBLISHER_POLL_S)
 
 
 class Inputs:

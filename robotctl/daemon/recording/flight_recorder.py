@@ -33,17 +33,8 @@ from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.write.topic_filter import TopicFilter
 from robotctl.ros.executor import UNKNOWN_GID
-from robotctl.ros.nodes import (
-    diagnostics_publisher,
-    head_publisher,
-    journal_publisher,
-    mark_publisher,
-    mode_service,
-    rosout_publisher,
-)
-from robotctl.ros.nodes.head_publisher import HeadPublisher
-from robotctl.ros.nodes.journal_publisher import JournalPublisher
-from robotctl.ros.nodes.mark_publisher import MarkPublisher
+from robotctl.ros.nodes import mode_service, publishers
+from robotctl.ros.nodes.publishers import HeadPublisher, JournalPublisher, MarkPublisher
 from robotctl.ros.session import Session
 from robotctl.ros.tap.tap import Tap
 
@@ -98,7 +89,7 @@ class FlightRecorder:
             names={} if options.observe else names,
         )
         topics = (config.kernel.command.topic, config.kernel.odometry.topic)
-        own = (mode_service.STATUS.name, journal_publisher.TOPIC.name)
+        own = (mode_service.STATUS.name, publishers.JOURNAL_TOPIC.name)
         proof = map(session.resolve, (*topics, *own))
         topic_filter = TopicFilter(config.recording.include, config.recording.exclude, proof)
         self._sinks = TopicSinks(
@@ -108,10 +99,10 @@ class FlightRecorder:
             is_evidence=evidence.__contains__,
         )
         self.tap = Tap(session, self._sinks.open, topic_filter.records)
-        for own_topic in (diagnostics_publisher.TOPIC, rosout_publisher.TOPIC):
+        for own_topic in (publishers.DIAGNOSTICS_TOPIC, publishers.ROSOUT_TOPIC):
             self.tap.subscribe_own(own_topic)
         self._marks = MarkPublisher(session)
-        self._write_mark = self.tap.reserve(mark_publisher.TOPIC)
+        self._write_mark = self.tap.reserve(publishers.MARK_TOPIC)
         self._events: int | None = None
         """The channel for Foxglove, None without one."""
         if config.recording.foxglove_events:
@@ -155,7 +146,7 @@ class FlightRecorder:
 
     def open_journal(self, publisher: JournalPublisher) -> Callable[[bytes, int], None]:
         """Return the function that records and publishes a serialized entry with its number."""
-        write = self.tap.reserve(journal_publisher.TOPIC)
+        write = self.tap.reserve(publishers.JOURNAL_TOPIC)
 
         def write_entry(serialized: bytes, seq: int) -> None:
             now_ns = time.time_ns()
@@ -256,12 +247,12 @@ class FlightRecorder:
 def _own_topics(config: Config) -> list[str]:
     """Return the topics that the daemon publishes itself."""
     own = (
-        journal_publisher.TOPIC,
+        publishers.JOURNAL_TOPIC,
         mode_service.STATUS,
-        mark_publisher.TOPIC,
-        diagnostics_publisher.TOPIC,
-        rosout_publisher.TOPIC,
-        head_publisher.TOPIC,
+        publishers.MARK_TOPIC,
+        publishers.DIAGNOSTICS_TOPIC,
+        publishers.ROSOUT_TOPIC,
+        publishers.HEAD_TOPIC,
         *mode_service.CALLS,
     )
     return [config.kernel.command.topic, *(topic.name for topic in own)]
@@ -270,5 +261,10 @@ def _own_topics(config: Config) -> list[str]:
 def _evidence_topics(config: Config) -> list[str]:
     """Return the topics that a check of the decisions needs: journal, commands, inputs, calls."""
     used = [str(name) for key, name in flat(config).items() if key.endswith(".topic") and name]
-    own = (journal_publisher.TOPIC, mode_service.STATUS, mark_publisher.TOPIC, *mode_service.CALLS)
+    own = (
+        publishers.JOURNAL_TOPIC,
+        mode_service.STATUS,
+        publishers.MARK_TOPIC,
+        *mode_service.CALLS,
+    )
     return [*used, *(topic.name for topic in own)]

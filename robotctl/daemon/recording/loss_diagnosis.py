@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from robotctl.recording import RecorderState, RecorderStats
 from robotctl.recording.format.message_counts import COUNTERS
 from robotctl.recording.format.topics import by_topic
-from robotctl.ros.nodes.diagnostics_publisher import Diagnosis, DiagnosticLevel
+from robotctl.ros.nodes.publishers import Diagnosis, DiagnosticLevel
 
 MAX_TOPICS = 100
 """Limit of the topics that are listed, those with the most missing messages first."""

@@ -16,7 +16,7 @@ from robotctl.ipc.answers import RecordingFacts, TopicAnswer
 from robotctl.recording import Recorder, RecorderStats
 from robotctl.recording.format.topics import by_topic
 from robotctl.recording.write.topic_filter import TopicFilter
-from robotctl.ros.nodes.diagnostics_publisher import Diagnosis
+from robotctl.ros.nodes.publishers import Diagnosis
 from robotctl.ros.tap.tap import Tap
 
 _log = logging.getLogger(__name__)

@@ -20,7 +20,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Reply
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.own_topic import OwnTopic
-from robotctl.ros.nodes.managed_node import ManagedNode
+from robotctl.ros.nodes.node_services import ManagedNode
 from robotctl.ros.session import Session
 
 _TEMPERATURE = Path("/sys/class/thermal/thermal_zone0/temp")

@@ -11,8 +11,8 @@ from rcl_interfaces.srv import GetLoggerLevels, SetLoggerLevels
 from rclpy.node import Node
 
 from robotctl.ros.messages import qos
-from robotctl.ros.nodes.logger_services import MAX_LEVELS, LoggerServices
-from robotctl.ros.nodes.rosout_publisher import MAX_TEXT, TOPIC, RosoutLine, RosoutPublisher
+from robotctl.ros.nodes.node_services import MAX_LEVELS, LoggerServices
+from robotctl.ros.nodes.publishers import MAX_TEXT, ROSOUT_TOPIC, RosoutLine, RosoutPublisher
 from robotctl.ros.session import Session
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -26,7 +26,9 @@ async def test_a_line_has_every_field_and_a_late_subscriber_gets_it(
     heard: list[Any] = []
     publisher = RosoutPublisher(session)
     publisher.publish(LINE)
-    node.create_subscription(TOPIC.message_class, TOPIC.name, heard.append, qos.ROSOUT)
+    node.create_subscription(
+        ROSOUT_TOPIC.message_class, ROSOUT_TOPIC.name, heard.append, qos.ROSOUT
+    )
     await until(lambda: heard)
     (told,) = heard
     assert (told.stamp.sec, told.stamp.nanosec) == (1_700_000_000, 123_456_789)

@@ -17,7 +17,7 @@ from robotctl.printable import MAX_NAME
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.command_type import PLAIN
 from robotctl.ros.nodes import odom_subscriber
-from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
+from robotctl.ros.nodes.input_subscribers import BatterySubscriber
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from robotctl.ros.session import Session

@@ -10,7 +10,7 @@ from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 
 from robotctl.kernel.ranges import Range
-from robotctl.ros.nodes.parameter_services import Declared, ParameterServices
+from robotctl.ros.nodes.node_services import Declared, ParameterServices
 from robotctl.ros.session import Session
 
 DECLARED = (

@@ -10,16 +10,16 @@ import pytest
 
 from robotctl.cdr.known_types import JOURNAL_ENTRY
 from robotctl.recording.format import journal
-from robotctl.ros.nodes import journal_publisher
-from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
-from robotctl.ros.nodes.diagnostics_publisher import (
-    TOPIC,
+from robotctl.ros.nodes import publishers
+from robotctl.ros.nodes.input_subscribers import BatterySubscriber
+from robotctl.ros.nodes.mode_service import ModeService
+from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
+from robotctl.ros.nodes.publishers import (
+    DIAGNOSTICS_TOPIC,
     Diagnosis,
     DiagnosticLevel,
     DiagnosticsPublisher,
 )
-from robotctl.ros.nodes.mode_service import ModeService
-from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from robotctl.ros.session import Session
@@ -85,7 +85,9 @@ async def test_diagnostics_are_told_whatever_bytes_a_path_has(
 
     heard: list[Any] = []
     diagnostics = DiagnosticsPublisher(session, "r2")
-    subscription = node.create_subscription(DiagnosticArray, TOPIC.name, heard.append, 10)
+    subscription = node.create_subscription(
+        DiagnosticArray, DIAGNOSTICS_TOPIC.name, heard.append, 10
+    )
     await until(subscription.get_publisher_count)
     await until(diagnostics._publisher.get_subscription_count)
     diagnostics.publish(
@@ -97,5 +99,5 @@ async def test_diagnostics_are_told_whatever_bytes_a_path_has(
 
 
 def test_the_journal_is_declared_as_readers_and_replays_look_for_it() -> None:
-    declared = journal_publisher.TOPIC
+    declared = publishers.JOURNAL_TOPIC
     assert (declared.name, declared.type_name) == (journal.TOPIC, JOURNAL_ENTRY)

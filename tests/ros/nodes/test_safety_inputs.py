@@ -15,7 +15,7 @@ from std_msgs.msg import Bool
 
 from robotctl.cdr.safety_inputs import MAX_DIAGNOSES, Diagnoses
 from robotctl.kernel.safety_inputs import SafetyInput, SafetyInputParams, Use
-from robotctl.ros.nodes.safety_inputs import SafetyInputs
+from robotctl.ros.nodes.input_subscribers import SafetyInputs
 from robotctl.ros.session import Session
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]

@@ -7,7 +7,7 @@ from math import inf
 from typing import Any
 
 from robotctl.ros.messages import qos
-from robotctl.ros.nodes.scan_subscriber import ScanSubscriber
+from robotctl.ros.nodes.input_subscribers import ScanSubscriber
 from robotctl.ros.session import Session
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]

@@ -1,17 +1,19 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
-"""The parameters of a node on ROS: its declarations, its services, and its changes."""
+"""The services of a node: its parameters, its logger's level, its lifecycle."""
 
 from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
+    LoggerLevel,
     ParameterDescriptor,
+    SetLoggerLevelsResult,
     SetParametersResult,
 )
 from rcl_interfaces.srv import (
@@ -22,10 +24,15 @@ from rcl_interfaces.srv import (
     SetParameters,
     SetParametersAtomically,
 )
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.lifecycle.node import LifecycleNode
+from rclpy.logging import set_logger_level
+from rclpy.logging_service import LoggingService
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
 
+from robotctl.kernel.lifecycle import LifecycleState
 from robotctl.kernel.ranges import Range
 from robotctl.printable import printable
 from robotctl.ros.messages import qos
@@ -144,3 +151,85 @@ def _descriptor(declared: Declared) -> ParameterDescriptor:
             limits = FloatingPointRange(from_value=float(low), to_value=float(high))
             descriptor.floating_point_range = [limits]
     return descriptor
+
+
+MAX_LEVELS: Final = 100
+"""Levels that a call may change; a longer list would hold up the loop."""
+
+Get = Callable[[str], int]
+"""Returns the level of a logger, 0 where it has none."""
+
+Set = Callable[[str, int, str], str]
+"""Sets the level of a logger for the named service; returns the refusal, or ""."""
+
+
+class LoggerServices(LoggingService):
+    """The services `get_logger_levels` and `set_logger_levels` of a node, as rclpy offers them."""
+
+    def __init__(self, node: Node, get: Get, set_level: Set) -> None:
+        self._get = get
+        self._set = set_level
+        self._source = f"the ROS service {node.get_fully_qualified_name()}/set_logger_levels"
+        super().__init__(node)
+
+    def _get_logger_levels(self, request: Any, response: Any) -> Any:
+        response.levels = [
+            LoggerLevel(name=name, level=self._get(name)) for name in request.names[:MAX_LEVELS]
+        ]
+        return response
+
+    def _set_logger_levels(self, request: Any, response: Any) -> Any:
+        asked = request.levels
+        reasons = [self._set(each.name, each.level, self._source) for each in asked[:MAX_LEVELS]]
+        results = [SetLoggerLevelsResult(successful=not each, reason=each) for each in reasons]
+        left_out = SetLoggerLevelsResult(reason=f"more than {MAX_LEVELS} levels in one call")
+        response.results = [*results, *[left_out] * len(asked[MAX_LEVELS:])]
+        return response
+
+
+def set_native_level(name: str, level: int) -> str:
+    """Set the level of a logger of rcl and rclpy; return why that failed, "" where it did not."""
+    try:
+        set_logger_level(name, level, detailed_error=True)
+    except (RuntimeError, TypeError, ValueError) as error:  # TypeError: it is not UTF-8
+        return str(error)
+    return ""
+
+
+class ManagedNode(LifecycleNode):
+    """A node with the lifecycle services and `transition_event`; its own interfaces always work.
+
+    `changed(state)` is called after each request for a transition.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.changed: Callable[[LifecycleState], None] = lambda state: None
+        service: Any = self._service_change_state
+        self._change: Callable[[Any, Any], Any] = service.callback
+        service.callback = self._change_state
+
+    @property
+    def state(self) -> LifecycleState:
+        """The present state."""
+        _, label = self._state_machine.current_state
+        return LifecycleState(label)
+
+    def start(self) -> None:
+        """Configure and activate the node."""
+        node: Any = self  # rclpy's methods have no types
+        node.trigger_configure()
+        node.trigger_activate()
+
+    def destroy_node(self) -> None:
+        """Destroy the node and its state machine, which rclpy leaves: it keeps the context."""
+        Node.destroy_node(self)
+        self._state_machine.destroy_when_not_in_use()
+
+    def _change_state(self, request: Any, response: Any) -> Any:
+        try:
+            response = self._change(request, response)
+        except _rclpy.RCLError:  # this state does not have the transition
+            response.success = False
+        self.changed(self.state)
+        return response
