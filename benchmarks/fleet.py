@@ -28,12 +28,13 @@ import duckdb
 from recording.figures import Figure, Round, table
 from recording.heard_drive import record_drive
 
+from robotctl.daemon.recording.indexer import INDEX
 from robotctl.fleet.catalogue import CATALOGUE_NAME
 from robotctl.fleet.database import name, text
 from robotctl.fleet.history import rows_of
 from robotctl.fleet.index_file import index_path, stamp_of, table_columns, write_index
 from robotctl.kernel.types import DriveEnded
-from robotctl.processes import program
+from robotctl.processes.jobs import job_command
 from robotctl.recording import Recording, read_journal
 from robotctl.rerun.journal_values import read_effect
 
@@ -138,7 +139,7 @@ def indexed(recording: Path) -> tuple[float, float]:
     """Index a recording as the daemon does; return CPU time [s] and share of its size [%]."""
     index_path(recording).unlink(missing_ok=True)
     reports, reporting = os.pipe()
-    command = [*program("robotctl.fleet.index_process"), str(recording)]
+    command = job_command(INDEX, {"recording": str(recording)})
     cost = cost_of([*command, "--report-fd", str(reporting)], (reporting,))
     os.close(reporting)
     os.close(reports)

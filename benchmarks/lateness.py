@@ -36,9 +36,11 @@ from footprint import daemon, environment
 from recording import publisher
 from recording.figures import Figure, Round, table
 
+from robotctl.daemon.recording.indexer import INDEX
 from robotctl.domains import reserved_domain
 from robotctl.kernel.types import Tick
-from robotctl.processes import program, start
+from robotctl.processes import start
+from robotctl.processes.jobs import job_command
 from robotctl.recording import Recording, read_journal
 from robotctl.ros import Ticker
 
@@ -100,7 +102,7 @@ def indexing(recording: Path | None) -> Iterator[None]:
 
     def index() -> None:
         while not ended.is_set():
-            child = start([*program("robotctl.fleet.index_process"), str(recording)])
+            child = start(job_command(INDEX, {"recording": str(recording)}))
             while child.wait(0.1) is None and not ended.is_set():
                 pass
             child.close()

@@ -16,9 +16,9 @@ import pytest
 
 import robotctl
 from robotctl.config import RecordingParams
-from robotctl.daemon.recording import black_box
 from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.processes import Child, LineSplitter, program, readable_within, start
+from robotctl.processes.jobs import job_command
 from robotctl.recording import read_info
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
@@ -55,7 +55,7 @@ if any(name in sys.orig_argv for name in {modules}):
 """Prints as Fast DDS does, before the process reports, and also lines that look like reports."""
 
 CHECKER = "robotctl.rerun.check_process"
-CUTTER = "robotctl.recording.keep.clip_process"
+JOBS = "robotctl.processes"
 
 
 @contextmanager
@@ -83,7 +83,7 @@ def noisy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Let each child print to stdout and stderr when it starts, or imports rclpy; return the folder
     for it.
     """
-    modules = ["robotctl.rerun.check_process", "robotctl.recording.keep.clip_process"]
+    modules = [CHECKER, JOBS]
     folder = tmp_path / "site"
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(NOISE.format(modules=modules))
@@ -271,7 +271,7 @@ def test_a_program_that_cannot_be_started_leaves_no_descriptor_behind() -> None:
     assert os.listdir("/proc/self/fd") == before
 
 
-@pytest.mark.parametrize("module", [CHECKER, CUTTER])
+@pytest.mark.parametrize("module", [CHECKER, JOBS])
 def test_a_child_that_is_started_by_hand_reports_it(module: str) -> None:
     ran = subprocess.run([*program(module), "{}"], capture_output=True, text=True, timeout=60)
     assert (ran.returncode, ran.stdout) == (1, "")
@@ -369,7 +369,7 @@ def test_every_child_is_started_in_one_way() -> None:
     from robotctl.rerun import check_many as checking
 
     player = program(early_player.PLAYER)
-    programs = (launch.DAEMON, player, checking.WORKER, black_box.CUTTER)
+    programs = (launch.DAEMON, player, checking.WORKER, job_command("module:function", {}))
     assert all(each[:3] == (sys.executable, "-P", "-m") for each in programs)
     root = Path(robotctl.__file__).parent
     cli = root / "cli"  # what is foreign runs programs that are not ours

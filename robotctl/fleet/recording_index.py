@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from robotctl.errors import RobotctlError
 from robotctl.fleet.history import rows_of
 from robotctl.fleet.index_file import closed_files, files_of, index_path, stamp_of, write_index
+from robotctl.processes.report_lines import Report
 from robotctl.recording.read.verified import verify_recording
 from robotctl.rerun.check import check_recording
 
@@ -36,3 +37,14 @@ def index_recording(recording: Path) -> str:
     except (RobotctlError, OSError) as error:
         return str(error)
     return ""
+
+
+def index_job(given: dict[str, Any], report: Report) -> None:
+    """Index the recording of a job in a process of its own.
+
+    Raises:
+        RobotctlError: It was not indexed.
+    """
+    failure = index_recording(Path(given["recording"]))
+    if failure:
+        raise RobotctlError(failure)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from robotctl.processes.descriptors import write_whole
 
 REPORT_OPTION: Final = "--report-fd"
+
+Report = Callable[[dict[str, Any]], None]
+"""Sends a report of a job; raises BrokenPipeError if the process that started it has ended."""
 
 
 class LineSplitter:

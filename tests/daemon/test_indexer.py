@@ -16,7 +16,7 @@ from robotctl.daemon.recording import indexer as module
 from robotctl.daemon.recording.indexer import Indexer, has_grown
 from robotctl.fleet.index_file import files_of, index_path, stamp_of
 from robotctl.fleet.stamps import stamps_in
-from robotctl.processes import Child, start
+from robotctl.processes import Child, jobs, start
 from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
 from tests.support.waiting import until
 from tests.support.world import World
@@ -28,7 +28,7 @@ Until = Callable[[Callable[[], object]], Awaitable[None]]
 
 def indexing(world: World) -> list[int]:
     found = world.processes().items()
-    return [pid for pid, command in found if "robotctl.fleet.index_process" in command]
+    return [pid for pid, command in found if module.INDEX in command]
 
 
 def test_each_closed_file_and_the_closed_recording_are_indexed_beside_it(world: World) -> None:
@@ -58,13 +58,13 @@ def said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Ind
     (tmp_path / "daemon.log").touch()
 
     def make(script: str) -> Indexer:
-        monkeypatch.setattr(module, "program", lambda _: (sys.executable, "-c", script))
+        monkeypatch.setattr(module, "job_command", lambda work, job: (sys.executable, "-c", script))
         return Indexer(tmp_path / "recording", tmp_path / "daemon.log", enabled=True)
 
     return make
 
 
-REPORT = 'import os; os.write(3, b\'{"failure": "%s"}\\n\')'
+REPORT = 'import os; os.write(3, b\'{"error": "%s"}\\n\')'
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,10 @@ async def test_nothing_of_it_runs_on_the_loop(
         monkeypatch.setattr(owner, name, call)
 
     indexer = said(REPORT % "the disk is full")
-    for owner, name in ((module, "start"), (module, "find_spec"), (module, "_size")):
+    for owner, name in (
+        *((module, "start"), (jobs, "start")),
+        *((module, "find_spec"), (module, "_size")),
+    ):
         watched(owner, name)
     watched(Child, "close")
     running = asyncio.create_task(indexer.run())
@@ -168,7 +171,7 @@ async def test_an_indexer_that_is_cancelled_while_its_process_starts_leaves_none
         return children[0]
 
     indexer = said("import time; time.sleep(600)")
-    monkeypatch.setattr(module, "start", slow)
+    monkeypatch.setattr(jobs, "start", slow)
     running = asyncio.create_task(indexer.run())
     indexer.file_finished()
     assert await asyncio.to_thread(begun.wait, 10)

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from robotctl.daemon.recording.tidier import TIDY
 from robotctl.recording import Recorder, read_info
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import write_numbered
@@ -68,7 +69,7 @@ def tidied_by_somebody(recordings: Path) -> Iterator[None]:
 
 def tidying(world: World) -> list[int]:
     found = world.processes().items()
-    return [pid for pid, command in found if "robotctl.recording.keep.tidy_process" in command]
+    return [pid for pid, command in found if TIDY in command]
 
 
 async def test_no_file_of_the_folder_is_opened_before_ready(

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from robotctl.daemon.recording.indexer import INDEX
 from robotctl.errors import Refused
 from robotctl.fleet import catalogue as catalogues
 from robotctl.fleet import database as databases
@@ -23,7 +24,8 @@ from robotctl.fleet.index_file import files_of, index_path, stamp_of
 from robotctl.fleet.questions import ask, find
 from robotctl.fleet.recording_index import index_recording
 from robotctl.fleet.stamps import stamps_in
-from robotctl.processes import program, start
+from robotctl.processes import start
+from robotctl.processes.jobs import job_command
 from robotctl.recording.format.derived_files import derived_files
 from robotctl.testing.drives import drive, record
 
@@ -180,7 +182,7 @@ def test_without_descriptors_an_error_says_so(folder: Path) -> None:
 def kill_while_it_indexes(recording: Path, after_s: float) -> None:
     """Start to index a recording, kill the process, and expect a valid index or none."""
     index_path(recording).unlink(missing_ok=True)
-    child = start([*program("robotctl.fleet.index_process"), str(recording)])
+    child = start(job_command(INDEX, {"recording": str(recording)}))
     child.wait(after_s)
     child.kill(signal.SIGKILL)
     child.close()

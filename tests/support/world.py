@@ -57,7 +57,7 @@ recording.index: false
 NO_INDEX = ("--ros-args", "-p", "recording.index:=false")
 """For a start with a configuration of its own."""
 
-INDEXING = "robotctl.fleet.index_process"
+INDEXING = "robotctl.fleet.recording_index:index_job"
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,11 +9,11 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Final
 
 from robotctl.config import RecordingParams
 from robotctl.kernel.units import NS_PER_S
-from robotctl.processes import program, start
+from robotctl.processes.jobs import JobFailed, job_command, run_job
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep.clip import Moment
@@ -21,9 +21,9 @@ from robotctl.recording.keep.clip_job import PATIENCE_S, ClipJob
 
 _log = logging.getLogger(__name__)
 
-CUTTER = program("robotctl.recording.keep.clip_process")
+CLIP: Final = "robotctl.recording.keep.clip_job:clip_job"
 
-CLIPPED = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
+CLIPPED: Final = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +45,11 @@ class ClipLimits:
 DEFAULT_LIMITS = ClipLimits()
 
 
+def clip_command(job: ClipJob) -> Sequence[str]:
+    """Return the command that cuts a clip."""
+    return job_command(CLIP, job.as_object())
+
+
 class BlackBox:
     """The starter of clip processes, for the loop's thread; they have the lowest priority."""
 
@@ -53,16 +58,16 @@ class BlackBox:
         params: RecordingParams,
         recording: Path,
         *,
-        cutter: Sequence[str] = CUTTER,
+        command: Callable[[ClipJob], Sequence[str]] = clip_command,
         limits: ClipLimits = DEFAULT_LIMITS,
         now_ns: Callable[[], int] = time.time_ns,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
-        """`cutter` is the program that cuts clips out of the folder `recording`.
+        """`command` makes the command that cuts a clip out of the folder `recording`.
 
         `now_ns` is the wall clock of the events.
         """
-        self._cutter = cutter
+        self._command = command
         self._limits = limits
         self._now_ns = now_ns
         self._sleep = sleep
@@ -72,7 +77,7 @@ class BlackBox:
         self._recording = recording
         self._waiting: deque[RecordedEvent] = deque()
         self._came = asyncio.Event()
-        self._cutting: asyncio.Future[None] | None = None
+        self._cutting: asyncio.Task[None] | None = None
         self._ordered = 0
 
     def note(self, event: RecordedEvent) -> None:
@@ -108,46 +113,26 @@ class BlackBox:
             _log.warning("no clip was cut of the %s: cut one with robotctl clip", event.kind.value)
 
     async def _cut_next(self, deadline_s: float) -> None:
-        event = self._waiting.popleft()
-        job = ClipJob(
-            self._recording,
-            Moment.of(event),
-            self.params.clip_before_s,
-            self.params.clip_after_s,
-        )
-        self._cutting = asyncio.get_running_loop().run_in_executor(None, self._cut, job, deadline_s)
+        self._cutting = asyncio.create_task(self._cut(self._waiting.popleft(), deadline_s))
         await asyncio.shield(self._cutting)
 
-    # In a thread
-
-    def _cut(self, job: ClipJob, deadline_s: float) -> None:
+    async def _cut(self, event: RecordedEvent, deadline_s: float) -> None:
         """Run the process for one clip, and log its result."""
-        what = "event" if job.moment.kind is None else job.moment.kind.value
+        what, deadline_s = event.kind.value, deadline_s + self._limits.patience_s
+        lengths_s = self.params.clip_before_s, self.params.clip_after_s
+        job = ClipJob(self._recording, Moment.of(event), *lengths_s)
         try:
-            said = self._result(job, deadline_s + self._limits.patience_s)
-        except OSError as error:  # no process, no descriptor
-            said = {"error": str(error)}
-        if "target" in said:
-            _log.info("clip of the %s: %s", what, said["target"])
-            for sentence in said["lost"]:
-                _log.warning("the clip is incomplete: %s", sentence)
-        else:
-            _log.warning("no clip was cut of the %s: %s", what, said["error"])
-
-    def _result(self, job: ClipJob, deadline_s: float) -> dict[str, Any]:
-        """Return the report of the process, with "error" if it made none.
-
-        Raises:
-            OSError: The process cannot be started.
-        """
-        cutter = start([*self._cutter, job.to_json()])
-        try:
-            said = cutter.receive_one(deadline_s)
+            async with asyncio.timeout(deadline_s):
+                reports = await run_job(self._command(job))
         except TimeoutError:
-            cutter.close()
-            return {"error": f"its process took longer than {deadline_s:.0f} s"}
-        except (EOFError, ValueError):
-            exit_code = cutter.close(self._limits.end_s)
-            return {"error": f"its process ended with {exit_code} and made no report"}
-        cutter.close(self._limits.end_s)
-        return said
+            failure = f"its process took longer than {deadline_s:.0f} s"
+        except JobFailed as failed:
+            failure = str(failed)
+        else:
+            failure = "" if reports else "its process made no report"
+        if failure:
+            _log.warning("no clip was cut of the %s: %s", what, failure)
+            return
+        _log.info("clip of the %s: %s", what, reports[0]["target"])
+        for sentence in reports[0]["lost"]:
+            _log.warning("the clip is incomplete: %s", sentence)

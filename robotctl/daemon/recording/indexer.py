@@ -5,15 +5,16 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-from contextlib import aclosing, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from robotctl.daemon.recording.child_reports import reports_of
-from robotctl.processes import program, start
+from robotctl.processes import start
+from robotctl.processes.jobs import JobFailed, job_command, run_job
 
 _log = logging.getLogger(__name__)
+
+INDEX: Final = "robotctl.fleet.recording_index:index_job"
 
 MAX_BYTES: Final = 2_000_000_000
 """A larger recording is indexed when it is asked about, and not on the robot's machine."""
@@ -42,7 +43,7 @@ class Indexer:
     def __init__(self, recording: Path, log: Path, *, enabled: bool) -> None:
         """`recording` is the folder; `log`, if it exists, gets what the last process says."""
         self._recording = recording
-        self._command = (*program("robotctl.fleet.index_process"), str(recording))
+        self._command = job_command(INDEX, {"recording": str(recording)})
         self._log = log
         self.enabled = enabled
         self._closed_files = 0
@@ -78,32 +79,10 @@ class Indexer:
         await asyncio.to_thread(self._start_last)
 
     async def _index(self) -> None:
-        starting = asyncio.create_task(asyncio.to_thread(start, self._command))
         try:
-            child = await asyncio.shield(starting)
-        except OSError as error:  # no process or no descriptor
-            self._tell(str(error))
-            return
-        except asyncio.CancelledError:
-            with suppress(OSError):
-                await asyncio.to_thread((await starting).close)
-            raise
-        failure: str | None = None
-        try:
-            async with aclosing(reports_of(child)) as reports:
-                async for report in reports:
-                    failure = report["failure"]
-        except (ValueError, KeyError):
-            failure = "its process sent an invalid report"
-        except asyncio.CancelledError:
-            child.kill()  # the closed recording is indexed as a whole
-            raise
-        finally:
-            exit_code = await asyncio.shield(asyncio.to_thread(child.close, 1.0))
-        if failure is None:
-            failure = f"its process ended with {exit_code}"
-        if failure:
-            self._tell(failure)
+            await run_job(self._command)
+        except JobFailed as failure:
+            self._tell(str(failure))
 
     def _tell(self, failure: str) -> None:
         _log.warning("%s was not indexed: %s", self._recording, failure)

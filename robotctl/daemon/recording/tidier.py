@@ -7,16 +7,18 @@ import logging
 from collections.abc import Callable
 from contextlib import aclosing
 from pathlib import Path
+from typing import Final
 
-from robotctl.daemon.recording.child_reports import reports_of
-from robotctl.processes import program, start
+from robotctl.processes.jobs import JobFailed, job_command, job_reports
 from robotctl.recording.keep.retention import RetentionPolicy
 from robotctl.recording.keep.tidy_job import TidyJob
 from robotctl.recording.keep.tidy_note import TidyNote
 
 _log = logging.getLogger(__name__)
 
-MAX_PROBLEMS = 10
+TIDY: Final = "robotctl.recording.keep.tidy_job:tidy_job"
+
+MAX_PROBLEMS: Final = 10
 """Limit of the problems in the status; the log has all."""
 
 
@@ -68,24 +70,12 @@ class Tidier:
     async def _tidy(self, *, repairs: bool) -> None:
         job = TidyJob(self._recordings, self.policy, repairs)
         try:
-            child = start([*program("robotctl.recording.keep.tidy_process"), job.to_json()])
-        except OSError as error:  # no process or no descriptor
-            self._tell(TidyNote(f"the recordings are not tidied: {error}", problem=True))
-            return
-        said_by = f"the process that tidies {self._recordings}"
-        try:
-            async with aclosing(reports_of(child)) as heard:
-                async for said in heard:
-                    self._tell(TidyNote(said["text"], said["problem"], said["removed"]))
-        except (ValueError, KeyError):
-            self._tell(TidyNote(f"{said_by} sent an invalid report", problem=True))
-        except asyncio.CancelledError:
-            child.kill()  # the next start continues
-            raise
-        finally:
-            exit_code = await asyncio.shield(asyncio.to_thread(child.close, 1.0))
-        if exit_code:
-            self._tell(TidyNote(f"{said_by} ended with {exit_code}", problem=True))
+            async with aclosing(job_reports(job_command(TIDY, job.as_object()))) as notes:
+                async for note in notes:
+                    self._tell(TidyNote(**note))
+        except JobFailed as failure:  # the next start continues
+            text = f"the recordings in {self._recordings} are not tidied: {failure}"
+            self._tell(TidyNote(text, problem=True))
 
     def _tell(self, done: TidyNote) -> None:
         _log.log(logging.WARNING if done.problem else logging.INFO, "%s", done.text)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any, Self
 
 from robotctl.errors import Refused
 from robotctl.kernel.units import NS_PER_S
+from robotctl.processes.report_lines import Report
 from robotctl.recording.disk.access import is_shared, make_folder
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.keep.catalog import CLIPS_FOLDER
@@ -37,25 +37,22 @@ class ClipJob:
     after_s: float
     target: Path | None = None
 
-    def to_json(self) -> str:
-        """Return the job as one line."""
+    def as_object(self) -> dict[str, Any]:
+        """Return the job as a JSON object."""
         moment = self.moment
-        return json.dumps(
-            {
-                "source": str(self.source),
-                "log_ns": moment.log_ns,
-                "kind": None if moment.kind is None else moment.kind.value,
-                "text": moment.text,
-                "before_s": self.before_s,
-                "after_s": self.after_s,
-                "target": None if self.target is None else str(self.target),
-            }
-        )
+        return {
+            "source": str(self.source),
+            "log_ns": moment.log_ns,
+            "kind": None if moment.kind is None else moment.kind.value,
+            "text": moment.text,
+            "before_s": self.before_s,
+            "after_s": self.after_s,
+            "target": None if self.target is None else str(self.target),
+        }
 
     @classmethod
-    def from_json(cls, line: str) -> Self:
-        """Return the job in a line of `to_json`."""
-        given: dict[str, Any] = json.loads(line)
+    def from_object(cls, given: dict[str, Any]) -> Self:
+        """Return the job of an object that `as_object` made."""
         kind, target = given["kind"], given["target"]
         return cls(
             Path(given["source"]),
@@ -95,6 +92,12 @@ def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) ->
             target,
             on_progress,
         )
+
+
+def clip_job(given: dict[str, Any], report: Report) -> None:
+    """Cut the clip of a job in a process of its own; report {"target", "lost"}."""
+    made = make_clip(ClipJob.from_object(given))
+    report({"target": str(made.target), "lost": list(made.lost)})
 
 
 def _wait_for_end(job: ClipJob) -> None:

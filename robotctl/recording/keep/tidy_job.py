@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
 
+from robotctl.processes.report_lines import Report
 from robotctl.recording.keep.removal_notes import noted_removals, only_one_in
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
@@ -23,14 +23,13 @@ class TidyJob:
     policy: RetentionPolicy
     repairs: bool
 
-    def to_json(self) -> str:
-        """Return the job as one line."""
-        return json.dumps(asdict(self) | {"recordings": str(self.recordings)})
+    def as_object(self) -> dict[str, Any]:
+        """Return the job as a JSON object."""
+        return asdict(self) | {"recordings": str(self.recordings)}
 
     @classmethod
-    def from_json(cls, line: str) -> Self:
-        """Return the job in a line of `to_json`."""
-        given: dict[str, Any] = json.loads(line)
+    def from_object(cls, given: dict[str, Any]) -> Self:
+        """Return the job of an object that `as_object` made."""
         policy = RetentionPolicy(**given["policy"])
         return cls(Path(given["recordings"]), policy, given["repairs"])
 
@@ -52,3 +51,9 @@ def tidy(job: TidyJob) -> Iterator[TidyNote]:
     except Exception as error:  # noqa: BLE001 - files of any origin
         text = f"{recordings} could not be tidied: {type(error).__name__}: {error}"
         yield TidyNote(text, problem=True)
+
+
+def tidy_job(given: dict[str, Any], report: Report) -> None:
+    """Do a job in a process of its own; report each note. If nobody reads it, the rest waits."""
+    for note in tidy(TidyJob.from_object(given)):
+        report(note._asdict())

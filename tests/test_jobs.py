@@ -6,8 +6,8 @@ import asyncio
 import os
 from threading import Timer
 
-from robotctl.daemon.recording.child_reports import reports_of
 from robotctl.processes import Child
+from robotctl.processes.jobs import reports_of
 
 
 async def test_a_child_that_lives_on_after_a_report_does_not_hold_up_the_loop() -> None:

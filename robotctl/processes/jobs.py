@@ -1,0 +1,92 @@
+"""Jobs that a process of the lowest CPU priority does for an event loop, which never waits."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import aclosing, suppress
+from typing import Any, Final
+
+from robotctl.processes.child import Child
+from robotctl.processes.spawning import program, start
+
+_END_S: Final = 1.0
+"""How long a process may take to end after its last report."""
+
+
+class JobFailed(Exception):
+    """The process of a job could not be started, or did not finish the job."""
+
+
+def job_command(work: str, job: dict[str, Any]) -> tuple[str, ...]:
+    """Return the command that does a job; `work` is the `module:function` that gets it."""
+    return (*program("robotctl.processes"), work, json.dumps(job))
+
+
+async def run_job(command: Sequence[str]) -> list[dict[str, Any]]:
+    """Run the command of a job to its end, and return its reports.
+
+    Raises:
+        JobFailed: As `job_reports` raises it.
+    """
+    async with aclosing(job_reports(command)) as reports:
+        return [report async for report in reports]
+
+
+async def job_reports(command: Sequence[str]) -> AsyncGenerator[dict[str, Any]]:
+    """Run the command of a job, and yield its reports. Who is cancelled here kills the process.
+
+    Raises:
+        JobFailed: The process could not be started, told of an error, or ended in another way.
+    """
+    starting = asyncio.create_task(asyncio.to_thread(start, command))
+    try:
+        child = await asyncio.shield(starting)
+    except OSError as error:  # no process or no descriptor
+        raise JobFailed(str(error)) from error
+    except asyncio.CancelledError:
+        with suppress(OSError):
+            await asyncio.to_thread((await starting).close)
+        raise
+    failure = ""
+    try:
+        async with aclosing(reports_of(child)) as reports:
+            async for report in reports:
+                if "error" in report:
+                    failure = report["error"]
+                else:
+                    yield report
+    except ValueError:
+        failure = "its process sent an invalid report"
+    except (asyncio.CancelledError, GeneratorExit):
+        child.kill()
+        raise
+    finally:
+        exit_code = await asyncio.shield(asyncio.to_thread(child.close, _END_S))
+    if failure or exit_code:
+        raise JobFailed(failure or f"its process ended with {exit_code}")
+
+
+async def reports_of(child: Child) -> AsyncGenerator[dict[str, Any]]:
+    """Yield the reports of a child until it closes its pipe.
+
+    Raises:
+        ValueError: The child sent something else than JSON objects.
+    """
+    loop, readable = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_reader(child.fileno(), readable.set)
+    try:
+        while True:
+            await readable.wait()
+            readable.clear()
+            try:
+                reports = child.receive(0.0)  # the event may be set for what is read already
+            except TimeoutError:
+                continue
+            except EOFError:
+                return
+            for report in reports:
+                yield report
+    finally:
+        loop.remove_reader(child.fileno())
