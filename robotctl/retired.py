@@ -18,6 +18,11 @@ OPTIONS: Mapping[tuple[str, str], str] = {
 }
 """Options by command (`replay`, `boot install`), with what replaces them."""
 
+ARGUMENTS: Mapping[str, str] = {
+    "doctor": "docs/tutorial.md has the usual mistakes of a first ROS 2 package, with their cures",
+}
+"""Commands that had an argument, with what replaces it."""
+
 CONFIG_KEYS: Mapping[str, str] = {
     "shadow": "compare other parameters on recordings: robotctl replay FILE --what-if KEY=VALUE",
 }

@@ -142,8 +142,13 @@ def dispatch(arguments: list[str]) -> None:
         if describe is None:
             raise
         where = getattr(getattr(error, "ctx", None), "command_path", "robotctl")
-        option = (where.removeprefix("robotctl "), getattr(error, "option_name", ""))
+        words = where.removeprefix("robotctl ")
+        option = (words, getattr(error, "option_name", ""))
         if option in retired.OPTIONS:
             raise UsageError(f"{option[1]} is retired", retired.OPTIONS[option]) from error
         text = " ".join(describe().split()).rstrip(".")
+        if words in retired.ARGUMENTS and "unexpected extra argument" in text:
+            raise UsageError(
+                f"the argument of {words} is retired", retired.ARGUMENTS[words]
+            ) from error
         raise UsageError(text, f"see: {where} --help", sentence=IN_PARENTHESES) from error

@@ -1,1 +1,1 @@
-"""What is wrong with this computer, its ROS graph, or a ROS package: findings with their cures."""
+"""What is wrong with this computer or its ROS graph: findings with their cures."""

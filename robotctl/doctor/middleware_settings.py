@@ -8,14 +8,17 @@ from typing import Final
 from xml.etree import ElementTree
 
 from robotctl.doctor.finding import Finding, warning
-from robotctl.doctor.package.package_files import read_text
 from robotctl.environment import RANGE, RMW
+from robotctl.regular_file import open_regular
 
 PROFILES: Final = "FASTRTPS_DEFAULT_PROFILES_FILE"
 """The variable in which Fast DDS 2, that of the wheels, looks for a profiles file."""
 
 LOCALHOST_ONLY: Final = "ROS_LOCALHOST_ONLY"
 """The variable of Humble; its value 1 overrules that of RANGE."""
+
+MAX_PROFILES_BYTES: Final = 1_000_000
+"""Larger files are no profiles that a person wrote."""
 
 RANGES: Final = ("", "LOCALHOST", "SUBNET", "SYSTEM_DEFAULT", "OFF")
 
@@ -52,8 +55,21 @@ def check_profiles(environment: Mapping[str, str]) -> Iterator[Finding]:
     if given is None:
         return
     try:
-        ElementTree.fromstring(read_text(Path(given)))
+        ElementTree.fromstring(_text_of(Path(given)))
     except (OSError, ElementTree.ParseError, ValueError) as error:
         why = (isinstance(error, OSError) and error.strerror) or f"it is no XML: {error}"
         text = f"{PROFILES} is {given!r}, which Fast DDS cannot read: {why}"
         yield warning("profiles", text, f"name a profiles file, or unset {PROFILES}")
+
+
+def _text_of(path: Path) -> str:
+    """Return the text of a regular file of a bounded size.
+
+    Raises:
+        OSError: It cannot be read, or is too large.
+    """
+    with open_regular(path) as stream:
+        data = stream.read(MAX_PROFILES_BYTES + 1)
+    if len(data) > MAX_PROFILES_BYTES:
+        raise OSError(f"{path} is larger than {MAX_PROFILES_BYTES / 1e6:.0f} MB")
+    return data.decode(errors="replace")

@@ -33,5 +33,11 @@ def test_each_retired_option_answers_so(
     assert retired.OPTIONS[command, option] in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", sorted(retired.ARGUMENTS))
+def test_each_retired_argument_answers_so(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.run([*command.split(), "word"]) == 2
+    assert retired.ARGUMENTS[command] in capsys.readouterr().err
+
+
 def test_no_command_of_today_is_retired() -> None:
     assert not set(retired.COMMANDS) & set(COMMANDS)

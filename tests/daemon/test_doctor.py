@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from tests.support.first_package import MISTAKES, healthy
 from tests.support.waiting import until
 from tests.support.world import Peer, World
 
@@ -107,14 +106,3 @@ def test_a_daemon_that_hangs_is_named(world: World) -> None:
     assert ran.exit_code == 4
     assert "the daemon of robot 'robot' did not answer" in ran.out
     world.ok("stop")
-
-
-def test_a_package_is_judged_without_a_daemon(world: World, tmp_path: Path) -> None:
-    package = healthy(tmp_path)
-    assert world.here("doctor", str(package)).exit_code == 0
-    MISTAKES["rclpy from pip"][1](package)
-    ran = world.here("doctor", str(package))
-    assert ran.exit_code == 4
-    assert "fault    two rclpys  setup.py lets pip bring rclpy" in ran.out
-    assert "cure: leave it out" in ran.out
-    assert world.here("doctor", str(tmp_path / "nowhere")).exit_code == 2

@@ -1,9 +1,8 @@
-"""doctor: what is wrong with this computer, its ROS graph, or a ROS package."""
+"""doctor: what is wrong with this computer or its ROS graph."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -20,10 +19,6 @@ app = new_app()
 
 @app.command()
 def doctor(
-    package: Annotated[
-        Path | None,
-        typer.Argument(metavar="[PACKAGE]", help="Folder of a ROS 2 package, or of several."),
-    ] = None,
     clean: Annotated[
         bool, typer.Option("--clean", help="Remove what killed processes of you left.")
     ] = False,
@@ -32,24 +27,20 @@ def doctor(
     domain_id: DomainId = None,
     as_json: Json = False,
 ) -> None:
-    """Find what is wrong here, or with a ROS 2 package.
+    """Find what is wrong here: installation, discovery, ROS graph, machine.
 
-    Without PACKAGE: installation, shell, discovery, command and odometry on ROS, shared memory,
-    disk, clock, permissions. With it: the classic mistakes of a first package, from its files;
-    nothing of it is run. Exit code 0 if there is no fault (warnings are none), else 4.
+    It looks at the shell, command and odometry on ROS, shared memory, disk, clock and permissions.
+    Exit code 0 if there is no fault (warnings are none), else 4.
 
     \b
     Examples:
       robotctl doctor
       robotctl doctor --clean
-      robotctl doctor src/my_package --json
+      robotctl doctor --json
     """
-    if package is None:
-        from robotctl.cli.support.diagnosis import diagnose
+    from robotctl.cli.support.diagnosis import diagnose
 
-        removed, found = diagnose(robot, config, domain_id, clean=clean)
-    else:
-        removed, found = [], _of_package(package)
+    removed, found = diagnose(robot, config, domain_id, clean=clean)
     faults = [each for each in found if each.level is Level.FAULT]
     answer = {"findings": [each.as_object() for each in found], "removed": removed}
     error = None
@@ -57,14 +48,6 @@ def doctor(
         count = f"{len(faults)} fault{'s' if len(faults) > 1 else ''}"
         error = Refused(f"{count}, the first: {faults[0].text}", faults[0].cure)
     print_answer(answer, _lines(removed, found), as_json=as_json, error=error)
-
-
-def _of_package(folder: Path) -> list[Finding]:
-    import os
-
-    from robotctl.doctor.package.package_checks import check_packages
-
-    return list(check_packages(folder, os.environ))
 
 
 def _lines(removed: list[str], found: list[Finding]) -> Iterator[str]:
