@@ -25,7 +25,7 @@ from robotctl.replay.replay_guard import ReplayGuard, check_still, is_command
 from robotctl.replay.replay_publishers import open_clock, open_routes, playable
 from robotctl.replay.replay_report import Emit, ReplayReport
 from robotctl.replay.timeline import Span, recorded, span_of
-from robotctl.ros.executor.realtime import FifoScheduling
+from robotctl.ros.executor.loop_thread import FifoScheduling
 from robotctl.ros.playback.playback import QUIET_S, ReplaySession
 from robotctl.ros.playback.recorded_qos import latched_depth
 from robotctl.ros.playback.senders import BLOCKED_S

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.ros.executor.pool import Pool
+from robotctl.ros.executor.runtime import Pool
 
 LOOKS_PER_S = 100
 """Limit of the polls of the recorder's topics: a rest of one beat makes 50, of 2 ms 200."""

@@ -91,7 +91,7 @@ async def test_finished_goals_are_forgotten_after_their_result_timeout(
     borrowed_action: ModuleType,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("robotctl.ros.executor.sources.actions.EXPIRY_POLL_S", 0.05)
+    monkeypatch.setattr("robotctl.ros.executor.sources.services.EXPIRY_POLL_S", 0.05)
     count = borrowed_action.Count
 
     async def execute(handle: Any) -> Any:

@@ -111,7 +111,7 @@ async def test_an_executor_that_is_not_open_or_is_open_already_says_so(context: 
 async def test_two_tasks_that_open_one_executor_at_once_open_it_once(
     context: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.ros.executor.self_test._passed", False)
+    monkeypatch.setattr("robotctl.ros.executor.announcements._passed", False)
     executor = AsyncioExecutor(context)
     first = asyncio.create_task(executor.__aenter__())
     await asyncio.sleep(0)

@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 
 from robotctl.ros import AsyncioExecutor
-from robotctl.ros.executor import UnsupportedPlatform, announcements, serialized_taker
+from robotctl.ros.executor import UnsupportedPlatform, announcements, raw_tap
 from tests.support.waiting import DEADLINE_S
 
 
 @pytest.fixture
 def unproven(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("robotctl.ros.executor.self_test._passed", False)
+    monkeypatch.setattr("robotctl.ros.executor.announcements._passed", False)
 
 
 async def open_and_close(context: Any) -> None:
@@ -31,9 +31,9 @@ async def test_the_path_is_proven_by_a_message_before_the_executor_opens(
     context: Any, unproven: None
 ) -> None:
     await open_and_close(context)
-    from robotctl.ros.executor import self_test
+    from robotctl.ros.executor import announcements
 
-    assert self_test._passed
+    assert announcements._passed
 
 
 async def test_a_platform_without_eventfd_is_refused(
@@ -66,7 +66,7 @@ async def test_a_middleware_whose_callback_never_comes_is_refused(
 ) -> None:
     harmless = ctypes.cast(ctypes.CDLL(None).getpid, ctypes.c_void_p).value
     monkeypatch.setattr(announcements, "_eventfd_write", lambda: harmless)
-    monkeypatch.setattr("robotctl.ros.executor.self_test.TIMEOUT_S", 0.1)
+    monkeypatch.setattr("robotctl.ros.executor.announcements.TIMEOUT_S", 0.1)
     with pytest.raises(UnsupportedPlatform, match="did not announce a message to itself"):
         await open_and_close(context)
 
@@ -75,7 +75,7 @@ async def test_message_structures_of_another_ros_are_refused(
     context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # As if the structure had one field less at its beginning.
-    monkeypatch.setattr(serialized_taker, "_MESSAGE_INFO", struct.Struct("@8xqqQQQ8s"))
+    monkeypatch.setattr(raw_tap, "_MESSAGE_INFO", struct.Struct("@8xqqQQQ8s"))
     with pytest.raises(UnsupportedPlatform, match="not those of ROS 2 Jazzy"):
         await open_and_close(context)
 

@@ -115,7 +115,7 @@ async def test_leaving_the_block_cancels_async_callbacks_and_waits_for_their_cle
 async def test_an_executor_that_is_shut_down_while_it_opens_lets_go_of_everything(
     context: Any, node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.ros.executor.self_test._passed", False)
+    monkeypatch.setattr("robotctl.ros.executor.announcements._passed", False)
     before = (loop_descriptors(), threading.active_count(), Future.__await__)
     executor = AsyncioExecutor(context)
     executor.add_node(node)

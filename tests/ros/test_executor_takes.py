@@ -9,7 +9,7 @@ import pytest
 from std_msgs.msg import String, UInt64
 
 from robotctl.ros import AsyncioExecutor
-from robotctl.ros.executor.serialized_taker import LARGE_BYTES, SerializedTaker
+from robotctl.ros.executor.raw_tap import LARGE_BYTES, SerializedTaker
 from robotctl.ros.executor.sources import subscriptions
 from tests.support.rclpy_types import Node
 

@@ -28,7 +28,7 @@ Until = Callable[[Callable[[], object]], Awaitable[None]]
 async def test_opening_may_be_cancelled_at_any_await(
     context: Any, node: Node, turns: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.ros.executor.self_test._passed", False)
+    monkeypatch.setattr("robotctl.ros.executor.announcements._passed", False)
     populate(node, f"/cancelled_{turns}", lambda _: None)
     before = loop_descriptors()
     executor = AsyncioExecutor(context)

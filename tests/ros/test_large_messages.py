@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from robotctl.ros.executor import RawTap, serialized_taker
-from robotctl.ros.executor.serialized_taker import SerializedTaker
+from robotctl.ros.executor import RawTap, raw_tap
+from robotctl.ros.executor.raw_tap import SerializedTaker
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
-LARGE = serialized_taker.LARGE_BYTES + 1
+LARGE = raw_tap.LARGE_BYTES + 1
 
 
 def large(value: int) -> Any:
@@ -56,7 +56,7 @@ async def test_a_buffer_that_does_not_fit_the_budget_is_given_back_at_once(
 ) -> None:
     from std_msgs.msg import UInt8MultiArray
 
-    monkeypatch.setattr(serialized_taker, "KEPT_BYTES", SerializedTaker._kept_by_all + LARGE * 2)
+    monkeypatch.setattr(raw_tap, "KEPT_BYTES", SerializedTaker._kept_by_all + LARGE * 2)
     topics = [f"{topic}_{number}" for number in range(4)]
     heard: list[int] = []
     taps = [RawTap(lambda data, *_: heard.append(len(data))) for _ in topics]
@@ -71,7 +71,7 @@ async def test_a_buffer_that_does_not_fit_the_budget_is_given_back_at_once(
         publisher.publish(large(0))
     await until(lambda: len(heard) == len(topics))
     await until(lambda: SerializedTaker._kept_by_all > kept_before)  # at the take after a message
-    assert SerializedTaker._kept_by_all <= serialized_taker.KEPT_BYTES
+    assert SerializedTaker._kept_by_all <= raw_tap.KEPT_BYTES
     for subscription in subscriptions:
         node.destroy_subscription(subscription)
     await until(lambda: SerializedTaker._kept_by_all == kept_before)

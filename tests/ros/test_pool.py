@@ -12,11 +12,10 @@ from typing import Any
 import pytest
 from rclpy.qos import HistoryPolicy, QoSProfile
 
-from robotctl.ros.executor import pool as pool_module
-from robotctl.ros.executor.beat import beat_before
-from robotctl.ros.executor.pool import Pool
+from robotctl.ros.executor import runtime as pool_module
+from robotctl.ros.executor.event_loop import NS_PER_S, beat_before
+from robotctl.ros.executor.runtime import Pool
 from robotctl.ros.executor.sources.subscriptions import affordable_rest_s
-from robotctl.ros.executor.time_limits import NS_PER_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 

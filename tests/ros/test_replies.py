@@ -160,10 +160,10 @@ async def test_a_client_that_cannot_be_reached_holds_up_no_other(
 class Late:
     """Hides the readers of responses until `arrive`."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, module: str) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self._readers_of = replies.readers_of
         self._arrived = False
-        monkeypatch.setattr(f"robotctl.ros.executor.sources.{module}.readers_of", self._list)
+        monkeypatch.setattr("robotctl.ros.executor.sources.services.readers_of", self._list)
 
     def arrive(self) -> None:
         self._arrived = True
@@ -181,7 +181,7 @@ async def test_a_service_answers_once_its_client_is_discovered(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(replies, "WAIT_S", DEADLINE_S)
-    late = Late(monkeypatch, "services")
+    late = Late(monkeypatch)
     heard: list[bool] = []
 
     def answer(request: Any, response: Any) -> Any:
@@ -207,7 +207,7 @@ async def test_a_goal_begins_once_its_client_is_discovered(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(replies, "WAIT_S", DEADLINE_S)
-    late = Late(monkeypatch, "actions")
+    late = Late(monkeypatch)
     begun: list[int] = []
     waiting: list[object] = []
     send = Replies.send

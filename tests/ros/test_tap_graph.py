@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.ros.executor import self_test
+from robotctl.ros.executor import announcements
 from robotctl.ros.graph.changes import GraphChanges
 from robotctl.ros.messages import qos
 from robotctl.ros.session import Session
@@ -167,7 +167,7 @@ async def test_hidden_topics_are_taken_but_for_the_executors_own(
     taken: Any, node: Any, topic: str, until: Until
 ) -> None:
     hidden = topic.replace("/", "/_")
-    own = f"{self_test.TOPIC_PREFIX}4711"
+    own = f"{announcements.TOPIC_PREFIX}4711"
     publisher(node, own)
     published = publisher(node, hidden)
     await until(published.get_subscription_count)

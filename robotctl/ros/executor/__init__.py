@@ -11,11 +11,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from robotctl.ros.executor.errors import RclCallFailed, UnsupportedPlatform
     from robotctl.ros.executor.event_loop import EventLoop, run
     from robotctl.ros.executor.executor import AsyncioExecutor
-    from robotctl.ros.executor.present_request import requester
     from robotctl.ros.executor.raw_tap import UNKNOWN_GID, RawTap, SerializedData, Sink, ViewSink
+    from robotctl.ros.executor.rcutils import RclCallFailed, UnsupportedPlatform
+    from robotctl.ros.executor.replies import requester
     from robotctl.ros.executor.runtime import ExceptionHandler
     from robotctl.ros.executor.ticker import Tick, Ticker
 
@@ -42,14 +42,14 @@ _MODULES = {
     "EventLoop": "event_loop",
     "ExceptionHandler": "runtime",
     "RawTap": "raw_tap",
-    "RclCallFailed": "errors",
+    "RclCallFailed": "rcutils",
     "SerializedData": "raw_tap",
     "Sink": "raw_tap",
     "Tick": "ticker",
     "Ticker": "ticker",
-    "UnsupportedPlatform": "errors",
+    "UnsupportedPlatform": "rcutils",
     "ViewSink": "raw_tap",
-    "requester": "present_request",
+    "requester": "replies",
     "run": "event_loop",
 }
 

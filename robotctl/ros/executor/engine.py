@@ -1,22 +1,223 @@
-"""The part of an executor that exists only while it is open."""
+"""The part of an executor that exists only while it is open.
+
+Each kind of entity has a class in `sources/` that takes its events and runs its callbacks.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from itertools import chain
 from typing import Any
 
+from rclpy.action.client import ActionClient
+from rclpy.action.server import ActionServer
+from rclpy.client import Client
 from rclpy.context import Context
+from rclpy.event_handler import EventHandler
+from rclpy.exceptions import InvalidHandle
+from rclpy.guard_condition import GuardCondition
+from rclpy.node import Node
+from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions, get_current_signal_handlers_options
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 from robotctl.ros.executor import futures
-from robotctl.ros.executor.entities import Attachments
-from robotctl.ros.executor.loop_thread import LoopThread
-from robotctl.ros.executor.nodes import Nodes
-from robotctl.ros.executor.realtime import FifoScheduling
-from robotctl.ros.executor.runtime import ExceptionHandler, Runtime, log
-from robotctl.ros.executor.sources.waitset import WaitSetThread
+from robotctl.ros.executor.event_loop import NS_PER_S
+from robotctl.ros.executor.loop_thread import FifoScheduling, LoopThread
+from robotctl.ros.executor.raw_tap import RawTap
+from robotctl.ros.executor.runtime import ExceptionHandler, Runtime, log, name_of
+from robotctl.ros.executor.sources.services import (
+    ActionClientSource,
+    ActionServerSource,
+    ClientSource,
+    ServiceSource,
+)
+from robotctl.ros.executor.sources.source import Source
+from robotctl.ros.executor.sources.subscriptions import (
+    QosEventSource,
+    RawTapSource,
+    SubscriptionSource,
+)
+from robotctl.ros.executor.sources.timers import TimerSource
+from robotctl.ros.executor.sources.waitables import GuardSource, WaitableSource, WaitSetThread
+
+
+class Nodes:
+    """The nodes of one executor; each holds a reference to it, as in rclpy."""
+
+    def __init__(self, executor: Any) -> None:
+        self._executor = executor
+        self._nodes: dict[Node, None] = {}
+
+    def __iter__(self) -> Iterator[Node]:
+        return iter(list(self._nodes))
+
+    def add(self, node: Node) -> bool:
+        """Add the node; return False where it was added before.
+
+        Raises:
+            RuntimeError: Another live executor has the node.
+        """
+        if node in self._nodes:
+            return False
+        other = _executor_of(node)
+        if (
+            other is not None
+            and other is not self._executor
+            and not getattr(other, "_is_shutdown", False)
+        ):
+            raise RuntimeError(
+                f"node {node.get_fully_qualified_name()} belongs to another executor; "
+                "call its remove_node first"
+            )
+        # Before the setter, which calls the executor's `add_node` again.
+        self._nodes[node] = None
+        _set_executor(node, self._executor)
+        return True
+
+    def remove(self, node: Node) -> bool:
+        """Remove the node; return False where it was not added."""
+        try:
+            del self._nodes[node]
+        except KeyError:
+            return False
+        if _executor_of(node) is self._executor:
+            _set_executor(node, None)
+        return True
+
+    def clear(self) -> None:
+        """Remove all nodes."""
+        for node in self:
+            self.remove(node)
+
+    def entities(self) -> dict[Any, Node]:
+        """Return every entity with its node; nodes that were destroyed are removed."""
+        found: dict[Any, Node] = {}
+        for node in self:
+            if is_destroyed(node.handle):
+                self._nodes.pop(node, None)  # Another thread may have removed it.
+            else:
+                found.update(dict.fromkeys(_entities_of(node), node))
+        return found
+
+
+def is_destroyed(handle: Any) -> bool:
+    """Return whether rclpy has destroyed the object of the handle."""
+    try:
+        with handle:
+            return False
+    except InvalidHandle:
+        return True
+
+
+def _entities_of(node: Node) -> Iterator[Any]:
+    return chain(
+        node.subscriptions,
+        node.timers,
+        node.clients,
+        node.services,
+        node.guards,
+        node.waitables,
+    )
+
+
+def _executor_of(node: Node) -> Any:
+    # rclpy's types allow its own executors only.
+    return node.executor
+
+
+def _set_executor(node: Any, executor: Any) -> None:
+    node.executor = executor
+
+
+class Attachments:
+    """One source for each entity of an executor's nodes; used in the loop's thread only."""
+
+    def __init__(self, runtime: Runtime, wait_set: WaitSetThread, executor: Any) -> None:
+        self._runtime = runtime
+        self._wait_set = wait_set
+        self._executor = executor
+        self._broken: set[Any] = set()
+        """Entities that could not be attached; they are reported once and not tried again."""
+        self.sources: dict[Any, Source] = {}
+
+    def __contains__(self, entity: object) -> bool:
+        return entity in self.sources
+
+    def follow(self, present: dict[Any, Node]) -> None:
+        """Watch the new entities of `present` (entity -> node) in the loop, and no others."""
+        for entity in [entity for entity in self.sources if entity not in present]:
+            source = self.sources.pop(entity)
+            if is_destroyed(source.handle):
+                _fail_pending(source, "destroyed while a call waited for its response")
+            source.detach()
+        self._broken.intersection_update(present)
+        for entity, node in present.items():
+            if entity not in self.sources and entity not in self._broken:
+                self._attach(entity, node)
+
+    def detach_all(self) -> None:
+        """Detach every entity; calls that wait for a response fail."""
+        sources, self.sources = self.sources, {}
+        for source in sources.values():
+            _fail_pending(source, "the executor was shut down while a call waited")
+            source.detach()
+
+    def _attach(self, entity: Any, node: Node) -> None:
+        try:
+            source = self._source_of(entity, node)
+            source.attach()
+        except InvalidHandle:
+            return  # It was destroyed after its node listed it.
+        except Exception as error:  # noqa: BLE001 - handed to the one handler
+            self._broken.add(entity)
+            self._runtime.report(error, f"{type(entity).__name__}, which is not served")
+            return
+        self.sources[entity] = source
+        log.debug("%s is woken by %s", source.where, source.woken_by)
+
+    def _source_of(self, entity: Any, node: Node) -> Source:
+        name = node.get_fully_qualified_name()
+        runtime, wait_set, executor = self._runtime, self._wait_set, self._executor
+        match entity:
+            case Subscription(raw=True, callback=RawTap()):
+                return RawTapSource(runtime, entity, f"{name}: tap of {entity.topic_name}")
+            case Subscription():
+                where = f"{name}: subscription {entity.topic_name} ({name_of(entity.callback)})"
+                return SubscriptionSource(runtime, entity, where)
+            case Service():
+                where = f"{name}: service {entity.service_name} ({name_of(entity.callback)})"
+                return ServiceSource(runtime, entity, where, node)
+            case Client():
+                where = f"{name}: client {entity.service_name}"
+                return ClientSource(runtime, entity, where, executor)
+            case Timer():
+                period_s = entity.timer_period_ns / NS_PER_S
+                where = f"{name}: timer of {period_s:g} s ({name_of(entity.callback)})"
+                return TimerSource(runtime, entity, where)
+            case GuardCondition():
+                where = f"{name}: guard condition ({name_of(entity.callback)})"
+                return GuardSource(runtime, entity, where, wait_set)
+            case EventHandler():
+                where = f"{name}: event {entity.event_type.name} ({name_of(entity.callback)})"
+                return QosEventSource(runtime, entity, where)
+            case ActionServer():
+                where = f"{name}: action server ({name_of(entity._execute_callback)})"
+                return ActionServerSource(runtime, entity, where, executor, node)
+            case ActionClient():
+                where = f"{name}: action client {entity._action_name}"
+                return ActionClientSource(runtime, entity, where, executor)
+            case _:
+                where = f"{name}: {type(entity).__name__}"
+                return WaitableSource(runtime, entity, where, wait_set, executor)
+
+
+def _fail_pending(source: Source, reason: str) -> None:
+    if isinstance(source, ClientSource | ActionClientSource):
+        source.fail_pending(reason)
 
 
 class Engine:

@@ -1,19 +1,74 @@
-"""An asyncio loop that calls the executor's sources while it polls, and how to run it.
+"""The event loop that polls the executor's sources; its beat, and the executor's time limits.
 
 asyncio leads each ready descriptor through a selector key, a handle and a queue to its callback.
 At 1 kHz, where each message wakes the loop, that is a tenth of what a message costs the process.
+
+A wake-up costs more than most of what is done in it. So tickers of one rate expire together, and
+timers whose exact time does not matter expire with them.
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
+import time
 from collections.abc import Callable, Coroutine
 from contextvars import copy_context
 from functools import partial
 from select import EPOLLIN, EPOLLOUT
 from selectors import EVENT_READ, EVENT_WRITE, EpollSelector, SelectorKey
 from typing import Any, Final, TypeVar
+
+NS_PER_S = 1_000_000_000
+
+SLOW_CALLBACK_NS = 50_000_000
+"""A callback that holds the loop longer is warned about: it delays the control tick."""
+
+SLOW_WARNING_PAUSE_NS = 10_000_000_000
+"""The least time between two warnings about the same callback, so that the log stays readable."""
+
+SLICE_NS = 300_000
+"""How long one entity may take messages before the others get their turn."""
+
+TURN_NS = 1_000_000
+"""The time that all flooded entities share in one turn of the loop; it limits how long the others
+wait."""
+
+SHORTEST_SLICE_NS = 50_000
+"""The shortest slice of a flooded entity: with a shorter one, changing between entities would cost
+more than the work."""
+
+FLOOD_REST_S = 0.002
+"""How long the messages of a flooded subscription are collected."""
+
+FLOODED_SHARE = 0.1
+"""A pool that spends a larger share of its time on taking messages is flooded. At 5 to 10 us for a
+message, that is at 10 to 20 kHz."""
+
+FASTEST_TOPIC_HZ = 50_000.0
+"""No process of ours receives more: a queue must hold the messages of one rest at this rate."""
+
+POLLS_PER_RATE_CHECK = 32
+"""The rate of a subscription is computed each time it was polled this often."""
+
+FLOODED_WITHIN_NS = 16_000_000
+"""The subscription is flooded if POLLS_PER_RATE_CHECK polls took less time (over 2 kHz)."""
+
+CALM_BEYOND_NS = 64_000_000
+"""It is no longer flooded if POLLS_PER_RATE_CHECK polls took more time (under 500 Hz)."""
+
+
+BEAT_NS = 20_000_000
+"""The beat of timers that share wake-ups: 50 times a second."""
+
+_START_NS = time.monotonic_ns()
+"""The first beat. Each process has its own, so that daemons of one machine take turns."""
+
+
+def beat_before(t_ns: int, period_ns: int = BEAT_NS) -> int:
+    """Return the last beat that is not after the steady time `t_ns` [ns]."""
+    return t_ns - (t_ns - _START_NS) % period_ns
+
 
 _MS_PER_S: Final = 1000
 """epoll waits for whole milliseconds."""

@@ -1,3 +1,4 @@
+# mypy: disallow-untyped-calls=False
 """AsyncioExecutor: rclpy's callbacks in the asyncio loop, without a spinning thread.
 
 rclpy's own executors build a wait set for every message. This one lets rcl write to an eventfd
@@ -26,14 +27,52 @@ from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.utilities import get_default_context
 
-from robotctl.ros.executor import calls, futures
-from robotctl.ros.executor.engine import Engine
-from robotctl.ros.executor.loop_thread import LoopThread
-from robotctl.ros.executor.nodes import Nodes
-from robotctl.ros.executor.realtime import check_priority
+from robotctl.ros.executor import futures
+from robotctl.ros.executor.announcements import check_announcements
+from robotctl.ros.executor.engine import Engine, Nodes
+from robotctl.ros.executor.futures import Tasks
+from robotctl.ros.executor.loop_thread import LoopThread, check_priority
 from robotctl.ros.executor.runtime import ExceptionHandler
-from robotctl.ros.executor.self_test import check_announcements
-from robotctl.ros.executor.tasks import Tasks
+
+SERVICE_POLL_S = 0.02
+
+
+async def call(client: Client, request: Any, timeout_s: float | None) -> Any:
+    """Send a request and return its response.
+
+    Raises:
+        TimeoutError: No response came within `timeout_s` seconds (None: no deadline).
+    """
+    try:
+        async with asyncio.timeout(timeout_s) as deadline:
+            return await futures.wait(client.call_async(request))
+    except TimeoutError:
+        if not deadline.expired():
+            raise
+        raise TimeoutError(
+            f"no response from service {client.srv_name} within {timeout_s:g} s; "
+            "is its node running?"
+        ) from None
+
+
+async def wait_for_service(client: Client | ActionClient, timeout_s: float | None) -> None:
+    """Wait until a server for the client is discovered.
+
+    Raises:
+        TimeoutError: None was within `timeout_s` seconds (None: no deadline).
+    """
+    if isinstance(client, ActionClient):
+        ready, name = client.server_is_ready, client._action_name
+    else:
+        ready, name = client.service_is_ready, client.srv_name
+    try:
+        async with asyncio.timeout(timeout_s):
+            while not ready():  # noqa: ASYNC110 - the graph has no callback
+                await asyncio.sleep(SERVICE_POLL_S)
+    except TimeoutError:
+        raise TimeoutError(
+            f"no server for {name} within {timeout_s:g} s; is its node running?"
+        ) from None
 
 
 class AsyncioExecutor:
@@ -236,7 +275,7 @@ class AsyncioExecutor:
                 f"the client of {client.srv_name} belongs to no node of this executor, "
                 "so its response would not be taken; call add_node first"
             )
-        return await calls.call(client, request, timeout_s)
+        return await call(client, request, timeout_s)
 
     async def wait_for(self, future: Future, *, timeout_s: float | None) -> Any:
         """Return the result of any rclpy Future; a timeout or a cancellation cancels it.
@@ -259,7 +298,7 @@ class AsyncioExecutor:
             RuntimeError: This is not the executor's loop.
         """
         self._running()
-        await calls.wait_for_service(client, timeout_s)
+        await wait_for_service(client, timeout_s)
 
     # Internals
 

@@ -1,10 +1,18 @@
-"""The C structures and error texts that rcl shares with its callers (the library rcutils)."""
+"""What rcl shares with its callers: C structures, error texts, and our errors made of them."""
 
 from __future__ import annotations
 
 import ctypes
 from functools import cache
 from typing import Any
+
+
+class UnsupportedPlatform(RuntimeError):
+    """This platform or middleware cannot announce new data on an eventfd; the text says why."""
+
+
+class RclCallFailed(RuntimeError):
+    """A call of rcl failed; the text holds rcl's own message."""
 
 
 class Allocator(ctypes.Structure):

@@ -13,7 +13,9 @@ import ctypes
 import warnings
 from asyncio import TimerHandle
 from collections import deque
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -198,3 +200,25 @@ def is_taken(send: Callable[[], None]) -> bool:
         warnings.simplefilter("always")
         send()
     return not any(issubclass(each.category, RuntimeWarning) for each in warned)
+
+
+_REQUESTER: ContextVar[bytes | None] = ContextVar("requester", default=None)
+
+
+def requester() -> bytes | None:
+    """Return the gid of the client whose request or goal the caller handles.
+
+    It is that of the client's reader of responses, 16 bytes; None where the middleware does not
+    tell, and outside of handlers.
+    """
+    return _REQUESTER.get()
+
+
+@contextmanager
+def request_of(header: Any) -> Iterator[None]:
+    """Let `requester` tell the client of the request with this header."""
+    token = _REQUESTER.set(reader_of(header))
+    try:
+        yield
+    finally:
+        _REQUESTER.reset(token)

@@ -1,17 +1,210 @@
-"""What the sources of one executor share: loop, tasks, pools and exception handler."""
+"""What the sources of one executor share: loop, tasks, pools and exception handler.
+
+Waking up for one message costs about 50 us, taking it 2 to 10. So messages that may come late (a
+recorder's taps, a flooded topic) are collected for a while, as network drivers collect packets
+under load. The DDS threads still write to the eventfds; a second epoll keeps these apart from the
+loop's own.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Coroutine
+import select
+import time
+from asyncio import AbstractEventLoop, TimerHandle
+from collections import Counter
+from collections.abc import Callable, Coroutine, Generator
 from typing import Any, Protocol
 
 from rclpy.callback_groups import CallbackGroup
 
-from robotctl.ros.executor.pool import Pool
-from robotctl.ros.executor.slow_callbacks import SlowCallbacks, TimedSteps
-from robotctl.ros.executor.time_limits import SHORTEST_SLICE_NS, SLICE_NS, TURN_NS
+from robotctl.ros.executor.event_loop import (
+    BEAT_NS,
+    FLOOD_REST_S,
+    FLOODED_SHARE,
+    NS_PER_S,
+    SHORTEST_SLICE_NS,
+    SLICE_NS,
+    SLOW_CALLBACK_NS,
+    SLOW_WARNING_PAUSE_NS,
+    TURN_NS,
+    beat_before,
+    unwatch,
+    watch,
+)
+
+
+class Pooled(Protocol):
+    """A source in a pool."""
+
+    def poll(self) -> bool:
+        """Deliver what is there; return whether the slice ended before all was delivered."""
+
+
+class Pool:
+    """Polls its sources at the first message, then rests for `rest_s` seconds after each poll.
+
+    Without messages it does not wake the loop. In a flood it rests for FLOOD_REST_S only: the more
+    messages wait, the longer Fast DDS takes to add one, so a long rest costs more than it saves.
+    """
+
+    def __init__(self, loop: AbstractEventLoop, rest_s: float) -> None:
+        self._loop = loop
+        self._rest_s = rest_s
+        self._busy_ns = self._rested_ns = 0
+        self._epoll = select.epoll()
+        self._members: dict[int, Pooled] = {}
+        self._resting: TimerHandle | None = None
+        self._watching = False
+        self._watch()
+
+    def add(self, fd: int, source: Pooled) -> None:
+        """Poll `source` when its eventfd `fd` becomes readable."""
+        self._members[fd] = source
+        self._epoll.register(fd, select.EPOLLIN)
+
+    def remove(self, fd: int) -> None:
+        """Stop polling the source of `fd`, which must still be open."""
+        del self._members[fd]
+        self._epoll.unregister(fd)
+
+    def close(self) -> None:
+        """Stop polling, and close the epoll."""
+        self._unwatch()
+        if self._resting is not None:
+            self._resting.cancel()
+            self._resting = None
+        self._epoll.close()
+
+    def _is_closed(self) -> bool:
+        return self._epoll.closed
+
+    def _watch(self) -> None:
+        if not self._watching:
+            self._watching = True
+            watch(self._loop, self._epoll.fileno(), self._poll)
+
+    def _unwatch(self) -> None:
+        if self._watching:
+            self._watching = False
+            unwatch(self._loop, self._epoll.fileno())
+
+    def _poll(self) -> None:
+        self._resting = None
+        if self._is_closed():
+            return
+        ready = self._epoll.poll(0, len(self._members) or 1)
+        if not ready:
+            self._watch()
+            return
+        self._unwatch()
+        begun_ns = time.monotonic_ns()
+        left = True  # Also after an exception: the other sources continue.
+        try:
+            left = self._poll_ready(ready, begun_ns + TURN_NS)
+        finally:
+            if not self._is_closed():
+                rest_s = self._rest_after(begun_ns, left=left)
+                self._resting = self._loop.call_at(rested_s(rest_s), self._poll)
+
+    def _rest_after(self, begun_ns: int, *, left: bool) -> float:
+        """Return how long to rest, by the share of time that polling took since the last rest."""
+        now_ns = time.monotonic_ns()
+        self._busy_ns += now_ns - begun_ns
+        if left:
+            return 0.0
+        flooded = self._busy_ns > FLOODED_SHARE * (now_ns - self._rested_ns)
+        self._busy_ns, self._rested_ns = 0, now_ns
+        return min(self._rest_s, FLOOD_REST_S) if flooded else self._rest_s
+
+    def _poll_ready(self, ready: list[tuple[int, int]], end: int) -> bool:
+        left = False
+        for fd, _ in ready:
+            source = self._members.get(fd)
+            if source is not None:
+                left |= source.poll()
+            if self._is_closed():
+                return False
+            if time.monotonic_ns() > end:
+                return True
+        return left
+
+
+def rested_s(rest_s: float) -> float:
+    """Return the steady time [s] until which to rest: on a beat, if that shortens it little."""
+    until_ns = time.monotonic_ns() + round(rest_s * NS_PER_S)
+    if rest_s * NS_PER_S > BEAT_NS:
+        until_ns = beat_before(until_ns)
+    return until_ns / NS_PER_S
+
+
+_log = logging.getLogger("robotctl.ros.executor")
+
+
+class SlowCallbacks:
+    """Warns about callbacks that hold the loop, at most once per SLOW_WARNING_PAUSE_NS for each."""
+
+    def __init__(self) -> None:
+        self._quiet_until_ns: dict[str, int] = {}
+        self._unsaid: Counter[str] = Counter()
+
+    def check(self, where: str, elapsed_ns: int) -> None:
+        """Warn about a callback if it held the loop for more than SLOW_CALLBACK_NS."""
+        if elapsed_ns > SLOW_CALLBACK_NS:
+            self._warn(where, elapsed_ns)
+
+    def _warn(self, where: str, elapsed_ns: int) -> None:
+        now = time.monotonic_ns()
+        if now < self._quiet_until_ns.get(where, 0):
+            self._unsaid[where] += 1
+            return
+        for name in [name for name, until in self._quiet_until_ns.items() if until < now]:
+            del self._quiet_until_ns[name]
+        self._quiet_until_ns[where] = now + SLOW_WARNING_PAUSE_NS
+        unsaid = self._unsaid.pop(where, 0)
+        _log.warning(
+            "the callback of %s held the loop for %.0f ms%s; everything else waited. "
+            "Make it async, or run the long part with asyncio.to_thread",
+            where,
+            elapsed_ns / 1e6,
+            f" (and {unsaid} times since the last warning)" if unsaid else "",
+        )
+
+
+class TimedSteps:
+    """Awaits a coroutine; warns about each step between two awaits that holds the loop too long."""
+
+    __slots__ = ("_coroutine", "_slow", "_where")
+
+    def __init__(
+        self, coroutine: Coroutine[Any, Any, Any], where: str, slow: SlowCallbacks
+    ) -> None:
+        self._coroutine = coroutine
+        self._where = where
+        self._slow = slow
+
+    def __await__(self) -> Generator[Any, Any, Any]:
+        coroutine = self._coroutine
+        sent: Any = None
+        thrown: BaseException | None = None
+        while True:
+            begun = time.monotonic_ns()
+            try:
+                waited = coroutine.send(sent) if thrown is None else coroutine.throw(thrown)
+            except StopIteration as stop:
+                return stop.value
+            finally:
+                self._slow.check(self._where, time.monotonic_ns() - begun)
+            sent, thrown = None, None
+            try:
+                sent = yield waited
+            except GeneratorExit:
+                coroutine.close()
+                raise
+            except BaseException as error:  # noqa: BLE001 - cancellation goes to the coroutine too
+                thrown = error
+
 
 log = logging.getLogger("robotctl.ros.executor")
 

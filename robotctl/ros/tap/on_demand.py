@@ -8,7 +8,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from robotctl.printable import short_name
-from robotctl.ros.executor import ViewSink, self_test
+from robotctl.ros.executor import ViewSink, announcements
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.changes import GraphChanges
 from robotctl.ros.messages.type_definition import definition_of
@@ -85,7 +85,7 @@ class OnDemandTap:
         present = list(endpoints.topics(self._node))[:MAX_TOPICS]
         is_loading = False
         for topic in present:
-            if not topic.startswith(self_test.TOPIC_PREFIX):
+            if not topic.startswith(announcements.TOPIC_PREFIX):
                 is_loading |= self._look_at(topic)
         for topic in (self._known.keys() | self._problems.keys()) - set(present):
             self._forget(topic)

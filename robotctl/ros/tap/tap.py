@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from robotctl.printable import printable, short_name
-from robotctl.ros.executor import ViewSink, self_test
+from robotctl.ros.executor import ViewSink, announcements
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.changes import GraphChanges
 from robotctl.ros.messages.own_topic import OwnTopic
@@ -158,7 +158,7 @@ class Tap:
         Raises:
             Exception: rclpy or the sink failed.
         """
-        if topic.startswith(self_test.TOPIC_PREFIX):
+        if topic.startswith(announcements.TOPIC_PREFIX):
             return
         if not endpoints.is_topic_name(topic):
             if endpoints.publishers(self._node, topic):

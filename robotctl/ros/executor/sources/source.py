@@ -12,11 +12,9 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallb
 
 from robotctl.ros.executor import announcements
 from robotctl.ros.executor.announcements import Announcement
-from robotctl.ros.executor.errors import RclCallFailed, UnsupportedPlatform
-from robotctl.ros.executor.event_loop import unwatch, watch
-from robotctl.ros.executor.pool import Pool
-from robotctl.ros.executor.runtime import Runtime, log
-from robotctl.ros.executor.time_limits import SLOW_CALLBACK_NS
+from robotctl.ros.executor.event_loop import SLOW_CALLBACK_NS, unwatch, watch
+from robotctl.ros.executor.rcutils import RclCallFailed, UnsupportedPlatform
+from robotctl.ros.executor.runtime import Pool, Runtime, log
 
 RETRY_AFTER_FAILED_TAKE_S = 0.1
 

@@ -14,7 +14,7 @@ from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.event_loop import unwatch, watch
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import Source
-from robotctl.ros.executor.timerfd import TimerFd
+from robotctl.ros.executor.ticker import TimerFd
 
 # Every step of the clock: rcl's on-reset callback is not called when /clock moves.
 _ANY_JUMP = JumpThreshold(

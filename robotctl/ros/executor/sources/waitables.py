@@ -1,17 +1,204 @@
-"""Guard conditions and foreign Waitables, which rcl does not announce on an eventfd."""
+"""Guard conditions and foreign Waitables, which rcl does not announce on an eventfd.
+
+These are guard conditions and foreign Waitables. The thread only waits; the loop takes and
+executes, while the thread pauses.
+"""
 
 from __future__ import annotations
 
-from contextlib import suppress
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from typing import Any
 
+from rclpy.context import Context
 from rclpy.exceptions import InvalidHandle
 from rclpy.guard_condition import GuardCondition
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.signals import SignalHandlerGuardCondition
 from rclpy.waitable import Waitable
 
-from robotctl.ros.executor.runtime import Runtime
-from robotctl.ros.executor.sources.source import RETRY_AFTER_FAILED_TAKE_S
-from robotctl.ros.executor.sources.waitset import WaitSetSource, WaitSetThread
+from robotctl.ros.executor.runtime import Runtime, log
+from robotctl.ros.executor.sources.source import RETRY_AFTER_FAILED_TAKE_S, Source
+
+SHUTDOWN_POLL_S = 0.005
+SHUTDOWN_POLLS = 200
+"""How many times the context is checked after a signal: for one second in all."""
+
+
+class WaitSetSource(Source):
+    """A source whose entity the thread waits for."""
+
+    woken_by = "wait-set thread"
+
+    def __init__(
+        self, runtime: Runtime, entity: Any, handle: Any, where: str, thread: WaitSetThread
+    ) -> None:
+        super().__init__(runtime, entity, handle, where)
+        self._thread = thread
+        self.parked = False
+
+    def attach(self) -> None:
+        self.handle.__enter__()
+        self._thread.add(self)
+
+    def detach(self) -> None:
+        if self.closed:
+            return
+        self.closed = True
+        self._thread.remove(self)
+
+    def release(self) -> None:
+        """Let rclpy destroy the entity: the thread no longer waits for it."""
+        self.handle.__exit__(None, None, None)
+
+    def counts(self) -> tuple[int, int, int, int, int, int]:
+        """Return the number of its subscriptions, guards, timers, clients, services and events."""
+        raise NotImplementedError
+
+    def fill(self, wait_set: Any) -> None:
+        """Add them to a wait set."""
+        raise NotImplementedError
+
+    def run_if_ready(self, wait_set: Any) -> None:
+        """Run the callback, in the loop, if the wait set shows the entity as ready."""
+        raise NotImplementedError
+
+
+class WaitSetThread:
+    """The thread; it starts with the first source and ends with the executor."""
+
+    def __init__(
+        self, runtime: Runtime, context: Context, on_context_down: Callable[[], None]
+    ) -> None:
+        self._runtime = runtime
+        self._context = context
+        self._on_context_down = on_context_down
+        self._lock = threading.Lock()
+        self._sources: dict[WaitSetSource, None] = {}
+        self._retired: list[WaitSetSource] = []
+        self._taken = threading.Semaphore(0)
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._wake: GuardCondition | None = None
+        self._signals: GuardCondition | None = None
+
+    def watch_signals(self) -> None:
+        """Notice when rclpy's signal handlers shut the context down; no callback reports it."""
+        self._signals = SignalHandlerGuardCondition(self._context)
+        self._start()
+
+    def add(self, source: WaitSetSource) -> None:
+        """Begin to wait for a source."""
+        with self._lock:
+            self._sources[source] = None
+        self._start()
+        self.refresh()
+
+    def remove(self, source: WaitSetSource) -> None:
+        """Stop waiting for a source; it is released when the thread no longer uses it."""
+        with self._lock:
+            if source in self._sources:
+                del self._sources[source]
+                self._retired.append(source)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Build the wait set again."""
+        if self._wake is not None:
+            self._wake.trigger()
+
+    def stop(self) -> None:
+        """End the thread and release every source."""
+        self._stopping.set()
+        self._taken.release()
+        self.refresh()
+        if self._thread is not None:
+            self._thread.join()
+        self._release(self._retired)
+        self._release(list(self._sources))
+        self._retired, self._sources = [], {}
+        for guard in (self._wake, self._signals):
+            if guard is not None:
+                guard.destroy()
+        self._wake = self._signals = None
+
+    def _start(self) -> None:
+        if self._thread is None:
+            self._wake = GuardCondition(None, None, context=self._context)
+            self._thread = threading.Thread(target=self._run, name="rcl wait set", daemon=True)
+            self._thread.start()
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            with self._lock:
+                retired, self._retired = self._retired, []
+                sources = [source for source in self._sources if not source.parked]
+            self._release(retired)
+            with ExitStack() as held:
+                try:
+                    wait_set = self._build(sources, held)
+                    wait_set.wait(-1)
+                except _rclpy.RCLError as error:
+                    if self._context.ok():
+                        log.error("the executor shuts down: its wait-set thread failed: %s", error)
+                    self._post(self._on_context_down)
+                    return
+                if self._stopping.is_set():
+                    return
+                if not self._post(self._dispatch, wait_set, sources):
+                    return
+                self._taken.acquire()
+
+    def _build(self, sources: list[WaitSetSource], held: ExitStack) -> Any:
+        guards = [guard for guard in (self._wake, self._signals) if guard is not None]
+        totals = [sum(column) for column in zip(*(s.counts() for s in sources), strict=True)]
+        totals = totals or [0] * 6
+        totals[1] += len(guards)
+        assert self._context.handle is not None
+        held.enter_context(self._context.handle)
+        wait_set = _rclpy.WaitSet(*totals, self._context.handle)
+        wait_set.clear_entities()
+        for guard in guards:
+            wait_set.add_guard_condition(guard.handle)
+        for source in sources:
+            # Destroyed since: its removal is on the way.
+            with suppress(InvalidHandle):
+                source.fill(wait_set)
+        return wait_set
+
+    def _dispatch(self, wait_set: Any, sources: list[WaitSetSource]) -> None:
+        try:
+            if self._signals is not None:
+                pointers = wait_set.get_ready_entities("guard_condition")
+                if self._signals.handle.pointer in pointers:
+                    self._poll_shutdown(SHUTDOWN_POLLS)
+            for source in sources:
+                if self._runtime.stale:
+                    self._runtime.sync()
+                if not source.closed:
+                    source.run_if_ready(wait_set)
+        finally:
+            self._taken.release()
+
+    def _poll_shutdown(self, polls: int) -> None:
+        # rclpy's signal handler wakes the thread before it shuts the context down, not after.
+        if not self._context.ok():
+            self._on_context_down()
+        elif polls and not self._stopping.is_set():
+            self._runtime.loop.call_later(SHUTDOWN_POLL_S, self._poll_shutdown, polls - 1)
+
+    def _post(self, callback: Callable[..., None], *args: Any) -> bool:
+        try:
+            self._runtime.loop.call_soon_threadsafe(callback, *args)
+        except RuntimeError:  # The loop is closed: nothing handles it.
+            return False
+        return True
+
+    @staticmethod
+    def _release(sources: list[WaitSetSource]) -> None:
+        for source in sources:
+            source.release()
 
 
 class GuardSource(WaitSetSource):
