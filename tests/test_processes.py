@@ -365,10 +365,11 @@ def test_lines_come_out_of_pieces() -> None:
 
 
 def test_every_child_is_started_in_one_way() -> None:
-    from robotctl.cli.support import early_player, launch
+    from robotctl.cli.commands.replay import player_process
+    from robotctl.cli.support import launch
     from robotctl.rerun import check_many as checking
 
-    player = program(early_player.PLAYER)
+    player = program(player_process.PLAYER)
     programs = (launch.DAEMON, player, checking.WORKER, job_command("module:function", {}))
     assert all(each[:3] == (sys.executable, "-P", "-m") for each in programs)
     root = Path(robotctl.__file__).parent

@@ -9,18 +9,8 @@ from __future__ import annotations
 import gc
 import os
 import sys
-from typing import TYPE_CHECKING
 
 from robotctl.streams import open_standard_streams
-
-if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-
-LOOKS = (["topic"], ["node"], ["service"])
-"""The groups of commands that look at ROS."""
-
-PLAYS = ["replay"]
-"""The command that plays to ROS."""
 
 
 def main() -> None:
@@ -46,11 +36,9 @@ def run(arguments: list[str]) -> int:
             from robotctl.cli.support.leading_options import behind_the_command
 
             arguments = behind_the_command(arguments)
-        command = None
-        if arguments[:1] not in (*LOOKS, PLAYS):  # the others start their process at once
-            from robotctl.cli import quick
+        from robotctl.cli import quick
 
-            command = quick.match(arguments)
+        command = quick.match(arguments)
         if command is not None:
             command()
         else:
@@ -70,29 +58,12 @@ def run(arguments: list[str]) -> int:
 
 
 def _parse_and_run(arguments: list[str]) -> None:
-    """Run a command line through the option parser, beside a process for ROS if it needs one."""
-    with _process_for(arguments):
-        from robotctl.cli.registry import dispatch
+    """Run a command line through the option parser."""
+    from robotctl.cli.registry import dispatch
 
-        gc.freeze()
-        gc.enable()
-        dispatch(arguments)
-        sys.stdout.flush()  # the answer is there before the process has left ROS
-
-
-def _process_for(arguments: list[str]) -> AbstractContextManager[None]:
-    """Return a block during which the process that a command needs for ROS starts."""
-    if arguments[:1] in LOOKS:
-        from robotctl.cli.support.query_process import query_processes
-
-        return query_processes(arguments)
-    if arguments[:1] == PLAYS:
-        from robotctl.cli.support.early_player import early_player
-
-        return early_player(arguments)
-    from contextlib import nullcontext
-
-    return nullcontext()
+    gc.freeze()
+    gc.enable()
+    dispatch(arguments)
 
 
 def _wants_json(arguments: list[str]) -> bool:

@@ -50,14 +50,6 @@ assert app.run(sys.argv[1:]) == 0
 """
 
 
-@pytest.mark.parametrize("arguments", [["replay", "run.mcap"], ["topic", "list"]])
-def test_what_needs_a_process_for_ros_starts_it_before_other_imports(arguments: list[str]) -> None:
-    program = [sys.executable, "-c", STARTS, *arguments]
-    ran = subprocess.run(program, capture_output=True, text=True, check=True)
-    assert "robotctl.cli.app" in ran.stdout
-    assert "robotctl.ipc" not in ran.stdout
-
-
 def test_a_path_of_this_computer_needs_no_store() -> None:
     program = "import sys; from robotctl.cli.support.recording_paths import recording_path as path"
     program += "; path('run.mcap'); print(*sys.modules)"

@@ -11,7 +11,6 @@ from contextlib import suppress
 from pathlib import Path
 
 from robotctl.cli.support import dead_daemons, robots
-from robotctl.cli.support.query_process import query_processes
 from robotctl.cli.support.robots import RobotDaemon
 from robotctl.cli.support.ros_view import RosView, ros_view
 from robotctl.config import Config, load
@@ -121,41 +120,40 @@ def _computer(robot: str, config: Config) -> Iterator[Finding]:
 
 
 def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]:
-    with query_processes([]):
-        try:
-            view = ros_view(robot, domain_id)
-            limit_discovery()  # as a start does
-            if view.through_daemon:
-                yield from _check_daemons_range(call(robot, STATUS)["discovery_range"])
-            shell = requested_domain(domain_id) or 0
-            if shell != view.domain_id:
-                yield warning(
-                    "discovery",
-                    f"the daemon is in domain {view.domain_id}, this shell in {shell}: "
-                    "other programs of this shell do not see the robot",
-                    f"export ROS_DOMAIN_ID={view.domain_id}",
-                )
-            wider = wider_discovery()
-            reach = f"other machines are discovered: {wider}" if wider else "this machine only"
-            if discovery_range() == "OFF":
-                reach = "no other process is discovered"
-            yield ok("discovery", f"domain {view.domain_id}, {reach}")
-            names = view.names()
-            yield ok("nodes", ", ".join(names["nodes"]) or f"none in domain {view.domain_id}")
-            kernel = config.kernel
-            used = {each["name"] for each in names["topics"]}
-            odometry = _topic(view, kernel.odometry.topic, used)
-            has_odometry = bool(odometry["publishers"])
-            command = _topic(view, kernel.command.topic, used)
-            yield from graph_checks.check_command(command, has_odometry=has_odometry)
-            yield from graph_checks.check_odometry(odometry)
-            yield from graph_checks.check_definitions(names["topics"], _is_installed)
-        except UsageError:
-            raise
-        except RobotctlError as error:
-            cure = "check what it names, the ROS variables (env), memory and limits (ulimit -a)"
-            text = f"the graph cannot be seen: {error.cause or error}"
-            yield fault("ROS", text, error.cure or cure)
+    try:
+        view = ros_view(robot, domain_id)
+        limit_discovery()  # as a start does
+        if view.through_daemon:
+            yield from _check_daemons_range(call(robot, STATUS)["discovery_range"])
+        shell = requested_domain(domain_id) or 0
+        if shell != view.domain_id:
+            yield warning(
+                "discovery",
+                f"the daemon is in domain {view.domain_id}, this shell in {shell}: "
+                "other programs of this shell do not see the robot",
+                f"export ROS_DOMAIN_ID={view.domain_id}",
+            )
+        wider = wider_discovery()
+        reach = f"other machines are discovered: {wider}" if wider else "this machine only"
+        if discovery_range() == "OFF":
+            reach = "no other process is discovered"
+        yield ok("discovery", f"domain {view.domain_id}, {reach}")
+        names = view.names()
+        yield ok("nodes", ", ".join(names["nodes"]) or f"none in domain {view.domain_id}")
+        kernel = config.kernel
+        used = {each["name"] for each in names["topics"]}
+        odometry = _topic(view, kernel.odometry.topic, used)
+        has_odometry = bool(odometry["publishers"])
+        command = _topic(view, kernel.command.topic, used)
+        yield from graph_checks.check_command(command, has_odometry=has_odometry)
+        yield from graph_checks.check_odometry(odometry)
+        yield from graph_checks.check_definitions(names["topics"], _is_installed)
+    except UsageError:
+        raise
+    except RobotctlError as error:
+        cure = "check what it names, the ROS variables (env), memory and limits (ulimit -a)"
+        text = f"the graph cannot be seen: {error.cause or error}"
+        yield fault("ROS", text, error.cure or cure)
 
 
 def _check_daemons_range(daemons: str) -> Iterator[Finding]:

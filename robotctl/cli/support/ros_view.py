@@ -9,10 +9,8 @@ import os
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
-from robotctl.cli.support.early_process import END_S
-from robotctl.cli.support.query_process import leave, query_process
 from robotctl.domains import requested_domain
 from robotctl.environment import RANGE
 from robotctl.errors import NoDaemon, RobotctlError, UsageError, error_for_exit_code
@@ -21,10 +19,16 @@ from robotctl.ipc.graph_answers import Graph, GraphNode, GraphTopic
 from robotctl.ipc.method_names import GRAPH, GRAPH_NODE, GRAPH_TOPIC, STATUS
 from robotctl.ipc.protocol import MAX_GRAPH_NAME
 from robotctl.paths import namespace_of
-from robotctl.processes import Child
+from robotctl.processes import Child, program, start
 from robotctl.unknown_name import only_type, unknown_name
 
-ANSWER_S = 30.0
+QUERY: Final = "robotctl.ros.queries"
+"""The module of the process that looks at ROS."""
+
+END_S: Final = 10.0
+"""How long that process may take to leave its domain."""
+
+ANSWER_S: Final = 30.0
 """How long the process may take for an answer: it waits up to 3.5 s for discovery, and a busy
 machine starts it slowly."""
 
@@ -124,14 +128,14 @@ class RosView:
         except (EOFError, TimeoutError):
             raise RobotctlError("the process that looks at ROS did not answer") from None
         finally:
-            leave(child)
+            child.close_stdin()
+            child.close(END_S)
 
     def _start(self, look: str, **request: Any) -> Child:
         from json import dumps
 
-        child = query_process()
-        discovery = os.environ.get(RANGE)  # it may have been started before this was known
-        given = {"look": look, "domain_id": self.domain_id, "range": discovery, **request}
+        child = start(program(QUERY), with_stdin=True)
+        given = {"look": look, "domain_id": self.domain_id, **request}
         line = dumps(given)
         with suppress(BrokenPipeError):  # it has ended; the first receive notices
             child.send(f"{line}\n".encode())

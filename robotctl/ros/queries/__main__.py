@@ -1,7 +1,7 @@
 """`python -m robotctl.ros.queries --report-fd N`: do what the first line on stdin asks.
 
 The line is a JSON object with the name of a look (`names`, `topic`, `node`, `listen`, `call`), the
-domain, its discovery range (null for that of the environment), and what the look takes. The
+domain, and what the look needs. The
 reports are the answers; a failure is {"error", "exit_code"} with details of the error. The process
 ends with its stdin, so it does not outlive its parent.
 """
@@ -9,7 +9,6 @@ ends with its stdin, so it does not outlive its parent.
 from __future__ import annotations
 
 import asyncio
-import gc
 import json
 import os
 import sys
@@ -30,13 +29,10 @@ def main(arguments: list[str]) -> int:
             # After environment.prepare(), because it imports rclpy; before the wait for the line.
             from robotctl.ros.queries.by_name import look
 
-            gc.enable()  # a copy of a command has it disabled
             line = _first_line()
             if not line:
                 return 0
             request = json.loads(line)
-            if request["range"] is not None:
-                os.environ[environment.RANGE] = request["range"]
             look(request, send)
         except RobotctlError as error:
             send({"error": str(error), "exit_code": error.exit_code, **error.details()})

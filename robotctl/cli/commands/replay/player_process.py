@@ -6,17 +6,18 @@ import select
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from robotctl.cli.commands.replay.keys import KEYS, QUIT
-from robotctl.cli.support.early_player import PLAYER
-from robotctl.cli.support.early_process import early_or_new
 from robotctl.cli.terminal.keyboard import Keyboard
 from robotctl.cli.terminal.replay_screen import Screen
 from robotctl.errors import RobotctlError, error_for_exit_code
-from robotctl.processes import Child
+from robotctl.processes import Child, program, start
 from robotctl.replay.commands import Command
 from robotctl.replay.job import Job
+
+PLAYER: Final = "robotctl.replay"
+"""The module of the process that plays."""
 
 END_DEADLINE_S = 15.0
 """How long the player may take to remove its publishers from the graph and exit."""
@@ -46,7 +47,7 @@ def play_in_process(
         KeyboardInterrupt: Ctrl-C was pressed a second time.
     """
     report = PlayerReport()
-    child = early_or_new(PLAYER)
+    child = start(program(PLAYER), with_stdin=True)
     try:
         with suppress(BrokenPipeError):  # it has ended; the loop below notices
             child.send(f"{job.to_json()}\n".encode())
