@@ -14,11 +14,17 @@ COMMANDS: Mapping[str, str] = {}
 """Commands, as typed after `robotctl`, with what replaces them."""
 
 OPTIONS: Mapping[tuple[str, str], str] = {
+    ("replay", "--force"): "--original-names publishes where a daemon runs, and --force-types "
+    "plays types that have changed",
+    ("replay", "--view"): "use: --draw (in the terminal), or open the .mcap file in Foxglove",
+    ("replay", "--view-only"): "use: --draw-only (in the terminal)",
+    ("view", "--at"): "Foxglove and Lichtblick open the .mcap file themselves",
     ("report", "--compare"): "use: robotctl gate RECORDINGS --baseline FILE",
 }
 """Options by command (`replay`, `boot install`), with what replaces them."""
 
 ARGUMENTS: Mapping[str, str] = {
+    "view": "Foxglove and Lichtblick open the .mcap file themselves; or use: robotctl report FILE",
     "doctor": "docs/tutorial.md has the usual mistakes of a first ROS 2 package, with their cures",
 }
 """Commands that had an argument, with what replaces it."""

@@ -1,9 +1,9 @@
-"""The live view: topics or a recording, for Foxglove and Lichtblick, over a guarded WebSocket.
+"""The live view: topics of a domain, for Foxglove and Lichtblick, over a guarded WebSocket.
 
 - `foxglove_messages`, `foxglove_requests`: the protocol, as bytes out and requests in.
 - `admission`: who may connect; `outbox`: what waits for one viewer, bounded.
 - `viewer`: one connection; `view_server`: all of them, and the channels; `listening`: its socket.
-- `live_view`, `recorded_view`: what feeds it, a ROS domain or a file.
+- `live_view`: what feeds it from a ROS domain.
 - `remote_control`: what viewers may do to the robot with `--control`.
 - `serving`, `__main__`: the process around them, started by `robotctl view`.
 

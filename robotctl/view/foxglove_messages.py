@@ -1,7 +1,7 @@
 """What a server of the Foxglove WebSocket protocol sends.
 
-The protocol is that of https://github.com/foxglove/ws-protocol (docs/spec.md), with the playback
-state of the Foxglove SDK. Integers are little-endian, times are in nanoseconds.
+The protocol is that of https://github.com/foxglove/ws-protocol (docs/spec.md). Integers are
+little-endian, times are in nanoseconds.
 """
 
 from __future__ import annotations
@@ -13,18 +13,11 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final
 
-from robotctl.kernel.units import NS_PER_S
-
-SDK_PROTOCOL: Final = "foxglove.sdk.v1"
-"""The name under which Foxglove asks for this protocol with playback states."""
-
-SUBPROTOCOLS: Final = (SDK_PROTOCOL, "foxglove.websocket.v1")
-"""The names under which clients ask for it; the second is that of Lichtblick."""
+SUBPROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+"""The names under which Foxglove and Lichtblick ask for it."""
 
 _MESSAGE_DATA: Final = struct.Struct("<BIQ")
-_TIME: Final = struct.Struct("<BQ")
 _SERVICE_RESPONSE: Final = struct.Struct("<BIII")
-_PLAYBACK_STATE: Final = struct.Struct("<BBQfBI")
 
 
 class StatusLevel(IntEnum):
@@ -35,15 +28,6 @@ class StatusLevel(IntEnum):
     ERROR = 2
 
 
-class PlaybackStatus(IntEnum):
-    """What a playback does."""
-
-    PLAYING = 0
-    PAUSED = 1
-    BUFFERING = 2
-    ENDED = 3
-
-
 @dataclass(frozen=True, slots=True)
 class ViewChannel:
     """A topic that is offered; its messages are CDR, its definition a text."""
@@ -52,7 +36,6 @@ class ViewChannel:
     topic: str
     type_name: str
     definition: str
-    schema_encoding: str = "ros2msg"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,14 +46,9 @@ class ViewService:
     name: str
 
 
-def server_info(
-    name: str,
-    session_id: str,
-    capabilities: Iterable[str],
-    span_ns: tuple[int, int] | None = None,
-) -> str:
-    """Return the greeting; `span_ns` is the first and last time of a recording."""
-    info: dict[str, Any] = {
+def server_info(name: str, session_id: str, capabilities: Iterable[str]) -> str:
+    """Return the greeting."""
+    info = {
         "op": "serverInfo",
         "name": name,
         "capabilities": list(capabilities),
@@ -78,8 +56,6 @@ def server_info(
         "metadata": {"ROS_DISTRO": "jazzy"},
         "sessionId": session_id,
     }
-    if span_ns is not None:
-        info |= {"dataStartTime": _time(span_ns[0]), "dataEndTime": _time(span_ns[1])}
     return json.dumps(info)
 
 
@@ -91,7 +67,7 @@ def advertise(channels: Iterable[ViewChannel]) -> str:
             "topic": each.topic,
             "encoding": "cdr",
             "schemaName": each.type_name,
-            "schemaEncoding": each.schema_encoding,
+            "schemaEncoding": "ros2msg",
             "schema": each.definition,
         }
         for each in channels
@@ -154,21 +130,3 @@ def service_failure(service_id: int, call_id: int, message: str) -> str:
 def message_head(subscription_id: int, log_ns: int) -> bytes:
     """Return what precedes the CDR bytes of a message."""
     return _MESSAGE_DATA.pack(1, subscription_id, log_ns)
-
-
-def time_message(now_ns: int) -> bytes:
-    """Return the server's time."""
-    return _TIME.pack(2, now_ns)
-
-
-def playback_state(
-    status: PlaybackStatus, at_ns: int, rate: float, *, did_seek: bool, request_id: str
-) -> bytes:
-    """Return where a playback is; `request_id` is that of the request it answers, or ""."""
-    answered = request_id.encode()
-    return _PLAYBACK_STATE.pack(5, status, at_ns, rate, did_seek, len(answered)) + answered
-
-
-def _time(at_ns: int) -> dict[str, int]:
-    sec, nsec = divmod(at_ns, NS_PER_S)
-    return {"sec": sec, "nsec": nsec}

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-import math
 import struct
 from dataclasses import dataclass
 from typing import Any, Final
 
-_PLAYBACK: Final = struct.Struct("<BfBQI")
 _CLIENT_MESSAGE: Final = struct.Struct("<I")
 _SERVICE_CALL: Final = struct.Struct("<III")
 
 _MAX_ID: Final = (1 << 32) - 1
-_MAX_REQUEST_ID_BYTES: Final = 256
 
 
 class WrongRequest(Exception):
@@ -40,16 +37,6 @@ class ServiceCall:
 
     service_id: int
     call_id: int
-
-
-@dataclass(frozen=True, slots=True)
-class PlaybackRequest:
-    """Play or pause at a rate, from another time [ns] unless `seek_ns` is None."""
-
-    play: bool
-    rate: float
-    seek_ns: int | None
-    request_id: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,13 +72,7 @@ class ClientMessage:
 
 
 ViewRequest = (
-    Subscribe
-    | Unsubscribe
-    | ServiceCall
-    | PlaybackRequest
-    | ClientOffers
-    | ClientWithdrawal
-    | ClientMessage
+    Subscribe | Unsubscribe | ServiceCall | ClientOffers | ClientWithdrawal | ClientMessage
 )
 
 
@@ -132,9 +113,7 @@ def binary_request(data: bytes) -> ViewRequest:
             return ClientMessage(channel_id, content[_CLIENT_MESSAGE.size :])
         if opcode == b"\x02":
             return _service_call(content)
-        if opcode == b"\x03":
-            return _playback(content)
-    except (struct.error, UnicodeDecodeError):
+    except struct.error:
         raise WrongRequest("a binary message that is cut off") from None
     raise WrongRequest("a binary message of an unknown kind")
 
@@ -142,16 +121,6 @@ def binary_request(data: bytes) -> ViewRequest:
 def _service_call(content: bytes) -> ServiceCall:
     service_id, call_id, _ = _SERVICE_CALL.unpack_from(content)
     return ServiceCall(service_id, call_id)
-
-
-def _playback(content: bytes) -> PlaybackRequest:
-    command, rate, seeks, seek_ns, length = _PLAYBACK.unpack_from(content)
-    request_id = content[_PLAYBACK.size :]
-    if command not in (0, 1) or length != len(request_id) or length > _MAX_REQUEST_ID_BYTES:
-        raise WrongRequest("a playback request of an unknown form")
-    if not (math.isfinite(rate) and rate > 0.0):
-        raise WrongRequest("a playback rate that is not positive")
-    return PlaybackRequest(command == 0, rate, seek_ns if seeks else None, request_id.decode())
 
 
 def _offer(given: Any) -> Offer:

@@ -27,12 +27,10 @@ class OfferedChannels:
         """The channels that are offered."""
         return self._channels.values()
 
-    def offer(
-        self, topic: str, type_name: str, definition: str, schema_encoding: str
-    ) -> ViewChannel:
+    def offer(self, topic: str, type_name: str, definition: str) -> ViewChannel:
         """Add a channel for a topic, and return it."""
         self._last_id += 1
-        channel = ViewChannel(self._last_id, topic, type_name, definition, schema_encoding)
+        channel = ViewChannel(self._last_id, topic, type_name, definition)
         self._channels[channel.id] = channel
         return channel
 

@@ -1,4 +1,4 @@
-"""A view from its start to its end: the source, the server, and what ends both."""
+"""A view from its start to its end: the domain, the server, and what ends both."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ import os
 import socket
 from collections.abc import Callable, Coroutine
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
 from robotctl.end_signals import end_signals
-from robotctl.errors import UsageError
 from robotctl.processes import pidfd_of
 from robotctl.view.admission import Admission, new_token
 from robotctl.view.loop_failures import LoopFailures
-from robotctl.view.view_job import LiveTarget, ViewJob
+from robotctl.view.view_job import ViewJob
 from robotctl.view.view_server import ViewServer
 
 Report = Callable[[dict[str, Any]], None]
@@ -35,11 +33,7 @@ async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
         RobotctlError: The view cannot be served; the text says why.
     """
     asyncio.get_running_loop().set_exception_handler(LoopFailures().handle)
-    view = Serving(job, report)
-    if job.live is not None:
-        await view.show_domain(job.live, at_end)
-    else:
-        await view.show_recording(Path(job.file))
+    await Serving(job, report).show_domain(at_end)
 
 
 class Serving:
@@ -54,8 +48,9 @@ class Serving:
         if not job.outlives_stdin:
             asyncio.get_running_loop().add_reader(_STDIN, self._end_with_stdin)
 
-    async def show_domain(self, target: LiveTarget, at_end: ExitStack) -> None:
+    async def show_domain(self, at_end: ExitStack) -> None:
         """Serve the topics of a domain until its daemon ends."""
+        target = self._job.live
         os.nice(NICENESS)
         # After environment.prepare(), because they import rclpy.
         from robotctl.ros.session import ros_session
@@ -82,29 +77,6 @@ class Serving:
         server = ViewServer(name, self._admission, capabilities=capabilities, services=SERVICES)
         RemoteControl(robot, server, self._job.lease)
         return server
-
-    async def show_recording(self, path: Path) -> None:
-        """Serve a recording.
-
-        Raises:
-            UnreadableFile: Nothing can be read.
-            UsageError: It has no messages.
-        """
-        from robotctl.recording import Recording
-        from robotctl.view.recorded_view import CAPABILITIES, RecordedView, span_of_recording
-
-        with Recording(path) as recording:
-            if not recording.info().message_count:
-                raise UsageError(f"{path} has no messages")
-            span_ns = span_of_recording(recording)
-            server = ViewServer(
-                f"robotctl: {path.name}",
-                self._admission,
-                capabilities=CAPABILITIES,
-                span_ns=span_ns,
-            )
-            view = RecordedView(recording, server, span_ns, self._job.at_ns)
-            await self._run(server, view.run())
 
     async def _run(self, server: ViewServer, feed: Coroutine[Any, Any, None]) -> None:
         """Run the server with its source until the end."""

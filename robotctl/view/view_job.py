@@ -29,12 +29,9 @@ class LiveTarget:
 
 @dataclass(frozen=True, slots=True)
 class ViewJob:
-    """What to show, and where to listen. Either `live` or `file` is given."""
+    """What to show, and where to listen."""
 
-    live: LiveTarget | None = None
-    file: str = ""
-    at_ns: int = 0
-    """Where the recording begins to play, since the epoch; 0 is its beginning."""
+    live: LiveTarget
     host: str = "127.0.0.1"
     port: int | None = None
     """None is the usual port, or a free one where that is taken."""
@@ -55,6 +52,5 @@ class ViewJob:
     def from_json(cls, line: str | bytes) -> Self:
         """Return the job of a line that `to_json` made."""
         fields = json.loads(line)
-        live = fields.pop("live")
-        origins = tuple(fields.pop("origins"))
-        return cls(live=LiveTarget(**live) if live else None, origins=origins, **fields)
+        live = LiveTarget(**fields.pop("live"))
+        return cls(live=live, origins=tuple(fields.pop("origins")), **fields)

@@ -19,7 +19,6 @@ from robotctl.view.foxglove_messages import (
     remove_status,
     server_info,
     status,
-    time_message,
     unadvertise,
 )
 from robotctl.view.foxglove_requests import (
@@ -27,7 +26,6 @@ from robotctl.view.foxglove_requests import (
     ClientOffers,
     ClientWithdrawal,
     Offer,
-    PlaybackRequest,
     ServiceCall,
     Subscribe,
     Unsubscribe,
@@ -73,28 +71,22 @@ class ViewServer:
         *,
         capabilities: Sequence[str] = (),
         services: Sequence[ViewService] = (),
-        span_ns: tuple[int, int] | None = None,
     ) -> None:
-        """`span_ns` is the first and last time of a recording."""
         self._admission = admission
         self._services = services
-        self._greeting = server_info(name, secrets.token_hex(8), capabilities, span_ns)
+        self._greeting = server_info(name, secrets.token_hex(8), capabilities)
         self._offered = OfferedChannels()
         self._notes: dict[str, tuple[StatusLevel, str]] = {}
         self._connections: set[Viewer] = set()
         self._viewers: set[Viewer] = set()
         self._unflushed: set[Viewer] = set()
         self._listener: asyncio.Server | None = None
-        self.on_viewers: Callable[[int], None] = lambda count: None
-        """Called with the number of viewers when it changes."""
-
         self.on_subscribed: Callable[[int], None] = lambda channel_id: None
         """Called when a viewer has subscribed to a channel."""
 
         self.on_unwatched: Callable[[int], None] = lambda channel_id: None
         """Called when the last subscription to a channel has ended."""
 
-        self.on_playback: Callable[[PlaybackRequest], None] | None = None
         self.on_call: Callable[[Viewer, ServiceCall], None] | None = None
         self.on_offer: Callable[[Offer], None] | None = None
         """Called with a channel that a viewer offers; WrongRequest refuses it."""
@@ -140,11 +132,9 @@ class ViewServer:
 
     # The channels
 
-    def offer(
-        self, topic: str, type_name: str, definition: str, schema_encoding: str = "ros2msg"
-    ) -> int:
+    def offer(self, topic: str, type_name: str, definition: str) -> int:
         """Offer a topic to all viewers, and return the id of its channel."""
-        channel = self._offered.offer(topic, type_name, definition, schema_encoding)
+        channel = self._offered.offer(topic, type_name, definition)
         self._tell_all(advertise([channel]))
         return channel.id
 
@@ -165,19 +155,6 @@ class ViewServer:
         for viewer, subscription in subscribers.items():
             viewer.outbox.put_message(frame + message_head(subscription, log_ns), kept)
         self._unflushed.update(subscribers)
-
-    def tell_time(self, now_ns: int) -> None:
-        """Tell all viewers the time; one whose socket is full gets the next."""
-        message = time_message(now_ns)
-        for viewer in list(self._viewers):
-            if not viewer.is_stalled:
-                viewer.tell(message)
-
-    def tell_playback(self, state: bytes) -> None:
-        """Tell all viewers that know playback states where it is."""
-        for viewer in list(self._viewers):
-            if viewer.knows_playback:
-                viewer.tell(state)
 
     def note(self, id: str, level: StatusLevel, message: str) -> None:  # noqa: A002 - the field's name
         """Show a message to all viewers, later ones too, until `clear`."""
@@ -211,7 +188,6 @@ class ViewServer:
             viewer.tell(advertise_services(self._services))
         for id_, (level, message) in self._notes.items():
             viewer.tell(status(level, message, id_))
-        self.on_viewers(len(self._viewers))
 
     def leave(self, viewer: Viewer) -> None:
         """Forget a connection and its subscriptions."""
@@ -219,9 +195,7 @@ class ViewServer:
         self._unflushed.discard(viewer)
         for subscription in list(viewer.subscriptions):
             self._unsubscribe(viewer, subscription)
-        if viewer in self._viewers:
-            self._viewers.remove(viewer)
-            self.on_viewers(len(self._viewers))
+        self._viewers.discard(viewer)
 
     def request(self, viewer: Viewer, request: ViewRequest) -> None:
         """Do what a viewer asks for.
@@ -239,8 +213,6 @@ class ViewServer:
             case Unsubscribe():
                 for subscription in request.subscriptions:
                     self._unsubscribe(viewer, subscription)
-            case PlaybackRequest() if self.on_playback is not None:
-                self.on_playback(request)
             case ServiceCall() if self.on_call is not None:
                 self.on_call(viewer, request)
             case ClientOffers() if self.on_offer is not None:

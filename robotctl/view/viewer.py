@@ -17,7 +17,7 @@ from websockets.server import ServerProtocol
 from websockets.typing import Subprotocol
 
 from robotctl.view.admission import Admission
-from robotctl.view.foxglove_messages import SDK_PROTOCOL, SUBPROTOCOLS
+from robotctl.view.foxglove_messages import SUBPROTOCOLS
 from robotctl.view.foxglove_requests import (
     ViewRequest,
     WrongRequest,
@@ -100,11 +100,6 @@ class Viewer(asyncio.Protocol):
     def is_stalled(self) -> bool:
         """Whether its socket takes nothing now."""
         return self._full
-
-    @property
-    def knows_playback(self) -> bool:
-        """Whether it takes playback states; others end the connection at an unknown message."""
-        return self._websocket.subprotocol == SDK_PROTOCOL
 
     # From the loop
 

@@ -116,7 +116,7 @@ def test_what_is_made_of_a_url_is_written_here(cli: Cli, bucket: FaultyBucket) -
     assert len(bucket.objects) == len(list(STOPPED.iterdir()))
 
 
-@pytest.mark.parametrize("command", ["recover", "replay", "view", "recordings rm"])
+@pytest.mark.parametrize("command", ["recover", "replay", "recordings rm"])
 def test_a_command_that_needs_a_file_of_this_computer_says_so(
     cli: Cli, bucket: FaultyBucket, command: str
 ) -> None:

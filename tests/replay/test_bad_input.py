@@ -222,7 +222,6 @@ async def test_of_a_truncated_file_what_can_be_read_is_played_and_the_rest_is_to
         (["--wait-for", "-1"], "'--wait-for': -1 is not in the range"),
         (["--read-ahead", "0"], "'--read-ahead': 0 is not in the range"),
         (["--draw"], "nothing to draw"),
-        (["--view"], "have become --draw and --draw-only"),
         (["--draw-only", "--rate", "max"], "--draw-only"),
         (["--start-offset", "100"], "the recording ends after"),
         (["--start-offset", "nan"], "--start-offset nan: give seconds"),

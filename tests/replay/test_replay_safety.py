@@ -99,15 +99,6 @@ async def test_original_names_beside_a_daemon_take_commands_along_where_they_are
     await until(lambda: len(listener.heard["/alpha"]) == 20)
 
 
-async def test_force_names_the_two_options_that_it_has_become(replay: Any) -> None:
-    ran = await replay("run.mcap", "--force")
-    assert (ran.exit_code, ran.out) == (2, "")
-    assert ran.err == (
-        "robotctl: --force has become two options: --original-names publishes beside a daemon, "
-        "and --force-types plays types that have changed\n"
-    )
-
-
 async def test_original_names_are_refused_while_the_robot_moves(
     tmp_path: Path, listener: Any, replay: Any, daemon: Any
 ) -> None:

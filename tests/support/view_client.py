@@ -25,16 +25,6 @@ class Received(NamedTuple):
     data: bytes
 
 
-class PlaybackPoint(NamedTuple):
-    """A playback state as the server sends it."""
-
-    status: int
-    at_ns: int
-    rate: float
-    did_seek: bool
-    request_id: str
-
-
 class ViewClient:
     """A connection; what comes is sorted into lists."""
 
@@ -45,8 +35,6 @@ class ViewClient:
         self.said: list[dict[str, Any]] = []
         """Everything in JSON."""
         self.messages: list[Received] = []
-        self.playback: list[PlaybackPoint] = []
-        self.times_ns: list[int] = []
         self.responses: list[dict[str, Any]] = []
 
     async def until(self, condition: Callable[[], object]) -> None:
@@ -78,14 +66,6 @@ class ViewClient:
     async def unsubscribe(self, topic: str) -> None:
         """Subscribe to a topic no longer."""
         await self.ask(op="unsubscribe", subscriptionIds=[1000 + self.channels[topic]["id"]])
-
-    async def control(
-        self, *, play: bool, rate: float = 1.0, seek_ns: int | None = None, request_id: str = "r"
-    ) -> None:
-        """Ask for a playback."""
-        name = request_id.encode()
-        fields = (3, not play, rate, seek_ns is not None, seek_ns or 0, len(name))
-        await self.socket.send(struct.pack("<BBfBQI", *fields) + name)
 
     async def call(self, service: str, call_id: int = 1) -> None:
         """Call a service without parameters."""
@@ -125,14 +105,8 @@ class ViewClient:
             case 1:
                 subscription, log_ns = struct.unpack_from("<IQ", received, 1)
                 self.messages.append(Received(subscription, log_ns, received[13:]))
-            case 2:
-                self.times_ns += struct.unpack_from("<Q", received, 1)
             case 3:
                 self.responses.append(json.loads(received[17:]))
-            case 5:
-                status, at_ns, rate, did_seek, length = struct.unpack_from("<BQfBI", received, 1)
-                name = received[19 : 19 + length].decode()
-                self.playback.append(PlaybackPoint(status, at_ns, rate, bool(did_seek), name))
 
 
 @asynccontextmanager

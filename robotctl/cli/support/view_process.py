@@ -87,7 +87,7 @@ def start_view(job: ViewJob, log: Path | None = None) -> tuple[Child, dict[str, 
         raise
 
 
-def show_view(job: ViewJob, what: str, *, as_json: bool) -> None:
+def show_view(job: ViewJob, *, as_json: bool) -> None:
     """Serve a view until Ctrl-C or its own end, and print where to connect.
 
     Raises:
@@ -97,7 +97,7 @@ def show_view(job: ViewJob, what: str, *, as_json: bool) -> None:
     with interrupted_by((signal.SIGTERM, signal.SIGHUP)):
         child, ready = start_view(job)
         try:
-            lines = ready_lines(what, job, ready)
+            lines = ready_lines(job, ready)
             print(json_text(ready) if as_json else "\n".join(lines), flush=True)
             for said in reports_of(child):
                 if "ended" in said:
@@ -109,10 +109,11 @@ def show_view(job: ViewJob, what: str, *, as_json: bool) -> None:
             child.close(END_S)
 
 
-def ready_lines(what: str, job: ViewJob, ready: dict[str, Any]) -> Iterator[str]:
+def ready_lines(job: ViewJob, ready: dict[str, Any]) -> Iterator[str]:
     """Yield what a user needs to connect, and what viewers may do."""
     may = "viewers may stop and drive it" if job.lease else "viewers may stop it"
-    yield f"{what} in Foxglove and Lichtblick, {may if job.control else 'read-only'}"
+    shown = f"robot {job.live.robot} in Foxglove and Lichtblick"
+    yield f"{shown}, {may if job.control else 'read-only'}"
     yield f"  connect to  {ready['url']}"
     yield f"  or open     {ready['open']}"
 

@@ -84,8 +84,8 @@ def find(
     missing or old. The condition compares columns with < <= == != >= >, and joins them with
     and, or, not. `--json` shows all columns. Needs the extra robotctl[parquet].
 
-    `--open N` does for row N what `report`, `clip` or `view` does, and prints what that prints:
-    where the page or the clip is, or where to connect. A browser shows the page at the moment if
+    `--open N` does for row N what `report` or `clip` does, and prints what that prints: where
+    the page or the clip is. A browser shows the page at the moment if
     there is a display.
 
     \b

@@ -1,4 +1,4 @@
-"""Opens the recording of a row at its moment: as a report, a clip or a view."""
+"""Opens the recording of a row at its moment: as a report or a clip."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ class OpenAs(StrEnum):
 
     REPORT = "report"
     CLIP = "clip"
-    VIEW = "view"
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +72,6 @@ def open_as(shown: ShownPage, kind: OpenAs, *, as_json: bool) -> None:
             raise UsageError("the row has no moment to clip", "ask for drives, or for --events")
         before_s, after_s = AROUND_EVENT_S if shown.drive_s is None else AROUND_DRIVE_S
         clip(file, at=at, before=before_s, after=after_s + (shown.drive_s or 0.0), as_json=as_json)
-    elif kind is OpenAs.VIEW:
-        from robotctl.cli.commands.view import view
-
-        view(file, at=at, as_json=as_json)
     else:
         from robotctl.cli.commands.report.command import report
 

@@ -107,8 +107,6 @@ def replay(
     force_types: Annotated[
         bool, typer.Option("--force-types", help="Play types whose definition has changed.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", hidden=True)] = False,
-    view: Annotated[bool, typer.Option("--view", "--view-only", hidden=True)] = False,
     domain_id: Annotated[
         int | None,
         typer.Option(
@@ -137,16 +135,6 @@ def replay(
       robotctl replay run.mcap --resim --what-if tracking.k_y=8
       robotctl replay run.mcap --draw-only --start-offset 30
     """
-    if force:
-        raise UsageError(
-            "--force has become two options: --original-names publishes beside a daemon, and "
-            "--force-types plays types that have changed"
-        )
-    if view:
-        raise UsageError(
-            "--view and --view-only have become --draw and --draw-only (in the terminal); "
-            "robotctl view FILE shows a recording in Foxglove"
-        )
     if check and (what_if or resim):
         raise UsageError("--check uses the recorded parameters", "leave --what-if and --resim out")
     if all_bytes and not check:
