@@ -25,11 +25,8 @@ PROTOCOL_MAY = {
     "paths",
     "trust",
     "ipc.answers",
-    "ipc.drive_answers",
-    "ipc.graph_answers",
     "ipc.method_names",
     "ipc.protocol",
-    "ipc.peer",
 }
 
 
@@ -184,15 +181,7 @@ def test_only_the_ros_package_imports_ros() -> None:
 
 @pytest.mark.parametrize(
     "module",
-    [
-        "ipc.protocol",
-        "ipc.answers",
-        "ipc.drive_answers",
-        "ipc.graph_answers",
-        "ipc.method_names",
-        "ipc.client",
-        "ipc.peer",
-    ],
+    ["ipc.protocol", "ipc.answers", "ipc.method_names", "ipc.client"],
 )
 def test_the_client_needs_only_the_standard_library(module: str) -> None:
     path = ROOT.joinpath(*module.split(".")).with_suffix(".py")

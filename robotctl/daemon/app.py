@@ -28,10 +28,9 @@ from robotctl.daemon.waiting import DISCOVERY_S
 from robotctl.domains import is_certainly_empty
 from robotctl.end_signals import end_signals
 from robotctl.ipc.answers import StartSummary
-from robotctl.ipc.listener import remove_stale
+from robotctl.ipc.listener import remove_stale, socket_group
 from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
-from robotctl.ipc.socket_group import socket_group
 from robotctl.paths import chain_to, robot_state_folder, socket_path
 from robotctl.ros.session import RECORDER_NODE, Naming, ros_session
 

@@ -39,7 +39,7 @@ from robotctl.daemon.supervisor import Work
 from robotctl.daemon.waiting import until
 from robotctl.errors import RobotctlError
 from robotctl.ipc.advice import advice
-from robotctl.ipc.method import Method
+from robotctl.ipc.request_handler import Method
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.state import State, latched

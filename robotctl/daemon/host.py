@@ -15,7 +15,7 @@ from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.supervisor import Supervisor, Work
 from robotctl.decision_log.log import DecisionLog
 from robotctl.ipc.answers import StartSummary
-from robotctl.ipc.method import Method
+from robotctl.ipc.request_handler import Method
 from robotctl.ipc.server import ControlServer
 from robotctl.ros.session import Session
 

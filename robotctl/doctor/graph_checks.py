@@ -8,7 +8,7 @@ from typing import Final
 
 from robotctl.cdr.known_types import ODOMETRY
 from robotctl.doctor.finding import Finding, fault, ok, warning
-from robotctl.ipc.graph_answers import GraphEndpoint, GraphTopic, NameAndTypes
+from robotctl.ipc.answers import GraphEndpoint, GraphTopic, NameAndTypes
 from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 
 ODOMETRY_TYPES: Final = (ODOMETRY,)

@@ -8,11 +8,71 @@ from __future__ import annotations
 
 from typing import TypedDict
 
-from robotctl.ipc.drive_answers import DriveAnswer as DriveAnswer
-from robotctl.ipc.drive_answers import DriveFacts as DriveFacts
-from robotctl.ipc.drive_answers import DrivenPath as DrivenPath
-from robotctl.ipc.drive_answers import HoldAnswer as HoldAnswer
-from robotctl.ipc.drive_answers import ModeAnswer as ModeAnswer
+
+class DriveFacts(TypedDict):
+    """The drive that is going on, and its errors so far: of `kernel.types.DriveReport`."""
+
+    what: str
+    lap: int
+    laps: int
+    """0: until stopped."""
+    distance_m: float
+    duration_s: float
+    cross_track_m: float | None
+    """None where nothing is measured, as are the other errors: a velocity has no path."""
+    cross_track_rms_m: float | None
+    cross_track_max_m: float | None
+    true_cross_track_rms_m: float | None
+    """By the true pose of a robot that the daemon simulates; None for any other."""
+    true_cross_track_max_m: float | None
+    true_heading_rms_rad: float | None
+    true_heading_max_rad: float | None
+    true_closure_m: float | None
+    heading_rms_rad: float | None
+    heading_max_rad: float | None
+    closure_m: float | None
+    """At the end of the last lap; None before the first is complete."""
+
+
+class DrivenPath(TypedDict):
+    """The answer of `path`: points of the present or last drive, in the odometry frame [m]."""
+
+    reference: list[list[float]]
+    driven: list[list[float]]
+
+
+class ModeAnswer(TypedDict):
+    """The answer of `set_mode`, `reset`, `end_drive`, and of a `drive` that is not waited for."""
+
+    message: str
+    mode: str
+
+
+class DriveAnswer(ModeAnswer, total=False):
+    """The answer of `drive`; the figures are there when the call waited for the end of the drive.
+
+    They are those of `kernel.types.DriveReport`; None stands for an unknown value.
+    """
+
+    laps: int
+    distance_m: float | None
+    cross_track_rms_m: float | None
+    cross_track_max_m: float | None
+    true_cross_track_rms_m: float | None
+    true_cross_track_max_m: float | None
+    true_heading_rms_rad: float | None
+    true_heading_max_rad: float | None
+    true_closure_m: float | None
+    closure_m: float | None
+    heading_rms_rad: float | None
+    heading_max_rad: float | None
+    duration_s: float | None
+
+
+class HoldAnswer(ModeAnswer):
+    """The answer of `hold`; a hold that is over has the `hold` 0, and `message` says why."""
+
+    hold: int
 
 
 class Hello(TypedDict):
@@ -249,3 +309,50 @@ class SimFaulted(SimSet):
     mode: str
     stopped_after_ms: float | None
     """From the fault to the mode that commands zero, None if the robot was not stopped."""
+
+
+class NameAndTypes(TypedDict):
+    """A topic or a service: its full name, and its types, which should be one."""
+
+    name: str
+    types: list[str]
+
+
+class Graph(TypedDict):
+    """The names that the daemon sees on ROS; `left_out` says how many more there are."""
+
+    topics: list[NameAndTypes]
+    services: list[NameAndTypes]
+    nodes: list[str]
+    left_out: int
+
+
+class GraphEndpoint(TypedDict):
+    """A publisher or a subscription; `node` is "" while it is unknown.
+
+    `qos` has reliability, durability, history and depth; "unknown" is what DDS does not tell.
+    """
+
+    node: str
+    type: str
+    gid: str
+    qos: dict[str, str | int]
+
+
+class GraphTopic(TypedDict):
+    """A topic with all that publish it or subscribe to it; both are empty for an unknown one."""
+
+    name: str
+    types: list[str]
+    publishers: list[GraphEndpoint]
+    subscriptions: list[GraphEndpoint]
+
+
+class GraphNode(TypedDict):
+    """What a node publishes, subscribes to, serves and calls."""
+
+    name: str
+    publishers: list[NameAndTypes]
+    subscriptions: list[NameAndTypes]
+    servers: list[NameAndTypes]
+    clients: list[NameAndTypes]

@@ -16,7 +16,6 @@ from robotctl.errors import (
     error_for_exit_code,
 )
 from robotctl.ipc.method_names import MethodName
-from robotctl.ipc.peer import peer_of
 from robotctl.ipc.protocol import (
     MAX_RESPONSE_BYTES,
     PROTOCOL_VERSION,
@@ -29,6 +28,7 @@ from robotctl.ipc.protocol import (
     encode_request,
     is_emergency_stop,
     parse_response,
+    peer_of,
 )
 from robotctl.paths import DEFAULT_ROBOT, chain_to, socket_path
 from robotctl.trust import user_text

@@ -4,19 +4,144 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import grp
 import logging
 import os
+import pwd
+import select
 import socket
 import stat
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Final, NamedTuple
 
 from robotctl.errors import AlreadyRunning, RobotctlError, UsageError
-from robotctl.ipc.peer import peer_of
-from robotctl.ipc.readiness import until_readable
-from robotctl.ipc.socket_group import SocketGroup, open_folder, open_socket
-from robotctl.paths import chain_to, make_private
+from robotctl.ipc.protocol import peer_of
+from robotctl.paths import RUNTIME_VARIABLE, chain_to, make_private
+from robotctl.trust import PRIVATE_MODE, ROOT_UID, SHARED_MODE
+
+SOCKET_MODE: Final = 0o660
+
+
+class SocketGroup(NamedTuple):
+    """A group by name and number."""
+
+    name: str
+    gid: int
+
+
+def socket_group(name: str) -> SocketGroup | None:
+    """Return the group with this name; None for "".
+
+    Raises:
+        UsageError: There is no such group, or this user is not in it.
+    """
+    if not name:
+        return None
+    try:
+        gid = grp.getgrnam(name).gr_gid
+    except (KeyError, ValueError):  # ValueError: a zero byte
+        raise UsageError(
+            f"socket.group: there is no group {name!r}", f"make it: sudo groupadd {name}"
+        ) from None
+    if os.geteuid() != ROOT_UID and gid not in (os.getegid(), *os.getgroups()):
+        user = _user_name()
+        raise UsageError(
+            f"socket.group: user {user!r} is not in group {name!r}",
+            f"sudo usermod -aG {name} {user}, then log in again or restart the unit",
+        )
+    return SocketGroup(name, gid)
+
+
+def open_folder(path: Path, group: SocketGroup | None) -> None:
+    """Open the folder of the socket `path` to the group; for None, to its owner alone.
+
+    Another robot of this user may share the folder: then it stays open to that robot's group.
+
+    Raises:
+        UsageError: The folder is open to another group, or its members cannot reach it.
+    """
+    folder = path.parent
+    others = any(other != path for other in folder.glob("*.sock"))
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        found = os.fstat(descriptor)
+        is_shared = others and stat.S_IMODE(found.st_mode) == SHARED_MODE
+        if group is None:
+            if not is_shared:
+                os.fchmod(descriptor, PRIVATE_MODE)
+            return
+        if is_shared and found.st_gid != group.gid:
+            raise UsageError(
+                f"{folder} is open to group {found.st_gid}, for another robot",
+                f"start this robot with another {RUNTIME_VARIABLE}",
+            )
+        _check_reachable(folder.parent, group)
+        os.fchown(descriptor, -1, group.gid)
+        os.fchmod(descriptor, SHARED_MODE)
+    finally:
+        os.close(descriptor)
+
+
+def open_socket(path: Path, group: SocketGroup) -> None:
+    """Let the members of the group connect to the socket at `path`."""
+    os.chown(path, -1, group.gid)
+    path.chmod(SOCKET_MODE)
+
+
+def _check_reachable(base: Path, group: SocketGroup) -> None:
+    found = base.stat()
+    by_group = found.st_gid == group.gid and found.st_mode & stat.S_IXGRP
+    if not by_group and not found.st_mode & stat.S_IXOTH:
+        raise UsageError(
+            f"socket.group: {base} is closed to group {group.name!r}",
+            "start the daemon by a unit: sudo robotctl boot install --system",
+        )
+
+
+def _user_name() -> str:
+    try:
+        return pwd.getpwuid(os.geteuid()).pw_name
+    except KeyError:
+        return str(os.geteuid())
+
+
+async def until_readable(sock: socket.socket) -> None:
+    """Wait until the socket has data, or a client to accept.
+
+    Nothing is read from the socket. So no data is lost if the waiting task is cancelled just as
+    data arrives, as it would be with `loop.sock_recv` and `loop.sock_accept`.
+    """
+    loop = asyncio.get_running_loop()
+    readable = loop.create_future()
+    loop.add_reader(sock, _wake, readable)
+    try:
+        await readable
+    finally:
+        loop.remove_reader(sock)
+
+
+def is_readable(sock: socket.socket) -> bool:
+    """Return whether the socket has data, or has reached the end of the stream."""
+    return _has(sock, select.POLLIN)
+
+
+def is_hung_up(sock: socket.socket) -> bool:
+    """Return whether the other end is closed in both directions."""
+    return _has(sock, 0)
+
+
+def _wake(waiting: asyncio.Future[None]) -> None:
+    if not waiting.done():
+        waiting.set_result(None)
+
+
+def _has(sock: socket.socket, events: int) -> bool:
+    poll = select.poll()
+    poll.register(sock, events)
+    return bool(poll.poll(0))
+
 
 _log = logging.getLogger(__name__)
 

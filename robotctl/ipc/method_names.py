@@ -13,6 +13,9 @@ if TYPE_CHECKING:
         DriveAnswer,
         DrivenPath,
         FileSplit,
+        Graph,
+        GraphNode,
+        GraphTopic,
         HoldAnswer,
         LeaseAnswer,
         LeaseKept,
@@ -28,7 +31,6 @@ if TYPE_CHECKING:
         Status,
         Stopped,
     )
-    from robotctl.ipc.graph_answers import Graph, GraphNode, GraphTopic
 
 A_co = TypeVar("A_co", covariant=True)
 

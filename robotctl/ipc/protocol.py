@@ -1,4 +1,4 @@
-"""JSON-RPC 2.0, one object on each line; no I/O, and only the standard library.
+"""The messages of the control socket, and the process at its other end.
 
     bytes -> LineBuffer.receive -> LineBuffer.next_line -> parse_request / parse_response
     request / result / error -> encode_* -> bytes with their newline
@@ -12,12 +12,16 @@ The messages are NamedTuples because `dataclasses` imports `inspect`, which take
 from __future__ import annotations
 
 import json
+import os
 import re
+import socket
+import struct
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, Final, NamedTuple, NoReturn
 
 from robotctl.errors import RobotctlError
+from robotctl.trust import ROOT_UID
 
 PROTOCOL_VERSION = 1
 
@@ -285,3 +289,42 @@ def _no_constant(text: str) -> NoReturn:
 _DECODER = json.JSONDecoder(
     object_pairs_hook=_unique, parse_float=_finite, parse_constant=_no_constant
 )
+
+
+_UCRED = struct.Struct("iII")
+
+SO_PEERGROUPS: Final = 59
+"""Of asm-generic/socket.h; Python does not name it."""
+
+_GROUPS_BYTES: Final = 1024
+"""The most that `getsockopt` of Python takes: 256 groups."""
+
+
+class Peer(NamedTuple):
+    """The struct ucred of unix(7), from connect or listen; pid 0 for another pid namespace."""
+
+    pid: int
+    uid: int
+    gid: int
+
+
+def peer_of(sock: socket.socket) -> Peer:
+    """Return the process at the other end of a connected socket."""
+    raw = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _UCRED.size)
+    return Peer(*_UCRED.unpack(raw))
+
+
+def groups_of(sock: socket.socket) -> frozenset[int]:
+    """Return the groups of the process at the other end, as far as Linux tells them."""
+    primary = peer_of(sock).gid
+    try:
+        raw = sock.getsockopt(socket.SOL_SOCKET, SO_PEERGROUPS, _GROUPS_BYTES)
+    except OSError:  # more than 256 groups
+        return frozenset((primary,))
+    return frozenset((primary, *struct.unpack(f"{len(raw) // 4}I", raw)))
+
+
+def guest_of(sock: socket.socket) -> int | None:
+    """Return the uid of the process at the other end; None for this user and root."""
+    uid = peer_of(sock).uid
+    return None if uid in (ROOT_UID, os.getuid()) else uid

@@ -4,35 +4,142 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import socket
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from types import TracebackType
+from typing import Any, Generic, Self, TypeVar
 
 import msgspec
 
 from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.answers import Hello
-from robotctl.ipc.client_limits import ClientLimits
-from robotctl.ipc.deadline import Deadline, DeadlineMissed
-from robotctl.ipc.method import Method
+from robotctl.ipc.listener import is_hung_up
 from robotctl.ipc.params import HelloParams, decode
-from robotctl.ipc.peer import guest_of
 from robotctl.ipc.protocol import (
     MAX_RESPONSE_BYTES,
     PROTOCOL_VERSION,
     Code,
     Request,
     encode_error,
+    guest_of,
     is_emergency_stop,
 )
-from robotctl.ipc.readiness import is_hung_up
 
-_log = logging.getLogger(__name__)
+
+@dataclass(frozen=True, slots=True)
+class ClientLimits:
+    """How much one client, and all clients together, may use of the daemon."""
+
+    clients: int = 64
+    """A further connection gets an error: the daemon is busy."""
+    overflow: int = 256
+    """Connections above `clients` that the daemon still reads, for one emergency stop each.
+
+    A further one closes the oldest that is silent. Together with `clients` this is well below 1,024
+    open files, the usual limit of a process.
+    """
+    request_s: float = 10.0
+    """Time for a whole request, from the connection's start or the previous reply."""
+    overflow_request_s: float = 1.0
+    """The same for a connection above `clients`."""
+    write_s: float = 5.0
+    """Time for a client to read its reply."""
+    hangup_poll_s: float = 0.1
+    """Period of the check, in a call without a deadline, that the client is still connected."""
+
+
+DEFAULT_LIMITS = ClientLimits()
+
+
+class DeadlineMissed(TimeoutError):
+    """The work was cancelled because its time is over."""
+
+
+class Deadline:
+    """A deadline, set anew for each piece of work. One task uses it at a time; it is not nested.
+
+        with deadline.within(10.0):
+            await work()
+
+    Like `asyncio.timeout` it cancels the task, and then raises DeadlineMissed, also a TimeoutError;
+    but one timer serves all: making one each time is a tenth of what `status` costs.
+    """
+
+    def __init__(self) -> None:
+        self._task: asyncio.Task[object] | None = None
+        self._cancelling = 0
+        self._due_s = math.inf
+        self._is_missed = False
+        self._timer: asyncio.TimerHandle | None = None
+        """It fires at `_due_s` or earlier; if earlier, it is set again."""
+
+    def within(self, limit_s: float | None) -> Self:
+        """Set the deadline for the work of the `with` block; None: no deadline."""
+        loop, self._task = asyncio.get_running_loop(), asyncio.current_task()
+        assert self._task is not None
+        self._cancelling = self._task.cancelling()
+        if limit_s is not None:
+            self._due_s = loop.time() + limit_s
+            if self._timer is None or self._timer.when() > self._due_s:
+                self._set_timer(loop)
+        return self
+
+    def miss(self) -> None:
+        """Cancel the work as if its time were over."""
+        assert self._task is not None
+        self._is_missed = True
+        self._task.cancel()
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
+    ) -> None:
+        task, self._task, self._due_s = self._task, None, math.inf
+        if self._is_missed and task is not None:
+            self._is_missed = False
+            ends = kind is not None and issubclass(kind, asyncio.CancelledError | TimeoutError)
+            if task.uncancel() <= self._cancelling and ends:
+                raise DeadlineMissed from error
+
+    def _set_timer(self, loop: asyncio.AbstractEventLoop) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = loop.call_at(self._due_s, self._look, loop)
+
+    def _look(self, loop: asyncio.AbstractEventLoop) -> None:
+        timer, self._timer = self._timer, None
+        assert timer is not None
+        if self._due_s <= timer.when():
+            self.miss()
+        elif self._due_s < math.inf:
+            self._set_timer(loop)
+
 
 P = TypeVar("P")
+
+
+@dataclass(frozen=True, slots=True)
+class Method(Generic[P]):
+    """A method: its parameters, its handler, and the handler's deadline.
+
+    The handler is called in the loop with the decoded parameters. A RobotctlError that it raises
+    is sent to the client with its text and exit code. The handler is cancelled at its deadline and
+    when its client disconnects, so its state must be consistent at every await.
+    """
+
+    params: type[P]
+    handler: Callable[[P], Awaitable[object]]
+    deadline_s: float | None = 10.0
+    """None: no deadline while the client stays connected."""
+
+
+_log = logging.getLogger(__name__)
 
 _encoder = msgspec.json.Encoder()
 

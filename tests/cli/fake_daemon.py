@@ -20,9 +20,8 @@ from mcap.writer import Writer
 
 from robotctl import __version__
 from robotctl.errors import Refused
-from robotctl.ipc.method import Method
 from robotctl.ipc.params import DriveParams, EndDriveParams, NoParams, ResetParams, SetModeParams
-from robotctl.ipc.request_handler import Identity
+from robotctl.ipc.request_handler import Identity, Method
 from robotctl.ipc.server import ControlServer
 from robotctl.paths import log_path, socket_path
 

@@ -22,8 +22,8 @@ from robotctl.cli.terminal.drive_map import History, drive_map, sparkline
 from robotctl.cli.terminal.status_line import HEADER, status_line
 from robotctl.cli.terminal.status_panel import live_view
 from robotctl.errors import Refused
+from robotctl.ipc.answers import DrivenPath
 from robotctl.ipc.client import call
-from robotctl.ipc.drive_answers import DrivenPath
 from tests.support.terminals import Terminal
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from robotctl.doctor.finding import Level
 from robotctl.doctor.graph_checks import MAX_NAMED, check_command, check_definitions, check_odometry
-from robotctl.ipc.graph_answers import GraphEndpoint, GraphTopic
+from robotctl.ipc.answers import GraphEndpoint, GraphTopic
 
 TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -19,7 +19,7 @@ import pytest
 from robotctl.errors import NoDaemon, Refused, RobotctlError, UsageError
 from robotctl.ipc import client as client_module
 from robotctl.ipc.client import Client, NoAnswer, call
-from robotctl.ipc.client_limits import ClientLimits
+from robotctl.ipc.request_handler import ClientLimits
 
 NO_DAEMON = "no daemon for robot 'robot' (start one with: robotctl start)"
 HELLO_REPLY = {"jsonrpc": "2.0", "id": 0, "result": {"protocol": 1}}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robotctl.ipc.conditions import condition_of
+from robotctl.ipc.advice import condition_of
 from robotctl.kernel.safety import start_conditions
 from robotctl.kernel.types import Cause
 from robotctl.testing.kernels import ready

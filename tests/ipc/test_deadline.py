@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.ipc.deadline import Deadline, DeadlineMissed
+from robotctl.ipc.request_handler import Deadline, DeadlineMissed
 
 
 class VirtualSelector(selectors.DefaultSelector):

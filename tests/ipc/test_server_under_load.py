@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.ipc.client_limits import ClientLimits
 from robotctl.ipc.protocol import Code, encode_request
+from robotctl.ipc.request_handler import ClientLimits
 from tests.support.waiting import DEADLINE_S, loop_until
 
 

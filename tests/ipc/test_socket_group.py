@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from robotctl.errors import UsageError
+from robotctl.ipc.listener import SocketGroup, socket_group
 from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
-from robotctl.ipc.socket_group import SocketGroup, socket_group
 from tests.support.users import as_root, process_of
 from tests.support.waiting import DEADLINE_S, until
 
@@ -27,11 +27,11 @@ OTHERS = SocketGroup("others", 65511)
 
 SERVER_IMPORTS = """
 import asyncio
-from robotctl.ipc.method import Method
+from robotctl.ipc.request_handler import Method
 from robotctl.ipc.params import ResetParams
 from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
-from robotctl.ipc.socket_group import SocketGroup
+from robotctl.ipc.listener import SocketGroup
 from robotctl.paths import socket_path
 """
 

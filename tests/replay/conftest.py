@@ -17,9 +17,8 @@ from typing import Any
 import pytest
 
 import tests.support.rosidl_parser  # noqa: F401
-from robotctl.ipc.method import Method
 from robotctl.ipc.params import NoParams
-from robotctl.ipc.request_handler import Identity
+from robotctl.ipc.request_handler import Identity, Method
 from robotctl.ipc.server import ControlServer
 from robotctl.paths import make_private, runtime_folder, socket_path
 from robotctl.ros import AsyncioExecutor, RawTap

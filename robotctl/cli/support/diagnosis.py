@@ -25,9 +25,8 @@ from robotctl.doctor.finding import Finding, Level, fault, ok, warning
 from robotctl.domains import discovery_range, requested_domain, wider_discovery
 from robotctl.environment import RANGE, limit_discovery
 from robotctl.errors import RobotctlError, UsageError
-from robotctl.ipc.answers import Status
+from robotctl.ipc.answers import GraphTopic, Status
 from robotctl.ipc.client import call
-from robotctl.ipc.graph_answers import GraphTopic
 from robotctl.ipc.method_names import STATUS
 from robotctl.paths import check_robot_name, runtime_folder, socket_path, state_folder
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from robotctl.cli.terminal.text import printable
-from robotctl.ipc.graph_answers import NameAndTypes
+from robotctl.ipc.answers import NameAndTypes
 
 Types = Annotated[bool, typer.Option("-t", "--show-types", help="Print the type beside each name.")]
 

@@ -14,8 +14,8 @@ from typing import Any, Final
 from robotctl.domains import requested_domain
 from robotctl.environment import RANGE
 from robotctl.errors import NoDaemon, RobotctlError, UsageError, error_for_exit_code
+from robotctl.ipc.answers import Graph, GraphNode, GraphTopic
 from robotctl.ipc.client import call
-from robotctl.ipc.graph_answers import Graph, GraphNode, GraphTopic
 from robotctl.ipc.method_names import GRAPH, GRAPH_NODE, GRAPH_TOPIC, STATUS
 from robotctl.ipc.protocol import MAX_GRAPH_NAME
 from robotctl.paths import namespace_of

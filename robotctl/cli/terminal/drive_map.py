@@ -12,7 +12,7 @@ from rich.text import Text
 
 from robotctl.cli.terminal.path_picture import braille
 from robotctl.cli.terminal.text import number
-from robotctl.ipc.drive_answers import DrivenPath
+from robotctl.ipc.answers import DrivenPath
 
 _BARS: Final = " ▁▂▃▄▅▆▇█"
 

@@ -14,7 +14,6 @@ from robotctl.daemon.control.robot_report import GroundTruth, RobotReport
 from robotctl.errors import Refused, UsageError
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import DriveAnswer, DrivenPath, ModeAnswer, Preflight
-from robotctl.ipc.method import Method
 from robotctl.ipc.method_names import (
     DRIVE,
     DRIVE_PATH,
@@ -34,6 +33,7 @@ from robotctl.ipc.params import (
     ResetParams,
     SetModeParams,
 )
+from robotctl.ipc.request_handler import Method
 from robotctl.kernel.course import PLAIN, Course, Held
 from robotctl.kernel.finite import finite_or_none
 from robotctl.kernel.modes import Mode

@@ -12,7 +12,6 @@ from robotctl.daemon.api.status import granted
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.errors import Refused
 from robotctl.ipc.answers import HoldAnswer, LeaseAnswer, LeaseKept, LeaseStatus
-from robotctl.ipc.method import Method
 from robotctl.ipc.method_names import HOLD, LEASE_KEEP, LEASE_RELEASE, LEASE_STATUS, LEASE_TAKE
 from robotctl.ipc.params import (
     HoldParams,
@@ -21,6 +20,7 @@ from robotctl.ipc.params import (
     LeaseStatusParams,
     LeaseTakeParams,
 )
+from robotctl.ipc.request_handler import Method
 from robotctl.kernel.course import MAX_SILENCE_S, Course, Held
 from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.types import DriveRequested, HoldReceived, Twist

@@ -10,9 +10,9 @@ from robotctl.daemon.parameters import Parameters, listed
 from robotctl.errors import Refused
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import ParameterList, ParameterSet
-from robotctl.ipc.method import Method
 from robotctl.ipc.method_names import PARAM_LIST, PARAM_SET
 from robotctl.ipc.params import NoParams, ParamSetParams
+from robotctl.ipc.request_handler import Method
 
 
 def list_method(config: Callable[[], Config]) -> dict[str, Method[Any]]:

@@ -9,9 +9,9 @@ from robotctl.daemon.waiting import until
 from robotctl.errors import Refused
 from robotctl.ipc.advice import for_robot
 from robotctl.ipc.answers import Committed, FileSplit, Marked, RecordStatus
-from robotctl.ipc.method import Method
 from robotctl.ipc.method_names import MARK, RECORD_COMMIT, RECORD_SPLIT, RECORD_STATUS
 from robotctl.ipc.params import MarkParams, NoParams
+from robotctl.ipc.request_handler import Method
 
 SPLIT_DEADLINE_S = 5.0
 """How long the disk may take to finish one file and start the next."""

@@ -10,9 +10,9 @@ from typing import Any, Protocol
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.errors import Refused, UsageError
 from robotctl.ipc.answers import SimFaulted, SimSet
-from robotctl.ipc.method import Method
 from robotctl.ipc.method_names import SIM_FAULT, SIM_SET
 from robotctl.ipc.params import SimFaultParams, SimSetParams
+from robotctl.ipc.request_handler import Method
 from robotctl.kernel.modes import Mode
 from robotctl.sim.faults import SimFault
 

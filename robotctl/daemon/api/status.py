@@ -15,11 +15,19 @@ from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.domains import discovery_range, wider_discovery
 from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.advice import advice, for_robot
-from robotctl.ipc.answers import ModeAnswer, RobotFacts, StartSummary, Status, Stopped
-from robotctl.ipc.graph_answers import Graph, GraphNode, GraphTopic
-from robotctl.ipc.method import Method
+from robotctl.ipc.answers import (
+    Graph,
+    GraphNode,
+    GraphTopic,
+    ModeAnswer,
+    RobotFacts,
+    StartSummary,
+    Status,
+    Stopped,
+)
 from robotctl.ipc.method_names import GRAPH, GRAPH_NODE, GRAPH_TOPIC, STATUS, STOP
 from robotctl.ipc.params import GraphNameParams, NoParams
+from robotctl.ipc.request_handler import Method
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.types import Reply
 from robotctl.paths import log_path, socket_path

@@ -9,9 +9,8 @@ from math import nan, sqrt
 from typing import NamedTuple
 
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.ipc.advice import advice
+from robotctl.ipc.advice import advice, condition_of
 from robotctl.ipc.answers import ConditionAnswer, DriveFacts, DrivenPath, Preflight, RobotFacts
-from robotctl.ipc.conditions import condition_of
 from robotctl.kernel.battery import is_level
 from robotctl.kernel.checks import FOREIGN_COMMAND_S, foreign_command, stands_alone
 from robotctl.kernel.drive import Drive, Score

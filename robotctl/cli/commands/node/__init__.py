@@ -12,7 +12,7 @@ from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.names import All, is_hidden, left_out_lines
 from robotctl.cli.support.ros_view import ros_view
 from robotctl.cli.terminal.text import printable
-from robotctl.ipc.graph_answers import GraphNode
+from robotctl.ipc.answers import GraphNode
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()

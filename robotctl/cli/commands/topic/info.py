@@ -12,7 +12,7 @@ from robotctl.cli.options import DomainId, Json, Robot
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.ros_view import ros_view
 from robotctl.cli.terminal.text import printable
-from robotctl.ipc.graph_answers import GraphEndpoint, GraphTopic
+from robotctl.ipc.answers import GraphEndpoint, GraphTopic
 from robotctl.paths import DEFAULT_ROBOT
 
 

@@ -16,8 +16,8 @@ from robotctl.cli.terminal.drive_map import History, drive_map
 from robotctl.cli.terminal.keyboard import Keyboard
 from robotctl.cli.terminal.status_panel import live_view
 from robotctl.errors import Refused, RobotctlError
+from robotctl.ipc.answers import DrivenPath
 from robotctl.ipc.client import Client, call
-from robotctl.ipc.drive_answers import DrivenPath
 from robotctl.ipc.method_names import PATH, SET_MODE, STATUS
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 
