@@ -67,7 +67,7 @@ class ResultStore:
         """
         name, data = _name(result.key), _sealed(result)
         try:
-            if self._store.put_if_absent(name, data):
+            if self._store.put_if_absent(name, [data]):
                 return result
             if (stored := self.get(result.key)) is not None:
                 return stored

@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from robotctl.store.hash_folders import has_hash_folders, hash_in, without_hashes
     from robotctl.store.object_store import PART_BYTES, ObjectStore
     from robotctl.store.opening import open_store
     from robotctl.store.store_errors import (
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
         StoreFailed,
         TooLarge,
     )
-    from robotctl.store.stored_object import StoredObject
-    from robotctl.store.url import is_url
+    from robotctl.store.stored_object import Stamp, StoredObject
+    from robotctl.store.url import is_url, parse_url
 
 __all__ = [
     "PART_BYTES",
@@ -32,12 +33,17 @@ __all__ = [
     "NoSuchObject",
     "ObjectChanged",
     "ObjectStore",
+    "Stamp",
     "StoreError",
     "StoreFailed",
     "StoredObject",
     "TooLarge",
+    "has_hash_folders",
+    "hash_in",
     "is_url",
     "open_store",
+    "parse_url",
+    "without_hashes",
 ]
 
 _NAMES_OF_MODULE = {
@@ -51,8 +57,9 @@ _NAMES_OF_MODULE = {
         "StoreFailed",
         "TooLarge",
     ),
-    "stored_object": ("StoredObject",),
-    "url": ("is_url",),
+    "stored_object": ("Stamp", "StoredObject"),
+    "hash_folders": ("has_hash_folders", "hash_in", "without_hashes"),
+    "url": ("is_url", "parse_url"),
 }
 _MODULES = {name: module for module, names in _NAMES_OF_MODULE.items() for name in names}
 

@@ -20,7 +20,7 @@ from robotctl.store.store_errors import (
     StoreFailed,
     TooLarge,
 )
-from robotctl.store.stored_object import StoredObject, check_key
+from robotctl.store.stored_object import NO_STAMP, Stamp, StoredObject, check_key
 from robotctl.store.unfinished_file import PREFIX, UnfinishedFile, unfinished_file
 
 
@@ -51,7 +51,10 @@ class FolderStore:
             for folder, _, names in os.walk(top, onerror=failed if top.exists() else None):
                 for name in names:
                     path = Path(folder, name)
-                    status = path.lstat()
+                    try:
+                        status = path.lstat()
+                    except FileNotFoundError:  # it was removed, or has its name now
+                        continue
                     if stat.S_ISREG(status.st_mode) and not name.startswith(PREFIX):
                         yield _described(path.relative_to(self._folder).as_posix(), status)
 
@@ -87,21 +90,18 @@ class FolderStore:
             raise TooLarge(f"{self._where(key)} has {found.size_bytes} bytes: that is too many")
         return self.get_range(found, 0, found.size_bytes)
 
-    def put_if_absent(self, key: str, data: bytes) -> bool:
+    def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
         """Store a file under a free name; return whether it was free."""
-        with self._told(key), self._unfinished(key) as file:
-            file.write(data)
+        with self._told(key), self._filled(key, parts, stamp) as file:
             try:
                 file.name_if_free(self._path(key))
             except FileExistsError:
                 return False
             return True
 
-    def put(self, key: str, parts: Iterable[bytes]) -> None:
+    def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
         """Store a file from parts of any length, and replace one of that name."""
-        with self._told(key), self._unfinished(key) as file:
-            for part in parts:
-                file.write(part)
+        with self._told(key), self._filled(key, parts, stamp) as file:
             file.name_over(self._path(key))
 
     def delete(self, key: str) -> None:
@@ -124,10 +124,13 @@ class FolderStore:
             os.close(descriptor)
 
     @contextmanager
-    def _unfinished(self, key: str) -> Iterator[UnfinishedFile]:
+    def _filled(self, key: str, parts: Iterable[bytes], stamp: Stamp) -> Iterator[UnfinishedFile]:
         folder = self._path(key).parent
         folder.mkdir(parents=True, exist_ok=True)
         with unfinished_file(folder) as file:
+            for part in parts:
+                file.write(part)
+            file.modified_ns = stamp.modified_ns
             yield file
 
     @contextmanager
@@ -155,4 +158,4 @@ class FolderStore:
 def _described(key: str, status: os.stat_result) -> StoredObject:
     # The time of change as well: that of modification can be set to any value.
     etag = f"{status.st_ino}-{status.st_mtime_ns}-{status.st_ctime_ns}-{status.st_size}"
-    return StoredObject(key, status.st_size, etag, status.st_mtime)
+    return StoredObject(key, status.st_size, etag, status.st_mtime_ns)

@@ -21,6 +21,12 @@ def without_hashes(key: str) -> str:
     return _HASH_FOLDER.sub("", key)
 
 
+def hash_in(key: str) -> str:
+    """Return the hash that names the folder of an object, "" if there is none."""
+    found = _HASH_FOLDER.search(key)
+    return "" if found is None else found[0].rstrip("/")
+
+
 def has_hash_folders(path: Path) -> bool:
     """Return whether a folder holds such folders, or recordings that do."""
     return _has_hash_folder(path) or any(map(_has_hash_folder, _first_folders(path)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Final, Protocol
 
-from robotctl.store.stored_object import StoredObject
+from robotctl.store.stored_object import NO_STAMP, Stamp, StoredObject
 
 PART_BYTES: Final = 8 << 20
 """The parts of a large object that are sent at once; S3 allows 10,000 of at least 5 MiB."""
@@ -48,14 +48,14 @@ class ObjectStore(Protocol):
             TooLarge: It has more than `max_bytes`.
         """
 
-    def put_if_absent(self, key: str, data: bytes) -> bool:
-        """Store an object under a free name, completely or not at all; return whether it was free.
+    def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
+        """Store an object under a free name, as `put` does; return whether it was free.
 
         False may also mean that a first try succeeded whose answer was lost: compare the contents
         if that makes a difference.
         """
 
-    def put(self, key: str, parts: Iterable[bytes]) -> None:
+    def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
         """Store an object from parts of any length, and replace one of that name.
 
         It appears when all its parts are there. If `parts` raises, nothing is stored, and the error

@@ -61,7 +61,7 @@ class OpenedBucket:
             found = list(self._store.list(folder)) if self._store.can_list else []
             skipped = len(folder) + 1 if folder else 0
             paths: dict[str, StoredObject] = {}
-            for each in sorted(found, key=lambda each: each.modified_s):
+            for each in sorted(found, key=lambda each: each.modified_ns):
                 paths[without_hashes(each.key[skipped:])] = each
             for parent in {str(above) for path in paths for above in PurePosixPath(path).parents}:
                 paths.pop(parent, None)  # an empty object that a console shows as a folder

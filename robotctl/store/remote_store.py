@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 from collections.abc import Callable, Coroutine, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from datetime import timedelta
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from itertools import chain
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 from robotctl.errors import UsageError
 from robotctl.printable import printable
@@ -16,12 +18,12 @@ from robotctl.store.aws_profile import profile_keys
 from robotctl.store.failed_request import ALLOW_HTTP, changed, error_of, short_answer
 from robotctl.store.object_store import PART_BYTES
 from robotctl.store.request_loop import requests
-from robotctl.store.store_errors import BrokenAnswer, TooLarge
-from robotctl.store.stored_object import StoredObject, check_key
+from robotctl.store.store_errors import BrokenAnswer, NoSuchObject, TooLarge
+from robotctl.store.stored_object import NO_STAMP, Stamp, StoredObject, check_key
 from robotctl.store.url import StoreUrl
 
 if TYPE_CHECKING:
-    from obstore import GetOptions, ObjectMeta
+    from obstore import Attributes, GetOptions, ObjectMeta
     from obstore.store import ClientConfig, RetryConfig
 
 _Result = TypeVar("_Result")
@@ -34,6 +36,12 @@ _PAUSE_S: Final = 0.2
 MAX_RETRIES: Final = 8
 
 _LISTED_AT_ONCE: Final = 1000
+
+NS_PER_S: Final = 1_000_000_000
+
+_SHA256: Final = "sha256"
+_WRITTEN: Final = "mtime"
+"""The attributes of an object; the second [ns since the epoch] has the name that rclone uses."""
 
 
 class RemoteStore:
@@ -98,7 +106,9 @@ class RemoteStore:
         """Return what is known about an object."""
 
         async def asked() -> StoredObject:
-            return _described(await self._library.head_async(self._store, self._path(key)), key)
+            options: GetOptions = {"head": True}
+            answer = await self._library.get_async(self._store, self._path(key), options=options)
+            return _described(answer.meta, key, answer.attributes)
 
         return self._run(asked, key)
 
@@ -140,29 +150,49 @@ class RemoteStore:
             raise TooLarge(f"{self._where(key)} has {found.size_bytes} bytes: that is too many")
         return self.get_range(found, 0, found.size_bytes)
 
-    def put_if_absent(self, key: str, data: bytes) -> bool:
-        """Store an object under a free name; return whether it was free."""
+    def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
+        """Store an object under a free name; return whether it was free.
 
+        No store has a condition for an object in several parts: another process that stores a
+        large one of the same name at the same time is not noticed.
+        """
+        begin, rest = _beginning(parts)
+        if len(begin) <= PART_BYTES:
+            return self._put(key, begin, stamp, mode="create")
+        with suppress(NoSuchObject):
+            self.head(key)
+            return False
+        return self._put(key, chain((begin,), rest), stamp)
+
+    def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
+        """Store an object from parts of any length, and replace one of that name."""
+        begin, rest = _beginning(parts)
+        self._put(key, begin if len(begin) <= PART_BYTES else chain((begin,), rest), stamp)
+
+    def _put(
+        self,
+        key: str,
+        content: bytes | Iterable[bytes],
+        stamp: Stamp,
+        mode: Literal["create", "overwrite"] = "overwrite",
+    ) -> bool:
         async def stored() -> bool:
             try:
                 await self._library.put_async(
-                    self._store, self._path(key), data, mode="create", use_multipart=False
+                    self._store,
+                    self._path(key),
+                    content,
+                    attributes=_attributes(stamp),
+                    mode=mode,
+                    use_multipart=not isinstance(content, bytes),
+                    chunk_size=PART_BYTES,
+                    max_concurrency=2,
                 )
             except self._library.exceptions.AlreadyExistsError:
                 return False
             return True
 
         return self._run(stored, key)
-
-    def put(self, key: str, parts: Iterable[bytes]) -> None:
-        """Store an object from parts of any length, and replace one of that name."""
-
-        async def stored() -> None:
-            await self._library.put_async(
-                self._store, self._path(key), parts, chunk_size=PART_BYTES, max_concurrency=2
-            )
-
-        self._run(stored, key)
 
     def delete(self, key: str) -> None:
         """Remove an object; one that does not exist is no error."""
@@ -192,9 +222,26 @@ class RemoteStore:
         return f"{self.name}/{printable(key)}" if key else self.name
 
 
-def _described(meta: ObjectMeta, key: str) -> StoredObject:
+def _described(meta: ObjectMeta, key: str, attributes: Attributes | None = None) -> StoredObject:
     etag = meta["e_tag"] or f"of {meta['last_modified'].isoformat()}"
-    return StoredObject(key, meta["size"], etag, meta["last_modified"].timestamp())
+    stored_with = attributes or {}
+    written_ns = str(stored_with.get(_WRITTEN, ""))
+    modified_ns = int(meta["last_modified"].timestamp() * NS_PER_S)
+    if re.fullmatch(r"\d{1,19}", written_ns):
+        modified_ns = int(written_ns)
+    return StoredObject(key, meta["size"], etag, modified_ns, str(stored_with.get(_SHA256, "")))
+
+
+def _attributes(stamp: Stamp) -> Attributes:
+    return {_SHA256: stamp.sha256, _WRITTEN: str(stamp.modified_ns)} if stamp.sha256 else {}
+
+
+def _beginning(parts: Iterable[bytes]) -> tuple[bytes, Iterator[bytes]]:
+    """Return more than a part of an object, or all of it, and the rest."""
+    begin, rest = bytearray(), iter(parts)
+    while len(begin) <= PART_BYTES and (part := next(rest, None)) is not None:
+        begin += part
+    return bytes(begin), rest
 
 
 def _client(*, allow_http: bool) -> ClientConfig:

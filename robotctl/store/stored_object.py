@@ -21,8 +21,22 @@ class StoredObject:
     etag: str
     """Changes with the content; its form is up to the store, and need not be a hash."""
 
-    modified_s: float = field(default=0.0, compare=False)
-    """When it was stored, since the epoch; a listing may tell more digits than the object."""
+    modified_ns: int = field(default=0, compare=False)
+    """When its content was written, since the epoch; in a listing, when it was stored."""
+
+    sha256: str = field(default="", compare=False)
+    """The hash that was stored with it, "" if there is none; a listing has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """What is stored with an object: the hash of its content, and when that was written."""
+
+    sha256: str = ""
+    modified_ns: int = 0
+
+
+NO_STAMP = Stamp()
 
 
 def check_key(key: str) -> None:

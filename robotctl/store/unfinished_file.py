@@ -30,6 +30,8 @@ class UnfinishedFile:
         """Take a file that is open; `path` is its hidden name, None if it has none."""
         self._file = file
         self._path = path
+        self.modified_ns = 0
+        """Its time of change when it gets its name; 0 leaves it as it is."""
 
     def write(self, data: bytes) -> None:
         """Append to it.
@@ -69,6 +71,8 @@ class UnfinishedFile:
 
     def _sync(self) -> None:
         self._file.flush()
+        if self.modified_ns:
+            os.utime(self._file.fileno(), ns=(self.modified_ns, self.modified_ns))
         os.fsync(self._file.fileno())
 
     def _link(self, target: Path) -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,10 +14,15 @@ from typing import Any
 
 import pytest
 
+from robotctl.cli.commands import sync as sync_command
+from robotctl.cli.commands.sync import SyncPace
+from robotctl.errors import Interrupted, NoDaemon, Refused
+from robotctl.ipc.client import NoAnswer
 from robotctl.testing.drives import drive, record
 from tests.support.s3_server import environment
 
 Cli = Callable[..., Any]
+Answers = list[str | Exception]
 
 NAME = "robot_20260101_120000"
 
@@ -28,8 +34,7 @@ def recording(tmp_path: Path) -> Path:
 
 def stored(store: Path, file: str) -> Path:
     """Return the object that holds a file."""
-    (found,) = store.glob(f"{NAME}/*/{file}")
-    return found
+    return store / NAME / file
 
 
 def test_a_folder_takes_recordings_once(cli: Cli, recording: Path, tmp_path: Path) -> None:
@@ -42,6 +47,7 @@ def test_a_folder_takes_recordings_once(cli: Cli, recording: Path, tmp_path: Pat
     again = cli("sync", str(usb), "--json")
     assert (again.exit_code, again.err) == (0, "")
     assert json.loads(again.out)["copied"] == []
+    assert cli("sync", str(usb), "--recordings", "recordings", "extra").exit_code == 2
     data = stored(usb, f"{NAME}_0.mcap")
     assert data.read_bytes() == (recording / data.name).read_bytes()
 
@@ -78,6 +84,33 @@ def test_what_is_not_copied_is_told_with_exit_code_6(
     assert "nothing was copied now" in again.out
 
 
+def test_what_comes_back_from_a_bucket_is_as_it_was_with_its_time(
+    cli: Cli,
+    recording: Path,
+    s3_endpoint: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    for name, value in environment(s3_endpoint).items():
+        monkeypatch.setenv(name, value)
+    (recording / f"{NAME}_1.mcap").write_bytes((recording / f"{NAME}_0.mcap").read_bytes() * 400)
+    url = f"s3://robots/{tmp_path.name}"
+    assert cli("sync", url).exit_code == 0
+    back = tmp_path / "back"
+    for place, target in ((url, back), (f"{url}/{NAME}", tmp_path / "one")):
+        assert cli("sync", place, str(target)).exit_code == 0
+        for path in recording.iterdir():
+            copy = target / NAME / path.name
+            assert copy.read_bytes() == path.read_bytes()
+            assert copy.stat().st_mtime_ns == path.stat().st_mtime_ns
+    again = cli("sync", url, str(back))
+    assert (again.exit_code, "nothing was missing" in again.out) == (0, True)
+    assert cli("sync", f"{url}/{NAME}/{NAME}_0.mcap", str(tmp_path / "file")).exit_code == 0
+    assert [path.name for path in (tmp_path / "file").iterdir()] == [f"{NAME}_0.mcap"]
+    refused = cli("sync", url, str(back), "--max-age-days", "0")
+    assert (refused.exit_code, f"nothing can be removed from {url}" in refused.err) == (2, True)
+
+
 @pytest.mark.parametrize("kind", ["folder", "bucket"])
 def test_what_was_copied_is_read_as_the_recording_is(
     cli: Cli,
@@ -102,18 +135,6 @@ def test_what_was_copied_is_read_as_the_recording_is(
     assert (checked.exit_code, checked.out.split()[0]) == (0, "same")
 
 
-def test_the_files_of_a_copy_are_recovered_one_by_one(
-    cli: Cli, recording: Path, tmp_path: Path
-) -> None:
-    usb = tmp_path / "usb"
-    assert cli("sync", str(usb)).exit_code == 0
-    copy = stored(usb, f"{NAME}_0.mcap")
-    refused = cli("recover", str(usb / NAME))
-    assert refused.exit_code == 2
-    assert f"robotctl recover {copy} -o OUT.mcap" in refused.err
-    assert cli("recover", str(copy), "-o", str(tmp_path / "out.mcap")).exit_code == 0
-
-
 def test_an_object_that_was_changed_is_told_with_exit_code_7(
     cli: Cli, recording: Path, tmp_path: Path
 ) -> None:
@@ -123,7 +144,7 @@ def test_an_object_that_was_changed_is_told_with_exit_code_7(
     data.write_bytes(data.read_bytes()[:-1] + b"X")
     ran = cli("sync", str(usb), "--max-age-days", "0")
     assert ran.exit_code == 7
-    assert "does not hold what its name says" in " ".join(ran.out.split())
+    assert "has other content than the file here" in " ".join(ran.out.split())
     assert (recording / data.name).exists()
 
 
@@ -183,8 +204,6 @@ def test_the_limit_is_kept(cli: Cli, recording: Path, tmp_path: Path) -> None:
 def test_while_the_robot_moves_nothing_is_sent(
     cli: Cli, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from robotctl.cli.support import sync_pace
-
     modes = ["MOVING", "MOVING", "IDLE"]
     seen: list[bool] = []
 
@@ -192,9 +211,9 @@ def test_while_the_robot_moves_nothing_is_sent(
         seen.append((tmp_path / "usb").exists())
         return {"mode": modes.pop(0)}
 
-    monkeypatch.setattr(sync_pace, "call", status)
-    monkeypatch.setattr(sync_pace, "_LOOK_EACH_S", 0.01)
-    monkeypatch.setattr(sync_pace.SyncPace, "_wait", lambda self, seconds: None)
+    monkeypatch.setattr(sync_command, "call", status)
+    monkeypatch.setattr(sync_command, "_LOOK_EACH_S", 0.01)
+    monkeypatch.setattr(sync_command.SyncPace, "_wait", lambda self, seconds: None)
     modes += ["IDLE"] * 100
     assert cli("sync", str(tmp_path / "usb"), "--pause-while-moving").exit_code == 0
     assert seen[:3] == [False, False, False]
@@ -202,3 +221,63 @@ def test_while_the_robot_moves_nothing_is_sent(
 
 def test_without_a_daemon_nothing_waits(cli: Cli, recording: Path, tmp_path: Path) -> None:
     assert cli("sync", str(tmp_path / "usb"), "--pause-while-moving").exit_code == 0
+
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Answers]:
+    """Return a function that lets the daemon answer with these modes and errors."""
+
+    def say(*said: str | Exception) -> Answers:
+        left = list(said)
+
+        def status(*_: object, **__: object) -> dict[str, str]:
+            answer = left.pop(0)
+            if isinstance(answer, Exception):
+                raise answer
+            return {"mode": answer}
+
+        monkeypatch.setattr(sync_command, "call", status)
+        monkeypatch.setattr(SyncPace, "_wait", lambda self, seconds: None)
+        return left
+
+    return say
+
+
+def test_the_end_of_a_run_ends_the_wait_of_another_thread() -> None:
+    interrupted = threading.Event()
+
+    def send(pace: SyncPace) -> None:
+        try:
+            pace(1_000_000_000)  # waits for days
+        except Interrupted:
+            interrupted.set()
+
+    with SyncPace(0.01, None) as pace:
+        threading.Thread(target=send, args=(pace,), daemon=True).start()
+    assert interrupted.wait(30)
+
+
+def test_a_daemon_that_does_not_tell_may_have_a_moving_robot(
+    answers: Callable[..., Answers],
+) -> None:
+    left = answers(
+        "IDLE", NoAnswer("silent"), Refused("busy"), "MOVING", NoAnswer("silent"), "IDLE"
+    )
+    with SyncPace(None, "robot") as pace:
+        pace(0)
+    assert left == []
+
+
+def test_a_robot_without_a_daemon_does_not_move(answers: Callable[..., Answers]) -> None:
+    left = answers(NoDaemon("none"), NoDaemon("none"), "never asked")
+    with SyncPace(None, "robot") as pace:
+        pace(1)
+    assert left == ["never asked"]
+
+
+def test_a_daemon_that_cannot_be_asked_at_all_is_told_at_once(
+    answers: Callable[..., Answers],
+) -> None:
+    answers(Refused("the socket belongs to another user"))
+    with pytest.raises(Refused, match="another user"), SyncPace(None, "robot"):
+        pass

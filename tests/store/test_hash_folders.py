@@ -18,8 +18,8 @@ KEY = f"run/{SHA}/run_0.mcap"
 @pytest.fixture
 def copies(tmp_path: Path) -> Path:
     store = open_store(str(tmp_path / "usb"))
-    store.put_if_absent(KEY, b"data")
-    store.put_if_absent(f"run/{SHA[::-1]}/clips/a.mcap", b"clip")
+    store.put_if_absent(KEY, [b"data"])
+    store.put_if_absent(f"run/{SHA[::-1]}/clips/a.mcap", [b"clip"])
     return tmp_path / "usb"
 
 

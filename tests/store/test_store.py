@@ -10,9 +10,9 @@ from robotctl.store import NoSuchObject, ObjectChanged, ObjectStore, StoreError
 
 
 def test_what_was_stored_is_listed_and_read_back(store: ObjectStore) -> None:
-    assert store.put_if_absent("day 1/run.mcap", b"0123456789")
-    assert store.put_if_absent("day 1/metadata.yaml", b"")
-    assert store.put_if_absent("day 10/run.mcap", b"abc")
+    assert store.put_if_absent("day 1/run.mcap", [b"0123456789"])
+    assert store.put_if_absent("day 1/metadata.yaml", [b""])
+    assert store.put_if_absent("day 10/run.mcap", [b"abc"])
     listed = {found.key: found for found in store.list()}
     assert set(listed) == {"day 1/run.mcap", "day 1/metadata.yaml", "day 10/run.mcap"}
     assert {found.key for found in store.list("day 1")} == set(listed) - {"day 10/run.mcap"}
@@ -25,13 +25,13 @@ def test_what_was_stored_is_listed_and_read_back(store: ObjectStore) -> None:
 
 
 def test_a_name_is_given_only_once(store: ObjectStore) -> None:
-    assert store.put_if_absent("result", b"first")
-    assert not store.put_if_absent("result", b"second")
+    assert store.put_if_absent("result", [b"first"])
+    assert not store.put_if_absent("result", [b"second"])
     assert store.get("result", 100) == b"first"
 
 
 def test_a_range_past_the_end_is_an_error_and_not_a_short_answer(store: ObjectStore) -> None:
-    store.put_if_absent("run.mcap", b"0123456789")
+    store.put_if_absent("run.mcap", [b"0123456789"])
     found = store.head("run.mcap")
     with pytest.raises(StoreError):
         store.get_range(found, 5, 11)
@@ -48,7 +48,7 @@ def test_an_object_that_was_replaced_is_not_read_any_further(store: ObjectStore)
 
 
 def test_an_object_that_vanished_is_named(store: ObjectStore) -> None:
-    store.put_if_absent("a/run.mcap", b"0123456789")
+    store.put_if_absent("a/run.mcap", [b"0123456789"])
     found = store.head("a/run.mcap")
     store.delete("a/run.mcap")
     store.delete("a/run.mcap")  # is no error
@@ -75,7 +75,7 @@ def test_nothing_is_stored_if_the_parts_end_with_an_error(store: ObjectStore) ->
 
 
 def test_a_whole_object_is_read_only_up_to_a_limit(store: ObjectStore) -> None:
-    store.put_if_absent("run.mcap", b"0123456789")
+    store.put_if_absent("run.mcap", [b"0123456789"])
     with pytest.raises(StoreError, match="has 10 bytes: that is too many"):
         store.get("run.mcap", 9)
 
@@ -83,6 +83,6 @@ def test_a_whole_object_is_read_only_up_to_a_limit(store: ObjectStore) -> None:
 @pytest.mark.parametrize("key", ["", "/etc/passwd", "../run", "a/../b", "a//b", "a\n", "a" * 2000])
 def test_a_name_that_leads_elsewhere_is_no_name(store: ObjectStore, key: str) -> None:
     with pytest.raises(StoreError, match="no object can have the name"):
-        store.put_if_absent(key, b"")
+        store.put_if_absent(key, [b""])
     with pytest.raises(StoreError, match="no object can have the name"):
         store.head(key)

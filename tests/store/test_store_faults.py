@@ -87,7 +87,7 @@ def test_a_claimed_size_takes_no_memory(
 def test_refused_access_is_told_with_its_cure_and_without_secrets(bucket: FaultyBucket) -> None:
     bucket.before = lambda served, method, key: 403
     with pytest.raises(AccessDenied) as denied:
-        open_store(ROBOTS).put_if_absent("run.mcap", b"")
+        open_store(ROBOTS).put_if_absent("run.mcap", [b""])
     assert str(denied.value).startswith(
         "s3://robots/run.mcap: access is denied (SlowDown): set AWS_ACCESS"
     )
@@ -165,7 +165,7 @@ def test_a_link_below_a_folder_is_not_followed(tmp_path: Path) -> None:
         with pytest.raises(StoreError):
             store.head(key)
     with pytest.raises(StoreError):
-        store.put_if_absent("folder/new", b"")
+        store.put_if_absent("folder/new", [b""])
     assert [path.name for path in outside.iterdir()] == ["secret"]
 
 

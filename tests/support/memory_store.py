@@ -5,11 +5,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from robotctl.store import NoSuchObject, ObjectChanged, StoredObject
+from robotctl.store import NoSuchObject, ObjectChanged, Stamp, StoredObject
 
 
 def works(request: str, key: str) -> None:
     """Let every request succeed."""
+
+
+NO_STAMP = Stamp()
 
 
 class MemoryStore:
@@ -19,6 +22,7 @@ class MemoryStore:
 
     def __init__(self, before: Callable[[str, str], None] = works) -> None:
         self.objects: dict[str, bytes] = {}
+        self.stamps: dict[str, Stamp] = {}
         self.requests: list[tuple[str, str]] = []
         self.before = before
 
@@ -45,14 +49,20 @@ class MemoryStore:
     def get(self, key: str, max_bytes: int) -> bytes:
         return self.get_range(self._described(key), 0, max_bytes)
 
-    def put_if_absent(self, key: str, data: bytes) -> bool:
-        self._request("put", key)
-        return self.objects.setdefault(key, data) is data
-
-    def put(self, key: str, parts: Iterable[bytes]) -> None:
+    def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
         data = b"".join(parts)
+        if key in self.objects:
+            self._request("put", key)
+            return False
+        self._store(key, data, stamp)
+        return True
+
+    def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
+        self._store(key, b"".join(parts), stamp)
+
+    def _store(self, key: str, data: bytes, stamp: Stamp) -> None:
         self._request("put", key)
-        self.objects[key] = data
+        self.objects[key], self.stamps[key] = data, stamp
 
     def delete(self, key: str) -> None:
         self._request("delete", key)
@@ -66,4 +76,6 @@ class MemoryStore:
         if key not in self.objects:
             raise NoSuchObject(f"memory/{key} does not exist")
         content = self.objects[key]
-        return StoredObject(key, len(content), hashlib.sha1(content).hexdigest())
+        stamp = self.stamps.get(key, NO_STAMP)
+        etag = hashlib.sha1(content).hexdigest()
+        return StoredObject(key, len(content), etag, stamp.modified_ns, stamp.sha256)

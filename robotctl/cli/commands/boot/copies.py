@@ -25,7 +25,7 @@ copies = new_app()
 group.add_typer(copies, name="sync")
 
 Words = Annotated[
-    list[str], typer.Argument(metavar="-- URL [OPTION...]", help="What robotctl sync takes.")
+    list[str], typer.Argument(metavar="-- [FROM] TO [OPTION...]", help="What robotctl sync takes.")
 ]
 Every = Annotated[
     int, typer.Option(min=1, metavar="MIN", help="Minutes from the end of a run to the next.")
@@ -145,8 +145,8 @@ def _sync_arguments(words: list[str]) -> tuple[str, ...]:
         if word.partition("=")[0] in _NOT_IN_A_UNIT:
             raise UsageError(f"{word} in a unit", "leave it out")
     taken = typer.main.get_command(app).make_context("robotctl sync", list(words)).params
-    place = str(taken["place"])
-    absolute = [str(Path(w).absolute()) if w == place and not is_url(w) else w for w in words]
+    places = taken["places"]
+    absolute = [str(Path(w).absolute()) if w in places and not is_url(w) else w for w in words]
     before = ("", *words)
     return tuple(
         str(Path(word).absolute()) if previous in _PATHS else word

@@ -1,4 +1,4 @@
-"""Recordings to collect, and a store in memory."""
+"""Recordings to copy, and a store in memory."""
 
 from __future__ import annotations
 
@@ -10,23 +10,20 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.collect.collecting import Collected, collect
-from robotctl.collect.hash_ledger import hash_ledger
-from robotctl.collect.object_names import CollectedRecording, collected_recordings
-from robotctl.collect.read_back import read_manifest
+from robotctl.collection.sources import local_recordings
+from robotctl.collection.sync import Synced, copy_recordings
 from robotctl.recording.disk.storage import DiskFile
-from robotctl.store import StoredObject
 from robotctl.testing.drives import drive, record
 from tests.support.memory_store import MemoryStore
 
 FIRST, SECOND = "robot_20260101_120000", "robot_20260102_120000"
 
-Collect = Callable[[], Collected]
+Run = Callable[[], Synced]
 
 
 @pytest.fixture(scope="session")
 def one_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return record(tmp_path_factory.mktemp("collect") / FIRST, drive(0.3))
+    return record(tmp_path_factory.mktemp("collection") / FIRST, drive(0.3))
 
 
 def copy_as(recording: Path, folder: Path) -> Path:
@@ -54,14 +51,9 @@ def store() -> MemoryStore:
 
 
 @pytest.fixture
-def run(recordings: Path, store: MemoryStore) -> Collect:
+def run(recordings: Path, store: MemoryStore) -> Run:
     """Return a function that does what a run of the command does."""
-
-    def collect_once() -> Collected:
-        with hash_ledger(recordings, time.time_ns) as ledger:
-            return collect(recordings, store, ledger)
-
-    return collect_once
+    return lambda: copy_recordings(local_recordings(recordings, time.time_ns()), store)
 
 
 @contextmanager
@@ -74,18 +66,7 @@ def writing(path: Path) -> Iterator[None]:
         file.close()
 
 
-def contents(store: MemoryStore) -> dict[str, CollectedRecording]:
-    """Return what is in the store, without a request."""
-    return collected_recordings(StoredObject(key, len(x), "") for key, x in store.objects.items())
-
-
-def stored_files(store: MemoryStore, recording: str) -> dict[str, bytes]:
-    """Return what the newest manifest of a recording leads to."""
-    manifest = read_manifest(store, contents(store)[recording])
-    return {each.name: store.objects[manifest.object_of(each).key] for each in manifest.files}
-
-
-def files_here(folder: Path) -> dict[str, bytes]:
+def files_below(folder: Path) -> dict[str, bytes]:
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in folder.rglob("*")

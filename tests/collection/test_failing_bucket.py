@@ -10,14 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.collect.collecting import collect
-from robotctl.collect.hash_ledger import hash_ledger
-from robotctl.collect.object_names import ObjectName, collected_recordings
-from robotctl.collect.pruning import prune
-from robotctl.collect.read_back import read_manifest
+from robotctl.collection.sources import local_recordings
+from robotctl.collection.sync import copy_recordings, prune
 from robotctl.recording.keep.retention import RetentionPolicy
 from robotctl.store import PART_BYTES, open_store
-from tests.collect.conftest import FIRST, copy_as, files_here
+from tests.collection.conftest import FIRST, copy_as, files_below
 from tests.support.s3_server import Application, Failing, environment, s3_server
 
 pytest.importorskip("obstore", reason="URLs are an extra: robotctl[store]")
@@ -46,22 +43,17 @@ def test_a_bucket_that_fails_often_holds_everything_before_anything_is_removed(
         copy_as(one_recording, recordings / f"robot_202601{day}_120000")
     large = recordings / FIRST / f"{FIRST}_0.mcap"
     large.write_bytes(large.read_bytes() + os.urandom(LARGE))
-    here = {path.name: files_here(path) for path in recordings.glob("robot_*")}
+    here = files_below(recordings)
     store = open_store("s3://robots/one")
-    with hash_ledger(recordings, time.time_ns) as ledger:
-        run = collect(recordings, store, ledger)
+    run = copy_recordings(local_recordings(recordings, time.time_ns()), store)
     assert (len(run.complete), run.problems, run.wrong) == (20, [], [])
-    there = collected_recordings(store.list())
-    for name, files in here.items():
-        manifest = read_manifest(store, there[name])
-        assert {each.name for each in manifest.files} == files.keys()
-    pruned = prune(recordings, store, RetentionPolicy(0, None), time.time())
+    pruned = prune(recordings, store, RetentionPolicy(0, None), time.time(), complete=run.complete)
     assert (pruned.problems, pruned.wrong) == ([], [])
     assert not list(recordings.glob("robot_*"))
-    for each in (each for each in store.list() if each.key.endswith(".mcap")):
-        stored = ObjectName.parse(each.key)
-        assert stored is not None
-        assert hashlib.sha256(store.get(each.key, 1 << 30)).hexdigest() == stored.sha256
+    there = {each.key: store.get(each.key, 1 << 30) for each in store.list()}
+    assert there == here
+    for key, content in there.items():
+        assert store.head(key).sha256 == hashlib.sha256(content).hexdigest()
     assert failing[0].requests > 150
     assert {"PUT", "PUT partNumber uploadId", "POST uploads", "GET", "HEAD"} <= failing[
         0

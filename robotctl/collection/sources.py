@@ -1,0 +1,344 @@
+"""What `sync` copies: the recordings of a folder, or those below a URL.
+
+What is removed must be robotctl's own for certain; what is copied need not be. A file that cannot
+be copied is named: nothing is left out in silence.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import re
+import stat
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from io import FileIO
+from pathlib import Path
+from typing import Final
+
+from robotctl.errors import Divergence, UnreadableFile
+from robotctl.kernel.units import NS_PER_S
+from robotctl.printable import printable
+from robotctl.recording.disk.disk_errors import reason_of
+from robotctl.recording.disk.storage import is_locked
+from robotctl.recording.format.derived_files import INDEX_FILE
+from robotctl.recording.format.natural_order import natural_order
+from robotctl.recording.format.records import MAGIC
+from robotctl.recording.format.rosbag2 import METADATA_FILE
+from robotctl.recording.keep.catalog import CLIPS_FOLDER, is_own
+from robotctl.store import ObjectStore, StoredObject, hash_in, open_store, without_hashes
+
+SUFFIX: Final = ".mcap"
+
+REPLACED: Final = (METADATA_FILE, INDEX_FILE)
+"""The files that are made anew from the data; a newer one replaces an older copy."""
+
+YOUNG_NS: Final = 60 * NS_PER_S
+"""Another recorder holds no lock: a file of it without an end is finished after so long a rest."""
+
+OF_THE_SYSTEM: Final = "lost+found"
+"""For root alone on each disk, and no recording."""
+
+PIECE_BYTES: Final = 1 << 18
+STORED_PIECE_BYTES: Final = 8 << 20
+
+_PLAIN: Final = re.compile(r"[A-Za-z0-9_+=@-][A-Za-z0-9_.+=@-]*")
+"""The names that every store accepts, and that no shell, no URL and no file system changes."""
+
+_RENAME: Final = "rename it: letters, digits and _ . + = @ - only"
+
+_DEPTH: Final = 3
+"""RECORDING/clips/FILE."""
+
+Pace = Callable[[int], None]
+"""Called before this number of bytes is sent or read back, and with 0 while a file here is read.
+
+It waits as long as a limit demands, or while the robot must not be disturbed.
+"""
+
+
+class FileChanged(UnreadableFile):
+    """A file that was written while it was read."""
+
+
+class WrongContent(Divergence):
+    """An object of a store with other content than the file of its name."""
+
+
+@dataclass(frozen=True, slots=True)
+class LocalFile:
+    """A file of this computer; `key` is its name in the copy."""
+
+    key: str
+    path: Path
+    size_bytes: int
+    modified_ns: int
+
+    def sha256(self, pace: Pace) -> str:
+        """Return the hash of its content.
+
+        Raises:
+            UnreadableFile: It cannot be read.
+        """
+        digest = hashlib.sha256()
+        with open_regular_file(self.path) as file:
+            pace(0)
+            while piece := file.read(PIECE_BYTES):
+                digest.update(piece)
+                pace(0)
+        return digest.hexdigest()
+
+    def content(self, sha256: str) -> Iterator[bytes]:
+        """Yield its content.
+
+        Raises:
+            UnreadableFile: It cannot be read.
+            FileChanged: It does not have this hash, as is known at its end.
+        """
+        digest = hashlib.sha256()
+        with open_regular_file(self.path) as file:
+            while piece := file.read(PIECE_BYTES):
+                digest.update(piece)
+                yield piece
+        if digest.hexdigest() != sha256:
+            raise FileChanged(f"{self.path.name} was written while it was copied", "run it again")
+
+
+@dataclass(frozen=True, slots=True)
+class StoredFile:
+    """An object of a store; `key` is its name in the copy."""
+
+    key: str
+    store: ObjectStore
+    found: StoredObject
+
+    @property
+    def size_bytes(self) -> int:
+        """Its size."""
+        return self.found.size_bytes
+
+    @property
+    def modified_ns(self) -> int:
+        """When its content was written, as far as the store knows."""
+        return self.found.modified_ns
+
+    def with_stamp(self) -> StoredFile:
+        """Return it with the hash and the time that were stored with it, where they were.
+
+        Raises:
+            StoreError: The store fails, or has it no more.
+        """
+        return StoredFile(self.key, self.store, self.store.head(self.found.key))
+
+    def sha256(self, pace: Pace) -> str:
+        """Return the hash that was stored with it or is in its name, "" if there is none."""
+        return self.found.sha256 or hash_in(self.found.key)
+
+    def content(self, sha256: str) -> Iterator[bytes]:
+        """Yield its content.
+
+        Raises:
+            StoreError: The store fails, or the object changes.
+            WrongContent: It does not have this hash, as is known at its end; "" is any.
+        """
+        digest = hashlib.sha256()
+        for begin in range(0, self.size_bytes, STORED_PIECE_BYTES):
+            end = min(begin + STORED_PIECE_BYTES, self.size_bytes)
+            piece = self.store.get_range(self.found, begin, end)
+            digest.update(piece)
+            yield piece
+        if sha256 not in ("", digest.hexdigest()):
+            raise WrongContent(
+                f"{self.store.name}/{self.found.key} does not hold what was stored",
+                "something else has changed it",
+            )
+
+
+@dataclass(slots=True)
+class OfferedRecording:
+    """A recording to copy. `left_out` has a sentence for each file that cannot be copied."""
+
+    name: str
+    files: list[LocalFile | StoredFile] = field(default_factory=list)
+    live: bool = False
+    """Whether a running process is recording into it."""
+
+    left_out: list[str] = field(default_factory=list)
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes of its files."""
+        return sum(file.size_bytes for file in self.files)
+
+
+def recording_of(key: str) -> str:
+    """Return the name of the recording that a file in a copy belongs to."""
+    return key.partition("/")[0].removesuffix(SUFFIX)
+
+
+@contextmanager
+def open_regular_file(path: Path) -> Iterator[FileIO]:
+    """Open a regular file that is no link for the block.
+
+    Raises:
+        UnreadableFile: It is another one, or cannot be read.
+    """
+    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
+    try:
+        with FileIO(os.open(path, flags)) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise OSError(errno.EINVAL, "it is not a regular file")
+            yield file
+    except OSError as error:
+        raise UnreadableFile(f"{path.name} cannot be read: {reason_of(error)}") from error
+
+
+def stored_recordings(place: str) -> list[OfferedRecording]:
+    """Return the recordings below a URL, or in a folder in the layout RECORDING/SHA256/FILE.
+
+    `place` is a folder of recordings, one recording, or one MCAP file. Of several objects with one
+    name it is the newest.
+
+    Raises:
+        StoreError: The store cannot be listed, or there is no such file.
+    """
+    above, _, last = place.rstrip("/").rpartition("/")
+    if last.endswith(SUFFIX):
+        store = open_store(above)
+        return [OfferedRecording(recording_of(last), [StoredFile(last, store, store.head(last))])]
+    store = open_store(place)
+    newest = {
+        without_hashes(each.key): each
+        for each in sorted(store.list(), key=lambda each: each.modified_ns)
+    }
+    is_one = METADATA_FILE in newest or any(
+        key.startswith(f"{last}_") and key.endswith(SUFFIX) and "/" not in key for key in newest
+    )
+    found: dict[str, OfferedRecording] = {}
+    for key, each in sorted(newest.items()):
+        target = f"{last}/{key}" if is_one else key
+        if _is_copied(target):
+            recording = found.setdefault(
+                recording_of(target), OfferedRecording(recording_of(target))
+            )
+            recording.files.append(StoredFile(target, store, each))
+    return list(found.values())
+
+
+def _is_copied(key: str) -> bool:
+    parts = key.split("/")
+    derived = len(parts) > 1 and parts[-1] in REPLACED
+    return len(parts) <= _DEPTH and (derived or key.endswith(SUFFIX))
+
+
+def local_recordings(place: Path, now_ns: int) -> list[OfferedRecording]:
+    """Return the recordings in a folder, ordered by name; or the one that `place` is.
+
+    A single file is a recording of its name, without `.mcap`. Links are not followed. `now_ns` is
+    since the epoch.
+
+    Raises:
+        OSError: The folder cannot be listed.
+    """
+    is_one = not place.is_dir() or (place / METADATA_FILE).is_file()
+    paths: Iterable[Path] = [place.absolute()] if is_one else sorted(place.iterdir())
+    found = [_recording(path, now_ns) for path in paths]
+    return [each for each in found if each.files or each.live or each.left_out]
+
+
+def _recording(path: Path, now_ns: int) -> OfferedRecording:
+    recording = OfferedRecording(path.name)
+    try:
+        if path.is_symlink():
+            _link(recording, path)
+        elif path.is_dir():
+            _folder(recording, path, now_ns)
+        elif path.name.endswith(SUFFIX):
+            recording.name = path.name.removesuffix(SUFFIX)
+            _add_data(recording, path, path.name, now_ns)
+    except OSError as error:
+        if path.name != OF_THE_SYSTEM and not path.name.startswith("."):
+            recording.left_out.append(f"it cannot be listed: {reason_of(error)}")
+    if not _is_plain(recording.name) and (recording.files or recording.live):
+        return OfferedRecording(recording.name, left_out=[f"it is left out: {_RENAME}"])
+    return recording
+
+
+def _link(recording: OfferedRecording, path: Path) -> None:
+    """Name a link to recordings that are elsewhere; one to its neighbour is no other recording."""
+    target = path.resolve()
+    if target.is_relative_to(path.parent.resolve()):
+        return
+    if path.name.endswith(SUFFIX) or (target.is_dir() and any(target.glob(f"*{SUFFIX}"))):
+        recording.left_out.append("it is left out: it is a link")
+
+
+def _folder(recording: OfferedRecording, folder: Path, now_ns: int) -> None:
+    for path in _data_in(folder):
+        _add_data(recording, path, f"{folder.name}/{path.name}", now_ns)
+    is_live = recording.live
+    clips = folder / CLIPS_FOLDER
+    if clips.is_dir() and not clips.is_symlink():
+        for path in _data_in(clips):
+            _add_data(recording, path, f"{folder.name}/{CLIPS_FOLDER}/{path.name}", now_ns)
+    if not is_live and (recording.files or recording.left_out):
+        for path in (folder / METADATA_FILE, folder / INDEX_FILE):
+            if path.is_symlink():
+                _leave_out(recording, path.name, "it is a link")
+            elif path.is_file():
+                _add(recording, path, f"{folder.name}/{path.name}", path.stat())
+
+
+def _data_in(folder: Path) -> Iterator[Path]:
+    with os.scandir(folder) as entries:
+        found = [Path(each.path) for each in entries if each.name.endswith(SUFFIX)]
+    yield from sorted(found, key=natural_order)
+
+
+def _add_data(recording: OfferedRecording, path: Path, key: str, now_ns: int) -> None:
+    """Add a file, unless it is being written; name it if it cannot be copied."""
+    if path.is_symlink():
+        _leave_out(recording, path.name, "it is a link")
+    elif not _is_plain(path.name):
+        _leave_out(recording, path.name, _RENAME)
+    else:
+        try:
+            with open_regular_file(path) as file:
+                status = os.fstat(file.fileno())
+                if _is_live(path, file, status, now_ns):
+                    recording.live = True
+                    return
+        except UnreadableFile as error:
+            recording.left_out.append(str(error))
+        else:
+            _add(recording, path, key, status)
+
+
+def _add(recording: OfferedRecording, path: Path, key: str, status: os.stat_result) -> None:
+    recording.files.append(LocalFile(key, path, status.st_size, status.st_mtime_ns))
+
+
+def _is_live(path: Path, file: FileIO, status: os.stat_result, now_ns: int) -> bool:
+    """Return whether a process is writing a file: one of robotctl locks it."""
+    try:
+        if is_locked(file.fileno()):
+            return True
+        if is_own(path):
+            return False
+    except OSError:  # a file system without locks
+        pass
+    return now_ns - status.st_mtime_ns < YOUNG_NS and not _has_end(file, status.st_size)
+
+
+def _has_end(file: FileIO, size: int) -> bool:
+    return os.pread(file.fileno(), len(MAGIC), max(size - len(MAGIC), 0)) == MAGIC
+
+
+def _is_plain(name: str) -> bool:
+    return _PLAIN.fullmatch(name) is not None
+
+
+def _leave_out(recording: OfferedRecording, name: str, why: str) -> None:
+    recording.left_out.append(f"{printable(name)} is left out: {why}")

@@ -1,0 +1,328 @@
+"""Copies recordings between folders and buckets, and removes here what was read back from there.
+
+A copy lies as the recording lies: RECORDING/FILE. A file counts as copied where a file of its name
+and size is. Copies in the earlier layout RECORDING/SHA256/FILE count as well.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from robotctl.collection.sources import (
+    REPLACED,
+    STORED_PIECE_BYTES,
+    SUFFIX,
+    LocalFile,
+    OfferedRecording,
+    Pace,
+    StoredFile,
+    WrongContent,
+    open_regular_file,
+    recording_of,
+)
+from robotctl.errors import RobotctlError, UnreadableFile
+from robotctl.printable import printable
+from robotctl.recording.disk.disk_errors import reason_of
+from robotctl.recording.keep.catalog import CLIPS_FOLDER, CatalogFile, CatalogFolder
+from robotctl.recording.keep.removal_notes import note_removal, withdraw_note
+from robotctl.recording.keep.retention import Removed, RetentionPolicy, enforce_retention
+from robotctl.store import ObjectStore, Stamp, StoredObject, StoreError, without_hashes
+
+GIVE_UP_AFTER: Final = 3
+"""After this number of failures in a row the store counts as unreachable, and the run ends."""
+
+Stored = dict[str, list[StoredObject]]
+"""The objects of a store by their names in a copy; several only in the earlier layout."""
+
+
+@dataclass(frozen=True, slots=True)
+class CopiedFile:
+    """A file that was copied, or would be in a dry run."""
+
+    recording: str
+    name: str
+    size_bytes: int
+    sha256: str
+
+
+@dataclass(slots=True)
+class Synced:
+    """What a run did, and sentences about the rest."""
+
+    complete: list[str] = field(default_factory=list)
+    """Recordings that the store has completely."""
+
+    copied: list[CopiedFile] = field(default_factory=list)
+    live: list[str] = field(default_factory=list)
+    """Recordings that are being made: the store has their finished files."""
+
+    problems: list[str] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+    """Files of which the store has other content under their name."""
+
+    @property
+    def copied_bytes(self) -> int:
+        """Bytes of the files that were copied."""
+        return sum(file.size_bytes for file in self.copied)
+
+
+@dataclass(slots=True)
+class Pruned:
+    """What was removed, and a sentence for each file that was not because of the store."""
+
+    removed: list[Removed] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+
+
+def copy_recordings(
+    recordings: Sequence[OfferedRecording],
+    store: ObjectStore,
+    *,
+    pace: Pace = lambda count: None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+    dry_run: bool = False,
+) -> Synced:
+    """Copy what the store lacks; `on_progress` gets bytes done and in total.
+
+    What cannot be copied is told in `problems`, and the next file or recording is tried.
+
+    Raises:
+        StoreError: The store cannot be listed.
+    """
+    run, there = Synced(), _stored(store)
+    total, done, failed = sum(each.size_bytes for each in recordings), 0, 0
+    for each in recordings:
+
+        def send(count: int) -> None:
+            pace(count)
+            nonlocal done
+            done = min(done + count, total)
+            on_progress(done, total)
+
+        begun, copy = done, _Copy(each, there, store, send, dry_run=dry_run)
+        try:
+            copy.make()
+            failed = 0
+        except StoreError as error:
+            copy.problems.append(str(error))
+            failed += 1
+        _add(run, each, copy)
+        if failed == GIVE_UP_AFTER:
+            run.problems.append(f"{store.name} fails too often: the rest is left for later")
+            break
+        done = begun + each.size_bytes
+        on_progress(done, total)
+    return run
+
+
+def _add(run: Synced, recording: OfferedRecording, copy: _Copy) -> None:
+    name = printable(recording.name)
+    run.problems += (f"{name}: {said}" for said in copy.problems)
+    run.wrong += copy.wrong
+    run.copied += copy.sent
+    if recording.live:
+        run.live.append(recording.name)
+    elif not (copy.problems or copy.wrong or (copy.dry_run and copy.sent)):
+        run.complete.append(recording.name)
+
+
+class _Copy:
+    """The copy of one recording: what was sent, and a sentence for all that is not there."""
+
+    def __init__(
+        self,
+        recording: OfferedRecording,
+        there: Stored,
+        store: ObjectStore,
+        pace: Pace,
+        *,
+        dry_run: bool,
+    ) -> None:
+        self._recording = recording
+        self._there = there
+        self._store = store
+        self._pace = pace
+        self.dry_run = dry_run
+        self.sent: list[CopiedFile] = []
+        self.problems = list(recording.left_out)
+        self.wrong: list[str] = []
+
+    def make(self) -> None:
+        """Copy the data, then what was made from it.
+
+        Raises:
+            StoreError: The store fails.
+        """
+        files = self._recording.files
+        for file in (each for each in files if not _is_replaced(each.key)):
+            found = self._there.get(file.key, [])
+            if not found:
+                self._send(file)
+            elif all(each.size_bytes != file.size_bytes for each in found):
+                self.wrong.append(str(_wrong_content(self._store, found[0].key)))
+        if self.wrong or len(self.problems) > len(self._recording.left_out):
+            return  # a list of files comes after them
+        for file in (each for each in files if _is_replaced(each.key)):
+            found = self._there.get(file.key, [])
+            is_there = any(_is_as_new(each, file) for each in found)
+            if not (is_there or (found and self._more_is_there())):
+                self._send(file)
+
+    def _more_is_there(self) -> bool:
+        """Return whether retention has removed here what the store has: its list tells more."""
+        here = {file.key for file in self._recording.files}
+        return any(
+            recording_of(key) == self._recording.name and key.endswith(SUFFIX) and key not in here
+            for key in self._there
+        )
+
+    def _send(self, file: LocalFile | StoredFile) -> None:
+        try:
+            if isinstance(file, StoredFile):
+                file = file.with_stamp()
+            sha256 = file.sha256(self._pace)
+            if not self.dry_run:
+                self._put(file, Stamp(sha256, file.modified_ns))
+        except StoreError:
+            raise
+        except WrongContent as error:
+            self.wrong.append(str(error))
+        except UnreadableFile as error:
+            self.problems.append(str(error))
+        else:
+            name = file.key.rpartition("/")[2]
+            if f"/{CLIPS_FOLDER}/" in file.key:
+                name = f"{CLIPS_FOLDER}/{name}"
+            self.sent.append(CopiedFile(self._recording.name, name, file.size_bytes, sha256))
+
+    def _put(self, file: LocalFile | StoredFile, stamp: Stamp) -> None:
+        def content() -> Iterator[bytes]:
+            for piece in file.content(stamp.sha256):
+                self._pace(len(piece))
+                yield piece
+
+        if _is_replaced(file.key):
+            self._store.put(file.key, content(), stamp)
+            return
+        is_new = self._store.put_if_absent(file.key, content(), stamp)
+        if not (is_new or self._store.head(file.key).size_bytes == file.size_bytes):
+            raise _wrong_content(self._store, file.key)
+
+
+def _stored(store: ObjectStore, prefix: str = "") -> Stored:
+    found: Stored = {}
+    for each in store.list(prefix):
+        found.setdefault(without_hashes(each.key), []).append(each)
+    return found
+
+
+def _is_replaced(key: str) -> bool:
+    return key.rpartition("/")[2] in REPLACED
+
+
+def _is_as_new(there: StoredObject, here: LocalFile | StoredFile) -> bool:
+    return there.size_bytes == here.size_bytes and there.modified_ns >= here.modified_ns
+
+
+def _wrong_content(store: ObjectStore, key: str) -> WrongContent:
+    return WrongContent(
+        f"{store.name}/{key} has other content than the file here",
+        "what is here stays; remove that one to copy it again",
+    )
+
+
+def prune(
+    recordings: Path,
+    store: ObjectStore,
+    policy: RetentionPolicy,
+    now_s: float,
+    *,
+    complete: Collection[str],
+    pace: Pace = lambda count: None,
+) -> Pruned:
+    """Remove what exceeds `policy`, the oldest first, as retention does.
+
+    A file is removed only if its recording is one of the `complete` ones, and if the bytes that
+    the store sends now are those that the file holds now. `now_s` is in seconds since the epoch.
+
+    Raises:
+        OSError: The folder cannot be listed.
+    """
+    pruned = Pruned()
+    there: dict[str, Stored] = {}
+    failed = 0
+
+    def is_stored(file: CatalogFile, folder: CatalogFolder) -> bool:
+        nonlocal failed
+        if failed == GIVE_UP_AFTER:
+            return False
+        name = folder.path.name
+        try:
+            if name not in complete:
+                raise UnreadableFile("its recording is not completely in the store")
+            if name not in there:
+                there[name] = _stored(store, name)
+            key = f"{name}/{file.path.relative_to(folder.path).as_posix()}"
+            _read_back(store, key, there[name].get(key, []), file.path, pace)
+            note_removal(recordings, file.path, f"removed after its copy to {store.name} was read")
+        except WrongContent as error:
+            pruned.wrong.append(str(error))
+            failed = 0
+        except OSError as error:
+            cause = f"its removal cannot be noted: {reason_of(error)}"
+            pruned.problems.append(f"{file.path.name} is kept: {cause}")
+        except RobotctlError as error:
+            pruned.problems.append(f"{file.path.name} is kept: {error}")
+            failed = failed + 1 if isinstance(error, StoreError) else 0
+        else:
+            failed = 0
+            return True
+        return False
+
+    def not_removed(file: CatalogFile, error: OSError) -> None:
+        with suppress(OSError):
+            withdraw_note(recordings, file.path)
+        if not isinstance(error, FileNotFoundError):
+            cause = f"it cannot be removed: {reason_of(error)}"
+            pruned.problems.append(f"{file.path.name} is kept: {cause}")
+
+    pruned.removed = enforce_retention(
+        recordings, policy, now_s, may_remove=is_stored, on_failure=not_removed
+    )
+    return pruned
+
+
+def _read_back(
+    store: ObjectStore, key: str, found: Sequence[StoredObject], path: Path, pace: Pace
+) -> None:
+    """Raise an error unless an object of the store holds the bytes of a file.
+
+    Raises:
+        StoreError: The store fails.
+        UnreadableFile: It is not there, or the file cannot be read.
+        WrongContent: The store has other content.
+    """
+    if not found:
+        raise UnreadableFile("it is not in the store")
+    if not any(_is_same(store, each, path, pace) for each in found):
+        raise _wrong_content(store, found[0].key)
+
+
+def _is_same(store: ObjectStore, found: StoredObject, path: Path, pace: Pace) -> bool:
+    with open_regular_file(path) as file:
+        if os.fstat(file.fileno()).st_size != found.size_bytes:
+            return False
+        for begin in range(0, found.size_bytes, STORED_PIECE_BYTES):
+            end = min(begin + STORED_PIECE_BYTES, found.size_bytes)
+            pace(end - begin)
+            piece = store.get_range(found, begin, end)
+            pace(0)
+            if piece != os.pread(file.fileno(), end - begin, begin):
+                return False
+        return os.fstat(file.fileno()).st_size == found.size_bytes
