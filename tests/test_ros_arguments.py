@@ -8,8 +8,7 @@ import pytest
 
 from robotctl import retired, ros_arguments
 from robotctl.config import Config, flat
-from robotctl.config.ros_file import check_parameter_files
-from robotctl.config.ros_settings import RosSettings, apply_arguments
+from robotctl.config.ros_settings import RosSettings, apply_arguments, check_parameter_files
 from robotctl.daemon.command_line import parse
 from robotctl.errors import ConfigError, UsageError
 from robotctl.ros_arguments import Remap

@@ -7,11 +7,20 @@
 - `file`: read a `Config` from a YAML file.
 """
 
-from robotctl.config.allowed_values import PATTERN_HELP, is_topic_pattern
-from robotctl.config.declarations import Declaration, Kind, declarations
 from robotctl.config.file import MAX_FILE_BYTES, load
 from robotctl.config.schema import Config, RecordingParams
-from robotctl.config.settings import check_all, check_together, flat, with_setting, with_text
+from robotctl.config.settings import (
+    PATTERN_HELP,
+    Declaration,
+    Kind,
+    check_all,
+    check_together,
+    declarations,
+    flat,
+    is_topic_pattern,
+    with_setting,
+    with_text,
+)
 
 __all__ = [
     "MAX_FILE_BYTES",

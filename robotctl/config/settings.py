@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import Enum
 from functools import cache
@@ -12,11 +14,128 @@ from reprlib import repr as short_repr
 from typing import Any, get_type_hints
 
 from robotctl import retired
-from robotctl.config.allowed_values import checked_value, not_allowed
 from robotctl.config.schema import Config
 from robotctl.errors import ConfigError
+from robotctl.kernel.fence import corners_of
 from robotctl.kernel.parameters import Leaf, conflict, leaves, value_at, with_value
 from robotctl.kernel.params import KernelParams
+from robotctl.kernel.ranges import Change, Range
+
+_TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_FRAME = re.compile(r"[A-Za-z0-9_/]{1,200}")
+_PATTERN = re.compile(r"(?:type:|(?=[/*?\[]))[A-Za-z0-9_/*?!\[\]-]{1,300}")
+MAX_RATE_HZ = 1e5
+RATES_HELP = 'use topics, globs or types with rates, such as {"/camera/*": 5}'
+MAX_GROUP_NAME = 256
+"""Longer than a name of group(5) or of a directory service."""
+
+PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/msg/Image)"
+
+
+def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any]) -> object:
+    """Return `value` in the type of its field, if it is allowed for `key`.
+
+    Raises:
+        ConfigError: The value is not allowed; the error says what is.
+    """
+    if kind == tuple[str, ...]:
+        return (_checked_rates if metadata.get("rates") else _checked_patterns)(key, value)
+    if issubclass(kind, Enum):
+        choices = {member.value: member for member in kind}
+        # 100 and true are no text in YAML.
+        if type(value) in (str, int, bool) and (text := str(value).lower()) in choices:
+            return choices[text]
+        raise not_allowed(key, value, f"use {', '.join(choices)}")
+    if kind is float:
+        low, high, unit = metadata.get("range", Range(-1e12, 1e12))
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise not_allowed(key, value, f"use a number from {low:g} to {high:g} {unit}".rstrip())
+        if not low <= value <= high:  # NaN is refused, too
+            raise not_allowed(key, value, f"use {low:g} to {high:g} {unit}".rstrip())
+        return float(value)
+    if "choices" in metadata and value not in metadata["choices"]:
+        raise not_allowed(key, value, f"use {', '.join(metadata['choices'])}")
+    if metadata.get("topic") and not _is_topic(value, optional=metadata["optional"]):
+        none = ', or "" for none' if metadata["optional"] else ""
+        raise not_allowed(key, value, f"use the name of a ROS topic, such as /a/b{none}")
+    if metadata.get("frame") and not _is_frame(value, optional=metadata["optional"]):
+        none = ', or "" for any' if metadata["optional"] else ""
+        raise not_allowed(key, value, f"use the name of a frame, such as base_link{none}")
+    if metadata.get("group") and not _is_group(value):
+        raise not_allowed(key, value, 'use the name of a Unix group, or "" for none')
+    if metadata.get("corners") and not _are_corners(value):
+        raise not_allowed(key, value, "use 3 to 64 corners, such as 0,0 2,0 2,1")
+    if type(value) is not kind:
+        names = {int: "a whole number", str: "text", bool: "true or false"}
+        raise not_allowed(key, value, f"use {names[kind]}")
+    if isinstance(value, int) and "range" in metadata:
+        low, high, _ = metadata["range"]
+        if not low <= value <= high:
+            raise not_allowed(key, value, f"use {low} to {high}")
+    return value
+
+
+def _is_group(value: object) -> bool:
+    return isinstance(value, str) and value.isprintable() and len(value) <= MAX_GROUP_NAME
+
+
+def _are_corners(value: object) -> bool:
+    try:
+        return isinstance(value, str) and len(corners_of(value)) >= 0
+    except ValueError:
+        return False
+
+
+def _checked_patterns(key: str, value: object) -> tuple[str, ...]:
+    if not isinstance(value, list):
+        raise not_allowed(key, value, f"use a list, each {PATTERN_HELP}")
+    for pattern in value:
+        if not is_topic_pattern(pattern):
+            raise not_allowed(key, pattern, f"use {PATTERN_HELP}")
+    return tuple(value)
+
+
+def _checked_rates(key: str, value: object) -> tuple[str, ...]:
+    """Return rates by topic as PATTERN=RATE; a file may give them as a mapping."""
+    if isinstance(value, dict):
+        value = [f"{pattern}={rate}" for pattern, rate in value.items()]
+    if not isinstance(value, list):
+        raise not_allowed(key, value, RATES_HELP)
+    for each in value:
+        pattern, _, rate = each.rpartition("=") if isinstance(each, str) else ("", "", "")
+        if not (is_topic_pattern(pattern) and _is_rate(rate)):
+            raise not_allowed(key, each, RATES_HELP)
+    return tuple(value)
+
+
+def _is_rate(text: str) -> bool:
+    try:
+        return 0.0 <= float(text) <= MAX_RATE_HZ
+    except ValueError:
+        return False
+
+
+def is_topic_pattern(value: object) -> bool:
+    """Return whether the value is a topic, glob or type that can select topics."""
+    return isinstance(value, str) and _PATTERN.fullmatch(value) is not None
+
+
+def _is_topic(value: object, *, optional: bool) -> bool:
+    if not isinstance(value, str):
+        return False
+    if not value:
+        return optional
+    return _TOPIC.fullmatch(value) is not None and "__" not in value and len(value) <= 200
+
+
+def not_allowed(key: str, value: object, allowed: str) -> ConfigError:
+    """Return the error for a value that is not allowed, with what is."""
+    return ConfigError(f"{key}: {short_repr(value)} is not allowed", allowed)
+
+
+def _is_frame(value: object, *, optional: bool) -> bool:
+    return isinstance(value, str) and bool(_FRAME.fullmatch(value) or (optional and not value))
+
 
 _log = logging.getLogger(__name__)
 
@@ -125,3 +244,79 @@ def _checked(config: Config, key: str, leaf: Leaf, value: object) -> Config:
     checked = checked_value(key, value, kind, leaf.declared.metadata)
     changed: Config = with_value(config, leaf.path, checked)
     return changed
+
+
+FileValue = bool | int | float | str | list[str]
+"""A value in the form that a file uses."""
+
+
+class Kind(Enum):
+    """The type of a value."""
+
+    BOOLEAN = "boolean"
+    INTEGER = "whole number"
+    NUMBER = "number"
+    TEXT = "text"
+    TEXTS = "texts"
+
+
+_KINDS = {bool: Kind.BOOLEAN, int: Kind.INTEGER, float: Kind.NUMBER, str: Kind.TEXT}
+
+
+@dataclass(frozen=True, slots=True)
+class Declaration:
+    """One parameter; `range` holds the allowed numbers, None where there is no limit."""
+
+    key: str
+    kind: Kind
+    default: FileValue
+    about: str
+    allowed: str
+    change: Change
+    range: Range | None
+
+
+@cache
+def declarations() -> Mapping[str, Declaration]:
+    """Return the declaration of every key, in the order of the schema."""
+    config = Config()
+    found = {}
+    for key, leaf in keyed_leaves(config):
+        value, metadata = value_at(config, leaf.path), leaf.declared.metadata
+        default: Any = as_in_file(value)
+        found[key] = Declaration(
+            key,
+            _KINDS.get(type(default), Kind.TEXTS),
+            default,
+            metadata["about"],
+            _allowed(value, metadata),
+            metadata["change"],
+            metadata.get("range"),
+        )
+    return found
+
+
+def _allowed(value: object, metadata: Mapping[str, Any]) -> str:
+    """Return the allowed values in words."""
+    limits = metadata.get("range")
+    if limits is not None:
+        return f"{limits.low:g} to {limits.high:g} {limits.unit}".rstrip()
+    if isinstance(value, Enum):
+        return ", ".join(member.value for member in type(value))
+    if "choices" in metadata:
+        return ", ".join(metadata["choices"])
+    if metadata.get("rates"):
+        return "topics, globs, types, each with a rate"
+    if metadata.get("corners"):
+        return '3 to 64 corners; "" for none'
+    if metadata.get("topic"):
+        return 'a topic; "" for none' if metadata["optional"] else "a topic"
+    if metadata.get("command"):
+        return 'a command line; "" for none'
+    if metadata.get("group"):
+        return 'a Unix group; "" for none'
+    if metadata.get("frame"):
+        return 'the name of a frame; "" for any' if metadata["optional"] else "the name of a frame"
+    if isinstance(value, bool):
+        return "true, false"
+    return "a whole number" if isinstance(value, int) else "a list of topics, globs, types"

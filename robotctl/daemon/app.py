@@ -10,7 +10,7 @@ from contextlib import AsyncExitStack, ExitStack
 
 from robotctl import __version__
 from robotctl.config import Config, load
-from robotctl.config.parameter_nodes import MODE_SERVICE
+from robotctl.config.ros_settings import MODE_SERVICE
 from robotctl.daemon.command_choice import choose_command_type
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.decision_notes import noted, open_decision_log

@@ -6,7 +6,7 @@ from collections.abc import Container, Sequence
 from typing import Any
 
 from robotctl.config import declarations, flat
-from robotctl.config.parameter_nodes import MODE_SERVICE, SIMULATED_ROBOT, node_of
+from robotctl.config.ros_settings import MODE_SERVICE, SIMULATED_ROBOT, node_of
 from robotctl.daemon.parameters import Parameters, Setting
 from robotctl.errors import RobotctlError
 from robotctl.ipc.advice import advice

@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from typing import Final
 
-from robotctl.config.parameter_nodes import MODE_SERVICE, NODES
+from robotctl.config.ros_settings import MODE_SERVICE, NODES
 from robotctl.daemon.host import Host
 from robotctl.errors import Refused
 

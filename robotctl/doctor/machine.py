@@ -1,19 +1,33 @@
-"""Disk, clock, access rights and priorities of this computer."""
+"""What is wrong with this computer: clock, folders, limits, Python, shared memory, middleware.
+
+A process holds a lock on `NAME_el` while it uses the memory `NAME`; Linux releases it when the
+process ends, so a lock that is free proves that the owner is dead. Memory that another process
+still has mapped is left all the same: it may wait for messages there.
+"""
 
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
+import platform
+import re
 import resource
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from importlib import metadata
 from pathlib import Path
 from typing import Final
+from xml.etree import ElementTree
 
 from robotctl import open_files
 from robotctl.doctor.finding import Finding, fault, ok, warning
+from robotctl.environment import RANGE, RMW, without_foreign_ros
 from robotctl.errors import RobotctlError
 from robotctl.paths import chain_to
+from robotctl.regular_file import open_regular
 
 SCARCE_BYTES: Final = 2_000_000_000
 """The recorder warns when less is free (`warn_free_bytes`)."""
@@ -144,3 +158,253 @@ def _check_place(folder: Path) -> None:
 def _existing(path: Path) -> Path:
     """Return the path, or the nearest one above it that exists; a link to nothing exists."""
     return next(each for each in (path, *path.parents) if os.path.lexists(each))
+
+
+PINNED = re.compile(r"([A-Za-z0-9._-]+)(?:\[[^]]*\])?==([^; ]+)")
+"""A requirement of exactly one version."""
+
+WHEELS_FOR = "x86_64"
+"""The machines for which there are wheels; elsewhere ROS comes from a workspace."""
+
+
+def check_wheels(
+    requirements: Iterable[str] | None = None, version_of: Callable[[str], str] = metadata.version
+) -> Iterator[Finding]:
+    """Compare the installed ROS wheels with the exact versions that robotctl requires.
+
+    `requirements` are those of the installed robotctl, unless given.
+    """
+    check = "wheels"
+    if requirements is None:
+        if platform.machine() != WHEELS_FOR:
+            yield ok(
+                check, f"there are none for {platform.machine()}: ROS is that of the workspace"
+            )
+            return
+        try:
+            requirements = metadata.requires("robotctl") or ()
+        except metadata.PackageNotFoundError:
+            yield ok(check, "robotctl was not installed by pip: its ROS is that of the workspace")
+            return
+    pinned = [
+        match for each in requirements if "extra ==" not in each and (match := PINNED.match(each))
+    ]
+    wrong = []
+    for name, wanted in (match.groups() for match in pinned):
+        try:
+            found = version_of(name)
+        except metadata.PackageNotFoundError:
+            wrong.append(f"{name} is missing")
+            continue
+        if found != wanted:
+            wrong.append(f"{name} is {found} and not {wanted}")
+    if wrong:
+        cure = "install robotctl again in its environment: pip install --force-reinstall ."
+        yield fault(check, "; ".join(wrong), cure)
+    else:
+        told = ", ".join(" ".join(match.groups()) for match in pinned)
+        yield ok(check, f"{told}; Python {platform.python_version()}")
+
+
+def check_shell(environment: Mapping[str, str], prefix: Path) -> Iterator[Finding]:
+    """Name another ROS that the shell has sourced before ours, which is below `prefix`."""
+    check = "shell"
+    paths = {name: value for name, value in environment.items() if name != "RMW_IMPLEMENTATION"}
+    _, found = without_foreign_ros(paths, prefix)
+    if found:
+        yield warning(
+            check,
+            f"this shell has sourced another ROS, which robotctl avoids: it {found}",
+            "start your own programs that use these wheels from a shell without it",
+        )
+    else:
+        yield ok(check, "no other ROS precedes ours")
+
+
+def check_two_rclpys(folders: Iterable[str]) -> Iterator[Finding]:
+    """Name every rclpy after the first in the folders that Python searches for modules."""
+    found = {
+        (Path(folder) / "rclpy").resolve()
+        for folder in folders
+        if os.path.isfile(os.path.join(folder, "rclpy", "__init__.py"))  # False if not permitted
+    }
+    if len(found) > 1:
+        yield warning(
+            "rclpy",
+            f"Python finds {len(found)} of them: {', '.join(sorted(map(str, found)))}",
+            "use a virtual environment, or a shell without the other ROS",
+        )
+
+
+def check_pip(prefix: Path, base_prefix: Path, standard_library: Path) -> Iterator[Finding]:
+    """Tell where pip would refuse to install, as the distribution owns this Python (PEP 668)."""
+    if prefix == base_prefix and (standard_library / "EXTERNALLY-MANAGED").exists():
+        yield warning(
+            "pip",
+            f"{sys.executable} belongs to the distribution: pip install fails in it (PEP 668)",
+            "make a virtual environment: python3 -m venv .venv && . .venv/bin/activate",
+        )
+
+
+SHARED_MEMORY: Final = Path("/dev/shm")
+
+SETTLED_S: Final = 10.0
+"""Younger files are left alone: their process may not have locked them yet."""
+
+SCARCE_SHARED_BYTES: Final = 16 << 20
+"""A participant of Fast DDS takes 0.6 MB, and one that sends images more."""
+
+_LOCKED = re.compile(r"fastrtps_(?:[0-9a-f]{16}|port\d+)_el")
+
+
+def check_memory(folder: Path = SHARED_MEMORY) -> Iterator[Finding]:
+    """Tell how much shared memory is free, and what dead processes occupy."""
+    check = "shared memory"
+    try:
+        found = os.statvfs(folder)
+    except OSError as error:
+        yield fault(check, f"{folder}: {error.strerror}", f"mount a tmpfs at {folder}")
+        return
+    free, size = found.f_bavail * found.f_frsize, found.f_blocks * found.f_frsize
+    told = f"{free / 1e6:.0f} of {size / 1e6:.0f} MB free in {folder}"
+    if not os.access(folder, os.W_OK | os.X_OK):
+        yield fault(check, f"you may not write in {folder}", f"sudo chmod 1777 {folder}")
+    elif free < SCARCE_SHARED_BYTES:
+        cure = "clean it (robotctl doctor --clean), or give a container more: --shm-size 256m"
+        yield fault(check, f"{told}: processes of ROS may not hear each other", cure)
+    else:
+        yield ok(check, told)
+    left = stale(folder)
+    if left:
+        size = sum(path.stat().st_size for path in left if path.exists())
+        yield warning(
+            "dead processes",
+            f"{len(left)} files in {folder} ({size / 1e6:.1f} MB) belong to no process any more",
+            "remove them: robotctl doctor --clean",
+        )
+
+
+def stale(folder: Path = SHARED_MEMORY) -> list[Path]:
+    """Return the files of this user whose process is certainly dead."""
+    try:
+        names = [entry.name for entry in os.scandir(folder) if _LOCKED.fullmatch(entry.name)]
+    except OSError:
+        return []
+    mapped = _mapped(folder)
+    found: list[Path] = []
+    for name in sorted(names):
+        memory = name.removesuffix("_el")
+        if memory not in mapped and name not in mapped and _is_free(folder / name):
+            belonging = (memory, f"sem.{memory}_mutex", name)
+            found += [folder / each for each in belonging if (folder / each).exists()]
+    return found
+
+
+def clean(folder: Path = SHARED_MEMORY) -> list[Path]:
+    """Remove the stale files that are found now, and return them."""
+    removed = []
+    for path in stale(folder):
+        with suppress(FileNotFoundError):
+            path.unlink()
+            removed.append(path)
+    return removed
+
+
+def _is_free(path: Path) -> bool:
+    """Return whether the lock file is ours, old, and not locked."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        facts = os.fstat(descriptor)
+        if facts.st_uid != os.getuid() or time.time() - facts.st_ctime < SETTLED_S:
+            return False
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # locked
+        return False
+    finally:
+        os.close(descriptor)
+    return True
+
+
+def _mapped(folder: Path) -> set[str]:
+    """Return the files of the folder that a process has open or mapped, as far as it shows them."""
+    found: set[str] = set()
+    for process in Path("/proc").iterdir():
+        if not process.name.isdecimal():
+            continue
+        with suppress(OSError):  # it has ended, or is of another user
+            found |= _names_below(folder, (process / "maps").read_text(errors="replace").split())
+            links = [os.readlink(each) for each in (process / "fd").iterdir()]
+            found |= _names_below(folder, links)
+    return found
+
+
+def _names_below(folder: Path, words: Iterable[str]) -> set[str]:
+    start = f"{folder}/"
+    return {word.removeprefix(start) for word in words if word.startswith(start)}
+
+
+PROFILES: Final = "FASTRTPS_DEFAULT_PROFILES_FILE"
+"""The variable in which Fast DDS 2, that of the wheels, looks for a profiles file."""
+
+LOCALHOST_ONLY: Final = "ROS_LOCALHOST_ONLY"
+"""The variable of Humble; its value 1 overrules that of RANGE."""
+
+MAX_PROFILES_BYTES: Final = 1_000_000
+"""Larger files are no profiles that a person wrote."""
+
+RANGES: Final = ("", "LOCALHOST", "SUBNET", "SYSTEM_DEFAULT", "OFF")
+
+
+def check_middleware(environment: Mapping[str, str]) -> Iterator[Finding]:
+    """Name a middleware that is asked for and that robotctl does not use."""
+    given = environment.get("RMW_IMPLEMENTATION", "")
+    if given not in ("", RMW):
+        yield warning(
+            "middleware",
+            f"RMW_IMPLEMENTATION is {given}: robotctl uses {RMW}, the only one that it brings",
+            f"let the nodes of the robot use the same: export RMW_IMPLEMENTATION={RMW}",
+        )
+
+
+def check_range(environment: Mapping[str, str]) -> Iterator[Finding]:
+    """Name a discovery range by which fewer processes are discovered than one may expect."""
+    check, cure = "discovery", f"export {RANGE}=SUBNET, or LOCALHOST for this machine only"
+    given = environment.get(RANGE, "")
+    if environment.get(LOCALHOST_ONLY) == "1" and given not in ("", "LOCALHOST"):
+        text = f"{LOCALHOST_ONLY}=1 overrules {RANGE}={given}: only this machine is discovered"
+        yield warning(check, text, f"unset {LOCALHOST_ONLY} if that is not meant")
+    elif given not in RANGES:
+        text = f"{RANGE} is {given!r}, which ROS does not know: it takes LOCALHOST"
+        yield warning(check, text, cure)
+    elif given == "OFF":
+        text = f"{RANGE} is OFF: no process discovers another, not even on this machine"
+        yield warning(check, text, cure)
+
+
+def check_profiles(environment: Mapping[str, str]) -> Iterator[Finding]:
+    """Name a profiles file of Fast DDS that has no effect, as it cannot be read."""
+    given = environment.get(PROFILES)
+    if given is None:
+        return
+    try:
+        ElementTree.fromstring(_text_of(Path(given)))
+    except (OSError, ElementTree.ParseError, ValueError) as error:
+        why = (isinstance(error, OSError) and error.strerror) or f"it is no XML: {error}"
+        text = f"{PROFILES} is {given!r}, which Fast DDS cannot read: {why}"
+        yield warning("profiles", text, f"name a profiles file, or unset {PROFILES}")
+
+
+def _text_of(path: Path) -> str:
+    """Return the text of a regular file of a bounded size.
+
+    Raises:
+        OSError: It cannot be read, or is too large.
+    """
+    with open_regular(path) as stream:
+        data = stream.read(MAX_PROFILES_BYTES + 1)
+    if len(data) > MAX_PROFILES_BYTES:
+        raise OSError(f"{path} is larger than {MAX_PROFILES_BYTES / 1e6:.0f} MB")
+    return data.decode(errors="replace")

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from robotctl.config import Config, flat
-from robotctl.config.parameter_nodes import node_of
+from robotctl.config.ros_settings import node_of
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
 from tests.support.world import World, entries_of, new_world

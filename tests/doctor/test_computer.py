@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.doctor import machine, python_installation, shared_memory
+from robotctl.doctor import machine
 from robotctl.doctor.finding import Finding, Level
 from robotctl.paths import runtime_folder, state_folder
 from robotctl.recording.write.recorder_options import RecorderOptions
@@ -29,7 +29,7 @@ def levels(found: Iterator[Finding]) -> list[tuple[str, Level]]:
 @pytest.fixture
 def memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The shared memory of two dead processes, and files of other programs."""
-    monkeypatch.setattr(shared_memory, "SETTLED_S", 0.0)
+    monkeypatch.setattr(machine, "SETTLED_S", 0.0)
     for name in (MEMORY, f"{MEMORY}_el", PORT, f"{PORT}_el", f"sem.{PORT}_mutex"):
         (tmp_path / name).write_bytes(b"x" * 4096)
     for name in ("fastrtps_port7000", "pulse-shm-1", "fastrtps_x_el", "sem.other_mutex"):
@@ -38,17 +38,17 @@ def memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def stale(folder: Path) -> set[str]:
-    return {path.name for path in shared_memory.stale(folder)}
+    return {path.name for path in machine.stale(folder)}
 
 
 def test_memory_of_dead_processes_is_removed_and_nothing_else(memory: Path) -> None:
-    found = list(shared_memory.check_memory(memory))
+    found = list(machine.check_memory(memory))
     assert ("dead processes", Level.WARNING) in levels(iter(found))
-    assert len(shared_memory.clean(memory)) == 5
+    assert len(machine.clean(memory)) == 5
     assert stale(memory) == set()
     left = {path.name for path in memory.iterdir()}
     assert left == {"fastrtps_port7000", "pulse-shm-1", "fastrtps_x_el", "sem.other_mutex"}
-    assert "dead processes" not in dict(levels(shared_memory.check_memory(memory)))
+    assert "dead processes" not in dict(levels(machine.check_memory(memory)))
 
 
 @pytest.mark.parametrize("kind", [fcntl.LOCK_EX, fcntl.LOCK_SH])
@@ -67,7 +67,7 @@ def test_memory_that_a_neighbour_has_mapped_is_left(memory: Path) -> None:
 
 
 def test_a_file_that_was_just_made_is_left(memory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shared_memory, "SETTLED_S", 3600.0)
+    monkeypatch.setattr(machine, "SETTLED_S", 3600.0)
     assert stale(memory) == set()
 
 
@@ -84,19 +84,17 @@ def test_a_link_in_the_place_of_a_lock_is_not_followed(memory: Path, tmp_path: P
 
 
 def test_shared_memory_that_is_not_there_is_a_fault(tmp_path: Path) -> None:
-    assert levels(shared_memory.check_memory(tmp_path / "none")) == [("shared memory", Level.FAULT)]
+    assert levels(machine.check_memory(tmp_path / "none")) == [("shared memory", Level.FAULT)]
 
 
 def test_the_wheels_have_exactly_the_versions_that_are_required() -> None:
     wanted = ["ros-a[x]==1.2; m == 'y'", "free>=2", "ros-t==9 ; extra == 'test'", "ros-b==3"]
     versions = {"ros-a": "1.2", "ros-b": "3"}
-    assert levels(python_installation.check_wheels(wanted, versions.__getitem__)) == [
-        ("wheels", Level.OK)
-    ]
-    (found,) = python_installation.check_wheels(wanted, {**versions, "ros-b": "4"}.__getitem__)
+    assert levels(machine.check_wheels(wanted, versions.__getitem__)) == [("wheels", Level.OK)]
+    (found,) = machine.check_wheels(wanted, {**versions, "ros-b": "4"}.__getitem__)
     assert found.level is Level.FAULT
     assert found.text == "ros-b is 4 and not 3"
-    assert levels(python_installation.check_wheels()) == [("wheels", Level.OK)], "as installed here"
+    assert levels(machine.check_wheels()) == [("wheels", Level.OK)], "as installed here"
 
 
 def test_another_ros_in_the_shell_and_a_second_rclpy_are_named(tmp_path: Path) -> None:
@@ -105,18 +103,18 @@ def test_another_ros_in_the_shell_and_a_second_rclpy_are_named(tmp_path: Path) -
         (folder / "rclpy").mkdir(parents=True)
         (folder / "rclpy" / "__init__.py").touch()
     environment = {"PYTHONPATH": str(other), "ROS_DISTRO": "humble"}
-    assert levels(python_installation.check_shell(environment, ours)) == [("shell", Level.WARNING)]
-    assert levels(python_installation.check_shell({}, ours)) == [("shell", Level.OK)]
+    assert levels(machine.check_shell(environment, ours)) == [("shell", Level.WARNING)]
+    assert levels(machine.check_shell({}, ours)) == [("shell", Level.OK)]
     twice = [str(ours), str(other), str(ours), ""]
-    assert levels(python_installation.check_two_rclpys(twice)) == [("rclpy", Level.WARNING)]
-    assert levels(python_installation.check_two_rclpys([str(ours), str(ours)])) == []
+    assert levels(machine.check_two_rclpys(twice)) == [("rclpy", Level.WARNING)]
+    assert levels(machine.check_two_rclpys([str(ours), str(ours)])) == []
 
 
 @as_root
 def test_a_python_path_in_the_home_of_another_user_ends_no_check(tmp_path: Path) -> None:
     tmp_path.chmod(0o700)
     hidden = str(tmp_path / "site-packages")
-    imports = "from pathlib import Path\nfrom robotctl.doctor import python_installation as checks"
+    imports = "from pathlib import Path\nfrom robotctl.doctor import machine as checks"
     code = f"""
 for variable in ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):
     print(*checks.check_shell({{variable: {hidden!r}}}, Path("/venv")))
@@ -129,10 +127,10 @@ print(*checks.check_two_rclpys([{hidden!r}]))
 
 def test_a_python_of_the_distribution_is_named_outside_an_environment(tmp_path: Path) -> None:
     usr, venv = Path("/usr"), Path("/venv")
-    assert levels(python_installation.check_pip(usr, usr, tmp_path)) == []
+    assert levels(machine.check_pip(usr, usr, tmp_path)) == []
     (tmp_path / "EXTERNALLY-MANAGED").touch()
-    assert levels(python_installation.check_pip(usr, usr, tmp_path)) == [("pip", Level.WARNING)]
-    assert levels(python_installation.check_pip(venv, usr, tmp_path)) == []
+    assert levels(machine.check_pip(usr, usr, tmp_path)) == [("pip", Level.WARNING)]
+    assert levels(machine.check_pip(venv, usr, tmp_path)) == []
 
 
 def test_a_disk_that_is_full_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

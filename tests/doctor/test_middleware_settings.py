@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.doctor.finding import Finding, Level
-from robotctl.doctor.middleware_settings import check_middleware, check_profiles, check_range
-from robotctl.doctor.python_installation import check_shell
+from robotctl.doctor.machine import check_middleware, check_profiles, check_range, check_shell
 from robotctl.environment import RMW
 
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"

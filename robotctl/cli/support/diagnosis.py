@@ -14,13 +14,7 @@ from robotctl.cli.support import dead_daemons, robots
 from robotctl.cli.support.robots import RobotDaemon
 from robotctl.cli.support.ros_view import RosView, ros_view
 from robotctl.config import Config, load
-from robotctl.doctor import (
-    graph_checks,
-    machine,
-    middleware_settings,
-    python_installation,
-    shared_memory,
-)
+from robotctl.doctor import graph_checks, machine
 from robotctl.doctor.finding import Finding, Level, fault, ok, warning
 from robotctl.domains import discovery_range, requested_domain, wider_discovery
 from robotctl.environment import RANGE, limit_discovery
@@ -46,7 +40,7 @@ def diagnose(
     chosen = Config() if config is None else load(config)
     sockets = (*_check_socket(robot), *machine.check_folders(runtime_folder()))
     usable = all(each.level is not Level.FAULT for each in sockets)
-    removed = shared_memory.clean() if clean else []
+    removed = machine.clean() if clean else []
     if clean and usable:
         removed += dead_daemons.remove_sockets()
     daemons = _daemons() if usable else []
@@ -103,14 +97,14 @@ def _killed() -> Iterator[Finding]:
 
 def _computer(robot: str, config: Config) -> Iterator[Finding]:
     prefix, base = Path(sys.prefix), Path(sys.base_prefix)
-    yield from python_installation.check_wheels()
-    yield from python_installation.check_shell(os.environ, prefix)
-    yield from python_installation.check_two_rclpys(sys.path)
-    yield from middleware_settings.check_middleware(os.environ)
-    yield from middleware_settings.check_range(os.environ)
-    yield from middleware_settings.check_profiles(os.environ)
-    yield from python_installation.check_pip(prefix, base, Path(sysconfig.get_path("stdlib")))
-    yield from shared_memory.check_memory()
+    yield from machine.check_wheels()
+    yield from machine.check_shell(os.environ, prefix)
+    yield from machine.check_two_rclpys(sys.path)
+    yield from machine.check_middleware(os.environ)
+    yield from machine.check_range(os.environ)
+    yield from machine.check_profiles(os.environ)
+    yield from machine.check_pip(prefix, base, Path(sysconfig.get_path("stdlib")))
+    yield from machine.check_memory()
     yield from machine.check_clock(time.time(), state_folder())
     yield from _check_socket(robot)
     yield from machine.check_folders(runtime_folder(), state_folder())

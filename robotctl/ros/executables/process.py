@@ -11,7 +11,7 @@ from typing import Final, TypeVar
 from rclpy.context import Context
 from rclpy.node import Node
 
-from robotctl.config.ros_file import check_parameter_files
+from robotctl.config.ros_settings import check_parameter_files
 from robotctl.domains import requested_domain
 from robotctl.end_signals import end_signals
 from robotctl.errors import UsageError
