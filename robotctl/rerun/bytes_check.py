@@ -2,45 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording.read.files import recording_files
 from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.verified import VerifiedRecording, verify_recording
-from robotctl.recording.read.whole_file import WholeFileReading
 from robotctl.rerun.check_report import Report
 
 ALL_BYTES_BELOW: Final = 100_000_000
 """A recording below this size [bytes] is always read completely; that takes a second."""
 
 _KEY_DIGITS = 16
-
-
-@dataclass(frozen=True, slots=True)
-class BytesFound:
-    """What reading every byte has found: a sentence for each flaw, and the seal in one line."""
-
-    flaws: list[str]
-    seal: str
-
-
-def read_bytes(
-    path: Path, begun: Mapping[Path, WholeFileReading] = MappingProxyType({})
-) -> BytesFound | None:
-    """Read every byte of a recording, on in the files that are `begun`.
-
-    None if it cannot be read at all.
-    """
-    try:
-        found = verify_recording(path, begun=begun)
-    except (OSError, UnreadableFile):
-        return None
-    return BytesFound([*found.whole.unreadable, *found.whole.wrong], _seal_line(found))
 
 
 def is_small(path: Path) -> bool:
@@ -52,27 +26,23 @@ def is_small(path: Path) -> bool:
     return sum(file.stat().st_size for file in recording_files(path)) < ALL_BYTES_BELOW
 
 
-def check_bytes(
-    path: Path, report: Report, *, all_bytes: bool, found: BytesFound | None = None
-) -> None:
+def check_bytes(path: Path, report: Report, *, all_bytes: bool) -> None:
     """Read every byte of the recording `path`, if it is small or `all_bytes` is set.
 
     What is wrong is noted as missing from the check: it cannot tell what was recorded there. The
-    seal is told, and changes no verdict. `found` is given if another process has read the bytes.
+    seal is told, and changes no verdict.
     """
     try:
         if not all_bytes and not is_small(path):
             report.notes.append("not every byte was read: --all-bytes reads them all")
             return
+        found = verify_recording(path)
     except (OSError, UnreadableFile):
         return  # the check has told why
-    found = found or read_bytes(path)
-    if found is None:
-        return
-    for sentence in found.flaws:
+    for sentence in (*found.whole.unreadable, *found.whole.wrong):
         if sentence not in report.missing:
             report.miss(sentence)
-    report.seal = found.seal
+    report.seal = _seal_line(found)
 
 
 def _seal_line(found: VerifiedRecording) -> str:

@@ -7,32 +7,25 @@ from collections.abc import Callable
 from pathlib import Path
 
 from robotctl.errors import UnreadableFile
-from robotctl.kernel.types import Effect, Event, Tick
+from robotctl.kernel.health import Health
+from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.metadata_names import INFO_RECORD, OWN_LIBRARY
 from robotctl.recording.read.journal_reader import journal_topic, journal_topics
-from robotctl.recording.read.messages import Message
 from robotctl.recording.read.source import Source
-from robotctl.rerun.agreed import Agreed
-from robotctl.rerun.batch import Batch
-from robotctl.rerun.bytes_beside import BytesBeside, bytes_beside
-from robotctl.rerun.bytes_check import BytesFound, check_bytes
-from robotctl.rerun.check_reading import CheckReading, Readers
+from robotctl.rerun.bytes_check import check_bytes
+from robotctl.rerun.check_reading import CheckReading
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.comparison import Comparison
 from robotctl.rerun.comparisons import Comparisons
 from robotctl.rerun.divergence import Divergence
 from robotctl.rerun.entry_order import Gap
-from robotctl.rerun.gc_pacing import rare_collections
 from robotctl.rerun.journal_format import JournalFormat
 from robotctl.rerun.journal_origin import JournalOrigin
 from robotctl.rerun.journal_steps import Step
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
-from robotctl.rerun.measured import MeasuredState
-from robotctl.rerun.ordinary_run import OrdinaryRun, ordinary_runs
-from robotctl.rerun.piece_pool import PiecePool, pool_for
 from robotctl.rerun.recording_ends import RecordingEnds
 from robotctl.rerun.recording_groups import FileGroup, file_groups
 from robotctl.rerun.rerun import Rerun
@@ -44,43 +37,28 @@ Progress = Callable[[int, int], None]
 """Called with the bytes that are done and the bytes in total."""
 
 
-@rare_collections()
 def check_recording(
     path: Path,
     on_progress: Progress = lambda done, total: None,
     *,
     all_bytes: bool = False,
     source: Source | None = None,
-    processes: int = 0,
 ) -> Report:
     """Check one recording, a file or a folder, and return the report.
 
     A file that cannot be read is named in the report. Every byte is read if `all_bytes` is set, or
     if the recording is small. With `source`, one MCAP file is read from there, no more of it than
-    the check needs, and `path` is only its name. `processes` is the number of helpers for a long
-    recording; the report does not depend on it.
+    the check needs, and `path` is only its name.
     """
     report = Report(path)
     began = time.perf_counter()
     others: list[FileGroup] = []
-    found: BytesFound | None = None
     try:
         files: list[Path] = []
         if source is None:
             (_, files), *others = file_groups(path)
-        if source or others or isinstance(path, StorePath):
-            processes = 0
         with Recording(path, source=source, files=files if others else ()) as recording:
-            check = _Check(recording, report, on_progress)
-            with pool_for(recording, report.version, processes) as pool:
-                beside = None
-                if pool is None and source is None:
-                    beside = bytes_beside(recording, all_bytes=all_bytes)
-                check.run(pool, beside)
-                if pool is not None:
-                    found = pool.bytes_found()
-                elif beside is not None:
-                    found = beside.found()
+            _Check(recording, report, on_progress).run()
     except UnreadableFile as error:
         report.miss(str(error))
     for group in others:
@@ -91,7 +69,7 @@ def check_recording(
                 f"checked on its own, it is {other.verdict}"
             )
     if source is None and not (isinstance(path, StorePath) and not all_bytes):
-        check_bytes(path, report, all_bytes=all_bytes, found=found)
+        check_bytes(path, report, all_bytes=all_bytes)
     else:
         how = ": --all-bytes reads them all" if source is None else ", only what the check needs"
         report.notes.append(f"not every byte was read{how}")
@@ -110,22 +88,18 @@ class _Check:
         self._format = JournalFormat(report)
         self._rerun: Rerun | None = None
         self._before_snapshot = 0
-        self._pool: PiecePool | None = None
         report.robot = self._info.metadata.get(INFO_RECORD, {}).get("robot", "")
         report.version = _version(self._info)
         self._log_ns = (0, 0)
         """When the last two events before the present item were recorded, since the epoch [ns]."""
 
-    def run(self, pool: PiecePool | None, beside: BytesBeside | None) -> None:
-        """Fill the report; `pool` re-runs pieces of the recording meanwhile.
-
-        Every byte of the places is read `beside`, before they are checked.
+    def run(self) -> None:
+        """Fill the report.
 
         Raises:
             UnreadableFile: The recording has no journal, or cannot be read at all.
         """
         report, info = self._report, self._info
-        self._pool = pool
         for sentence in self._recording.missing:
             report.miss(sentence, is_beside=not self._recording.lacks_parts)
         topic = journal_topic(info)
@@ -135,43 +109,18 @@ class _Check:
             report.notes.append(f"the journal {other} of another robot was not checked")
         self._ends = RecordingEnds(self._recording, info, report, JournalOrigin(info, topic))
         self._compared = Comparisons(report, info, topic)
-        self._reading = CheckReading(
-            self._recording,
-            report,
-            self._ends,
-            self._on_progress,
-            (lambda spot: None) if beside is None else beside.enter,
-        )
+        self._reading = CheckReading(self._recording, report, self._ends, self._on_progress)
         self._proofs = SnapshotProofs(report, self._reading.chain, self._compared.invariants)
-        readers = self._compared.readers()
-        for batch in self._reading.batches(topic, readers, self._compared.ordinary_topics):
-            self._take(batch, readers)
-        self._end()
-
-    def _take(self, batch: Batch, readers: Readers) -> None:
-        """Look at what was read."""
-        rerun = self._rerun
-        agreed = [] if rerun is None else rerun.ahead(batch.steps, batch.log_times)
-        for part in ordinary_runs(batch, agreed):
-            if isinstance(part, OrdinaryRun):
-                self._run(part)
-                continue
-            item, self._log_ns, decided = part
+        for item, log_ns in self._reading.items(topic, self._compared.readers()):
+            self._log_ns = log_ns
             if isinstance(item, Step):
-                self._step(item, decided)
-            elif isinstance(item, Message):
-                readers[item.topic](item)
+                self._step(item)
             elif isinstance(item, Gap):
-                self._report.miss(item.text)
+                report.miss(item.text)
                 self._stop()
             else:
                 self._snapshot(item)
-
-    def _run(self, run: OrdinaryRun) -> None:
-        report, rerun = self._report, self._rerun
-        report.events += len(run.steps)
-        report.effects += sum([len(step.effects) for step in run.by_kind[Tick]])
-        self._compared.run(run, was_checked=rerun is not None and rerun.is_trusting)
+        self._end()
 
     def _snapshot(self, entry: JournalEntry) -> None:
         report, known = self._report, without_retired_fields(entry)
@@ -192,17 +141,13 @@ class _Check:
             self._interrupt_at(error)
             return
         self._note(divergence)
-        position = self._reading.position.position
-        if self._pool is not None and position is not None:
-            self._rerun.trust(self._pool.confirmed(position))
         self._proofs.take(entry, snapshot.proof, self._ends.snapshot(entry, snapshot))
         self._compared.snapshot(snapshot, entry.t_ns, self._log_ns[1])
 
-    def _step(self, step: Step, agreed: Agreed | None) -> None:
+    def _step(self, step: Step) -> None:
         entry, report, rerun = step.event, self._report, self._rerun
         report.events += 1
         report.effects += len(step.effects)
-        measured: MeasuredState | None
         try:
             if rerun is None:
                 self._before_snapshot += 1
@@ -211,21 +156,13 @@ class _Check:
                         read_event(entry), tuple(map(read_effect, step.effects))
                     )
                 return
-            if agreed is not None:
-                _, event, effects, measured, _ = agreed
-            else:
-                event, effects, measured = self._decided(rerun, step)
+            event, effects, measured = self._decided(rerun, step)
         except UnreadableFile as error:
             self._interrupt_at(error)
             return
-        moments = event.t_ns, *self._log_ns
-        self._compared.step(
-            entry.seq, event, effects, measured, moments, was_checked=rerun.is_trusting
-        )
+        self._compared.step(entry.seq, event, effects, measured, (event.t_ns, *self._log_ns))
 
-    def _decided(
-        self, rerun: Rerun, step: Step
-    ) -> tuple[Event, tuple[Effect, ...], MeasuredState | None]:
+    def _decided(self, rerun: Rerun, step: Step) -> tuple[Event, tuple[Effect, ...], Health | None]:
         """Decide on one step; return event, effects, and what is measured after them.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Checks recordings, with one process per processor: for each recording, or for its pieces."""
+"""Checks recordings, many of them in as many processes as there are processors."""
 
 from __future__ import annotations
 
@@ -7,14 +7,12 @@ import os
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from robotctl.processes import Child, fork, has_one_thread, program, start
+from robotctl.processes import Child, program, start
 from robotctl.rerun.check import Progress, check_recording
-from robotctl.rerun.check_process import check_lines
 from robotctl.rerun.check_report import Report
 
 WORKER = program("robotctl.rerun.check_process")
@@ -33,9 +31,7 @@ def check_recordings(
 ) -> list[dict[str, Any]]:
     """Return the reports as `Report.as_object` makes them, in the order of `paths`."""
     if len(paths) == 1:
-        helpers = len(os.sched_getaffinity(0)) - 1
-        report = check_recording(paths[0], on_progress, all_bytes=all_bytes, processes=helpers)
-        return [report.as_object()]
+        return [check_recording(paths[0], on_progress, all_bytes=all_bytes).as_object()]
     count = min(len(os.sched_getaffinity(0)), len(paths))
     waiting = deque(range(len(paths)))
     shares = [0.0] * len(paths)
@@ -71,16 +67,10 @@ def check_recordings(
 
 
 class _Worker:
-    """A process that checks one recording at a time; it is replaced when it dies.
-
-    The first one is a copy of this process, if that is safe: it has nothing to import.
-    """
+    """A process that checks one recording at a time; it is replaced when it dies."""
 
     def __init__(self) -> None:
         self._child: Child | None = None
-        if has_one_thread():
-            with suppress(OSError):  # no memory or descriptors left
-                self._child = fork(_work_as_copy)
         self._ended = False
         self._lock = Lock()
 
@@ -125,8 +115,3 @@ class _Worker:
             if self._child is None and not self._ended:
                 self._child = start(WORKER, with_stdin=True)
             return self._child
-
-
-def _work_as_copy(stdin: int, descriptor: int) -> None:
-    with suppress(BrokenPipeError), os.fdopen(stdin) as lines:
-        check_lines(lines, descriptor)

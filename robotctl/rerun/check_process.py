@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Iterable
 from contextlib import suppress
 
 from robotctl.processes import report_fd, send_report
@@ -20,17 +19,13 @@ PROGRESS_PERIOD_S = 0.1
 
 
 def main() -> None:
-    """Check recordings until stdin is closed."""
-    check_lines(sys.stdin, report_fd(sys.argv))
-
-
-def check_lines(lines: Iterable[str], descriptor: int) -> None:
-    """Check the recordings that `lines` name, and report on the descriptor.
+    """Check recordings until stdin is closed.
 
     Raises:
         BrokenPipeError: The process that asked for them has ended.
     """
-    for line in lines:
+    descriptor = report_fd(sys.argv)
+    for line in sys.stdin:
         job = json.loads(line)
         told = time.monotonic()
 
@@ -40,14 +35,9 @@ def check_lines(lines: Iterable[str], descriptor: int) -> None:
                 told = time.monotonic()
                 send_report(descriptor, {"progress": done / total})
 
-        send_report(
-            descriptor,
-            {
-                "report": check_recording(
-                    path_of(job["path"]), tell_progress, all_bytes=job["all_bytes"]
-                ).as_object()
-            },
-        )
+        path = path_of(job["path"])
+        report = check_recording(path, tell_progress, all_bytes=job["all_bytes"])
+        send_report(descriptor, {"report": report.as_object()})
 
 
 if __name__ == "__main__":

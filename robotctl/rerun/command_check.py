@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from robotctl.kernel.snapshot import Snapshot
-from robotctl.kernel.types import Effect, Event, OdomReceived
+from robotctl.kernel.types import Effect, Event
 from robotctl.recording.read.messages import Message
-from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_pairs import CommandPairs
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.traffic import CommandTraffic
 
 CUT = 3
@@ -56,26 +54,6 @@ class CommandCheck:
             self._pairs.step(event, effects, moments)
         elif effects:
             self._traffic.step(effects)
-
-    def run(self, run: OrdinaryRun, topic: str | None) -> None:
-        """Take many steps, and the messages of the command `topic`."""
-        clock, messages = self._clock, run.messages[topic]
-        last = run.last_step()
-        if (
-            self._by_number
-            and last is not None
-            and run.keeps_clock(clock.offset_ns)
-            and self._pairs.run(run, messages)
-        ):
-            clock.look(*last.moments[:2])
-            self._seen += len(messages)
-            return
-        for item in run.items:
-            if isinstance(item, Agreed):
-                if type(item.event) is not OdomReceived:
-                    self.step(item.event, item.effects, item.moments)
-            elif item.topic == topic:
-                self.message(item)
 
     def end(self, invariants: Invariants, ending: Ending) -> None:
         """Report what differs."""

@@ -7,8 +7,10 @@ from collections import deque
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.rerun.command_bytes import shown_command
-from robotctl.rerun.command_run import LATE_NS
 from robotctl.rerun.journal_steps import Moments
+
+LATE_NS = NS_PER_S // 2
+"""How far the time of a command may lie outside of its step."""
 
 MAX_LATE = 20_000
 """The number of late commands that are kept, the newest ones."""
@@ -53,13 +55,9 @@ class CommandCounts:
         """Begin the count again: what came before says nothing about what follows."""
         self._first = None
 
-    def may_follow(self, number: int) -> bool:
-        """Return whether a number is later than all that were paired."""
-        return self._first is None or follows(number, self._newest)
-
     def is_passed(self, number: int) -> bool:
         """Return whether a later number, or this one, was paired."""
-        return not self.may_follow(number)
+        return self._first is not None and not follows(number, self._newest)
 
     def pair(self, sequence: int, moments: Moments, publish_ns: int) -> None:
         """Count a command that was sent as it was decided."""
@@ -75,13 +73,6 @@ class CommandCounts:
             off_s = max(begin_ns - publish_ns, publish_ns - end_ns) / NS_PER_S
             when = "before" if publish_ns < begin_ns else "after"
             self.late.append((steady_ns, f"command {sequence}, {off_s:.3f} s {when} its decision"))
-
-    def pair_all(self, numbers: range) -> None:
-        """Count commands in a row that were sent as they were decided, each within its step."""
-        if self._first is None:
-            self._first = numbers[0]
-        self._newest = numbers[-1]
-        self.paired += len(numbers)
 
     def lack(self, number: int, numbers: bytes) -> None:
         """Count a decided command without a message; `numbers` is its velocity."""

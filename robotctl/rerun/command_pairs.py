@@ -7,7 +7,7 @@ message with another number or velocity is of another publisher, or was not deci
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from math import inf
 
 from robotctl.kernel.snapshot import Proof
@@ -18,19 +18,14 @@ from robotctl.kernel.types import (
     FaultReported,
     ForeignCommandHeard,
     LoopStalled,
-    OdomReceived,
     PublishTwist,
     Tick,
 )
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.records import MAX_SEQUENCE
-from robotctl.recording.read.messages import Message
-from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.command_bytes import STILL, is_zero, numbers_of, serialized
 from robotctl.rerun.command_counts import CommandCounts, follows
-from robotctl.rerun.command_run import CommandRun, Decided, command_run
 from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.other_commands import OtherCommands
 from robotctl.rerun.recent_commands import RecentCommands
 from robotctl.rerun.undecided_end import JOURNAL_LAG_NS, LAST_ZEROS, Early, UndecidedEnd
@@ -40,6 +35,9 @@ MAX_WAITING = 20_000
 
 TAIL_NS = 2 * NS_PER_S
 """How long before the end of a journal a decision may lack its message: it was under way."""
+
+Decided = tuple[bytes, Moments]
+"""The six numbers of a decided command, and the step that decided it."""
 
 SEND_FAILED = f"{PublishTwist.__name__} failed"
 """How the fault of a command that could not be sent begins."""
@@ -157,65 +155,6 @@ class CommandPairs:
         for effect in effects:
             if isinstance(effect, PublishTwist):
                 self._decide(serialized(effect.twist), moments)
-
-    # Both
-
-    def run(self, run: OrdinaryRun, messages: Sequence[Message]) -> bool:
-        """Take many steps and messages, if each message in them is what was decided for it.
-
-        Return False otherwise; then nothing is taken.
-        """
-        found = command_run(run, messages, self._number + 1)
-        if found is None or not self._can_take(found):
-            return False
-        for message in found.sent_before:
-            self.message(message.sequence, message.data, message.publish_ns)
-        for decided in found.decided_before:
-            self._decide(*decided)
-        numbers = range(self._number + 1, self._number + 1 + len(found.common))
-        self._recent.add_all(numbers, found.common)
-        self.counts.pair_all(numbers)
-        self._number = numbers[-1]
-        for decided in found.decided_after:
-            self._decide(*decided)
-        self._take_early(run, found.sent_after)
-        last = run.last_step()
-        if last is not None:
-            self._t_ns, self._log_ns, _ = last.moments
-        return True
-
-    def _take_early(self, run: OrdinaryRun, messages: Sequence[Message]) -> None:
-        """Take messages of decisions after the run, each at its time in the run."""
-        following = iter(messages)
-        message = next(following, None)
-        for item in run.items if messages else ():
-            if item is message:
-                self.message(message.sequence, message.data, message.publish_ns)
-                message = next(following, None)
-            elif isinstance(item, Agreed) and type(item.event) is not OdomReceived:
-                self._t_ns = item.event.t_ns
-
-    def _can_take(self, found: CommandRun) -> bool:
-        """Return whether a run follows what was taken before it, and fits what waits."""
-        first = self._number + 1
-        begin = first + len(found.decided_before)
-        end = begin + len(found.common)
-        return (
-            self.is_counting
-            and not (self._has_ended or self._instead or self.others.are_waiting)
-            and self.counts.may_follow(first)
-            and end + len(found.decided_after) <= MAX_SEQUENCE
-            and self._early.keys().isdisjoint(range(begin, end))
-            and all(map(self._is_wanted, found.sent_before))
-            and all(map(self._is_early, range(first, begin), found.decided_before))
-        )
-
-    def _is_wanted(self, message: Message) -> bool:
-        wanted = self._wanted.get(message.sequence)
-        return wanted is not None and wanted[0] == numbers_of(message.data)
-
-    def _is_early(self, number: int, decided: Decided) -> bool:
-        return [each[0] for each in self._early.get(number, ())] == [decided[0]]
 
     def _decide(self, numbers: bytes, moments: Moments) -> None:
         self._number = number = (self._number + 1) & MAX_SEQUENCE

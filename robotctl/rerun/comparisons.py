@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from robotctl.kernel.health import Health
 from robotctl.kernel.snapshot import Snapshot
-from robotctl.kernel.types import Effect, Event, OdomReceived, Tick
+from robotctl.kernel.types import Effect, Event, OdomReceived
 from robotctl.recording import RecordingInfo
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
@@ -18,9 +19,7 @@ from robotctl.rerun.input_check import input_checks
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.log_order import LogOrder
-from robotctl.rerun.measured import MeasuredState
 from robotctl.rerun.measurement_order import MeasurementOrder
-from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.recorded_times import tell_times
 from robotctl.rerun.safety_input_check import SafetyInputChecks
 from robotctl.rerun.service_check import ServiceChecks
@@ -43,13 +42,6 @@ class Comparisons:
         self._inputs = input_checks(report, info, journal_topic)
         self._stalls = RecordedStalls()
         self._safety_inputs = SafetyInputChecks(report, info, journal_topic, self._stalls)
-        self.ordinary_topics = {
-            *self._inputs.readers(),
-            *self._safety_inputs.readers(),
-            self._command_topic or "",
-        }
-        """The topics whose messages can be taken with ordinary steps."""
-
         self._services = ServiceChecks(report, info, journal_topic, clock)
         self._status = StatusCheck(report, info, journal_topic, clock)
         self._events = EventRecords(report, info, clock)
@@ -86,15 +78,10 @@ class Comparisons:
         seq: int,
         event: Event,
         effects: tuple[Effect, ...],
-        measured: MeasuredState | None,
+        measured: Health | None,
         moments: Moments,
-        *,
-        was_checked: bool,
     ) -> None:
-        """Take an event with its effects, the number of its entry, and what is measured after it.
-
-        The invariants of a step that `was_checked` elsewhere hold.
-        """
+        """Take an event with its effects, entry number, and what is measured after it."""
         self._order.step(event, seq)
         self._stalls.step(event)
         self._inputs.step(event, seq)
@@ -106,21 +93,7 @@ class Comparisons:
         self._commands.step(event, effects, moments)
         self._services.step(event, seq, effects, moments)
         self._events.step(effects, moments)
-        if was_checked:
-            self.invariants.pass_over(seq, event, effects)
-        else:
-            self.invariants.step(seq, event, effects)
-
-    def run(self, run: OrdinaryRun, *, was_checked: bool) -> None:
-        """Take many ordinary steps, and the messages of commands and inputs among them."""
-        self._order.run(run.steps)
-        self._inputs.run(run)
-        self._safety_inputs.run(run)
-        self._status.run(run)
-        for step in run.by_kind[Tick]:
-            self._ticks.step(step.event, step.seq)
-        self._commands.run(run, self._command_topic)
-        self.invariants.run(run, was_checked=was_checked)
+        self.invariants.step(seq, event, effects)
 
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from math import nan
 from typing import Any
 
@@ -18,7 +18,6 @@ from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message
-from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.ending import Ending, JournalEnd
 from robotctl.rerun.input_kinds import BATTERY, ODOMETRY, SCAN, WANTED, InputKind, sequence_of
@@ -26,9 +25,7 @@ from robotctl.rerun.input_pairs import Input, InputPairs
 from robotctl.rerun.input_report import report_inputs, report_last
 from robotctl.rerun.input_topics import InputTopic, InputTopics
 from robotctl.rerun.invariants import Invariants
-from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.repeated_latched import RepeatedLatched
-from robotctl.rerun.sequence_overlap import lockstep
 
 _OFF = Use.OFF.value
 
@@ -73,49 +70,9 @@ class InputCheck:
     def received(self, event: Event, seq: int) -> None:
         """Take an input; `seq` is the number of its entry."""
         if self.is_on:
-            self._pairs.received(sequence_of(event) & MAX_SEQUENCE, self._input(event, seq))
-
-    def _input(self, event: Event, seq: int) -> Input:
-        return Input(event.t_ns, self.kind.source(event), self.kind.value(event), seq)
-
-    def run(self, run: OrdinaryRun) -> None:
-        """Take many steps, and the messages of the topic among them."""
-        steps, messages = run.by_kind[self.kind.event], run.messages[self.topic]
-        parts = self._equal_parts(steps, messages)
-        if parts is None:
-            self._each(run.items if steps and messages else [*steps, *messages])
-            return
-        of_messages, of_steps = parts
-        self._each([*messages[: of_messages.start], *steps[: of_steps.start]])
-        first, last = steps[of_steps.start], steps[of_steps.stop - 1]
-        sequences = [message.sequence for message in messages[of_messages]]
-        self._pairs.run(sequences, self._input(first.event, first.seq), last.event.t_ns)
-        self._each([*messages[of_messages.stop :], *steps[of_steps.stop :]])
-
-    def _each(self, items: Iterable[Agreed | Message]) -> None:
-        for item in items:
-            if isinstance(item, Message):
-                if item.topic == self.topic:
-                    self.message(item)
-            elif type(item.event) is self.kind.event:
-                self.received(item.event, item.seq)
-
-    def _equal_parts(
-        self, steps: Sequence[Agreed], messages: Sequence[Message]
-    ) -> tuple[slice, slice] | None:
-        """Return which messages are equal to which inputs, one by one; None if any differs."""
-        if not self.is_on or self._is_latched:
-            return None
-        sent = [message.sequence for message in messages]
-        parts = lockstep(sent, [sequence_of(step.event) & MAX_SEQUENCE for step in steps])
-        if parts is None or not self._pairs.are_new(sent, sent[parts[0]]):
-            return None
-        events = [step.event for step in steps[parts[1]]]
-        if len(set(map(self.kind.source, events))) > 1:
-            return None
-        heard = [*map(self.kind.value, events)]
-        is_equal = heard == [self._read(message.data) for message in messages[parts[0]]]
-        return parts if is_equal else None
+            kind = self.kind
+            found = Input(event.t_ns, kind.source(event), kind.value(event), seq)
+            self._pairs.received(sequence_of(event) & MAX_SEQUENCE, found)
 
     def snapshot(self, has_proof: bool) -> None:
         """Compare from this snapshot on, if it is one of this version."""
@@ -185,11 +142,6 @@ class RecordedInputs:
         check = self._by_event.get(type(event))
         if check is not None:
             check.received(event, seq)
-
-    def run(self, run: OrdinaryRun) -> None:
-        """Take many steps and messages."""
-        for each in self._all:
-            each.run(run)
 
     def snapshot(self, has_proof: bool) -> None:
         """Take a snapshot."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from typing import Any, NamedTuple
 
 from robotctl.kernel.units import NS_PER_S
@@ -137,28 +137,6 @@ class InputPairs:
                         del self._messages[sequence]
                     return
         self._inputs.setdefault(sequence, []).append(found)
-
-    def are_new(self, sent: Sequence[int], common: Sequence[int]) -> bool:
-        """Return whether the numbers of messages, rising, are new, and nothing with the numbers
-        `common` waits.
-        """
-        return (
-            sent[0] > self._newest
-            and self._inputs.keys().isdisjoint(common)
-            and self._messages.keys().isdisjoint(common)
-        )
-
-    def run(self, sequences: Sequence[int], first: Input, last_ns: int) -> None:
-        """Take inputs of one publisher, each with its message, which is equal.
-
-        Their numbers are new and rise; `first` is the first of them, the last is of `last_ns`.
-        """
-        begin_ns, _ = self._lives.get(first.source, (first.t_ns, 0))
-        self._lives[first.source] = begin_ns, last_ns
-        self._pair(sequences[0], first)
-        self._pair(sequences[-1], first._replace(t_ns=last_ns))
-        self.paired += len(sequences) - 2
-        self._newest, self._t_ns = sequences[-1], last_ns
 
     def _pair(self, sequence: int, found: Input) -> None:
         self.paired += 1

@@ -6,7 +6,7 @@ during a recording changes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import assert_never
 
@@ -38,8 +38,6 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.kernel.units import NS_PER_S
-from robotctl.rerun.agreed import Agreed
-from robotctl.rerun.ordinary_run import OrdinaryRun
 
 MAX_VIOLATIONS = 20
 """The number of violations that are kept; all are counted."""
@@ -101,8 +99,12 @@ class Invariants:
         """Check one event and its effects."""
         if self.mode is None or (not effects and isinstance(event, OdomReceived)):
             return
-        self.pass_over(seq, event, effects)
-        if isinstance(event, _REQUESTS):
+        self._at = seq, event.t_ns
+        if isinstance(event, CommandPublishersSeen):
+            self.foreign.update(event.names)
+        elif isinstance(event, ForeignCommandHeard):
+            self.foreign.add(event.publisher)
+        elif isinstance(event, _REQUESTS):
             self._open_requests.add(event.request_id)
         elif isinstance(event, LoopStalled):
             self._command, self._tick_t_ns = ZERO, event.t_ns
@@ -130,56 +132,6 @@ class Invariants:
             self._latched = not self._latched
         if isinstance(event, Tick):
             self._tick_t_ns = event.t_ns
-
-    def run(self, run: OrdinaryRun, *, was_checked: bool) -> None:
-        """Check many steps, unless each `was_checked` elsewhere."""
-        last = run.last_step()
-        if self.mode is None or last is None:
-            return
-        if was_checked or self._hold_in(run.by_kind[Tick]):
-            self._at = last.seq, last.event.t_ns
-            return
-        for step in run.steps:
-            self.step(step.seq, step.event, step.effects)
-
-    def _hold_in(self, ticks: Sequence[Agreed]) -> bool:
-        """Take many ticks, if no invariant is broken; nothing is taken otherwise."""
-        if self._latched is not (self.mode is Mode.EMERGENCY_STOP):
-            return False
-        limits, longest_s = self._params.limits, 2.0 / self._params.rate_hz
-        is_moving, previous, tick_t_ns = self.mode is Mode.MOVING, self._command, self._tick_t_ns
-        for step in ticks:
-            t_ns = step.event.t_ns
-            for effect in step.effects:
-                assert isinstance(effect, PublishTwist)
-                linear, angular = effect.twist.linear, effect.twist.angular
-                if linear or angular:
-                    if tick_t_ns is None or not is_moving:
-                        return False
-                    dt_s = min(max((t_ns - tick_t_ns) / NS_PER_S, 0.0), longest_s)
-                    if not (
-                        abs(linear) <= limits.linear_mps
-                        and abs(angular) <= limits.angular_rps
-                        and abs(linear - previous.linear)
-                        <= limits.linear_accel_mps2 * dt_s + ROUNDING
-                        and abs(angular - previous.angular)
-                        <= limits.angular_accel_rps2 * dt_s + ROUNDING
-                    ):
-                        return False
-                previous = effect.twist
-            tick_t_ns = t_ns
-        self._command, self._tick_t_ns = previous, tick_t_ns
-        return True
-
-    def pass_over(self, seq: int, event: Event, effects: tuple[Effect, ...]) -> None:
-        """Take a step that was checked elsewhere, up to the next snapshot."""
-        if self.mode is None or (not effects and isinstance(event, OdomReceived)):
-            return
-        self._at = seq, event.t_ns
-        if isinstance(event, CommandPublishersSeen):
-            self.foreign.update(event.names)
-        elif isinstance(event, ForeignCommandHeard):
-            self.foreign.add(event.publisher)
 
     def end(self, waiting: tuple[int, ...]) -> None:
         """Check that every request has its reply, except those in `waiting`."""

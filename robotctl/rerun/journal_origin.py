@@ -51,15 +51,13 @@ class JournalOrigin:
         """Take the first message of the journal."""
         self._was_received = message.log_ns != message.publish_ns
 
-    def watch(self, blocks: Iterable[list[Message]]) -> Iterable[list[Message]]:
+    def watch(self, messages: Iterable[Message]) -> Iterable[Message]:
         """Return what is read; all entries that an observer recorded are looked at on the way."""
-        return map(self._look, blocks) if self._observes else blocks
+        return map(self._look, messages) if self._observes else messages
 
-    def _look(self, block: list[Message]) -> list[Message]:
-        self._has_written |= any(
-            each.topic == self._topic and each.log_ns == each.publish_ns for each in block
-        )
-        return block
+    def _look(self, message: Message) -> Message:
+        self._has_written |= message.topic == self._topic and message.log_ns == message.publish_ns
+        return message
 
     def check(self, report: Report) -> None:
         """Report what contradicts an observer, and what is not compared because of it."""

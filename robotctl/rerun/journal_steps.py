@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from robotctl.recording.format.journal import EntryKind, JournalEntry
-from robotctl.recording.read.messages import Message
 from robotctl.rerun.entry_order import Gap, in_sequence
 
 LogTimes = tuple[int, int]
@@ -26,11 +25,11 @@ class Step:
     """Whether the journal ends after it, so that effects may be missing."""
 
 
-Item = Step | Message | JournalEntry | Gap
-"""A step, a message of a compared topic, a snapshot, or a gap in the journal."""
+Item = Step | JournalEntry | Gap
+"""A step, a snapshot, or a gap in the journal."""
 
 
-def steps(entries: Iterable[JournalEntry]) -> Iterator[Step | JournalEntry | Gap]:
+def steps(entries: Iterable[JournalEntry]) -> Iterator[Item]:
     """Yield the steps, the snapshots (as entries) and the gaps of a journal.
 
     Effects whose event is missing are skipped.

@@ -5,13 +5,22 @@ Ticks are left out: their time is the one at which they are due.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
-from robotctl.kernel.types import Event
+from robotctl.kernel.types import (
+    BatteryReceived,
+    Event,
+    GuardedCommandReceived,
+    OdomReceived,
+    SafetyInputReceived,
+    ScanReceived,
+)
 from robotctl.kernel.units import NS_PER_S
-from robotctl.rerun.agreed import Agreed
-from robotctl.rerun.ordinary_run import MEASUREMENTS
+
+MEASUREMENTS: Final = frozenset(
+    {OdomReceived, BatteryReceived, ScanReceived, GuardedCommandReceived, SafetyInputReceived}
+)
+"""The events that are stamped when they are received."""
 
 SLACK_NS: Final = NS_PER_S // 1_000
 """How much earlier than the one before a measurement may be."""
@@ -37,15 +46,6 @@ class MeasurementOrder:
             self.first_seq = self.first_seq or seq
             self.swapped += 1
         self._newest_ns = max(event.t_ns, self._newest_ns or event.t_ns)
-
-    def run(self, steps: Sequence[Agreed]) -> None:
-        """Take many events."""
-        measured = [step for step in steps if type(step.event) in MEASUREMENTS]
-        times_ns = [step.event.t_ns for step in measured]
-        if times_ns == sorted(times_ns):
-            measured = [measured[0], measured[-1]] if measured else []
-        for step in measured:
-            self.step(step.event, step.seq)
 
     def stop(self) -> None:
         """Begin again: events are missing."""

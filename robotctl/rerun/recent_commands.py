@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 
 from robotctl.rerun.command_bytes import is_zero
 
@@ -25,10 +24,6 @@ class RecentCommands:
     def add(self, number: int, numbers: bytes) -> None:
         """Keep a command: its number, and the numbers of its velocity."""
         self._commands.append((number, numbers))
-
-    def add_all(self, numbers: range, velocities: Sequence[bytes]) -> None:
-        """Keep many commands."""
-        self._commands.extend(zip(numbers, velocities, strict=True))
 
     def withheld(self, count: int) -> list[int]:
         """Return the numbers of the last commands, of which `count` were not zero."""

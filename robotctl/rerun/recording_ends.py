@@ -50,11 +50,11 @@ class RecordingEnds:
         """Whether it is a folder, and the last file is there."""
         return self._recording.path.is_dir() and not self._goes_on
 
-    def entries(self, first: int, last: int) -> None:
-        """Take the numbers of the next entries, which are in a row."""
+    def entry(self, seq: int) -> None:
+        """Note the number of the next entry."""
         if self._first_seq < 0:
-            self._first_seq = first
-        self._last_seq = max(last, self._last_seq)
+            self._first_seq = seq
+        self._last_seq = max(seq, self._last_seq)
 
     def begin(self, entry: JournalEntry) -> None:
         """Compare the first snapshot with what a kernel begins with."""

@@ -2,42 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable
 from dataclasses import replace
-from itertools import chain, repeat
 from typing import Any, NamedTuple
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
+from robotctl.kernel.health import Health
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import Decision, Effect, Event
 from robotctl.recording.format.journal import JournalEntry
-from robotctl.rerun.agreed import Agreed, followed_steps, new_tuple, read_events
 from robotctl.rerun.comparison import DECISION_NAMES, Comparison
 from robotctl.rerun.divergence import Divergence
 from robotctl.rerun.entry_order import Gap
-from robotctl.rerun.entry_shapes import EntryShapes
-from robotctl.rerun.journal_steps import LogTimes, Step, steps
+from robotctl.rerun.journal_steps import Step, steps
 from robotctl.rerun.journal_values import (
     KERNEL_FAILURES,
-    read_effect,
     read_event,
     read_snapshot,
     text_of,
 )
-from robotctl.rerun.measured import Followed, MeasuredState
-
-
-class ConfirmedPiece(NamedTuple):
-    """A piece of a journal, from a snapshot to the next, that a kernel decides as it is recorded.
-
-    `unused` are the numbers of the entries whose odometry the kernel did not take as new.
-    """
-
-    unused: frozenset[int]
 
 
 class Decided(NamedTuple):
@@ -57,39 +43,17 @@ class Rerun:
     def __init__(self, comparison: Comparison) -> None:
         self.comparison = comparison
         self.kernel: Kernel | None = None
-        self._followed: Followed | None = None
-        """Set while the steps are those that were re-run elsewhere."""
-
         self._event: JournalEntry | None = None
         self._same_version = comparison.same_version
-        self._shapes = EntryShapes(comparison)
 
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""
-        self._set_kernel(None)
-
-    def trust(self, piece: ConfirmedPiece | None) -> None:
-        """Take the recorded steps of a piece, and the snapshot that ends it, as decided."""
-        if piece is not None and self.kernel is not None:
-            kernel = self.kernel
-            scale = kernel.params.battery.scale
-            self._followed = Followed(kernel.state.health, scale, piece.unused)
+        self.kernel = None
 
     @property
-    def is_trusting(self) -> bool:
-        """Whether the present steps were re-run elsewhere."""
-        return self._followed is not None
-
-    @property
-    def measured(self) -> MeasuredState | None:
+    def measured(self) -> Health | None:
         """What is measured after the last step; None without a kernel."""
-        if self._followed is not None:
-            return self._followed.measured
         return None if self.kernel is None else self.kernel.state.health
-
-    def _set_kernel(self, kernel: Kernel | None) -> None:
-        self.kernel = kernel
-        self._followed = None
 
     def snapshot(self, entry: JournalEntry) -> tuple[Snapshot, Divergence | None]:
         """Continue from a recorded snapshot; return it, and how the kernel differs from it.
@@ -98,10 +62,7 @@ class Rerun:
             UnreadableFile: The entry is not a snapshot of this version.
         """
         snapshot = read_snapshot(entry)
-        kernel, was_trusting = self.kernel, self.is_trusting
-        self._set_kernel(snapshot.kernel())
-        if was_trusting:
-            return snapshot, None
+        kernel, self.kernel, self._event = self.kernel, snapshot.kernel(), None
         mine = replace(snapshot, params=kernel.params, state=kernel.state) if kernel else snapshot
         if self.comparison.same(entry.data, mine):
             return snapshot, None  # compared as texts, because nan is not equal to nan
@@ -120,19 +81,16 @@ class Rerun:
         event = read_event(entry)
         if kernel is None:
             return Decided(event)
-        if self._followed is not None:
-            self._followed.step(entry.seq, event)
-            return Decided(event, tuple(map(read_effect, step.effects)))
         self._event = entry
         before = kernel.state
-        if not self._shapes.is_untouched(entry, event):
+        if not self._is_untouched(entry, event):
             return self._diverged(event, entry, event, before)
         theirs = step.effects
         try:
             decided = mine = kernel.step(event)
         except KERNEL_FAILURES as error:
             found = self._divergence(theirs[0] if theirs else None, None, before)
-            self._set_kernel(None)
+            self.kernel = None
             return Decided(event, None, replace(found, decided=f"{type(error).__name__} {error}"))
         if not self._same_version:
             theirs = [effect for effect in theirs if effect.name in DECISION_NAMES]
@@ -146,65 +104,10 @@ class Rerun:
             return self._diverged(event, None, mine[len(theirs)], before)
         return Decided(event, decided)
 
-    def ahead(
-        self, steps: Sequence[Step], log_times: Iterable[LogTimes] = repeat((0, 0))
-    ) -> list[Agreed]:
-        """Decide on many steps at once, and return those before the first that `step` must take.
-
-        `log_times` are those of each step. One kind of work after the other takes a fifth less
-        time than step by step.
-        """
-        kernel = self.kernel
-        if kernel is None or not self._same_version:
-            return []
-        if self._followed is not None:
-            return followed_steps(self._followed, steps, log_times)
-        before = kernel.params, kernel.state
-        events = read_events(steps)
-        agreed: list[Agreed] = []
-        with suppress(*KERNEL_FAILURES):
-            for step, event, times in zip(steps, events, log_times, strict=False):
-                effects = kernel.step(event)
-                agreed.append(
-                    new_tuple(Agreed, (step.event.seq, event, effects, kernel.state.health, times))
-                )
-        count = self._agreeing(steps, agreed)
-        if count < len(steps):
-            del agreed[count:]
-            kernel.params, kernel.state = before
-            for each in agreed:
-                kernel.step(each.event)
-        return agreed
-
-    def _agreeing(self, steps: Sequence[Step], decided: Sequence[Agreed]) -> int:
-        """Return how many steps were recorded as they were decided, before the first other one."""
-        if self._all_agree(steps[: len(decided)], decided):
-            return len(decided)
-        for number, (step, mine) in enumerate(zip(steps, decided, strict=False)):
-            entry, theirs, effects = step.event, step.effects, mine.effects
-            if len(theirs) != len(effects) or not self._shapes.is_untouched(entry, mine.event):
-                return number
-            for recorded, effect in zip(theirs, effects, strict=True):
-                if not self._is_recorded(effect, recorded, entry.t_ns):
-                    return number
-        return len(decided)
-
-    def _all_agree(self, steps: Sequence[Step], decided: Sequence[Agreed]) -> bool:
-        """Return whether many steps were recorded as they were decided."""
-        entries, events = [step.event for step in steps], [each.event for each in decided]
-        theirs, mine = [step.effects for step in steps], [each.effects for each in decided]
-        if not (
-            [entry.t_ns for entry in entries] == [event.t_ns for event in events]
-            and [*map(len, theirs)] == [*map(len, mine)]
-        ):
-            return False
-        recorded, effects = [*chain.from_iterable(theirs)], [*chain.from_iterable(mine)]
-        times_ns = [step.event.t_ns for step in steps for _ in step.effects]
-        return (
-            [entry.t_ns for entry in recorded] == times_ns
-            and [entry.name for entry in recorded] == [type(each).__name__ for each in effects]
-            and all(map(self.comparison.same, [entry.data for entry in recorded], effects))
-            and self._shapes.are_untouched(entries, events)
+    def _is_untouched(self, entry: JournalEntry, event: Event) -> bool:
+        """Return whether an entry is as it was written; in another version each counts as such."""
+        return not self._same_version or (
+            entry.t_ns == event.t_ns and self.comparison.same(entry.data, event)
         )
 
     def _is_recorded(self, effect: Effect, recorded: JournalEntry, t_ns: int) -> bool:
@@ -217,7 +120,7 @@ class Rerun:
     def _diverged(
         self, event: Event, recorded: JournalEntry | None, mine: Any, before: State
     ) -> Decided:
-        self._set_kernel(None)
+        self.kernel = None
         return Decided(event, None, self._divergence(recorded, mine, before))
 
     def _divergence(

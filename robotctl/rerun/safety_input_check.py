@@ -26,7 +26,6 @@ from robotctl.rerun.input_pairs import Input, InputPairs
 from robotctl.rerun.input_report import report_inputs, report_last
 from robotctl.rerun.input_topics import InputTopic, InputTopics
 from robotctl.rerun.invariants import Invariants
-from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.repeated_latched import RepeatedLatched
 from robotctl.rerun.said_diagnoses import SaidDiagnoses
 from robotctl.rerun.stalls import RecordedStalls
@@ -162,14 +161,6 @@ class SafetyInputChecks:
             check = self._checks.get(event.kind)
             if check is not None and event.sequence:  # 0: before it was told
                 check.received(event, seq)
-
-    def run(self, run: OrdinaryRun) -> None:
-        """Take many steps and messages."""
-        for topic, take in self.readers().items():
-            for message in run.messages[topic]:
-                take(message)
-        for step in run.by_kind[SafetyInputReceived]:
-            self.step(step.event, step.seq)
 
     def snapshot(self, has_proof: bool) -> None:
         """Take a snapshot."""

@@ -17,7 +17,7 @@ from robotctl.recording.format.journal import TOPIC
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
-from robotctl.rerun.command_run import LATE_NS
+from robotctl.rerun.command_counts import LATE_NS
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments

@@ -9,7 +9,7 @@ from typing import Final
 from robotctl.kernel.types import ModeRequested, Reply
 from robotctl.kernel.units import NS_PER_S
 from robotctl.rerun.clock_changes import ClockChanges
-from robotctl.rerun.command_run import LATE_NS
+from robotctl.rerun.command_counts import LATE_NS
 from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.service_events import RecordedAnswer, ServiceEvent
 

@@ -7,6 +7,7 @@ from math import inf
 
 from robotctl.cdr.known_types import ROBOT_STATUS
 from robotctl.cdr.reader import CdrReader
+from robotctl.kernel.health import Health
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import BatteryReceived, Effect, Event, ModeChanged
 from robotctl.kernel.units import NS_PER_S
@@ -17,8 +18,6 @@ from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.measured import MeasuredState
-from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.own_topics import own_name
 from robotctl.rerun.repeated_latched import RepeatedLatched
 from robotctl.rerun.status_times import RecordedStatus, StatusTimes
@@ -103,7 +102,7 @@ class StatusCheck:
         self,
         event: Event,
         effects: tuple[Effect, ...],
-        measured: MeasuredState | None,
+        measured: Health | None,
         moments: Moments,
     ) -> None:
         """Take an event with its effects, and what is measured after it, if known."""
@@ -114,15 +113,6 @@ class StatusCheck:
         for effect in effects:
             if isinstance(effect, ModeChanged):
                 self._times.mode(effect.mode, moments)
-
-    def run(self, run: OrdinaryRun) -> None:
-        """Take many steps."""
-        if not self._times.run(run):
-            for step in run.steps:
-                self.step(step.event, step.effects, step.measured, step.moments)
-            return
-        for step in run.by_kind[BatteryReceived]:
-            self._times.level(step.measured.battery_level, step.moments)
 
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import struct
 from collections import deque
 from math import inf, isnan, nan
-from operator import sub
 from typing import Final, NamedTuple
 
 from robotctl.kernel.battery import is_level
@@ -18,7 +17,6 @@ from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.units import NS_PER_S
 from robotctl.rerun.clock_changes import CLOCK_NS, EXCUSES_NS, ClockChanges
 from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.values_over_time import Timeline
 
 AGE_NS: Final = NS_PER_S // 10
@@ -116,21 +114,6 @@ class StatusTimes:
             if odometry_ns - self._odometry_ns > AGE_NS:
                 self._without.append((self._odometry_ns, log_ns))
             self._odometry_ns = odometry_ns
-
-    def run(self, run: OrdinaryRun) -> bool:
-        """Take many steps, if the clock is not set and odometry is never late between them.
-
-        Return False otherwise; then nothing is taken.
-        """
-        times_ns = [self._odometry_ns, *[step.measured.odometry_t_ns for step in run.steps]]
-        if max(map(sub, times_ns[1:], times_ns), default=0) > AGE_NS or not run.keeps_clock(
-            self._offset_ns
-        ):
-            return False
-        if run.steps:
-            self._t_ns, self._wall_ns, _ = run.steps[-1].moments
-            self._offset_ns, self._odometry_ns = self._wall_ns - self._t_ns, times_ns[-1]
-        return True
 
     def mode(self, mode: Mode, moments: Moments) -> None:
         """Take the mode after a step."""

@@ -61,30 +61,11 @@ check_process.check_recording = lambda path, tell, **options: (
 check_process.main()
 """
     monkeypatch.setattr(module, "WORKER", (sys.executable, "-c", program))
-    monkeypatch.setattr(module, "has_one_thread", lambda: False)
     deadly = tmp_path / "deadly"
     reports = check_recordings([deadly, recording, deadly, recording, recording])
     verdicts = [report["verdict"] for report in reports]
     assert verdicts == ["incomplete", "same", "incomplete", "same", "same"]
     assert reports[0]["missing"] == ["the process that checked it ended with 9"]
-
-
-def test_a_copy_that_dies_is_replaced(recording: Path) -> None:
-    program = f"""
-import os
-from pathlib import Path
-from robotctl.rerun import check_many, check_process
-check_process.check_recording = lambda *_, **__: os._exit(9)
-for report in check_many.check_recordings([Path({str(recording)!r})] * 6):
-    print(report["verdict"], *report["missing"])
-"""
-    ran = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=4 * DEADLINE_S
-    )
-    died = "incomplete the process that checked it ended with 9"
-    lines = ran.stdout.splitlines()
-    copies = min(len(os.sched_getaffinity(0)), 6)
-    assert sorted(lines) == [*[died] * copies, *["same"] * (6 - copies)]
 
 
 def test_an_interrupted_check_ends_its_processes(tmp_path: Path) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from itertools import cycle, islice
 from pathlib import Path
 from random import Random
@@ -14,6 +16,7 @@ import pytest
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from tests.support.edited_recordings import Contents, write_contents
+from tests.support.heard_drives import COMMANDS
 from tests.tampering.edits import Kind
 from tests.tampering.honest_looks import ACCEPTED
 from tests.tampering.kinds import FOUND, ON_A_BUTTON, ONLY_IF_CLOSED
@@ -21,6 +24,9 @@ from tests.tampering.sources import recording_for, sources
 
 ATTEMPTS = 200
 MANY = 10_000
+
+FLOOD = 30_000
+"""In quadratic time it would take 20 s."""
 
 CLOSED: tuple[str, ...] = ("stopped", "stalled", "pressed")
 EVERY = (*CLOSED, "killed")
@@ -102,3 +108,22 @@ def test_the_page_tells_how_many_kinds_look_honest() -> None:
     total = found + closed + honest
     assert f"of {total} kinds, {found} are found in each recording and {closed} in one" in page
     assert f"The other {honest} look like an honest recording" in page
+
+
+def test_a_flood_of_commands_of_decisions_that_never_come_takes_time_in_proportion(
+    tmp_path: Path, honest: dict[str, Contents]
+) -> None:
+    edited = honest["stopped"].copy()
+    at = [i for i, each in enumerate(edited.messages) if each.topic == COMMANDS][20]
+    last = edited.messages[at]
+    edited.messages[at + 1 : at + 1] = [
+        replace(last, sequence=last.sequence + 5_000 + number) for number in range(FLOOD)
+    ]
+    path = write_contents(tmp_path / "run", edited)
+    began = time.process_time()
+    report = check_recording(path)
+    assert time.process_time() - began < 5.0
+    assert (report.verdict, report.commands) == (
+        Verdict.BROKEN,
+        FLOOD + honest["stopped"].counts[COMMANDS],
+    )

@@ -49,10 +49,10 @@ def read_data_section(
     Raises:
         Damaged: The file does not begin as an MCAP file, or the disk fails.
     """
-    return DataSection(file, flaws, stop, on_progress).finish()
+    return _DataSection(file, flaws, stop, on_progress).read()
 
 
-class DataSection:
+class _DataSection:
     """A data section that is read record by record."""
 
     def __init__(
@@ -81,22 +81,14 @@ class DataSection:
         self._offset = offset
         self._stop: float = inf if stop is None else stop
 
-    def read_past(self, offset: float) -> None:
-        """Read on to the end of the record at `offset`.
+    def read(self) -> WholeData:
+        """Return what was found.
 
         Raises:
             Damaged: The disk fails.
         """
-        while self._offset <= offset and self._offset < self._stop:
+        while self._offset < self._stop:
             self._read_record()
-
-    def finish(self) -> WholeData:
-        """Read the rest, and return what was found.
-
-        Raises:
-            Damaged: The disk fails.
-        """
-        self.read_past(inf)
         data, checksum = self._data, self._checksum
         checksum.add_up_to(self._offset)
         data.end, data.crc = self._offset, checksum.crc

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol, Self, TypeVar
+from typing import Final, Protocol, Self, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
@@ -78,20 +78,6 @@ def parse(kind: _RecordClass[_Record], data: bytes) -> _Record:
         raise Damaged(f"a {kind.__name__.lower()} record is malformed") from error  # type: ignore[attr-defined]
 
 
-MAX_KEPT_BYTES: Final = 4 << 20
-MAX_KEPT_BLOCKS: Final = 8
-"""A larger chunk is not kept: its heads take more memory than its bytes."""
-
-
-class KeptChunk(NamedTuple):
-    """A chunk that was read and walked completely; `key` tells which."""
-
-    key: object
-    data: bytes
-    blocks: list[HeadBlock]
-    records: int
-
-
 class InputFile:
     """A file that is read at offsets and may be growing."""
 
@@ -113,9 +99,6 @@ class InputFile:
         self.failure: Unreadable | None = None
         """The first read that failed because of the disk or the memory, not the content of the
         file."""
-
-        self.kept: KeptChunk | None = None
-        """The last chunk that was read whole, for another reader that comes to it next."""
 
         try:
             self._source = source or open_source(path, on_progress)
@@ -164,18 +147,6 @@ class InputFile:
             reason = f"the disk cannot read it at byte {offset}: {error.strerror or error}"
             raise self.failed(reason) from error
         return data
-
-    def keep(self, chunk: KeptChunk) -> None:
-        """Keep a chunk in place of the one before, if it is small."""
-        is_small = len(chunk.data) <= MAX_KEPT_BYTES and len(chunk.blocks) <= MAX_KEPT_BLOCKS
-        self.kept = chunk if is_small else None
-
-    def head_blocks(self, data: bytes, most: int) -> Iterable[HeadBlock]:
-        """Return what `head_blocks` yields; the chunk that is kept is not walked again."""
-        kept = self.kept
-        if kept is not None and kept.data is data and kept.records <= most:
-            return kept.blocks
-        return head_blocks(data, most)
 
     def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
         """Take notice of ranges that will be read in this order, each an offset and a length."""

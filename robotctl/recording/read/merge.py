@@ -14,7 +14,6 @@ from robotctl.recording.read.messages import (
     Window,
     place_readers,
 )
-from robotctl.recording.read.topic_places import Spot
 
 _AFTER_ALL = (1 << 64, 0)
 
@@ -64,16 +63,14 @@ def in_order_written(
     topics: Collection[str] | None,
     on_missing: Callable[[str], None],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
-    on_place: Callable[[Spot], None] = lambda spot: None,
 ) -> Iterator[list[Message]]:
     """Yield messages as `merge` does, but in file order, many at once; `on_progress` gets bytes
-    done and in total, and `on_place` each place before its messages.
+    done and in total.
     """
     done, total = 0, sum(file.file.size for file in files)
-    for number, file in enumerate(files):
+    for file in files:
         file.file.expect(_ranges(place_readers([file], topics, ALWAYS)))
         for source in place_readers([file], topics, ALWAYS):
-            on_place(Spot(number, source.place.offset))
             try:
                 yield from source.as_written()
             except Damaged as damage:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -21,6 +21,7 @@ from robotctl.recording.read.mcap_input import (
     HeadBlock,
     InputFile,
     RecordHead,
+    head_blocks,
 )
 
 Window = tuple[int, int]
@@ -136,18 +137,14 @@ class PlaceReader:
             content = self._decompressor.decompress(content)
         return Message(*self._names[channel], content, log_ns, publish_ns, sequence)
 
-    def as_written(
-        self, is_wanted: Callable[[bytes], bool] = lambda records: True
-    ) -> Iterator[list[Message]]:
+    def as_written(self) -> Iterator[list[Message]]:
         """Yield all messages of the place in file order, in lists; `load` need not be called.
-
-        `is_wanted` gets the bytes of the place; if it returns False, none of it is yielded.
 
         Raises:
             Damaged: After the last message, if some are missing.
         """
-        names, data = self._names, self._read()
-        for contents in self._contents(data) if is_wanted(data) else ():
+        names = self._names
+        for contents in self._contents(self._read()):
             yield [
                 _new(Message, names[channel] + (content, log_ns, publish_ns, sequence))
                 for (_, _, channel, sequence, log_ns, publish_ns), content in contents
@@ -208,7 +205,7 @@ class PlaceReader:
         names, known, message = self._names, self.file.index.channels, Opcode.MESSAGE.value
         offset, tally = self.place.offset, self.file.index.tally
         try:
-            for block in self.file.file.head_blocks(data, self._records_left()):
+            for block in head_blocks(data, self._records_left()):
                 records += len(block)
                 wanted = [
                     each for each in block if (head := each[1])[0] == message and head[2] in names

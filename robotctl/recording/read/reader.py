@@ -34,7 +34,6 @@ from robotctl.recording.read.merge import in_order_written, merge
 from robotctl.recording.read.messages import ALWAYS, Message, OpenFile, Window
 from robotctl.recording.read.read_limits import ReadLimits
 from robotctl.recording.read.source import Source
-from robotctl.recording.read.topic_places import Spot, messages_from, spots_of
 
 
 def read_info(path: Path) -> RecordingInfo:
@@ -212,32 +211,6 @@ class Recording:
         """
         blocks = in_order_written(self._files, topics, on_missing, on_progress)
         return chain.from_iterable(blocks)
-
-    def blocks_in_order_written(
-        self,
-        topics: Collection[str] | None,
-        on_missing: Callable[[str], None],
-        on_progress: Callable[[int, int], None],
-        on_place: Callable[[Spot], None],
-    ) -> Iterator[list[Message]]:
-        """Yield what `in_order_written` yields, many at once; `on_place` gets each place before its
-        messages.
-        """
-        return in_order_written(self._files, topics, on_missing, on_progress, on_place)
-
-    def spots(self, topic: str) -> list[tuple[Spot, int]]:
-        """Return the places that may hold messages of a topic, with their bytes, in file order."""
-        return spots_of(self._files, topic)
-
-    def messages_from(
-        self, topic: str, begin: Spot, is_wanted: Callable[[bytes], bool]
-    ) -> Iterator[tuple[Spot, list[Message] | None]]:
-        """Yield the messages of a topic in file order from a place on, many at once, with their
-        place; None for what is lost.
-
-        Each place is told; it yields messages only if `is_wanted(records)`.
-        """
-        return messages_from(self._files, topic, begin, is_wanted)
 
     def _open(self, path: Path, *, only: bool, on_progress: Callable[[int, int], None]) -> None:
         try:

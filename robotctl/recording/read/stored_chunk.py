@@ -96,8 +96,6 @@ def read_chunk(file: InputFile, ref: ChunkRef) -> bytes:
     Raises:
         Damaged: The chunk is corrupt, or exceeds the limits.
     """
-    if file.kept is not None and file.kept.key == ref:
-        return file.kept.data
     _check_size(file, ref)
     try:
         stored = file.read(ref.data_offset, ref.data_size)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from types import MappingProxyType
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.mcap_input import InputFile
 from robotctl.recording.read.seal_chain import Chain, SealedFile, check_chain
 from robotctl.recording.read.seal_check import SealState, check_seal
-from robotctl.recording.read.whole_file import WholeFileReading
 from robotctl.recording.read.whole_recording import WholeRecording, read_whole_recording
 
 
@@ -63,18 +61,16 @@ class VerifiedRecording:
 
 
 def verify_recording(
-    path: Path,
-    on_progress: Callable[[int, int], None] = lambda done, total: None,
-    begun: Mapping[Path, WholeFileReading] = MappingProxyType({}),
+    path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> VerifiedRecording:
     """Read every byte of a recording, and check its seals.
 
-    `on_progress` gets bytes done and in total. The files that are `begun` are read on.
+    `on_progress` gets bytes done and in total.
 
     Raises:
         UnreadableFile: `path` holds no MCAP file, or the disk fails.
     """
-    whole = read_whole_recording(path, on_progress, begun)
+    whole = read_whole_recording(path, on_progress)
     files = []
     for file in whole.files:
         try:

@@ -11,11 +11,8 @@ from robotctl.recording.format.records import Chunk, place
 from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.flaws import Flaws
 from robotctl.recording.read.mcap_input import (
-    MAX_KEPT_BLOCKS,
     RECORD_HEAD,
-    HeadBlock,
     InputFile,
-    KeptChunk,
     head_blocks,
 )
 from robotctl.recording.read.stored_chunk import (
@@ -51,14 +48,11 @@ class WholeChunks:
             BeyondLimit: It holds more than `most` records, or is too large.
         """
         file, data = self._file, self._data
-        file.kept = None
         try:
             ref = read_chunk_ref(file, offset, end - offset)
             self._budget.spend(ref.uncompressed_size)
             content = read_chunk(file, ref)
-            blocks: list[HeadBlock] = []
-            indexes, count = self._read(content, (offset, end), most, blocks)
-            file.keep(KeptChunk(ref, content, blocks, count))
+            indexes, count = self._read(content, (offset, end), most)
         except BeyondLimit:
             raise
         except Damaged as damage:
@@ -138,19 +132,14 @@ class WholeChunks:
         return placed.entry
 
     def _read(
-        self, content: bytes, at: tuple[int, int], most: int, blocks: list[HeadBlock]
+        self, content: bytes, at: tuple[int, int], most: int
     ) -> tuple[dict[int, list[int]], int]:
-        """Return log time and offset of each message by channel, and the number of records.
-
-        The first `blocks` of them are appended, more than are kept at most.
-        """
+        """Return log time and offset of each message by channel, and the number of records."""
         data = self._data
         indexes: dict[int, list[int]] = {}
         count, message = 0, Opcode.MESSAGE.value
         for block in head_blocks(content, most):
             count += len(block)
-            if len(blocks) <= MAX_KEPT_BLOCKS:
-                blocks.append(block)
             for position, (opcode, length, channel, _, log_ns, _) in block:
                 if opcode == message:
                     entries = indexes.get(channel)

@@ -25,7 +25,7 @@ from robotctl.recording.format.metadata_names import (
 )
 from robotctl.recording.format.records import DATA_END_BYTES, FOOTER_CONTENT_BYTES, MAGIC
 from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.data_section import DataSection, read_data_section
+from robotctl.recording.read.data_section import read_data_section
 from robotctl.recording.read.file_end import (
     BadEnd,
     FileEnd,
@@ -125,47 +125,16 @@ def check_bytes(
     """
     if file.is_changing():
         return _live(file, Flaws(), lambda offset: on_progress(offset, file.size))
-    return WholeFileReading(file, lambda offset: on_progress(offset, file.size)).finish()
-
-
-class WholeFileReading:
-    """The reading of every byte of a file that no process writes, beside another reader of it."""
-
-    def __init__(
-        self, file: InputFile, on_progress: Callable[[int], None] = lambda offset: None
-    ) -> None:
-        """Read the header.
-
-        Raises:
-            Damaged: It does not begin as an MCAP file, or the disk fails.
-        """
-        self._file = file
-        self._flaws = Flaws()
-        self._data = DataSection(file, self._flaws, None, on_progress)
-
-    def read_past(self, offset: int) -> None:
-        """Read on to the end of the record at `offset`; a small chunk there stays in memory.
-
-        Raises:
-            Damaged: The disk fails.
-        """
-        self._data.read_past(offset)
-
-    def finish(self) -> WholeFile:
-        """Read the rest.
-
-        Raises:
-            Damaged: The disk fails.
-        """
-        file, flaws, data = self._file, self._flaws, self._data.finish()
-        found = WholeFile(file.path, file.size, _state(data), data, flaws)
-        if data.told_crc is None:
-            if not flaws.count and not data.unread:
-                flaws.add(data.end, file.size, "the file was never finished")
-            return found
-        _check_crc(file, found)
-        _check_trailer(file, found)
+    flaws = Flaws()
+    data = read_data_section(file, flaws, None, lambda offset: on_progress(offset, file.size))
+    found = WholeFile(file.path, file.size, _state(data), data, flaws)
+    if data.told_crc is None:
+        if not flaws.count and not data.unread:
+            flaws.add(data.end, file.size, "the file was never finished")
         return found
+    _check_crc(file, found)
+    _check_trailer(file, found)
+    return found
 
 
 def _live(file: InputFile, flaws: Flaws, on_progress: Callable[[int], None]) -> WholeFile:

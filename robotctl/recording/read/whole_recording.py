@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 from mcap.records import Channel
 
@@ -21,13 +19,11 @@ from robotctl.recording.format.rosbag2 import (
     total_count_in,
 )
 from robotctl.recording.format.topics import LATCHED_QOS
-from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.files import absent_files, metadata_of_folder, recording_files
 from robotctl.recording.read.whole_data import WholeData
 from robotctl.recording.read.whole_file import (
     FileState,
     WholeFile,
-    WholeFileReading,
     read_whole_file,
 )
 
@@ -56,13 +52,11 @@ class WholeRecording:
 
 
 def read_whole_recording(
-    path: Path,
-    on_progress: Callable[[int, int], None] = lambda done, total: None,
-    begun: Mapping[Path, WholeFileReading] = MappingProxyType({}),
+    path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> WholeRecording:
     """Read every byte of a recording, a file or a folder.
 
-    `on_progress` gets bytes done and in total. The files that are `begun` are read on.
+    `on_progress` gets bytes done and in total.
 
     Raises:
         UnreadableFile: `path` holds no MCAP file.
@@ -74,9 +68,6 @@ def read_whole_recording(
     sizes = [_size(each) for each in paths]
     files: list[WholeFile] = []
     for number, each in enumerate(paths):
-        if (found := _finished(begun.get(each))) is not None:
-            files.append(found)
-            continue
         before, total = sum(sizes[:number]), sum(sizes)
         try:
             files.append(
@@ -95,13 +86,6 @@ def read_whole_recording(
     if not wrong and not unreadable:
         wrong += _contradictions(text, files, whole_folder=whole_folder)
     return WholeRecording(path, tuple(files), tuple(unreadable), tuple(wrong))
-
-
-def _finished(reading: WholeFileReading | None) -> WholeFile | None:
-    """Return what the rest of a reading found, None if it fails: then all is read again."""
-    with suppress(OSError, Damaged, UnreadableFile):
-        return None if reading is None else reading.finish()
-    return None
 
 
 def _size(path: Path) -> int:
