@@ -125,8 +125,6 @@ def dispatch(arguments: list[str]) -> None:
     Raises:
         UsageError: typer could not parse it; the error names the help to read.
     """
-    if "robotctl.store.opened_bucket" in sys.modules:  # a listing lives as long as one command
-        sys.modules["robotctl.store.opened_bucket"].opened_bucket.cache_clear()
     command = typer.main.get_command(app)
     arguments, ros_words = ros_arguments.split(arguments)
     arguments += [f"{ROS_WORD}={word}" for word in ros_words]
@@ -152,3 +150,6 @@ def dispatch(arguments: list[str]) -> None:
                 f"the argument of {words} is retired", retired.ARGUMENTS[words]
             ) from error
         raise UsageError(text, f"see: {where} --help", sentence=IN_PARENTHESES) from error
+    finally:
+        if "robotctl.store.opened_bucket" in sys.modules:  # a listing lives as long as one command
+            sys.modules["robotctl.store.opened_bucket"].opened_bucket.cache_clear()

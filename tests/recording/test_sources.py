@@ -15,6 +15,7 @@ from robotctl.recording import Recorder, RecorderOptions, Recording, Topic
 from robotctl.report.recorded import read_recorded
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
+from robotctl.store.opened_bucket import opened_bucket
 from robotctl.store.store_path import path_of
 from robotctl.testing.drives import GID, JOURNAL, ODOMETRY, TWIST, drive, record
 from tests.support.faulty_bucket import StoredFile, serving
@@ -124,6 +125,7 @@ def server(recorded: Path) -> Iterator[RangeServer]:
         yield serving
         serving.shutdown()
         thread.join()
+    opened_bucket.cache_clear()
 
 
 def test_a_check_over_http_says_what_a_check_of_the_file_says(

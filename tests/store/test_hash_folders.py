@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from robotctl.errors import UsageError
 from robotctl.store import open_store
+from robotctl.store.opened_bucket import opened_bucket
 from robotctl.store.store_path import StorePath, path_of
 
 SHA = "0123456789abcdef" * 4
@@ -16,11 +18,12 @@ KEY = f"run/{SHA}/run_0.mcap"
 
 
 @pytest.fixture
-def copies(tmp_path: Path) -> Path:
+def copies(tmp_path: Path) -> Iterator[Path]:
     store = open_store(str(tmp_path / "usb"))
     store.put_if_absent(KEY, [b"data"])
     store.put_if_absent(f"run/{SHA[::-1]}/clips/a.mcap", [b"clip"])
-    return tmp_path / "usb"
+    yield tmp_path / "usb"
+    opened_bucket.cache_clear()
 
 
 @pytest.mark.parametrize("url", ["", "file://"])

@@ -140,6 +140,7 @@ def serving(monkeypatch: pytest.MonkeyPatch) -> Iterator[FaultyBucket]:
         for name, value in environment(bucket.endpoint).items():
             monkeypatch.setenv(name, value)
         yield bucket
+    opened_bucket.cache_clear()
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -17,6 +17,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
+from obstore import list_with_delimiter_async
+from obstore.store import MemoryStore
+
+from robotctl.store.request_loop import requests
 
 Surroundings = Mapping[str, str]
 """What was found, by what and where it is: `environ HOME` -> `/root`."""
@@ -40,9 +44,9 @@ ALLOWED: Final[Mapping[str, str]] = {
     r"descriptor \d+: not there -> /tmp/#\d+ \(deleted\)": "objects that the S3 server keeps",
     r"child \d+: not there -> $": "it ended; Python waits for it when it starts the next one",
     r"descriptor \d+: not there -> .*/\.ros/log/": "rcl opens its log at the first message",
-    r"cache .*\.(opened_bucket|opened_results|_begin):": "the store is still cached by process",
-    r"thread .*\(process_request_thread\)": "connections of those stores",
-    r"descriptor \d+: .*socket:": "connections of those stores",
+    r"cache .*\.(opened_results|_begin):": "stores of results stay open for the jobs of a process",
+    r"descriptor \d+: .*socket:": "connections that the library of the stores keeps for a while",
+    r"thread .*\(process_request_thread\)": "the other end of those connections",
     r"(thread|child|descriptor|cache) .* -> gone": "it belonged to what a fixture of the run did",
 }
 """Regular expressions of differences that do not count, with the reason."""
@@ -76,16 +80,11 @@ def differences(before: Surroundings, after: Surroundings) -> list[str]:
 
 def start_once() -> None:
     """Start what a process starts once and keeps, before the first file."""
-    if "robotctl.store.request_loop" in sys.modules:
-        from obstore import list_with_delimiter_async
-        from obstore.store import MemoryStore
 
-        from robotctl.store.request_loop import requests
+    async def ask() -> None:
+        await list_with_delimiter_async(MemoryStore())  # starts the threads of the library
 
-        async def ask() -> None:
-            await list_with_delimiter_async(MemoryStore())  # starts the threads of the library
-
-        requests().run(ask())
+    requests().run(ask())
     resource_tracker.ensure_running()
     if "rclpy" in sys.modules:
         import rclpy
