@@ -2,8 +2,6 @@
 
     python -P -m robotctl.MODULE ARGUMENTS --report-fd 3
 
-or, where many imports would be made again, as a copy of this process (`fork`).
-
 The child sends reports, one JSON object per line, through a pipe of its own. It may also receive
 lines on its stdin. Reports do not use stdout, because libraries print there (Fast DDS warns about
 lock files); stdout and stderr go where a user reads them.
@@ -18,7 +16,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from robotctl.processes.child import Child
     from robotctl.processes.descriptors import pidfd_of, readable_within
-    from robotctl.processes.forking import fork, has_one_thread
     from robotctl.processes.report_lines import REPORT_OPTION, LineSplitter, report_fd, send_report
     from robotctl.processes.spawning import program, start
 
@@ -26,8 +23,6 @@ __all__ = [
     "REPORT_OPTION",
     "Child",
     "LineSplitter",
-    "fork",
-    "has_one_thread",
     "pidfd_of",
     "program",
     "readable_within",
@@ -40,8 +35,6 @@ _MODULES = {
     "REPORT_OPTION": "report_lines",
     "Child": "child",
     "LineSplitter": "report_lines",
-    "fork": "forking",
-    "has_one_thread": "forking",
     "pidfd_of": "descriptors",
     "program": "spawning",
     "readable_within": "descriptors",

@@ -15,7 +15,7 @@ _REAP_POLL_S: Final = 0.01
 
 
 class Child:
-    """A process that `start` or `fork` has started.
+    """A process that `start` has started.
 
     Use it from one thread. Only `kill` may be called from another thread, but not during `close`.
     """
