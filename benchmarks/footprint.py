@@ -1,4 +1,4 @@
-"""CPU and memory of the daemon beside one process a role: ours, and the classic arrangement.
+"""CPU and memory of the daemon next to the classic arrangement, one process a role.
 
     python benchmarks/footprint.py                                    about 8 minutes
     python benchmarks/footprint.py --rates 50 --rounds 3 --seconds 4
@@ -7,9 +7,6 @@ The daemon runs with control, simulated robot and recorder, and drives a square.
 arrangement does as much of it as is usual: four processes of plain rclpy in `benchmarks/classic`
 (velocity publisher, odometry subscriber, mode service with status, simulated robot of the same
 physics), and a recorder. It does without journal, closed loop and socket.
-
-Between the two stands one process a role on the AsyncioExecutor: simulated robot, gate
-(`velocity_publisher`) and owner (`mode_service`, with kernel, journal, recorder and socket).
 
 Each is measured with the other absent, in turn, so that a noisy machine is noisy for both; ratios
 are taken within a round. Shown are medians over the rounds, and the lowest and highest in
@@ -46,7 +43,6 @@ WAKE_UP_TARGETS = {50.0: 110.0}
 PSS_TARGET = 0.46
 CPU_RATIO = "CPU to four processes and a C++ recorder (computed)"
 FREE_DOMAINS = (101, 230)
-READY_TIMEOUT_S = 60.0
 END_TIMEOUT_S = 20.0
 MOVING = 1
 
@@ -98,39 +94,6 @@ def daemon(rate_hz: float, folder: Path, domain: int, settings: str = "") -> Ite
         if not said.get("ready"):
             raise SystemExit(f"the daemon did not start: {said.get('error', 'it said nothing')}")
         yield [processes[0].pid]
-
-
-@contextmanager
-def roles(rate_hz: float, folder: Path, domain: int) -> Iterator[list[int]]:
-    """Start our roles, a process each, moving; yields their pids."""
-    config, around = folder / "config.yaml", environment(folder, domain)
-    config.write_text(f"rate_hz: {rate_hz}\nsim.odometry_rate_hz: {rate_hz}\n")
-    owned = {"config": config, "recordings": folder / "recordings", "standalone": "false"}
-    given = [word for name, value in owned.items() for word in ("-p", f"{name}:={value}")]
-    commands = (
-        [command_named("mode_service"), "--ros-args", *given],
-        [command_named("velocity_publisher"), "--ros-args", "-p", "sweep:=false"],
-        [command_named("robotctl"), "sim", "--config", str(config)],
-    )
-    with (folder / "log").open("w") as log, ending() as processes:
-        for command in commands:
-            processes.append(subprocess.Popen(command, env=around, stdout=log, stderr=log))
-        until = time.monotonic() + READY_TIMEOUT_S
-        while subprocess.run(
-            [command_named("robotctl"), "set-mode", "moving"],
-            env=around,
-            capture_output=True,
-            check=False,
-        ).returncode:
-            if time.monotonic() > until:
-                raise SystemExit(f"our roles do not move: {(folder / 'log').read_text()}")
-            time.sleep(0.2)
-        yield [process.pid for process in processes]
-
-
-def command_named(name: str) -> str:
-    """The path of a command of this environment."""
-    return str(Path(sys.executable).with_name(name))
 
 
 @contextmanager
@@ -193,7 +156,7 @@ def pss_mb(pid: int) -> float:
     raise SystemExit(f"/proc/{pid}/smaps_rollup has no Pss: is this Linux?")
 
 
-ARRANGEMENTS = {"daemon": daemon, "roles": roles, "classic": classic}
+ARRANGEMENTS = {"daemon": daemon, "classic": classic}
 
 
 def measure(name: str, rate_hz: float, options: argparse.Namespace, domain: int) -> Usage:
@@ -236,10 +199,7 @@ def figures(rate_hz: float) -> tuple[Figure, ...]:
         *(Figure(f"CPU, {name} [%]") for name in ARRANGEMENTS),
         Figure("CPU, of classic the recorder [%]"),
         Figure("CPU, daemon to classic", digits=".3f"),
-        Figure("CPU, roles to classic", digits=".3f"),
         *(Figure(f"PSS, {name} [MB]", digits=".1f") for name in ARRANGEMENTS),
-        Figure("PSS, roles to classic", digits=".3f"),
-        Figure("wake-ups a second, roles", digits=".0f"),
         Figure("wake-ups a second, classic", digits=".0f"),
         *(Figure(f"messages recorded a second, {name}", digits=".1f") for name in ARRANGEMENTS),
     )
@@ -247,14 +207,12 @@ def figures(rate_hz: float) -> tuple[Figure, ...]:
 
 def values(used: dict[str, Usage]) -> Round:
     """The figures of one round."""
-    ours, roles_used, classic_used = used["daemon"], used["roles"], used["classic"]
+    ours, classic_used = used["daemon"], used["classic"]
     told = {
         CPU_RATIO: ours.cpu / classic_used.cpu_with_cpp_recorder(),
         "PSS, daemon to classic": ours.pss / classic_used.pss,
         "CPU, of classic the recorder [%]": classic_used.recorder_cpu,
         "CPU, daemon to classic": ours.cpu / classic_used.cpu,
-        "CPU, roles to classic": roles_used.cpu / classic_used.cpu,
-        "PSS, roles to classic": roles_used.pss / classic_used.pss,
     }
     for name, each in used.items():
         told[f"CPU, {name} [%]"] = each.cpu

@@ -1,4 +1,6 @@
-"""`ros2 launch robot_controller robot_controller.launch.py`: the daemon, or one process a role.
+"""`ros2 launch robot_controller robot_controller.launch.py`: the daemon.
+
+Its nodes bear the names of the tutorial: velocity_publisher, odom_subscriber, mode_service.
 
 Arguments, with their defaults: use_sim_time:=false, robot_name:=robot, namespace:= (that of the
 robot's name), params_file:= (none), sim:=auto, single_process:=true, respawn:=false.
@@ -7,9 +9,8 @@ Ctrl-C ramps the robot down, sends a last zero and closes the recording; a proce
 again moves nothing.
 """
 
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
 from launch import LaunchDescription
@@ -23,8 +24,19 @@ ARGUMENTS = (
     ("namespace", "", None, "Another namespace than the one of the robot's name."),
     ("params_file", "", None, "Parameters: YAML, or a ROS parameter file."),
     ("sim", "auto", ("auto", "true", "false"), "auto: simulate, unless odometry is published."),
-    ("single_process", "true", ("true", "false"), "false: one process a role."),
+    (
+        "single_process",
+        "true",
+        ("true", "false"),
+        "Retired: names the lines of the roles.",
+    ),
     ("respawn", "false", ("true", "false"), "Start a process again that died."),
+)
+
+RETIRED = (
+    "single_process:=false is retired: the daemon starts. The tutorial's nodes, one a process, are "
+    "ros2 run robot_controller velocity_publisher, ros2 run robot_controller odom_subscriber and "
+    "ros2 run robot_controller mode_service"
 )
 
 # Longer than the ramp, the last zero and the end of the recording take.
@@ -54,48 +66,19 @@ def processes(context):
         robot += ["--namespace", given["namespace"]]
     if given["params_file"]:
         robot += ["--config", given["params_file"]]
-    if given["single_process"] == "true":
-        sim = {"auto": [], "true": ["--sim"], "false": ["--no-sim"]}[given["sim"]]
-        return [_robotctl(given, "start", "--foreground", *robot, *sim)]
-    auto = ["--auto"] if given["sim"] == "auto" else []
-    simulated = [] if given["sim"] == "false" else [_robotctl(given, "sim", *robot, *auto)]
-    owned = {"robot_name": given["robot_name"], "standalone": False}
-    if given["params_file"]:
-        owned["config"] = given["params_file"]
-    return [
-        *simulated,
-        _node(given, "velocity_publisher", {"sweep": False}),
-        _node(given, "odom_subscriber", {}, name="odom_logger"),
-        _node(given, "mode_service", owned),
-    ]
-
-
-def _robotctl(given, *words):
-    """Return the process of a command of robotctl."""
-    executable = ExecutableInPackage(executable="robotctl", package=PACKAGE)
-    return ExecuteProcess(cmd=[executable, *words], **_kept(given))
-
-
-def _node(given, executable, parameters, name=None):
-    """Return the process of a role; `name` is another name of its node."""
-    robot, namespace = given["robot_name"], given["namespace"]
-    namespace = namespace or (None if robot == "robot" else f"/{robot}")
-    return Node(
-        package=PACKAGE,
-        executable=executable,
-        name=name,
-        namespace=namespace,
-        parameters=[{"use_sim_time": given["use_sim_time"] == "true", **parameters}],
-        **_kept(given),
+    ros = []
+    if given["use_sim_time"] == "true":
+        ros = ["--ros-args", "-p", "use_sim_time:=true"]
+    sim = {"auto": [], "true": ["--sim"], "false": ["--no-sim"]}[given["sim"]]
+    daemon = ExecuteProcess(
+        cmd=[
+            ExecutableInPackage(executable="robotctl", package=PACKAGE),
+            *("start", "--foreground", *robot, *sim, *ros),
+        ],
+        output="screen",
+        sigterm_timeout=SIGTERM_AFTER_S,
+        sigkill_timeout=SIGKILL_AFTER_S,
+        respawn=given["respawn"] == "true",
+        respawn_delay=1.0,
     )
-
-
-def _kept(given):
-    """Return what every process is started with."""
-    return {
-        "output": "screen",
-        "sigterm_timeout": SIGTERM_AFTER_S,
-        "sigkill_timeout": SIGKILL_AFTER_S,
-        "respawn": given["respawn"] == "true",
-        "respawn_delay": 1.0,
-    }
+    return [daemon] if given["single_process"] == "true" else [LogInfo(msg=RETIRED), daemon]

@@ -1,10 +1,10 @@
-"""ModeService, a node for your own program; `python -m` of this module owns the mode."""
+"""ModeService, the node of `python -m robot_controller.mode_service`."""
 
-from robotctl.daemon.mode_service import main
+from robotctl.ros import executables
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(executables.mode_service())
 
-from robotctl.ros.executables.mode_service import ModeService
+from robotctl.ros.executables.mode_service import ModeService, main
 
 __all__ = ["ModeService", "main"]

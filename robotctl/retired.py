@@ -31,11 +31,14 @@ ARGUMENTS: Mapping[str, str] = {
 
 CONFIG_KEYS: Mapping[str, str] = {
     "shadow": "compare other parameters on recordings: robotctl replay FILE --what-if KEY=VALUE",
+    "standalone": "MOVING needs a robot; robotctl start --sim simulates one",
 }
 """Dotted keys of configuration files and launch arguments, with what replaces them."""
 
-JOURNAL_FIELDS: Mapping[str, object] = {}
+JOURNAL_FIELDS: Mapping[str, object] = {"Snapshot.params.standalone": False}
 """Fields of a journal's snapshots as `Snapshot.path`, with the default that is ignored."""
 
-CAUSES: Mapping[str, str] = {}
+CAUSES: Mapping[str, str] = {
+    "gate lost": "the daemon commands the robot itself, without a gate in another process",
+}
 """Causes that journals name, with why there is no such cause any more."""

@@ -27,7 +27,7 @@ SIMULATED_ROBOT: Final = "simulated_robot"
 
 PREFIXES: Final = {
     "velocity_publisher": (
-        *("rate_hz", "max_tick_gap_s", "fifo_priority", "standalone"),
+        *("rate_hz", "max_tick_gap_s", "fifo_priority"),
         *("command.", "limits.", "tracking.", "pattern."),
     ),
     "odom_subscriber": ("odometry.",),
@@ -138,7 +138,7 @@ def apply_arguments(config: Config, given: RosArguments, namespace: str) -> RosS
         UsageError: There is no such node.
     """
     use_sim_time = False
-    for key, value in given_values(given, namespace).items():
+    for key, value in _given_values(given, namespace).items():
         if key == USE_SIM_TIME:
             if not isinstance(value, bool):
                 raise ConfigError(f"{key}: {value!r} is not allowed", "use true or false")
@@ -151,20 +151,11 @@ def apply_arguments(config: Config, given: RosArguments, namespace: str) -> RosS
     return RosSettings(config, others, use_sim_time)
 
 
-def given_values(
-    given: RosArguments, namespace: str, nodes: Sequence[str] = NODES
-) -> dict[str, object]:
-    """Return the parameters of the arguments and their files; a later value wins.
-
-    `nodes` are those of the process. With more than one, each has its own keys.
-
-    Raises:
-        ConfigError: A key, a value, or a file is wrong, or is for other nodes.
-        UsageError: There is no such node.
-    """
+def _given_values(given: RosArguments, namespace: str) -> dict[str, object]:
+    """Return the parameters of the arguments and their files; a later value wins."""
     for node in given.node_names:
-        _check_node(node, f"{node}:__node" if node else "__node", nodes)
-    names = {node: f"{namespace}/{given.node_names.get(node, node)}" for node in nodes}
+        _check_node(node, f"{node}:__node" if node else "__node")
+    names = {node: f"{namespace}/{given.node_names.get(node, node)}" for node in NODES}
     return dict(pair for setting in given.settings for pair in _settings(setting, names))
 
 
@@ -172,9 +163,8 @@ def _settings(setting: Assignment | Path, names: dict[str, str]) -> Iterator[tup
     """Yield the keys and values that a `-p` or a file sets."""
     if isinstance(setting, Assignment):
         if setting.node:
-            _check_node(setting.node, f"-p {setting.node}:{setting.key}", tuple(names))
-            if len(names) > 1:
-                _check_owner(setting.node, setting.key)
+            _check_node(setting.node, f"-p {setting.node}:{setting.key}")
+            _check_owner(setting.node, setting.key)
         yield setting.key, read_value(f"-p {setting.key}", setting.text)
         return
     strangers: dict[str, None] = {}
@@ -185,7 +175,7 @@ def _settings(setting: Assignment | Path, names: dict[str, str]) -> Iterator[tup
             strangers[node] = None
             continue
         is_ours = True
-        if len(meant) == 1 < len(names):
+        if len(meant) == 1:
             try:
                 _check_owner(meant[0], key)
             except ConfigError as error:
@@ -198,10 +188,10 @@ def _settings(setting: Assignment | Path, names: dict[str, str]) -> Iterator[tup
         )
 
 
-def _check_node(node: str, option: str, nodes: Sequence[str] = NODES) -> None:
-    if node not in nodes:
-        what = f"there is no node {node!r}" if node else f"the daemon has {len(nodes)} nodes"
-        raise UsageError(f"--ros-args {option}: {what}", f"name one of {', '.join(nodes)}")
+def _check_node(node: str, option: str) -> None:
+    if node not in NODES:
+        what = f"there is no node {node!r}" if node else f"the daemon has {len(NODES)} nodes"
+        raise UsageError(f"--ros-args {option}: {what}", f"name one of {', '.join(NODES)}")
 
 
 def _check_owner(node: str, key: str) -> None:

@@ -18,7 +18,6 @@ from robotctl.daemon.driver import Driver
 from robotctl.daemon.host import DaemonKind, Host, Ready
 from robotctl.daemon.log.levels import LoggerLevels
 from robotctl.daemon.observer import Observer
-from robotctl.daemon.owner import Owner
 from robotctl.daemon.recording.recordings_folder import save_recordings_path
 from robotctl.daemon.ros_logs import apply_levels, published_log, serve_logger_levels
 from robotctl.daemon.same_names import refuse_same_names
@@ -98,8 +97,6 @@ async def serve(
         daemon: DaemonKind
         if options.observe:
             daemon = Observer(host)
-        elif options.owner:
-            daemon = Owner(host, await choose_command_type(host))
         else:
             daemon = Driver(host, await choose_command_type(host))
         session.last.enter_context(published_log(session, levels))

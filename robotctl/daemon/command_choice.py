@@ -8,7 +8,7 @@ from dataclasses import replace
 from robotctl.daemon.host import Host
 from robotctl.daemon.waiting import until
 from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
-from robotctl.kernel.params import OWNER_SUFFIX, CommandParams, Stamping
+from robotctl.kernel.params import CommandParams, Stamping
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages.command_type import PLAIN, CommandType, stamped
 from robotctl.ros.messages.qos import COMMANDS
@@ -23,9 +23,8 @@ async def choose_command_type(host: Host) -> CommandType:
 
     Where no base is found until the end of discovery, or none is looked for, that is Twist.
     """
-    params = host.config.kernel
-    command = params.command
-    looks = not (host.alone or host.options.sim or params.standalone)
+    command = host.config.kernel.command
+    looks = not (host.alone or host.options.sim)
     if command.stamped is Stamping.AUTO and looks:
         chosen = await _taken_type(host, command)
     else:
@@ -37,8 +36,7 @@ async def _taken_type(host: Host, command: CommandParams) -> CommandType:
     node = host.session.node(PROBE_NODE)
 
     def taken() -> frozenset[str]:
-        topic = command.topic.removesuffix(OWNER_SUFFIX)
-        found = endpoints.subscriptions(node, host.session.resolve(topic))
+        found = endpoints.subscriptions(node, host.session.resolve(command.topic))
         types = (each.topic_type for each in found if not is_monitor(each.node_name))
         return COMMAND_TYPES.intersection(types)
 

@@ -7,17 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robotctl import ros_arguments
-from robotctl.config import (
-    PATTERN_HELP,
-    Config,
-    check_together,
-    is_topic_pattern,
-    with_setting,
-)
+from robotctl.config import PATTERN_HELP, Config, is_topic_pattern
 from robotctl.config.ros_settings import RosSettings, apply_arguments
 from robotctl.domains import requested_domain
 from robotctl.errors import UsageError
-from robotctl.kernel.params import OWNER_SUFFIX
 from robotctl.kernel.patterns import PatternKind
 from robotctl.log_levels import LogLevel, read_log_level
 from robotctl.paths import DEFAULT_ROBOT, check_namespace, check_robot_name, namespace_of
@@ -40,12 +33,6 @@ class DaemonOptions:
     include: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
     """Patterns of topics, added to those of the configuration."""
-
-    owner: bool = False
-    """Command a gate in another process, instead of the robot."""
-
-    settings: tuple[tuple[str, object], ...] = ()
-    """Dotted keys of the configuration with values that replace those of the file."""
 
     ros_namespace: str | None = None
     """A namespace other than the one that the robot's name gives."""
@@ -78,17 +65,8 @@ class DaemonOptions:
         Raises:
             ConfigError: A parameter, a value, or a file of parameters is wrong.
         """
-        for key, value in self.settings:
-            config = with_setting(config, key, value)
-        if self.settings:
-            check_together(config.kernel)
         settings = apply_arguments(config, self.ros, self.namespace)
         config = settings.config
-        if self.owner:
-            command = replace(
-                config.kernel.command, topic=f"{config.kernel.command.topic}{OWNER_SUFFIX}"
-            )
-            config = replace(config, kernel=replace(config.kernel, command=command))
         given = config.recording
         include, exclude = (*given.include, *self.include), (*given.exclude, *self.exclude)
         config = replace(config, recording=replace(given, include=include, exclude=exclude))

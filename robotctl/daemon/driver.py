@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Coroutine, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -65,8 +65,6 @@ subscriber of the command. Discovery by Fast DDS takes up to 2.6 s; a robot may 
 class Driver:
     """A daemon that connects kernel, ROS roles and recorder."""
 
-    _ending = "stopping"
-
     def __init__(self, host: Host, command: CommandType) -> None:
         self._host = host
         self._command = command
@@ -88,7 +86,9 @@ class Driver:
         tap = self.recorder.tap
         for topic in (command_topic(params.command.topic, command), STATUS, *CALLS):
             tap.subscribe_own(topic)
-        self._velocity = self._make_velocity()
+        self._velocity = VelocityPublisher(
+            session, params.command.topic, command, lambda: self._control.state.silent
+        )
         self._watchdog = Watchdog(params.rate_hz, self._velocity)
         requests = PendingRequests()
         truth = GroundTruth()
@@ -154,15 +154,6 @@ class Driver:
         goals = DriveGoals(self._control, self._driving, remote.is_remote)
         session.last.callback(DriveAction(self._modes.node, goals.begin, self._say).close)
 
-    def _make_velocity(self) -> VelocityPublisher:
-        topic = self._host.config.kernel.command.topic
-        return VelocityPublisher(
-            self._host.session, topic, self._command, lambda: self._control.state.silent
-        )
-
-    def _graph_watch(self) -> Coroutine[Any, Any, None]:
-        return watch_graph(self._velocity, self._odometry, self._control.dispatch)
-
     def methods(self) -> Mapping[str, Method[Any]]:
         """Return the methods of the control socket."""
         return {
@@ -196,7 +187,7 @@ class Driver:
             with self._watchdog:
                 ready = await self._become_ready(notes, on_ready)
                 await self._host.stop.wait()
-                _log.info(self._ending)
+                _log.info("stopping")
                 await stand_still(self._control, lambda: self._velocity.published)
         await self._last_zero.arrived()
         if not ready:
@@ -221,7 +212,9 @@ class Driver:
             "control": lambda: self._loop.run(self._odometry.look),
             **self.recorder.work(),
             "diagnostics": self._diagnostics.run,
-            "graph watch": self._graph_watch,
+            "graph watch": partial(
+                watch_graph, self._velocity, self._odometry, self._control.dispatch
+            ),
             "status": self._shown.run,
         }
         if sim:

@@ -39,8 +39,6 @@ def condition_of(cause: Cause) -> str:
             return "control socket reachable"
         case Cause.DAEMON_ENDS:
             return "daemon is not ending"
-        case Cause.GATE_LOST:
-            return "one gate passes the commands on"
         case Cause.NOT_ACTIVE:
             return "the node that gates motion is active"
         case Cause.ODOMETRY_WRONG:
@@ -167,8 +165,6 @@ def cure_of(remedy: Remedy, robot: str) -> str:
             return "check wheels and odometry, or lower the speed"
         case Remedy.STOP_COMMAND_PUBLISHER:
             return "stop the other publisher"
-        case Remedy.START_GATE:
-            return "start exactly one: ros2 run robot_controller velocity_publisher"
         case Remedy.ACTIVATE:
             change = "service call mode_service/change_state '{transition: {label: %s}}'"
             activate = command_for(robot, change % "activate")

@@ -44,11 +44,6 @@ def reported(cause: Cause) -> Check:
     return check
 
 
-def stands_alone(health: Health, params: KernelParams) -> bool:
-    """Return whether there is no robot at all, and `standalone` allows that."""
-    return params.standalone and health.odometry is None and not health.command_topic.listeners
-
-
 def not_active(health: Health, params: KernelParams, t_ns: int) -> str:
     """Return a sentence if the node that gates motion is not active, else ""."""
     if health.lifecycle is LifecycleState.ACTIVE:
@@ -81,8 +76,6 @@ def battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
     if not params.battery.topic:
         return ""
     if health.battery_level is None:
-        if stands_alone(health, params):
-            return ""
         return f"no battery level was received on {params.battery.topic} yet"
     if not is_level(health.battery_level):
         full, reported = (100, 100.0) if health.battery_in_percent else (1, 1.0)
@@ -109,8 +102,6 @@ def odometry_wrong(health: Health, params: KernelParams, t_ns: int) -> str:
 def odometry_lost(health: Health, params: KernelParams, t_ns: int) -> str:
     """Return a sentence if there is no odometry or the last usable sample is too old, else ""."""
     if health.odometry is None:
-        if stands_alone(health, params):
-            return ""
         return f"no odometry was received on {params.odometry.topic} yet"
     age_s = _age_s(health.odometry_t_ns, t_ns)
     if age_s <= params.odometry.timeout_s:
@@ -186,7 +177,7 @@ def foreign_command(health: Health, params: KernelParams, t_ns: int) -> str:
 def command_unheard(health: Health, params: KernelParams, t_ns: int) -> str:
     """Return a sentence if no node subscribes to the velocity command, else ""."""
     topic = health.command_topic
-    if topic.listeners is None or topic.listeners > 0 or stands_alone(health, params):
+    if topic.listeners is None or topic.listeners > 0:
         return ""
     if not topic.other_types:
         return f"no node subscribes to {params.command.topic}"

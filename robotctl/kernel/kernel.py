@@ -96,17 +96,12 @@ class Kernel(Knowledge):
             case ParameterRequested():
                 self._request_parameter(event)
             case CommandPublishersSeen():
-                if event.names:
-                    self._robot_joined("its command has another publisher")
                 self._learn(event.t_ns, foreign_publishers=event.names)
             case ForeignCommandHeard():
-                self._robot_joined("another node commands it")
                 topic = self.state.health.command_topic
                 topic = replace(topic, foreign_t_ns=event.t_ns, foreign_by=event.publisher)
                 self._learn(event.t_ns, command_topic=topic)
             case CommandListenersSeen():
-                if event.count:
-                    self._robot_joined("its command has a subscriber")
                 topic = self.state.health.command_topic
                 topic = replace(
                     topic,
@@ -145,8 +140,6 @@ class Kernel(Knowledge):
     def _odometry(self, event: OdomReceived) -> None:
         """Take a sample of odometry; while MOVING, an impossible one is dropped and counted."""
         self._notice_gap(event.t_ns)
-        if self.state.drive is None:
-            self._robot_joined("odometry came")
         state, odometry, health = self.state, event.odometry, self.state.health
         sources = health.odometry_sources
         if event.source != sources.followed:

@@ -7,7 +7,7 @@ from math import inf
 
 from robotctl.kernel.battery import counts_in_percent, level_of
 from robotctl.kernel.health import Scan, Stalls
-from robotctl.kernel.modes import Mode, Trigger
+from robotctl.kernel.modes import Mode
 from robotctl.kernel.obstacles import distance_ahead, farthest_m, free_beside_m, is_free
 from robotctl.kernel.parameter_control import ParameterControl
 from robotctl.kernel.safety import RULE_OF, Finding
@@ -16,13 +16,6 @@ from robotctl.kernel.types import ZERO, BatteryReceived, Cause, LoopStalled
 
 class Knowledge(ParameterControl):
     """What was learned about robot, battery, scan and loop; a fault among it is raised at once."""
-
-    def _robot_joined(self, how: str) -> None:
-        """Leave a MOVING without a robot: the robot that joins must stand."""
-        state = self.state
-        is_alone = state.drive is None and state.guarded is None
-        if state.mode is Mode.MOVING and is_alone:
-            self._stand(Trigger.STANDSTILL, f"a robot joined ({how}): ask again to move it", None)
 
     def _battery(self, event: BatteryReceived) -> None:
         before, scale = self.state.health.battery_in_percent, self.params.battery.scale

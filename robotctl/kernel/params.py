@@ -14,10 +14,6 @@ from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.ranges import Change, bounded, frame, setting, topic
 from robotctl.kernel.safety_inputs import SafetyInputParams
 
-OWNER_SUFFIX = "/owner"
-"""Added to the topic of the velocity command where each role is a process: the owner of the mode
-sends its commands there, and a gate passes them on."""
-
 
 @dataclass(frozen=True, slots=True)
 class VelocityLimits:
@@ -165,9 +161,6 @@ class KernelParams:
 
     Without `remote_motion`, a request of another host starts no motion.
     With `guard`, a request for MOVING lets another node steer through `guard_topic`.
-
-    `standalone` switches off the start conditions that need a robot while there is none at all:
-    no odometry, and no subscriber of the command. The robot that joins later switches them on.
     """
 
     rate_hz: float = bounded(50.0, 5.0, 1000.0, "Hz", "rate of the commands", Change.START)
@@ -191,4 +184,3 @@ class KernelParams:
     remote_motion: bool = setting(
         False, "nodes of other hosts may start motion over ROS", Change.START
     )
-    standalone: bool = setting(False, "MOVING is granted without any robot", Change.START)

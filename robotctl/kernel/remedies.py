@@ -37,7 +37,6 @@ class Remedy(Enum):
     CHECK_WHEELS = "check the wheels"
     STOP_COMMAND_PUBLISHER = "stop the other command publisher"
     START_BASE = "start the base"
-    START_GATE = "start the gate"
     ACTIVATE = "activate the node"
     ASK_HERE = "ask on this host"
     WAIT_FOR_LEASE = "wait for the lease"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from robotctl.kernel.checks import stands_alone
 from robotctl.kernel.course import PLAIN, Course, Frame
 from robotctl.kernel.drive import MAX_LAPS, Drive, origin_of
 from robotctl.kernel.guard import Guarded
@@ -110,8 +109,6 @@ class RequestControl(LeaseControl):
                 return
             if state.phase is Phase.STOPPING:
                 refusal = STOPPING_REFUSAL
-            elif stands_alone(state.health, self.params):
-                refusal, remedies = "there is no robot to drive", (Remedy.START_BASE,)
             elif state.mode is Mode.MOVING and not event.replace:
                 refusal, remedies = "the robot is MOVING", (Remedy.STOP_OR_REPLACE,)
         if refusal:
@@ -135,9 +132,7 @@ class RequestControl(LeaseControl):
             self._refuse(request_id, finding.detail, finding.remedies)
             return
         odometry = self.state.health.odometry
-        if odometry is None:
-            self._start_alone(request_id, reason)
-            return
+        assert odometry is not None, "a rule refuses without odometry"
         if course.waypoints:
             points = local_points(course, odometry.pose)
             course = replace(course, waypoints=points, frame=Frame.START)
@@ -189,22 +184,11 @@ class RequestControl(LeaseControl):
         finding = failed_start_condition(self.state.health, self.params, t_ns)
         if finding is not None:
             self._refuse(request_id, finding.detail, finding.remedies)
-        elif self.state.health.odometry is None:
-            self._start_alone(request_id, reason)
         else:
             reason = f"{reason}, guarding {self.params.guard_topic}"
             self._set_moving(reason, None, Guarded())
             self._effects.append(ModeChanged(Mode.IDLE, Mode.MOVING, reason))
             self._accept(request_id, f"Mode changed to MOVING: guarding {self.params.guard_topic}")
-
-    def _start_alone(self, request_id: int, reason: str) -> None:
-        """Change to MOVING without a robot: nothing but zeros is commanded."""
-        assert stands_alone(self.state.health, self.params), "a rule refuses without odometry"
-        self.state = replace(
-            self.state, mode=Mode.MOVING, reason=reason, idle_t_ns=None, silent=False
-        )
-        self._effects.append(ModeChanged(Mode.IDLE, Mode.MOVING, reason))
-        self._accept(request_id, "Mode changed to MOVING")
 
     def _ramp_down(self, request_id: int, reason: str) -> None:
         state = self.state

@@ -53,7 +53,6 @@ _REPORTED: tuple[Rule, ...] = tuple(
         (Cause.RECORDER_FAILED, _ALWAYS, Remedy.RESTART),
         (Cause.UNREACHABLE, _ALWAYS, Remedy.RESTORE_SOCKET_FOLDER),
         (Cause.DAEMON_ENDS, _NEVER, Remedy.START_DAEMON),
-        (Cause.GATE_LOST, _MOVING, Remedy.START_GATE),
     )
 )
 """The causes that the daemon reports; the kernel cannot see them by itself."""

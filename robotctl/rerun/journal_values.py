@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from functools import lru_cache
 from types import MappingProxyType
@@ -9,6 +10,7 @@ from typing import Any, get_args
 
 import msgspec
 
+from robotctl import retired
 from robotctl.config import Config, check_all
 from robotctl.errors import ConfigError, UnreadableFile
 from robotctl.kernel.codec import from_json, to_json
@@ -125,4 +127,6 @@ def _read(kinds: Mapping[str, Any], noun: str, entry: JournalEntry) -> Any:
         except _NOT_QUICK:
             return from_json(kind, entry.data)
     except ValueError as error:
-        raise UnreadableFile(f"journal entry {entry.seq} cannot be read: {error}") from None
+        named = next((each for each in retired.CAUSES if json.dumps(each) in entry.data), None)
+        why = f"it names {named!r}, which is retired: {retired.CAUSES[named]}" if named else error
+        raise UnreadableFile(f"journal entry {entry.seq} cannot be read: {why}") from None

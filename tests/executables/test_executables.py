@@ -24,7 +24,7 @@ from robot_controller.msg import RobotStatus
 from robotctl.errors import UsageError
 from robotctl.kernel.modes import Mode
 from robotctl.ros.executables.mode_client import mode_of
-from robotctl.ros.executables.sweep import sweep_mps
+from robotctl.ros.executables.velocity_publisher import sweep_mps
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import installed
 
@@ -32,10 +32,7 @@ LINE = re.compile(r"^\[\w+\] \[[\d.]+\] \[[\w.]+\]: (.*)$", re.MULTILINE)
 """Severity, time, node, and what is said."""
 
 
-LATCHED = (
-    "moving is refused in EMERGENCY_STOP (requested by the ROS service /set_mode): release it: "
-    "robotctl reset"
-)
+LATCHED = "refused in EMERGENCY_STOP: ask for IDLE first"
 
 
 class Running:
@@ -72,6 +69,15 @@ class Running:
 
         until(lambda: told() or self._process.poll() is not None)
         assert told(), self._log.read_text()
+
+    @property
+    def text(self) -> str:
+        """All that it has printed."""
+        return self._log.read_text()
+
+    def wait(self) -> int:
+        """Wait until it ends by itself, and return its exit code."""
+        return self._process.wait(timeout=DEADLINE_S)
 
     def send(self, number: signal.Signals) -> None:
         """Send it a signal."""
@@ -329,13 +335,38 @@ def test_under_nohup_a_closed_terminal_ends_nothing(start: Start) -> None:
 
 def test_the_mode_service_leaves_moving_when_a_robot_joins(start: Start, node: Node) -> None:
     service = start("mode_service")
-    service.says("ready")
+    service.says("Mode Service Node started")
     assert client("MOVING").returncode == 0
     node.create_subscription(Twist, "cmd_vel", lambda _: None, 10)
-    service.begins("MOVING -> IDLE: a robot joined")
+    service.begins("velocity commands are taken: back to IDLE")
     refused = client("MOVING")
     assert refused.returncode == 4
-    assert "no gate passes commands on to /cmd_vel" in refused.stdout
+    assert "this service drives no robot: robotctl start does" in refused.stdout
+
+
+def test_a_second_mode_service_is_refused(start: Start) -> None:
+    first = start("mode_service")
+    first.says("Mode Service Node started")
+    second = start("mode_service")
+    assert second.wait() == 4
+    assert second.text == (
+        "mode_service: /set_mode is served already: ask that one, or give this one another "
+        "namespace or ROS domain\n"
+    )
+    assert client("MOVING").returncode == 0
+
+
+@pytest.mark.parametrize(
+    "given", ["standalone:=false", "config:=/a.yaml", "recordings:=/tmp/recordings"]
+)
+def test_the_mode_service_drives_and_records_nothing(start: Start, given: str) -> None:
+    service = start("mode_service", "--ros-args", "-p", given)
+    assert service.wait() == 2
+    name = given.partition(":=")[0]
+    assert service.text == (
+        f"mode_service: {name}: this node drives and records no robot: "
+        "use: robotctl start --config FILE --recordings DIR\n"
+    )
 
 
 def test_a_node_of_our_own_answers_like_the_executable(node: Node) -> None:

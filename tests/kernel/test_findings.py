@@ -199,7 +199,6 @@ def test_what_the_daemon_reports_is_told_by_the_check_of_its_own_cause() -> None
     for cause, said in (
         (Cause.RECORDER_FAILED, "the disk is full"),
         (Cause.TASK_DIED, Cause.TASK_DIED.value),
-        (Cause.GATE_LOST, ""),
     ):
         check = reported(cause)
         assert check(health, PARAMS, NOW_NS) == said

@@ -27,7 +27,6 @@ WANTED: dict[Cause, tuple[Mode, set[Mode]]] = {
     Cause.RECORDER_FAILED: (ERROR, ALWAYS),
     Cause.UNREACHABLE: (ERROR, ALWAYS),
     Cause.DAEMON_ENDS: (ERROR, NEVER),
-    Cause.GATE_LOST: (ERROR, DRIVING),
     Cause.NOT_ACTIVE: (ERROR, NEVER),
     Cause.ODOMETRY_WRONG: (ERROR, DRIVING),
     Cause.ODOMETRY_LOST: (ERROR, DRIVING),

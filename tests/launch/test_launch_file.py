@@ -1,4 +1,4 @@
-"""The launch file starts the daemon, or one process a role, with the names that launch really has.
+"""The launch file starts the daemon, with the names that launch really has.
 
 `launch` of ROS is on no package index (the `launch` there is another project), so the file runs
 against a stand-in made from a table of its real names. Where launch itself can be imported, the
@@ -27,6 +27,7 @@ from tests.support.world import installed, new_world
 
 ROOT = Path(__file__).parents[2]
 FILE = ROOT / "launch" / "robot_controller.launch.py"
+ROLES = ("velocity_publisher", "odom_subscriber", "mode_service")
 
 
 def launched(**arguments: str) -> list[Made]:
@@ -46,13 +47,9 @@ def description() -> tuple[list[Made], Made]:
 
 
 def told(process: Made) -> tuple[Any, ...]:
-    """What is started, and with which words or parameters."""
-    given = process.given
-    if "cmd" in given:
-        executable, *words = given["cmd"]
-        return (executable.given["executable"], *words)
-    (parameters,) = given["parameters"]
-    return (given["executable"], given["namespace"], parameters)
+    """What is started, and with which words."""
+    executable, *words = process.given["cmd"]
+    return (executable.given["executable"], *words)
 
 
 def test_the_arguments_and_their_defaults_are_the_documented_ones() -> None:
@@ -87,29 +84,19 @@ def test_a_single_process_is_the_daemon(arguments: dict[str, str], words: tuple[
     assert told(daemon) == ("robotctl", "start", "--foreground", "--robot", "robot", *words)
 
 
-def test_else_each_role_is_a_process_and_the_gate_never_sweeps() -> None:
-    simulated, *roles = launched(
-        single_process="false", robot_name="r1", params_file="/a.yaml", use_sim_time="true"
-    )
-    assert told(simulated) == ("robotctl", "sim", "--robot", "r1", "--config", "/a.yaml", "--auto")
-    owned = {"robot_name": "r1", "standalone": False, "config": "/a.yaml"}
-    assert [told(each) for each in roles] == [
-        ("velocity_publisher", "/r1", {"use_sim_time": True, "sweep": False}),
-        ("odom_subscriber", "/r1", {"use_sim_time": True}),
-        ("mode_service", "/r1", {"use_sim_time": True, **owned}),
-    ]
-    assert {each.given["package"] for each in roles} == {"robot_controller"}
-    # The owner has a node odom_subscriber of its own.
-    assert [each.given["name"] for each in roles] == [None, "odom_logger", None]
-    names = [told(each)[0] for each in launched(single_process="false", sim="false")]
-    assert names == ["velocity_publisher", "odom_subscriber", "mode_service"]
-    assert {each.given["respawn"] for each in launched(respawn="true")} == {True}
+def test_one_process_a_role_is_retired_and_the_daemon_starts() -> None:
+    told_so, daemon = launched(single_process="false", use_sim_time="true", respawn="true")
+    lines = [f"ros2 run robot_controller {name}" for name in ROLES]
+    assert all(line in told_so.given["msg"] for line in lines)
+    time = ("--ros-args", "-p", "use_sim_time:=true")
+    assert told(daemon) == ("robotctl", "start", "--foreground", "--robot", "robot", *time)
+    assert daemon.given["respawn"] is True
 
 
 def test_every_process_has_time_for_its_last_zero_before_it_is_killed() -> None:
-    for process in [*launched(), *launched(single_process="false")]:
-        assert float(process.given["sigterm_timeout"]) >= 10.0
-        assert float(process.given["sigkill_timeout"]) >= 10.0
+    (daemon,) = launched()
+    assert float(daemon.given["sigterm_timeout"]) >= 10.0
+    assert float(daemon.given["sigkill_timeout"]) >= 10.0
 
 
 def test_the_table_is_what_launch_itself_offers() -> None:

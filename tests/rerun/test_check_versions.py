@@ -129,6 +129,17 @@ def test_a_journal_with_other_fields_is_of_another_version_and_not_diverged(
     assert report.violations == []
 
 
+@pytest.mark.parametrize("cause", retired.CAUSES)
+def test_a_retired_cause_is_named(tmp_path: Path, drive_of_3_s: list[Written], cause: str) -> None:
+    changed, seq = altered(drive_of_3_s, "Snapshot", '"cause":null', f'"cause":"{cause}"')
+    report = checked(tmp_path, changed)
+    assert report.verdict is Verdict.INCOMPLETE
+    assert report.missing[0] == (
+        f"journal entry {seq} cannot be read: it names {cause!r}, which is retired: "
+        f"{retired.CAUSES[cause]}"
+    )
+
+
 @pytest.mark.parametrize("version", [__version__, "0.0.9"])
 @pytest.mark.parametrize("value", ["false", "true"])
 def test_a_retired_field_is_ignored_at_its_default_and_named_at_another_value(

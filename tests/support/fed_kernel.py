@@ -152,7 +152,6 @@ PROVOKED: dict[Cause, Provoked] = {
             Cause.RECORDER_FAILED,
             Cause.UNREACHABLE,
             Cause.DAEMON_ENDS,
-            Cause.GATE_LOST,
             Cause.TOPIC_TROUBLE,
         )
     },

@@ -148,31 +148,6 @@ class World:
         self._spawned.append(process)
         return process
 
-    def role(self, name: str, *arguments: str) -> subprocess.Popen[str]:
-        """Start an executable of the tutorial; its log is `role_log(name)`."""
-        if name == "mode_service":
-            arguments = (*arguments, *NO_INDEX)
-        with self._role_log(name).open("a") as log:
-            process = subprocess.Popen(
-                [installed(name), *arguments],
-                text=True,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                cwd=self.folder,
-                env=self.environment,
-            )
-        self._spawned.append(process)
-        return process
-
-    def role_log(self, name: str) -> str:
-        """Return what executables of this name have logged."""
-        path = self._role_log(name)
-        return path.read_text() if path.exists() else ""
-
-    def _role_log(self, name: str) -> Path:
-        return self.folder / f"{name}.log"
-
     def robotctl(self, *arguments: str) -> Ran:
         """Run a command line to its end."""
         process = self.spawn(*arguments)

@@ -109,11 +109,10 @@ async def watch_graph(
     velocity: VelocityPublisher,
     odometry: OdomSubscriber,
     dispatch: Callable[[Event], None],
-    looked: Callable[[], None] = lambda: None,
 ) -> None:
     """Dispatch changes of the command's other publishers and of its subscribers, until cancelled.
 
-    Also find the names of the publishers of odometry. `looked()` is called after each look.
+    Also find the names of the publishers of odometry.
     """
     publishers: tuple[str, ...] = ()
     listeners: tuple[int, tuple[str, ...], str] | None = None
@@ -129,7 +128,6 @@ async def watch_graph(
                 listeners = seen
                 dispatch(CommandListenersSeen(time.monotonic_ns(), *seen))
         odometry.find_names()
-        looked()
         await asyncio.sleep(PUBLISHER_POLL_S)
 
 

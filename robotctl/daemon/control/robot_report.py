@@ -12,7 +12,7 @@ from robotctl.daemon.control.dispatcher import Control
 from robotctl.ipc.advice import advice, condition_of
 from robotctl.ipc.answers import ConditionAnswer, DriveFacts, DrivenPath, Preflight, RobotFacts
 from robotctl.kernel.battery import is_level
-from robotctl.kernel.checks import FOREIGN_COMMAND_S, foreign_command, stands_alone
+from robotctl.kernel.checks import FOREIGN_COMMAND_S, foreign_command
 from robotctl.kernel.drive import Drive, Score
 from robotctl.kernel.finite import finite_or_none
 from robotctl.kernel.geometry import Pose
@@ -117,7 +117,6 @@ _WARNING_CHECKS = tuple(
         Cause.TILTED,
         Cause.BASE_FAULT,
         Cause.INPUT_LOST,
-        Cause.GATE_LOST,
         Cause.FOREIGN_PUBLISHER,
         Cause.SECOND_ODOMETRY,
         Cause.COMMAND_UNHEARD,
@@ -131,11 +130,6 @@ RECENT_S = 600.0
 
 MIN_STEP_M = 0.005
 """A pose nearer than this to the previous one is not kept."""
-
-ALONE = (
-    "no robot, no odometry and no gate here: these start conditions are off, and MOVING commands "
-    "zeros (standalone)"
-)
 
 _EXPECTED = (
     Cause.ODOMETRY_LOST,
@@ -266,8 +260,6 @@ class RobotReport:
             yield health.odometry_fault
         if health.odometry is not None and not self.is_connected():
             yield "odometry is older than its timeout"
-        if stands_alone(health, params):
-            yield ALONE
         yield from _battery_low(health, params)
         if not params.battery.topic:
             yield "no battery topic is configured: the battery is not checked"

@@ -46,7 +46,6 @@ class Cause(Enum):
     RECORDER_FAILED = "recorder failed"
     UNREACHABLE = "unreachable"
     DAEMON_ENDS = "daemon ends"
-    GATE_LOST = "gate lost"
     NOT_ACTIVE = "not active"
     ODOMETRY_WRONG = "odometry wrong"
     ODOMETRY_LOST = "odometry lost"

@@ -25,6 +25,11 @@ def odom_subscriber() -> int:
     return _run("odom_subscriber")
 
 
+def mode_service() -> int:
+    """Run node `mode_service` until Ctrl-C."""
+    return _run("mode_service")
+
+
 def mode_client() -> int:
     """Request a mode and print the response."""
     return _run("mode_client")

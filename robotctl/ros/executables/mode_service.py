@@ -1,31 +1,49 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
-"""Node `mode_service` of the first-package tutorial, for a program of your own: modes alone.
+"""Node `mode_service` of the first-package tutorial: modes alone.
 
-The executable of this name is `robotctl.daemon.mode_service`, which owns, drives and records a
-robot. This node uses the same table of transitions, but sends no commands, so it leaves MOVING as
-soon as a robot joins the domain.
+It uses the table of transitions of the daemon, but sends no commands, so it leaves MOVING as soon
+as a robot joins the domain. `robotctl start` drives and records a robot.
 """
 
 from __future__ import annotations
 
+import threading
+import time
+from functools import partial
 from math import nan
 from typing import Any
 
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.context import Context
 from rclpy.node import Node
 from robot_controller.msg import RobotStatus
 from robot_controller.srv import SetMode
 from std_srvs.srv import Trigger
 
+from robotctl.domains import is_certainly_empty, requested_domain
+from robotctl.errors import Refused, UsageError
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode
-from robotctl.ros.executables.process import LOGGER_SERVICES
+from robotctl.ros.executables.process import LOGGER_SERVICES, run_node
+from robotctl.ros.graph.discovery import Discovery
 from robotctl.ros.messages import qos
-from robotctl.ros.nodes.mode_service import ESTOP, SET_MODE, STATUS
+from robotctl.ros.nodes.mode_service import ESTOP, NODE_NAME, SET_MODE, STATUS
 
 LOOK_S = 0.1
 """The time between two looks for a robot on the graph."""
 
 STATUS_S = 1.0
+
+GIVEN_UP = ("standalone", "config", "recordings")
+"""Parameters that this executable had when it commanded a gate."""
+
+DAEMON = "use: robotctl start --config FILE --recordings DIR"
+OTHER = "ask that one, or give this one another namespace or ROS domain"
+
+DISCOVERY_S = 4.0
+"""How long other processes are looked for: Fast DDS takes 2.6 s at worst on one machine."""
+
+QUIET_S = 0.1
+"""No new endpoint for this long: those of all known processes are discovered."""
 
 NO_ROBOT = "no robot, no odometry and no recorder here: these start conditions are switched off"
 
@@ -35,7 +53,7 @@ class ModeService(Node):
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:
         """Create the node in mode IDLE; `options` are those of rclpy's Node."""
-        super().__init__("mode_service", context=context, **{**LOGGER_SERVICES, **options})
+        super().__init__(NODE_NAME, context=context, **{**LOGGER_SERVICES, **options})
         self.mode = Mode.IDLE
         self._status = STATUS.create_publisher(self)
         self._services = [
@@ -101,3 +119,35 @@ class ModeService(Node):
                 is_connected=bool(self.count_publishers("odom")),
             )
         )
+
+
+def main() -> int:
+    """Run the node until Ctrl-C; return the exit code."""
+    alone = is_certainly_empty(requested_domain(None) or 0)
+    return run_node(partial(_only_service, alone))
+
+
+def _only_service(alone: bool, context: Context) -> ModeService:
+    """Make the node, unless it was given what only a daemon does or another node serves the modes.
+
+    `alone` says that no other process was in the domain.
+
+    Raises:
+        UsageError: A parameter is one of `GIVEN_UP`.
+        Refused: Another node serves `set_mode`.
+    """
+    probe = Node(NODE_NAME, context=context, start_parameter_services=False)
+    try:
+        dynamic = ParameterDescriptor(dynamic_typing=True)
+        for name in GIVEN_UP:
+            if probe.declare_parameter(name, None, dynamic).value is not None:
+                raise UsageError(f"{name}: this node drives and records no robot", DAEMON)
+        if not alone:
+            discovery = Discovery(probe, context.get_domain_id())
+            discovery.wait(QUIET_S, time.monotonic() + DISCOVERY_S, threading.Event())
+            discovery.close()
+        if probe.count_services(SET_MODE):
+            raise Refused(f"{probe.resolve_service_name(SET_MODE)} is served already", OTHER)
+    finally:
+        probe.destroy_node()
+    return ModeService(context)

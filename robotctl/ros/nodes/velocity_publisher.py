@@ -22,10 +22,7 @@ from robotctl.ros.session import RECORDER_NODE, Session
 
 NODE_NAME = "velocity_publisher"
 
-OWNER_NODE = "mode_owner"
-"""The node that commands a gate, where each role is a process."""
-
-MONITORS = (RECORDER_NODE, NODE_NAME, OWNER_NODE)
+MONITORS = (RECORDER_NODE, NODE_NAME)
 """Nodes of daemons whose subscriptions to the command drive nothing."""
 
 MAX_NAMED = 8
@@ -64,12 +61,11 @@ class VelocityPublisher:
         topic: str,
         command: CommandType = PLAIN,
         is_silent: Callable[[], bool] = lambda: False,
-        node_name: str = NODE_NAME,
     ) -> None:
         """While `is_silent()`, other nodes may command, and `publish_zero` sends nothing."""
         self._is_silent = is_silent
-        self._node = session.node(node_name)
-        self._log = logging.getLogger(session.logger_name(node_name))
+        self._node = session.node(NODE_NAME)
+        self._log = logging.getLogger(session.logger_name(NODE_NAME))
         self._command = command
         own_topic = command_topic(topic, command)
         self._publisher = own_topic.create_publisher(self._node)
@@ -98,17 +94,12 @@ class VelocityPublisher:
         function that takes the collected ones at once. The subscription is best effort, so that it
         receives from publishers of any QoS.
         """
-        return self._monitor(self.topic, heard, latency_s)
-
-    def _monitor(
-        self, topic: str, heard: Callable[[bytes], None], latency_s: float | None
-    ) -> Callable[[], None]:
         tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
         # rclpy's types allow a callback of one argument only.
         callback: Any = tap
         self._node.create_subscription(
             self._command.message_class,
-            topic,
+            self.topic,
             callback,
             qos.MONITOR,
             event_callbacks=NO_SUBSCRIPTION_EVENTS,
