@@ -14,7 +14,8 @@ from PIL import Image
 
 from robotctl.cli import registry
 from robotctl.cli.support.leading_options import behind_the_command
-from robotctl.cli.terminal.path_picture import write_png
+from robotctl.show.figure import path_figure
+from robotctl.show.png import write_path_png
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -108,8 +109,10 @@ def test_the_site_has_every_page() -> None:
 
 def test_the_picture_of_the_readme_is_one_that_the_product_draws(tmp_path: Path) -> None:
     """`python docs/pictures.py` makes it."""
-    write_png(tmp_path / "drawn.png", [(0, 0), (1, 0)], [(0, 0), (1, 0.1)], "demo")
+    write_path_png(
+        tmp_path / "drawn.png", path_figure([(0, 0), (1, 0)], [(0, 0), (1, 0.1)], "demo")
+    )
     pictures = [Image.open(path) for path in (tmp_path / "drawn.png", ROOT / "docs" / "demo.png")]
-    margins = [picture.crop((0, 780, 800, 800)).getcolors() for picture in pictures]
+    names = [picture.crop((660, 750, 720, 775)).getcolors() for picture in pictures]  # "x [m]"
     assert pictures[0].size == pictures[1].size
-    assert margins[0] == margins[1]
+    assert names[0] == names[1]

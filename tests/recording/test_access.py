@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from robotctl.cli.terminal.path_picture import write_png
 from robotctl.config import Config, with_setting
 from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.recording import Recorder
@@ -20,6 +19,8 @@ from robotctl.recording.keep.clip_job import ClipJob, make_clip
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.keep.recover_folder import recover_folder
 from robotctl.recording.keep.repair import repair
+from robotctl.show.figure import path_figure
+from robotctl.show.png import write_path_png
 from robotctl.testing.drives import START_NS, TWIST
 from tests.support.numbered_files import foreign
 from tests.support.recordings import write_numbered
@@ -74,7 +75,9 @@ def test_whatever_is_recorded_and_made_of_it_has_the_same_readers(
     recover(file, tmp_path / "a" / "recovered.mcap")
     recover_folder(recording, tmp_path / "a" / "recovered")
     assert [*repair(recordings)]
-    write_png(recording / "path.png", [(0.0, 0.0), (1.0, 1.0)], [(0.0, 0.0)], "path")
+    write_path_png(
+        recording / "path.png", path_figure([(0.0, 0.0), (1.0, 1.0)], [(0.0, 0.0)], "path")
+    )
     with Image.open(recording / "path.png") as picture:
         assert picture.size == (800, 800)
     made = modes(tmp_path / "a")

@@ -13,10 +13,9 @@ from robotctl.kernel.course import Course, Held
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.types import DriveRequested, ModeRequested
-from robotctl.report.figures import figures_of
-from robotctl.report.recorded import read_recorded
 from robotctl.rerun.resim import resimulate
 from robotctl.rerun.whatif import what_if
+from robotctl.show.recorded import figures_of, read_recorded
 from robotctl.testing.drives import BEGIN_NS, drive, record
 
 

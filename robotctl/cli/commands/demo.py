@@ -23,7 +23,6 @@ from robotctl.cli.support.drive_picture import write_picture
 from robotctl.cli.support.launch import INTERRUPTIONS, StartOptions, launch
 from robotctl.cli.support.quick_actions import request_source, stop_daemon
 from robotctl.cli.support.signals import ignoring, interrupted_by
-from robotctl.cli.terminal.path_picture import Path2D, braille
 from robotctl.cli.terminal.text import (
     can_show_braille,
     is_terminal,
@@ -39,6 +38,8 @@ from robotctl.errors import NoDaemon, RobotctlError
 from robotctl.ipc.answers import DriveAnswer, Status
 from robotctl.ipc.client import call, command_for
 from robotctl.ipc.method_names import DRIVE, PATH, STATUS
+from robotctl.show.figure import Path2D, path_figure
+from robotctl.show.terminal import ground_lines
 
 app = new_app()
 
@@ -221,7 +222,8 @@ def _report(robot: str, result: DemoResult, png: Path, *, keep: bool) -> Iterato
         rows = terminal_lines() - len(figures) - LINES_AROUND_MAP
         rows = min(max(rows, min(MAP_ROWS)), max(MAP_ROWS))
         yield "\n  driven path (line) and reference path (dots)"
-        yield from braille(result.reference, result.driven, rows=rows, colour=colour)
+        figure = path_figure(result.reference, result.driven)
+        yield from ground_lines(figure, rows=rows, colour=colour)
     yield ""
     yield from figures
     yield "\nnext:"

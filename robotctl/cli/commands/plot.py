@@ -6,18 +6,18 @@ import os
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from robotctl.cli.options import new_app
 from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
 from robotctl.cli.terminal.progress import progress_bar
-from robotctl.cli.terminal.text import can_show_braille, is_terminal, printable, short_path
+from robotctl.cli.terminal.text import can_show_braille, elided, is_terminal, printable, short_path
 from robotctl.errors import RecoveredWithLoss, Refused, UsageError
 
 if TYPE_CHECKING:
-    from robotctl.report.field_series import FieldSeries
+    from robotctl.show.fields import FieldSeries
 
 app = new_app()
 
@@ -26,6 +26,9 @@ WIDTH, HEIGHT = 80, 23
 """The size of the picture without a terminal."""
 
 MAX_WIDTH: Final = 300
+LEAST_ROWS: Final = 4
+OTHER_LINES: Final = 2
+"""The lines of a field in addition to its rows: its name, and the time axis."""
 
 
 @app.command()
@@ -68,7 +71,7 @@ def plot(
         raise UsageError(f"-o {output}", f"give a name that ends in {PNG} or {SVG}")
     from robotctl.recording import Recording
     from robotctl.recording.table.topic_choice import choose_topic
-    from robotctl.report.field_series import number_fields, read_fields
+    from robotctl.show.fields import number_fields, read_fields
 
     source = find_recording(file, robot, folder)
     with Recording(source) as recording:
@@ -90,41 +93,44 @@ def plot(
 
 
 def _lines(found: Sequence[FieldSeries], duration_s: float) -> Iterator[str]:
-    from robotctl.cli.terminal.field_picture import field_lines
+    """Yield the pictures one below the other, as high as the terminal where that is possible."""
+    from robotctl.show.terminal import LABEL, time_lines
 
     width, height = WIDTH, HEIGHT
     if is_terminal():
         terminal = shutil.get_terminal_size((WIDTH, HEIGHT + 1))
         width, height = min(terminal.columns, MAX_WIDTH), terminal.lines - 1
-    return field_lines(
-        found,
-        duration_s,
-        width=width,
-        height=height,
-        colour=is_terminal() and not os.environ.get("NO_COLOR"),
-        ascii_only=not can_show_braille(),
-    )
+    rows = max(height // max(len(found), 1) - OTHER_LINES, LEAST_ROWS)
+    colour, ascii_only = is_terminal() and not os.environ.get("NO_COLOR"), not can_show_braille()
+    for each in found:
+        yield elided(f"{'':{LABEL}} {each.path}  {_range(each)}", width)
+        figure = each.figure(duration_s)
+        yield from time_lines(figure, width=width, rows=rows, colour=colour, ascii_only=ascii_only)
+
+
+def _range(field: FieldSeries) -> str:
+    series = field.series
+    if series.least is None or series.most is None:
+        return "no values"
+    return f"{series.least:.6g} to {series.most:.6g}, {series.count} values"
 
 
 def _write(target: Path, found: Sequence[FieldSeries], duration_s: float) -> None:
     from robotctl.recording.disk.replaced_file import replaced_file
 
+    figures = [each.figure(duration_s) for each in found]
     try:
         with replaced_file(target) as stream:
-            _draw(stream, target.suffix, found, duration_s)
+            if target.suffix == PNG:
+                from robotctl.show.png import write_png
+
+                write_png(stream, figures)
+            else:
+                from robotctl.show.svg import figures_svg
+
+                stream.write(figures_svg(figures).encode())
     except OSError as error:
         raise Refused(f"cannot write {target}: {error.strerror or error}") from error
-
-
-def _draw(stream: IO[bytes], suffix: str, found: Sequence[FieldSeries], duration_s: float) -> None:
-    if suffix == PNG:
-        from robotctl.report.field_png import write_fields_png
-
-        write_fields_png(stream, found, duration_s)
-    else:
-        from robotctl.report.field_svg import fields_svg
-
-        stream.write(fields_svg(found, duration_s).encode())
 
 
 def _left_out(found: Sequence[FieldSeries]) -> Iterator[str]:

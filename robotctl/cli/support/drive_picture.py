@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from robotctl.cli.terminal.path_picture import Path2D, write_png
 from robotctl.cli.terminal.text import number, printable
 from robotctl.errors import RobotctlError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import PATH, STATUS
 from robotctl.recording.format.derived_files import PICTURE_FILE
+from robotctl.show.figure import Path2D, path_figure
+from robotctl.show.png import write_path_png
 
 
 def leave_picture(robot: str, drive: Mapping[str, Any]) -> Path | None:
@@ -47,5 +48,5 @@ def write_picture(
     picture = folder / PICTURE_FILE
     known = drive.get("cross_track_rms_m") is not None
     title = f"{robot}: off track {rms} m RMS, {worst} m at most" if known else robot
-    write_png(picture, reference, driven, title)
+    write_path_png(picture, path_figure(reference, driven, title))
     return picture

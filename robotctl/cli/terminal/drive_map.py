@@ -10,9 +10,10 @@ from typing import Any, Final
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from robotctl.cli.terminal.path_picture import braille
 from robotctl.cli.terminal.text import number
 from robotctl.ipc.answers import DrivenPath
+from robotctl.show.figure import path_figure
+from robotctl.show.terminal import ground_lines
 
 _BARS: Final = " ▁▂▃▄▅▆▇█"
 
@@ -44,7 +45,8 @@ class History:
 def drive_map(path: DrivenPath, history: History, lines: int) -> RenderableType:
     """Return map and sparklines for a terminal of that many lines."""
     rows = min(max(lines - _OTHER_LINES, _MAP_ROWS.start), _MAP_ROWS.stop)
-    picture = braille(path["reference"], path["driven"], rows=rows) if path["driven"] else []
+    figure = path_figure(path["reference"], path["driven"])
+    picture = ground_lines(figure, rows=rows) if path["driven"] else []
     traces = (("speed", history.speeds, "m/s"), ("error", history.errors, "m"))
     shown = [
         f"{name} {sparkline(values):{HISTORY}} {number(values[-1], '.3f')} {unit}"

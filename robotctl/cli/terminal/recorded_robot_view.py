@@ -7,11 +7,12 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from robotctl.cli.terminal.path_picture import braille
 from robotctl.cli.terminal.status_panel import coloured_mode
 from robotctl.cli.terminal.status_screen import pose_text, velocity_text
 from robotctl.cli.terminal.text import can_show_braille, columns, number, printable
 from robotctl.replay.recorded_robot import RecordedRobot
+from robotctl.show.figure import path_figure
+from robotctl.show.terminal import ground_lines
 
 _PATH_ROWS = 12
 """Keeps the view and the bar within a terminal of 24 lines."""
@@ -28,7 +29,8 @@ def recorded_view(robot: RecordedRobot) -> RenderableType:
     facts.add_row("velocity", Text(velocity_text(status)))
     parts: list[RenderableType] = [facts]
     if robot.path and can_show_braille():
-        parts += [Text(), Text("\n".join(braille([], robot.path, rows=_PATH_ROWS)), no_wrap=True)]
+        drawn = ground_lines(path_figure([], robot.path), rows=_PATH_ROWS)
+        parts += [Text(), Text("\n".join(drawn), no_wrap=True)]
     return Panel(Group(*parts), title="recorded", title_align="left", width=columns())
 
 

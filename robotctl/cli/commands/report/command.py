@@ -21,8 +21,7 @@ from robotctl.errors import Refused, UnreadableFile, UsageError
 from robotctl.recording.format.derived_files import PAGE_FILE
 
 if TYPE_CHECKING:
-    from robotctl.report.figures import Figure
-    from robotctl.report.recorded import Recorded
+    from robotctl.show.recorded import KeyFigure, Recorded
 
 app = new_app()
 
@@ -64,7 +63,7 @@ def report(
     if output is not None and output.suffix != SUFFIX:
         raise UsageError(f"-o {output}", f"give a name that ends in {SUFFIX}")
     from robotctl.cli.commands.report.judging import judge
-    from robotctl.report.page import report_page
+    from robotctl.show.page import report_page
 
     path = find_recording(file, robot, folder)
     recorded = _read(path, quiet=as_json)
@@ -80,7 +79,7 @@ def report(
 
 
 def _read(path: Path, *, quiet: bool) -> Recorded:
-    from robotctl.report.recorded import read_recorded
+    from robotctl.show.recorded import read_recorded
 
     with progress_bar("reading", quiet=quiet) as on_progress:
         return read_recorded(path, on_progress)
@@ -111,9 +110,9 @@ def _write(target: Path, data: bytes) -> None:
 
 
 def _as_object(path: Path, recorded: Recorded, verdicts: dict[str, str]) -> dict[str, Any]:
-    from robotctl.report.figures import figures_of
+    from robotctl.show.recorded import figures_of
 
-    figures: list[Figure] = figures_of(recorded)
+    figures: list[KeyFigure] = figures_of(recorded)
     return {
         "path": str(path),
         "figures": {figure.key: figure.value for figure in figures},

@@ -13,11 +13,11 @@ from robotctl.cli.terminal.text import duration, size
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.report.judged import CommandVerdict, Explanation, ReportFindings, Tone
-from robotctl.report.recorded import Recorded
 from robotctl.rerun import find_incident
 from robotctl.rerun.check_many import check_recordings
 from robotctl.rerun.check_report import Verdict
+from robotctl.show.page import CommandVerdict, Explanation, ReportFindings, Tone
+from robotctl.show.recorded import Recorded
 from robotctl.store.store_path import StorePath
 
 MAX_EXPLAINED: Final = 5

@@ -9,9 +9,9 @@ from typing import Final
 from robotctl.recording import TopicInfo
 from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.format.metadata_names import INFO_RECORD, PARAMETER_PREFIX
-from robotctl.report.markup import Content, Markup, joined, plain, tag
-from robotctl.report.recorded import Recorded
-from robotctl.report.traces import EndedDrive, ModeSpan, TracedMoment
+from robotctl.show.markup import Content, Markup, joined, plain, tag
+from robotctl.show.recorded import Recorded
+from robotctl.show.traces import EndedDrive, ModeSpan, TracedMoment
 
 MAX_ROWS: Final = 300
 MAX_TABLE_CHARACTERS: Final = 75_000

@@ -8,10 +8,22 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.terminal.path_picture import Bounds, Path2D, braille, write_png
+from robotctl.show.figure import Path2D, path_figure
+from robotctl.show.png import write_path_png
+from robotctl.show.terminal import ground_lines
 
 SQUARE: Path2D = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0)]
 NAN = float("nan")
+
+
+def braille(
+    reference: Path2D, driven: Path2D, *, rows: int = 18, colour: bool = False
+) -> list[str]:
+    return ground_lines(path_figure(reference, driven), rows=rows, colour=colour)
+
+
+def write_png(file: Path, reference: Path2D, driven: Path2D, title: str) -> None:
+    write_path_png(file, path_figure(reference, driven, title))
 
 
 def dots(lines: list[str]) -> int:
@@ -89,5 +101,6 @@ def test_the_png_is_a_square_with_both_paths_in_it(tmp_path: Path) -> None:
     assert edge != corner == (255, 255, 255)
 
 
-def test_bounds_leave_out_what_is_not_finite() -> None:
-    assert Bounds.around([(0.0, 1.0), (NAN, NAN), (2.0, 3.0)]) == Bounds(0.0, 1.0, 2.0, 3.0)
+def test_what_is_not_finite_is_left_out() -> None:
+    figure = path_figure([], [(0.0, 1.0), (NAN, NAN), (2.0, 3.0)])
+    assert (figure.x, figure.y) == ((0.0, 2.0), (1.0, 3.0))

@@ -21,7 +21,8 @@ from robotctl.cdr.values import decode
 from robotctl.errors import IN_PARENTHESES, UnreadableFile, UsageError
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, TopicInfo
-from robotctl.report.series import Series
+from robotctl.show.figure import Figure, Line, time_figure
+from robotctl.show.series import Series
 
 MAX_SEARCHED: Final = 5000
 MAX_LISTS: Final = 24
@@ -41,6 +42,10 @@ class FieldSeries:
     path: str
     series: Series
     absent: int
+
+    def figure(self, duration_s: float) -> Figure:
+        """Return its figure over time, without a line if there is no value."""
+        return time_figure(self.path, [Line(list(self.series.lines()), "command")], duration_s)
 
 
 @dataclass(slots=True)

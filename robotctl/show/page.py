@@ -7,19 +7,17 @@ import hashlib
 import json
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
 from robotctl import __version__
 from robotctl.kernel.units import NS_PER_S
-from robotctl.report.axis import Axis
-from robotctl.report.cursor_data import cursor_data
-from robotctl.report.figures import Figure, figures_of
-from robotctl.report.judged import CommandVerdict, Explanation, ReportFindings
-from robotctl.report.markup import Content, Markup, joined, tag
-from robotctl.report.path_plot import Ground, Track, ground_of, marks_on, path_plot
-from robotctl.report.recorded import Recorded
-from robotctl.report.tables import (
+from robotctl.show.markup import Content, Markup, joined, tag
+from robotctl.show.page_plots import cursor_data, path_plot, time_plots
+from robotctl.show.recorded import KeyFigure, Recorded, figures_of
+from robotctl.show.tables import (
     drives_table,
     messages_table,
     modes_table,
@@ -27,37 +25,60 @@ from robotctl.report.tables import (
     parameters_table,
     provenance_table,
 )
-from robotctl.report.time_plot import (
-    LEAST_ERROR_M,
-    LEAST_SPEED,
-    Plot,
-    PlotLine,
-    mode_band,
-    time_axis,
-    time_plot,
-)
-from robotctl.report.traces import Traces
+from robotctl.show.traces import Traces
+
+
+class Tone(StrEnum):
+    """What a verdict means for a reader."""
+
+    GOOD = "good"
+    UNSURE = "unsure"
+    """Nothing is wrong, but not everything is proved."""
+
+    BAD = "bad"
+
+
+@dataclass(frozen=True, slots=True)
+class CommandVerdict:
+    """A verdict: by which command, the verdict in a word, what it means, and its sentences."""
+
+    command: str
+    verdict: str
+    tone: Tone
+    sentences: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """Why the robot was stopped, or why something was refused: rows of a label and a sentence."""
+
+    t_s: float
+    what: str
+    rows: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ReportFindings:
+    """All that was found."""
+
+    judgements: tuple[CommandVerdict, ...] = ()
+    explanations: tuple[Explanation, ...] = ()
+
 
 _FOLDER: Final = Path(__file__).parent
-
-LEAST_BATTERY_PERCENT, LEAST_LATE_MS = 2.0, 2.0
-"""The least height of these plots: smaller differences are shown small."""
 
 
 def report_page(recorded: Recorded, judged: ReportFindings) -> str:
     """Return the page of a recording."""
-    name, traces = recorded.info.path.resolve().name, recorded.traces
-    axis, ground = time_axis(traces.duration_s), _ground(traces)
+    name = recorded.info.path.resolve().name
     body = joined(
         _header(recorded, judged.judgements),
         _notes(recorded),
         _figures(figures_of(recorded)),
-        *_sections(recorded, judged, axis, ground),
+        *_sections(recorded, judged),
         _footer(),
     )
-    places = traces.driven.whole()
-    data = cursor_data(axis, _plots(traces), traces.modes, places, ground)
-    return _document(f"{name}: robotctl report", body, data)
+    return _document(f"{name}: robotctl report", body, cursor_data(recorded.traces))
 
 
 def _document(title: str, body: Markup, data: dict[str, object]) -> str:
@@ -140,7 +161,7 @@ def _notes(recorded: Recorded) -> Markup | None:
     return tag("ul", *(tag("li", note) for note in notes), class_="notes") if notes else None
 
 
-def _figures(figures: Sequence[Figure]) -> Markup:
+def _figures(figures: Sequence[KeyFigure]) -> Markup:
     return tag(
         "dl",
         *(
@@ -151,13 +172,12 @@ def _figures(figures: Sequence[Figure]) -> Markup:
     )
 
 
-def _sections(
-    recorded: Recorded, judged: ReportFindings, axis: Axis, ground: Ground | None
-) -> Iterator[Content]:
+def _sections(recorded: Recorded, judged: ReportFindings) -> Iterator[Content]:
     traces = recorded.traces
-    if ground is not None:
-        yield _section("path", "Path", _path(traces, ground))
-    yield _section("time", "Over time", *_time_plots(traces, axis))
+    path = path_plot(traces)
+    if path is not None:
+        yield _section("path", "Path", path)
+    yield _section("time", "Over time", *_time_plots(traces))
     if traces.moments:
         yield _section("moments", "What happened", moments_table(traces.moments))
     if judged.explanations:
@@ -176,51 +196,11 @@ def _sections(
         yield _section("parameters", "Parameters", folded)
 
 
-def _ground(traces: Traces) -> Ground | None:
-    points = [(place.x, place.y) for place in traces.driven.whole()]
-    points += [point for outline in traces.wanted for point in outline]
-    return ground_of(points) if points else None
-
-
-def _path(traces: Traces, ground: Ground) -> Markup:
-    places = traces.driven.whole()
-    tracks = [Track(outline, "wanted") for outline in traces.wanted]
-    tracks.append(Track([(place.x, place.y) for place in places], "driven"))
-    legend = [tag("span", "driven, by odometry", class_="key driven")]
-    if traces.wanted:
-        legend.append(tag("span", "wanted", class_="key wanted"))
-    picture = path_plot(tracks, ground, marks_on(places, traces.moments, ground))
-    return tag("figure", tag("figcaption", *legend), picture)
-
-
-def _time_plots(traces: Traces, axis: Axis) -> Iterator[Content]:
-    if traces.modes or traces.moments:
-        yield mode_band(traces.modes, traces.moments, axis)
-    for number, plot in enumerate(_plots(traces), 1):
-        yield time_plot(plot, axis, number)
+def _time_plots(traces: Traces) -> Iterator[Content]:
+    yield from time_plots(traces)
     odd = sum(series.odd for series in traces.series())
     if odd:
         yield tag("p", f"{odd} values are not drawn: no numbers, or impossible.", class_="note")
-
-
-def _plots(traces: Traces) -> list[Plot]:
-    speeds = (
-        PlotLine(traces.commanded_linear, "command", "command"),
-        PlotLine(traces.linear, "measured", "driven"),
-    )
-    turns = (
-        PlotLine(traces.commanded_angular, "command", "command"),
-        PlotLine(traces.angular, "measured", "driven"),
-    )
-    off, level = (PlotLine(traces.error, "", "error"),), (PlotLine(traces.battery, "", "battery"),)
-    late = (PlotLine(traces.lateness, "", "late"),)
-    return [
-        Plot("Speed", "m/s", speeds, LEAST_SPEED),
-        Plot("Turn rate", "rad/s", turns, LEAST_SPEED),
-        Plot("Off track", "m", off, LEAST_ERROR_M, from_zero=True),
-        Plot("Battery", "%", level, LEAST_BATTERY_PERCENT),
-        Plot("Tick later than planned", "ms", late, LEAST_LATE_MS),
-    ]
 
 
 def _explanation(why: Explanation) -> Markup:

@@ -12,11 +12,9 @@ import pytest
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import DriveReport, Event, ModeRequested
 from robotctl.recording import Recorder
-from robotctl.report.figures import figures_of
-from robotctl.report.judged import CommandVerdict, Explanation, ReportFindings, Tone
-from robotctl.report.page import report_page
-from robotctl.report.recorded import Recorded, read_recorded
-from robotctl.report.traces import EndedDrive, Traces
+from robotctl.show.page import CommandVerdict, Explanation, ReportFindings, Tone, report_page
+from robotctl.show.recorded import Recorded, figures_of, read_recorded
+from robotctl.show.traces import EndedDrive, Traces
 from robotctl.testing.drives import (
     BEGIN_NS,
     START_NS,

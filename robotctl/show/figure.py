@@ -1,0 +1,214 @@
+"""One model of a figure: lines over time or on the ground. `svg`, `png` and `terminal` draw it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from math import ceil, floor, isfinite, log10
+from typing import Final
+
+RELATIVE_SPAN: Final = 1e-9
+SMALLEST_SPAN: Final = 1e-300
+"""A shorter axis has no finite scale."""
+
+MIN_SPAN_M: Final = 0.1
+"""The size of the picture of a robot that did not move."""
+
+VALUE_ROOM: Final = 0.06
+"""How much of its height a plot has free above and below its values."""
+
+GROUND_ROOM: Final = 1.08
+"""How much wider than the paths a picture is."""
+
+DIGIT_PX: Final = 7.5
+"""The width of a digit at an axis, at most."""
+
+Point = tuple[float, float]
+Span = tuple[float, float]
+Path2D = Iterable[Sequence[float]]
+"""Places on the ground, x and y in metres."""
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """Maps `low` to the pixel `begin` and `high` to the pixel `end`."""
+
+    low: float
+    high: float
+    begin: float
+    end: float
+
+    @property
+    def scale(self) -> float:
+        """Pixels for each unit."""
+        return (self.end - self.begin) / (self.high - self.low)
+
+    def at(self, value: float) -> float:
+        """Return the pixel of a value."""
+        return self.begin + (value - self.low) * self.scale
+
+    def ticks(self, at_most: int) -> list[float]:
+        """Return round numbers within the axis."""
+        rough = (self.high - self.low) / at_most
+        magnitude = 10.0 ** floor(log10(rough))
+        step = next(m for m in (1.0, 2.0, 5.0, 10.0) if m * magnitude >= rough * 0.999) * magnitude
+        first, last = ceil(self.low / step - 1e-6), floor(self.high / step + 1e-6)
+        return [number * step for number in range(first, last + 1)]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """The size of a picture, and the edges of its axes, in pixels from the left and the top."""
+
+    width: float
+    height: float
+    left: float
+    right: float
+    top: float
+    bottom: float
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line: its unbroken runs of points, what it is, and its name in a legend."""
+
+    runs: Sequence[Sequence[Point]]
+    kind: str
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """Lines and the spans of their axes; later lines lie over earlier ones.
+
+    Over time, x is in seconds. On the ground both are in metres, and have the same scale.
+    """
+
+    title: str
+    lines: tuple[Line, ...]
+    x: Span
+    y: Span
+    is_ground: bool = False
+
+    def axes(self, frame: Frame) -> tuple[Axis, Axis]:
+        """Return the axes in a frame."""
+        across, down = frame.right - frame.left, frame.bottom - frame.top
+        x, y = self.x, self.y
+        if self.is_ground:
+            wide, high = (GROUND_ROOM * (high - low) for low, high in (x, y))
+            scale = min(across / wide, down / high)
+            x, y = _around(x, across / scale), _around(y, down / scale)
+        return Axis(*x, frame.left, frame.right), Axis(*y, frame.bottom, frame.top)
+
+
+def time_figure(
+    title: str,
+    lines: Iterable[Line],
+    duration_s: float,
+    *,
+    least_span: float = 0.0,
+    from_zero: bool = False,
+) -> Figure:
+    """Return a figure of values over time, at least `least_span` high; it may begin at 0."""
+    drawn = tuple(line for line in lines if line.runs)
+    values = [value for line in drawn for run in line.runs for _, value in run] or [0.0]
+    low, high = 0.0 if from_zero else min(values), max(values)
+    missing = max(least_span, _least_span(low, high)) - (high - low)
+    low, high = low - max(missing, 0.0) / 2.0, high + max(missing, 0.0) / 2.0
+    room = VALUE_ROOM * (high - low)
+    span = (0.0 if from_zero else low - room, high + room)
+    return Figure(title, drawn, (0.0, max(duration_s, 1e-3)), span)
+
+
+def ground_figure(title: str, lines: Iterable[Line]) -> Figure:
+    """Return a figure of paths on the ground."""
+    drawn = tuple(lines)
+    points = [point for line in drawn for run in line.runs for point in run] or [(0.0, 0.0)]
+    spans = [_at_least(min(values), max(values)) for values in zip(*points, strict=True)]
+    return Figure(title, drawn, spans[0], spans[1], is_ground=True)
+
+
+def path_figure(reference: Path2D, driven: Path2D, title: str = "") -> Figure:
+    """Return the figure of a driven path over the reference path; what is not finite is left out.
+
+    Both have an entry in the legend.
+    """
+    lines = [
+        Line([points] if points else [], kind, name)
+        for points, kind, name in (
+            (_finite(reference), "wanted", "reference"),
+            (_finite(driven), "driven", "driven"),
+        )
+    ]
+    return ground_figure(title, lines)
+
+
+@dataclass(frozen=True, slots=True)
+class Stroke:
+    """Lines through points in pixels."""
+
+    runs: Sequence[Sequence[Point]]
+    kind: str
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """A text at an axis: its middle is at `y`, and its middle or end at `x`."""
+
+    text: str
+    x: float
+    y: float
+    kind: str
+    is_end: bool = False
+
+
+def laid_out(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
+    """Yield the grid, the numbers at the axes, and the lines of a figure in a frame."""
+    if not figure.lines:
+        return
+    x, y = figure.axes(frame)
+    for tick in y.ticks(8 if figure.is_ground else 4):
+        at, text = y.at(tick), f"{tick:.12g}"
+        yield Stroke([[(frame.left, at), (frame.right, at)]], "grid")
+        end = max(frame.left - 6, len(text) * DIGIT_PX)  # further right to have room
+        yield Label(text, end, at, "value", is_end=True)
+    yield from x_ticks(figure, frame)
+    if figure.is_ground:
+        yield Label("x [m]", frame.right, frame.bottom + 26, "tick", is_end=True)
+        yield Label("y [m]", frame.left - 6, frame.top - 6, "value", is_end=True)
+    for line in figure.lines:
+        placed = [[(x.at(a), y.at(b)) for a, b in run] for run in line.runs if run]
+        if placed:
+            yield Stroke(placed, line.kind)
+
+
+def x_ticks(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
+    """Yield the grid and the numbers of the x axis."""
+    x, _ = figure.axes(frame)
+    for tick in x.ticks(8 if figure.is_ground else 12):
+        at, text = x.at(tick), f"{tick:.12g}" if figure.is_ground else f"{tick:.12g} s"
+        yield Stroke([[(at, frame.bottom), (at, frame.top)]], "grid")
+        is_end = not figure.is_ground and at > frame.right - 12
+        yield Label(text, at, frame.bottom + 12, "tick", is_end=is_end)
+
+
+def _around(span: Span, length: float) -> Span:
+    """Return a span of that length with the same middle."""
+    middle = (span[0] + span[1]) / 2.0
+    return middle - length / 2.0, middle + length / 2.0
+
+
+def _at_least(low: float, high: float) -> Span:
+    missing = max(0.0, MIN_SPAN_M - (high - low)) / 2
+    return low - missing, high + missing
+
+
+def _finite(path: Path2D) -> list[Point]:
+    return [(x, y) for x, y in path if isfinite(x) and isfinite(y)]
+
+
+def _least_span(low: float, high: float) -> float:
+    """Return how long an axis of such values must be, so that rounding is not drawn as a change."""
+    if low == high:
+        return max(abs(high), SMALLEST_SPAN) if high else 1.0
+    return max(RELATIVE_SPAN * max(abs(low), abs(high)), SMALLEST_SPAN)

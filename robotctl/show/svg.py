@@ -1,0 +1,83 @@
+"""Figures as SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from robotctl.show.figure import Figure, Frame, Label, Point, Stroke, laid_out
+from robotctl.show.markup import Content, Markup, plain, tag
+
+TIME_FRAME: Final = Frame(960, 132, 62, 948, 10, 112)
+"""Where a figure over time is drawn; all those of a page share their time axis."""
+
+TITLE_HEIGHT: Final = 22
+BASELINE_PX: Final = 4
+"""How far the line of a text is below its middle."""
+
+_STYLE: Final = """
+svg{background:#fff}text{font:11.5px system-ui,"DejaVu Sans",sans-serif;fill:#5b6675}
+text.title{font-weight:600;font-size:13px;fill:#1c2430}.grid{stroke:#e8edf2;fill:none}
+.line{fill:none;stroke:#1f6fb2;stroke-width:1.6;stroke-linejoin:round;stroke-linecap:round}
+.value{text-anchor:end}.tick{text-anchor:middle}.tick.last{text-anchor:end}
+"""
+
+
+def drawing(
+    figure: Figure, frame: Frame, *over: Content, class_: str = "", **attributes: Content
+) -> Markup:
+    """Return a figure as an element, with what is drawn over it."""
+    return tag(
+        "svg",
+        *map(element, laid_out(figure, frame)),
+        *over,
+        viewBox=f"0 0 {frame.width} {plain(frame.height)}",
+        class_=class_ or None,
+        **attributes,
+    )
+
+
+def figures_svg(figures: Sequence[Figure]) -> str:
+    """Return the text of a file with figures over time, one below the other."""
+    width, step, pieces = TIME_FRAME.width, TIME_FRAME.height + TITLE_HEIGHT, []
+    for number, figure in enumerate(figures):
+        top = number * step
+        pieces.append(tag("text", figure.title, x=TIME_FRAME.left, y=top + 16, class_="title"))
+        pieces.append(
+            drawing(
+                figure,
+                TIME_FRAME,
+                y=top + TITLE_HEIGHT,
+                width=width,
+                height=TIME_FRAME.height,
+            )
+        )
+    height = len(figures) * step
+    return tag(
+        "svg",
+        tag("style", Markup(_STYLE)),
+        *pieces,
+        xmlns="http://www.w3.org/2000/svg",
+        viewBox=f"0 0 {width} {height}",
+        width=width,
+        height=height,
+    )
+
+
+def element(piece: Stroke | Label) -> Markup:
+    """Return the element of a part of a figure."""
+    if isinstance(piece, Label):
+        kind = "tick last" if piece.kind == "tick" and piece.is_end else piece.kind
+        return tag("text", piece.text, x=piece.x, y=piece.y + BASELINE_PX, class_=kind)
+    kind = piece.kind if piece.kind == "grid" else f"line {piece.kind}"
+    return tag("path", d=_path_data(piece.runs), class_=kind)
+
+
+def _path_data(runs: Iterable[Sequence[Point]]) -> Markup:
+    parts = []
+    for run in runs:
+        points = [f"{plain(x)} {plain(y)}" for x, y in run]
+        if len(points) == 1:
+            points *= 2  # a dot, by its round end
+        parts.append(f"M{'L'.join(points)}")
+    return Markup("".join(parts))
