@@ -14,9 +14,8 @@ from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.recording.provenance import provenance
 from robotctl.daemon.recording.software import DIGEST, software
-from robotctl.decision_log.entries import DecisionKind
-from robotctl.decision_log.folder import YEAR_S, log_folder
-from robotctl.decision_log.log import DecisionLog
+from robotctl.decisions.journal import YEAR_S, DecisionKind, log_folder
+from robotctl.decisions.log import DecisionLog
 
 OF_ONE_START: Final = ("directory", "git.directory", "user")
 """What the start itself tells; it is no part of the software's identity."""

@@ -13,7 +13,7 @@ from robotctl.daemon.api.status import PartWarning
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.supervisor import Supervisor, Work
-from robotctl.decision_log.log import DecisionLog
+from robotctl.decisions.log import DecisionLog
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.request_handler import Method
 from robotctl.ipc.server import ControlServer

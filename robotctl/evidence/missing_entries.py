@@ -11,9 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf
 
-from robotctl.decision_log.entries import DecisionKind
-from robotctl.decision_log.folder import YEAR_S
-from robotctl.decision_log.read import LogContent
+from robotctl.decisions.journal import YEAR_S, DecisionKind, LogContent
 from robotctl.evidence.recordings import FileOfJournal
 from robotctl.kernel.units import NS_PER_S
 

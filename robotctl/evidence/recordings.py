@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
+from robotctl.decisions.evidence import Evidence
 from robotctl.errors import UnreadableFile
-from robotctl.evidence.collected import Evidence
 from robotctl.recording import read_info
 from robotctl.recording.format.metadata_names import INFO_RECORD, PARAMETER_PREFIX
 from robotctl.recording.keep.listing import ListedRecording, list_recording

@@ -10,10 +10,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.decision_log.entries import DecisionKind
-from robotctl.decision_log.folder import files_of, log_folder
-from robotctl.decision_log.log import DecisionLog
-from robotctl.decision_log.read import head_of
+from robotctl.decisions.journal import DecisionKind, files_of, head_of, log_folder
+from robotctl.decisions.log import DecisionLog
 from robotctl.recording import Recorder, Topic
 from robotctl.testing.drives import drive, record
 
@@ -27,7 +25,7 @@ BEGIN_NS = 1_800_000_000 * 10**9
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder of the robot's journal, which does not exist yet."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr("robotctl.decision_log.log.END_S", 30.0)
+    monkeypatch.setattr("robotctl.decisions.log.END_S", 30.0)
     return log_folder("robot")
 
 

@@ -11,12 +11,17 @@ from typing import Any
 
 import pytest
 
-from robotctl.decision_log import folder as files
-from robotctl.decision_log import log as writer
-from robotctl.decision_log.entries import DecisionKind, hash_of
-from robotctl.decision_log.folder import files_of, log_folder
-from robotctl.decision_log.log import DecisionLog
-from robotctl.decision_log.read import head_of, read_log
+from robotctl.decisions import journal as files
+from robotctl.decisions import log as writer
+from robotctl.decisions.journal import (
+    DecisionKind,
+    files_of,
+    hash_of,
+    head_of,
+    log_folder,
+    read_log,
+)
+from robotctl.decisions.log import DecisionLog
 from robotctl.kernel.units import DAY_S, NS_PER_S
 from robotctl.paths import make_private, seal_folder
 from robotctl.recording import Recorder, RecorderOptions, Topic, read_info

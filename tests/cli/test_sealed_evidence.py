@@ -12,9 +12,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.decision_log.entries import DecisionKind
-from robotctl.decision_log.folder import log_folder
-from robotctl.decision_log.log import DecisionLog
+from robotctl.decisions.journal import DecisionKind, log_folder
+from robotctl.decisions.log import DecisionLog
 from robotctl.errors import UnreadableFile
 from robotctl.paths import make_private, seal_folder
 from robotctl.recording import Recorder, RecorderOptions, read_info
@@ -35,7 +34,7 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two sealed recordings that a journal of decisions names; `early.mcap` is an early copy
     of the first.
     """
-    monkeypatch.setattr("robotctl.decision_log.log.END_S", 30.0)
+    monkeypatch.setattr("robotctl.decisions.log.END_S", 30.0)
     monkeypatch.setattr(  # it takes seconds, and tells nothing of the seal
         "robotctl.rerun.check_many.check_recordings",
         lambda paths, on_progress: [{"verdict": "same"} for _ in paths],

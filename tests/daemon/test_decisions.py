@@ -11,9 +11,7 @@ from robotctl import __version__
 from robotctl.config import Config, flat
 from robotctl.daemon.control.decisions import Decisions, Request
 from robotctl.daemon.recording.software import DIGEST, software
-from robotctl.decision_log.entries import DecisionKind, Entry
-from robotctl.decision_log.folder import log_folder
-from robotctl.decision_log.read import read_log
+from robotctl.decisions.journal import DecisionKind, Entry, log_folder, read_log
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import RECORD_COMMIT
 from robotctl.kernel.geometry import ORIGIN

@@ -21,8 +21,8 @@ from robotctl.ipc.client import command_for
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name
 
 if TYPE_CHECKING:
-    from robotctl.decision_log.read import LogContent
-    from robotctl.evidence.collected import Evidence
+    from robotctl.decisions.evidence import Evidence
+    from robotctl.decisions.journal import LogContent
     from robotctl.evidence.recordings import EvidenceRecording
 
 app = new_app()
@@ -62,9 +62,8 @@ def evidence(
       robotctl evidence --since 2026-01-31 --json | jq '.stops'
       robotctl evidence --no-check
     """
-    from robotctl.decision_log.folder import log_folder
-    from robotctl.decision_log.read import read_log
-    from robotctl.evidence.collected import KILLED, RUNS, collect
+    from robotctl.decisions.evidence import KILLED, RUNS, collect
+    from robotctl.decisions.journal import log_folder, read_log
     from robotctl.evidence.missing_entries import missing_entries
     from robotctl.evidence.recordings import RecordingSearch, RecordingState
     from robotctl.recording.read.known_heads import KnownHeads

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import assert_never
 
-from robotctl.decision_log.entries import DecisionKind
-from robotctl.decision_log.log import DecisionLog
+from robotctl.decisions.journal import DecisionKind
+from robotctl.decisions.log import DecisionLog
 from robotctl.kernel.lease import LeaseRequested
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested

@@ -10,8 +10,7 @@ from pathlib import Path
 from robotctl.config import Config, RecordingParams, flat
 from robotctl.daemon.recording.provenance import provenance
 from robotctl.daemon.recording.software import software
-from robotctl.decision_log.folder import log_folder
-from robotctl.decision_log.read import head_of
+from robotctl.decisions.journal import head_of, log_folder
 from robotctl.errors import RobotctlError
 from robotctl.kernel.units import DAY_S
 from robotctl.paths import make_private, recordings_note_path

@@ -13,12 +13,10 @@ from typing import Any
 
 import pytest
 
-from robotctl.decision_log import folder as files
-from robotctl.decision_log import log as writer
-from robotctl.decision_log.budget import DAY_BYTES, RESERVE_BYTES
-from robotctl.decision_log.entries import MAX_TEXT, DecisionKind, hash_of
-from robotctl.decision_log.log import DecisionLog
-from robotctl.decision_log.read import LogContent, read_log
+from robotctl.decisions import journal as files
+from robotctl.decisions import log as writer
+from robotctl.decisions.journal import MAX_TEXT, DecisionKind, LogContent, hash_of, read_log
+from robotctl.decisions.log import DAY_BYTES, RESERVE_BYTES, DecisionLog
 from robotctl.kernel.units import DAY_S
 
 PATIENCE_S = 30.0

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.decision_log import folder as files
-from robotctl.decision_log import log as writer
-from robotctl.decision_log.entries import DecisionKind
-from robotctl.decision_log.log import DecisionLog
-from robotctl.decision_log.read import read_log
+from robotctl.decisions import journal as files
+from robotctl.decisions import log as writer
+from robotctl.decisions.journal import DecisionKind, read_log
+from robotctl.decisions.log import DecisionLog
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from robotctl.decision_log.entries import DecisionKind, Entry
+from robotctl.decisions.journal import DecisionKind, Entry
 
 STANDING: Final = ("ERROR", "EMERGENCY_STOP")
 """The modes that are stops."""
