@@ -1,59 +1,81 @@
-"""The systemd unit: what it says, and that nothing moves by it."""
+"""systemd units: what they say, that nothing moves by them, and that they come and go."""
 
 from __future__ import annotations
 
+import json
 import pwd
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from robotctl.cli.commands.boot.group import me, start_arguments
-from robotctl.cli.support.boot_unit import unit
+from robotctl.cli.commands.boot import daemon_unit, me, sync_units
 from robotctl.errors import AlreadyRunning, UsageError
+
+Cli = Callable[..., Any]
+
+URL = "s3://bucket/robots/one"
+
+
+@pytest.fixture(autouse=True)
+def units(home: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the folder of the user's units."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(home / "config"))
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    return home / "config" / "systemd" / "user"
 
 
 @pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
-    return tmp_path
+def systemctl(home: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Put a systemctl first in the path that notes its words; return the note."""
+    said = home / "said"
+    program = home / "bin" / "systemctl"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\necho "$@" >> {said}\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(program.parent), prepend=":")
+    return said
 
 
-def test_the_unit_starts_the_daemon_as_one_that_reports(home: Path) -> None:
-    made = unit("r2", ("--no-sim",), system=False, user="ros")
-    assert made.path == home / "config" / "systemd" / "user" / "robotctl-r2.service"
-    assert made.scope == ("--user",)
-    lines = made.text.splitlines()
+def started(text: str) -> str:
+    """Return the command of a service."""
+    (line,) = (line for line in text.splitlines() if line.startswith("ExecStart="))
+    return line
+
+
+def test_the_unit_starts_the_daemon_as_one_that_reports(cli: Cli, units: Path, home: Path) -> None:
+    made = json.loads(cli("boot", "show", "--robot", "r2", "--json", "--", "--no-sim").out)
+    assert made["path"] == str(units / "robotctl-r2.service")
+    lines = made["text"].splitlines()
     for line in ("Type=notify", "Restart=on-failure", "WatchdogSec=10", "UMask=0077"):
         assert line in lines
+    codes = f"{UsageError.exit_code} {AlreadyRunning.exit_code}"
+    assert f"RestartPreventExitStatus={codes}" in lines, "another start does not heal these"
     assert "Environment=ROS_DOMAIN_ID=7" in lines
     assert f"Environment=XDG_STATE_HOME={home}/state" in lines, "the latch would be another one"
-    (start,) = (line for line in lines if line.startswith("ExecStart="))
-    assert start.endswith(
-        f"robotctl start --foreground --robot r2 --recordings {home}/state/robotctl/recordings/r2 "
-        "--no-sim"
+    recordings = f"{home}/state/robotctl/recordings/r2"
+    assert started(made["text"]).endswith(
+        f"robotctl start --foreground --robot r2 --no-sim --recordings {recordings}"
     )
 
 
-def test_a_unit_of_the_machine_has_a_user_and_a_runtime_folder(home: Path) -> None:
-    made = unit("robot", (), system=True, user="nobody")
+def test_a_unit_of_the_machine_has_a_user_a_runtime_folder_and_recordings_of_that_user(
+    home: Path,
+) -> None:
+    made = daemon_unit("robot", [], system=True, user="nobody")
     assert made.path == Path("/etc/systemd/system/robotctl-robot.service")
     assert "User=nobody" in made.text
     assert "RuntimeDirectoryMode=0711" in made.text, "socket.group may come in; the rest is private"
     assert "Environment=XDG_RUNTIME_DIR=/run/robotctl-robot" in made.text
     assert "WantedBy=multi-user.target" in made.text
-
-
-def test_a_unit_of_the_machine_records_where_its_user_may_write(home: Path) -> None:
-    other = pwd.getpwnam("nobody")
-    text = unit("robot", (), system=True, user=other.pw_name).text
-    assert f"--recordings {other.pw_dir}/.local/state/robotctl/recordings/robot" in text
-    assert str(home / "state") not in text
+    state = f"{pwd.getpwnam('nobody').pw_dir}/.local/state/robotctl"
+    assert f"--recordings {state}/recordings/robot" in made.text
+    assert str(home / "state") not in made.text
     with pytest.raises(UsageError, match="no user 'nobody_else'"):
-        unit("robot", (), system=True, user="nobody_else")
+        daemon_unit("robot", [], system=True, user="nobody_else")
 
 
 def test_under_sudo_the_one_who_called_it_runs_the_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,37 +83,113 @@ def test_under_sudo_the_one_who_called_it_runs_the_daemon(monkeypatch: pytest.Mo
     assert me() == "ada"
 
 
-def test_what_another_start_does_not_heal_is_not_started_again(home: Path) -> None:
-    text = unit("robot", (), system=False, user="ros").text
-    codes = f"{UsageError.exit_code} {AlreadyRunning.exit_code}"
-    assert f"RestartPreventExitStatus={codes}" in text.splitlines()
-
-
-def test_odd_words_are_quoted_as_systemd_reads_them(home: Path) -> None:
-    text = unit("robot", ("--config", '/a b/100%"$x'), system=False, user="ros").text
+def test_odd_words_are_quoted_as_systemd_reads_them() -> None:
+    text = daemon_unit("robot", ["--config", '/a b/100%"$x'], system=False, user="ros").text
     assert '"/a b/100%%\\"$$x"' in text
     with pytest.raises(UsageError, match="printable"):
-        unit("robot", ("--config", "/a\nUser=root"), system=False, user="ros")
+        daemon_unit("robot", ["--config", "/a\nUser=root"], system=False, user="ros")
 
 
-@pytest.mark.parametrize("word", ["--drive", "--drive=square", "--foreground", "--robot"])
-def test_nothing_moves_at_a_boot(word: str) -> None:
-    with pytest.raises(UsageError, match="in a unit"):
-        start_arguments([word])
+@pytest.mark.parametrize("word", ["--drive", "--drive=square", "--foreground", "--robot", "--jsno"])
+def test_nothing_moves_at_a_boot_and_what_start_would_not_take_is_refused(
+    cli: Cli, units: Path, word: str
+) -> None:
+    assert cli("boot", "install", "--", word).exit_code == 2
+    assert not units.exists()
 
 
-def test_paths_do_not_depend_on_the_working_folder() -> None:
-    here = str(Path("robot.yaml").absolute())
-    assert start_arguments(["--config", "robot.yaml", "--no-sim"]) == ("--config", here, "--no-sim")
+def test_paths_do_not_depend_on_the_working_folder(cli: Cli, home: Path) -> None:
+    shown = cli("boot", "show", "--", "--config", "robot.yaml", "--recordings=mine").out
+    assert f"--config {home}/cwd/robot.yaml --recordings={home}/cwd/mine\n" in shown
+    shown = cli("boot", "sync", "show", "--", "usb", "--recordings", "mine").out
+    assert f"robotctl sync {home}/cwd/usb --recordings {home}/cwd/mine --robot robot\n" in shown
+
+
+def test_the_unit_of_the_daemon_is_enabled_and_removed_again(
+    cli: Cli, units: Path, systemctl: Path
+) -> None:
+    assert "written, enabled and started" in cli("boot", "install", "--", "--no-sim").out
+    assert [path.name for path in units.iterdir()] == ["robotctl-robot.service"]
+    assert cli("boot", "remove").exit_code == 0
+    assert systemctl.read_text().splitlines() == [
+        "--user daemon-reload",
+        "--user enable --now robotctl-robot.service",
+        "--user disable --now robotctl-robot.service",
+        "--user daemon-reload",
+    ]
+    assert list(units.iterdir()) == []
+    assert cli("boot", "remove").exit_code == 4
+
+
+def test_without_systemd_the_unit_is_written_and_the_command_that_enables_it_is_named(
+    cli: Cli, units: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", "")
+    ran = cli("boot", "install", "--", "--no-sim")
+    assert ran.exit_code == 0
+    assert "systemctl --user enable --now robotctl-robot.service" in ran.out
+    assert (units / "robotctl-robot.service").is_file()
+
+
+def test_the_service_copies_at_the_lowest_priority_with_what_was_given(
+    cli: Cli, units: Path, home: Path
+) -> None:
+    ran = cli("boot", "sync", "show", "--json", "--", URL)
+    timer, service = json.loads(ran.out)["units"]
+    assert service["path"] == str(units / "robotctl-robot-sync.service")
+    assert timer["path"] == str(units / "robotctl-robot-sync.timer")
+    lines = service["text"].splitlines()
+    for line in ("Type=oneshot", "Nice=19", "IOSchedulingClass=idle", "UMask=0077"):
+        assert line in lines
+    recordings = home / "state" / "robotctl" / "recordings" / "robot"
+    assert started(service["text"]).endswith(
+        f"robotctl sync {URL} --robot robot --recordings {recordings}"
+    )
+    assert "OnUnitInactiveSec=10min" in timer["text"]
+
+
+def test_copies_of_the_machine_reach_the_daemon_of_its_user() -> None:
+    _, service = sync_units("r2", [URL], system=True, user="nobody", every_min=5)
+    lines = service.text.splitlines()
+    assert "User=nobody" in lines
+    assert "Environment=XDG_RUNTIME_DIR=/run/robotctl-r2" in lines
+    assert service.path == Path("/etc/systemd/system/robotctl-r2-sync.service")
+
+
+@pytest.mark.parametrize("words", [["--dry-run"], ["--robot=r2"], ["--jsno"], ["--recordings"]])
+def test_what_sync_would_not_take_is_refused_at_once(
+    cli: Cli, units: Path, words: list[str]
+) -> None:
+    assert cli("boot", "sync", "install", "--", URL, *words).exit_code == 2
+    assert not units.exists()
+
+
+def test_the_units_of_copies_are_enabled_and_removed_again(
+    cli: Cli, units: Path, systemctl: Path
+) -> None:
+    assert cli("boot", "sync", "install", "--every", "3", "--", URL).exit_code == 0
+    assert sorted(path.suffix for path in units.iterdir()) == [".service", ".timer"]
+    assert systemctl.read_text().splitlines() == [
+        "--user daemon-reload",
+        "--user enable --now robotctl-robot-sync.timer",
+    ]
+    assert cli("boot", "sync", "remove").exit_code == 0
+    assert list(units.iterdir()) == []
+    assert "--user disable --now robotctl-robot-sync.timer" in systemctl.read_text()
+    assert cli("boot", "sync", "remove").exit_code == 4
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
-def test_systemd_accepts_the_unit(home: Path) -> None:
-    made = unit("robot", ("--no-sim",), system=True, user="root")
-    file = home / made.name
-    file.write_text(made.text)
-    done = subprocess.run(
-        ["systemd-analyze", "verify", str(file)], capture_output=True, text=True, check=False
+def test_systemd_accepts_the_units(tmp_path: Path) -> None:
+    made = (
+        daemon_unit("robot", ["--no-sim"], system=True, user="root"),
+        *sync_units("robot", [URL], system=True, user="root", every_min=10),
     )
-    about_it = [line for line in done.stderr.splitlines() if made.name in line]
-    assert about_it == [], done.stderr
+    for unit in made:
+        (tmp_path / unit.path.name).write_text(unit.text)
+    files = [str(tmp_path / unit.path.name) for unit in made]
+    done = subprocess.run(
+        ["systemd-analyze", "verify", *files], capture_output=True, text=True, check=False
+    )
+    about_them = [line for line in done.stderr.splitlines() if "robotctl-robot" in line]
+    assert about_them == [], done.stderr
