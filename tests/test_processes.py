@@ -289,16 +289,16 @@ def test_lines_come_out_of_pieces() -> None:
 
 
 def test_every_child_is_started_in_one_way() -> None:
-    from robotctl.cli.commands.replay import player_process
+    from robotctl.cli.commands.replay import play
     from robotctl.cli.support import launch
     from robotctl.rerun import check_many as checking
 
-    player = program(player_process.PLAYER)
+    player = program(play.PLAYER)
     programs = (launch.DAEMON, player, checking.WORKER, job_command("module:function", {}))
     assert all(each[:3] == (sys.executable, "-P", "-m") for each in programs)
     root = Path(robotctl.__file__).parent
     cli = root / "cli"  # what is foreign runs programs that are not ours
-    foreign = (cli / "support" / "systemd.py", cli / "commands" / "lease" / "take.py")
+    foreign = (cli / "support" / "systemd.py", cli / "commands" / "lease.py")
     for path in root.rglob("*.py"):
         if path not in foreign and not path.is_relative_to(root / "processes"):
             text = path.read_text(encoding="utf-8")

@@ -11,9 +11,8 @@ import pytest
 
 from robotctl.cdr.definition import parse_definition
 from robotctl.cdr.values import encode
-from robotctl.cli.commands.teleop import gamepad as module
-from robotctl.cli.commands.teleop.gamepad import JOY, SILENT_S, Controls, Gamepad
-from robotctl.cli.commands.teleop.held_keys import STAND, Wish
+from robotctl.cli.commands.teleop import controls as module
+from robotctl.cli.commands.teleop.controls import JOY, SILENT_S, STAND, Controls, Gamepad, Wish
 from robotctl.cli.support.ros_view import MessageListener
 
 TEXT = "float32[] axes\nint32[] buttons\n"

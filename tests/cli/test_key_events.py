@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.cli.commands.teleop.held_keys import (
+from robotctl.cli.commands.teleop.controls import (
     MAX_AT_ONCE,
     STAND,
     STEERING,

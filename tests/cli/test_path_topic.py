@@ -9,7 +9,7 @@ import pytest
 
 from robotctl.cdr.definition import parse_definition
 from robotctl.cdr.values import encode
-from robotctl.cli.commands.drive.path_topic import PATH_TYPE, path_in
+from robotctl.cli.commands.drive.paths import PATH_TYPE, path_in
 from robotctl.errors import Refused
 from robotctl.kernel.course import MAX_POINTS, Frame
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.cli.commands.drive.waypoint_file import read_waypoints
+from robotctl.cli.commands.drive.paths import read_waypoints
 from robotctl.errors import Refused, UnreadableFile
 from robotctl.kernel.course import Course, Frame, Point
 from robotctl.kernel.geometry import Pose

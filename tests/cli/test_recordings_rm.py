@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.commands.recordings.removal import remove
+from robotctl.cli.commands.recordings import remove
 from robotctl.errors import Interrupted, Refused
 from robotctl.recording import Recorder
 from robotctl.recording.keep.catalog import CLIPS_FOLDER, set_kept

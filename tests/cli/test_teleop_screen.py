@@ -9,8 +9,7 @@ import pytest
 from rich.console import Console
 from rich.live import Live
 
-from robotctl.cli.commands.teleop.screen import view_below
-from robotctl.cli.commands.teleop.session import KEYS, WITH_RELEASES, WITHOUT_RELEASES
+from robotctl.cli.commands.teleop.command import KEYS, WITH_RELEASES, WITHOUT_RELEASES, view_below
 from robotctl.ipc.answers import Status
 
 REFUSED = (

@@ -6,8 +6,7 @@ from typing import Any, cast
 
 import pytest
 
-from robotctl.cli.commands.teleop.held_keys import Wish
-from robotctl.cli.commands.teleop.holding import STEP, Speeds
+from robotctl.cli.commands.teleop.controls import STEP, Speeds, Wish
 from robotctl.errors import UsageError
 from robotctl.ipc.client import Client
 

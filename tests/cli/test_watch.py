@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from robotctl.cli.commands.watch import polling
+from robotctl.cli.commands import watch
 from robotctl.cli.support.background import Background
 from robotctl.cli.terminal.drive_map import History, drive_map, sparkline
 from robotctl.cli.terminal.status_line import HEADER, status_line
@@ -115,11 +115,11 @@ def test_a_poll_that_fails_does_not_end_the_view_of_a_drive(
             raise found
         return found
 
-    monkeypatch.setattr(polling, "call", poll)
-    monkeypatch.setattr(polling, "LINE_S", 0.0)
+    monkeypatch.setattr(watch, "call", poll)
+    monkeypatch.setattr(watch, "LINE_S", 0.0)
     driving = Background(lambda: {"waited": done.wait()})
     driving.start()
-    for status in polling.polled_until(driving, "robot"):
+    for status in watch.polled_until(driving, "robot"):
         assert status["mode"] == "MOVING"
         done.set()
         driving.join()

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.commands.replay.player_process import PLAYER
+from robotctl.cli.commands.replay.play import PLAYER
 from robotctl.processes import program, start
 from robotctl.replay.commands import Command
 from robotctl.replay.job import Job

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from robotctl.cli.commands.drive import tracking_lines
-from robotctl.cli.commands.watch.polling import POLL_S, polled_until, show
+from robotctl.cli.commands.watch import POLL_S, polled_until, show
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.background import Background
 from robotctl.cli.support.drive_picture import write_picture

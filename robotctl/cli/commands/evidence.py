@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robotctl.cli.commands.verify.verified import verify_together
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import noted_folders
@@ -104,6 +103,7 @@ def _proof(
 
     The second object is what `verify` says of all that were checked together, None without a check.
     """
+    from robotctl.cli.commands.verify.report import verify_together
     from robotctl.evidence.recordings import RecordingState
     from robotctl.rerun.check_many import check_recordings
 

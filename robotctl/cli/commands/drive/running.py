@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from robotctl.cli.commands.watch.polling import polled_until, show
+from robotctl.cli.commands.watch import polled_until, show
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.background import Background
 from robotctl.cli.support.drive_picture import leave_picture

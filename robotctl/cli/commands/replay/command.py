@@ -11,7 +11,11 @@ import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.given_options import given_options
-from robotctl.cli.support.recording_paths import RecordedBy, find_local_recording, recording_path
+from robotctl.cli.support.recording_paths import (
+    RecordedBy,
+    find_local_recording,
+    recording_path,
+)
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.text import short_path
 from robotctl.domains import requested_domain
@@ -143,17 +147,17 @@ def replay(
     if check or what_if or resim:
         _refuse_playing_options(context)
     if check:
-        from robotctl.cli.commands.replay.check import check_command
+        from robotctl.cli.commands.replay.checks import check_command
 
         check_command(files, robot, all_bytes=all_bytes, as_json=as_json)
         return
     if resim:
-        from robotctl.cli.commands.replay.resim import resim_command
+        from robotctl.cli.commands.replay.checks import resim_command
 
         resim_command(files, what_if or [], robot, as_json=as_json)
         return
     if what_if:
-        from robotctl.cli.commands.replay.what_if import what_if_command
+        from robotctl.cli.commands.replay.checks import what_if_command
 
         what_if_command(files, what_if, robot, as_json=as_json)
         return
@@ -197,7 +201,7 @@ def replay(
         print(short_path(path), flush=True)
     with interrupted_by((SIGTERM, SIGHUP, SIGQUIT)):
         if draw_only:
-            from robotctl.cli.commands.replay.drawn import draw_command
+            from robotctl.cli.commands.replay.play import draw_command
 
             draw_command(job, quiet=as_json)
         else:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from robotctl.cli.commands.verify.verified import verified
+from robotctl.cli.commands.verify.report import verified
 from robotctl.cli.commands.why import FoundIncident, as_object
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import duration, size

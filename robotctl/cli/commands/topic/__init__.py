@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from robotctl.cli.commands.topic.echo import echo
-from robotctl.cli.commands.topic.info import info
-from robotctl.cli.commands.topic.listing import list_topics
-from robotctl.cli.commands.topic.rate import hz
+from robotctl.cli.commands.topic.command import echo, hz, info, list_topics
 from robotctl.cli.options import new_app
 
 app = new_app()

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import typer
 
-from robotctl.cli.commands.verify.clip import verify_clip
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import RecordedBy, recording_path
@@ -58,15 +57,19 @@ def verify(
       robotctl verify robot_0.mcap --head $(ssh robot robotctl key head)
       robotctl verify stop.mcap --source recordings/robot_20260101_120000
     """
+    from robotctl.cli.commands.replay.select_recordings import select_recordings
+    from robotctl.cli.commands.verify.report import (
+        recording_lines,
+        summary_lines,
+        verify_clip,
+        verify_together,
+    )
+
     if source is not None:
         if len(files) != 1 or head:
             raise UsageError("--source takes one clip, and no --head")
         verify_clip(files[0], source, as_json=as_json)
         return
-    from robotctl.cli.commands.replay.select_recordings import select_recordings
-    from robotctl.cli.commands.verify.report import recording_lines, summary_lines
-    from robotctl.cli.commands.verify.verified import verify_together
-
     if head and not (len(head) == _DIGEST_DIGITS and set(head.lower()) <= set("0123456789abcdef")):
         raise UsageError(
             f"--head {head[:80]} is no head", "give 64 digits, as robotctl key head does"

@@ -2,17 +2,146 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from robotctl.cli.support.answer import print_answer
+from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import moment, row, short_path, size
+from robotctl.errors import Divergence, NotSealed, RobotctlError, UnreadableFile
 from robotctl.recording.read.known_heads import KnownHeads
 from robotctl.recording.read.seal_chain import Chain, SealedFile, check_chain, find_head
 from robotctl.recording.read.seal_check import SealState
-from robotctl.recording.read.verified import RecordingProof, VerifiedRecording
+from robotctl.recording.read.verified import RecordingProof, VerifiedRecording, verify_recording
 from robotctl.recording.read.whole_file import WholeFile
 from robotctl.recording.read.zstd_file import SUFFIX
+
+
+def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
+    """Print whether a clip is a part of its source, and what seals that part.
+
+    Raises:
+        Divergence: The clip or the source is not as it was written, or they differ.
+        NotSealed: The clip is a part of the source, which is not sealed.
+        UnreadableFile: One of them cannot be read.
+    """
+    from robotctl.recording.keep.clip_origin import compare_with_source
+
+    with progress_bar("reading", quiet=as_json) as on_progress:
+        cut = verify_recording(clip)
+        whole = verify_recording(source, on_progress)
+        origin = compare_with_source(clip, source)
+    wrong = [
+        *(f"{clip.name}: {sentence}" for sentence in (*cut.whole.wrong, *cut.whole.unreadable)),
+        *(f"{source.name}: {sentence}" for sentence in whole.wrong),
+        *(f"{clip.name}: {sentence}" for sentence in origin.wrong),
+    ]
+    links = [
+        each
+        for file in whole.files
+        if (each := _links(file, origin.start_ns, origin.end_ns)) is not None
+    ]
+    answer: dict[str, Any] = {
+        "clip": str(clip),
+        "source": str(source),
+        "verdict": "broken" if wrong else whole.proof.value,
+        "messages": origin.messages,
+        "links": links,
+        "wrong": wrong,
+        "not_proved": origin.not_proved,
+    }
+    lines = [
+        f"{answer['verdict']:12}{short_path(str(clip))}",
+        *row(
+            "            ",
+            f"{origin.messages} messages"
+            + ("" if wrong else ", their types and channels, and the metadata")
+            + f" are those of {short_path(str(source))}",
+        ),
+        *(line for each in links for line in row("            ", _link_line(each))),
+        *(line for sentence in wrong for line in row("            ", f"wrong: {sentence}")),
+        *(line for each in origin.not_proved for line in row("", f"not proved: {each}")),
+    ]
+    error: RobotctlError | None = None
+    if wrong:
+        error = Divergence(f"the clip is not proved: {wrong[0]}")
+    elif whole.whole.unreadable:
+        error = UnreadableFile(f"{source} could not be read completely")
+    elif answer["verdict"] == "whole":
+        error = NotSealed("the clip is a part of its source, which is not sealed")
+    print_answer(answer, lines, as_json=as_json, error=error)
+
+
+def _links(file: SealedFile, start_ns: int, end_ns: int) -> dict[str, Any] | None:
+    """Return the links that seal what a file holds of a time, None if there are none.
+
+    A link seals all that was written before it, so that the one behind the time belongs to them.
+    """
+    after = [link for link in file.seal.links if link.time_ns >= start_ns]
+    if not after or file.seal.links[0].time_ns > end_ns:
+        return None
+    behind = next((n for n, link in enumerate(after) if link.time_ns >= end_ns), len(after) - 1)
+    links = after[: behind + 1]
+    return {
+        "file": file.path.name,
+        "first": links[0].number,
+        "last": links[-1].number,
+        "from_ns": links[0].time_ns,
+        "to_ns": links[-1].time_ns,
+        "digest": links[-1].digest.hex(),
+    }
+
+
+def _link_line(links: dict[str, Any]) -> str:
+    return (
+        f"sealed by the links {links['first']} to {links['last']} of {links['file']}, "
+        f"the last at {moment(links['to_ns'])}"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class VerifiedTogether:
+    """Recordings that were verified together: the object of each in `--json`, and that of all."""
+
+    recordings: list[dict[str, Any]]
+    summary: dict[str, Any]
+
+
+def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> VerifiedTogether:
+    """Verify recordings, the chain over all of them, and what this machine knows of their files.
+
+    `head` must be in one of them, if it is given.
+    """
+    heads = KnownHeads()
+    found: list[VerifiedRecording] = []
+    reports = []
+    for path in paths:
+        with progress_bar(f"reading {path.name}", quiet=quiet) as on_progress:
+            reports.append(_verify(path, on_progress, heads, found))
+    return VerifiedTogether(reports, summary_object(found, head, heads))
+
+
+def verified(path: Path, on_progress: Callable[[int, int], None]) -> dict[str, Any]:
+    """Return the result for one recording, as its object in `--json`."""
+    return _verify(path, on_progress, KnownHeads(), [])
+
+
+def _verify(
+    path: Path,
+    on_progress: Callable[[int, int], None],
+    heads: KnownHeads,
+    found: list[VerifiedRecording],
+) -> dict[str, Any]:
+    """Return the object of one recording; add it to `found` if it can be read."""
+
+    try:
+        found.append(verify_recording(path, on_progress))
+    except UnreadableFile as error:
+        return unreadable_object(path, str(error))
+    return recording_object(found[-1], heads)
+
 
 _LABEL_WIDTH = 12
 _INDENT = " " * _LABEL_WIDTH

@@ -1,4 +1,4 @@
-"""lease take: hold the lease while a command runs, or until Ctrl-C."""
+"""lease: who alone may start and steer motion."""
 
 from __future__ import annotations
 
@@ -12,15 +12,73 @@ from typing import Annotated
 
 import typer
 
-from robotctl.cli.commands.lease.group import group
-from robotctl.cli.options import Reason, Robot
+from robotctl.cli.options import Json, Reason, Robot, new_app
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.held_lease import HeldLease
 from robotctl.cli.support.interrupted_drive import CLOSING_SIGNALS, POLL_S
-from robotctl.cli.support.quick_actions import checked_reason
+from robotctl.cli.support.lease_token import own_token
+from robotctl.cli.support.quick_actions import checked_reason, request_source
 from robotctl.cli.support.signals import ignoring, interrupted_by
 from robotctl.cli.terminal.text import printable
 from robotctl.errors import UsageError
+from robotctl.ipc.answers import LeaseStatus
+from robotctl.ipc.client import call
+from robotctl.ipc.method_names import LEASE_RELEASE, LEASE_STATUS
 from robotctl.paths import DEFAULT_ROBOT, LEASE_VARIABLE
+
+app = new_app()
+group = new_app()
+app.add_typer(group, name="lease")
+
+
+@group.callback()
+def lease() -> None:
+    """Take the sole right to start and steer motion; anybody may still stop.
+
+    \b
+    Examples:
+      robotctl lease take -- bash
+      robotctl lease status
+      robotctl lease release
+    """
+
+
+@group.command()
+def release(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+    """Release the lease of this shell; a robot that moves ramps down.
+
+    It works where ROBOTCTL_LEASE holds the token, as in the command that `lease take` runs.
+
+    \b
+    Examples:
+      robotctl lease release
+    """
+    token = own_token()
+    params = {"source": request_source("lease release")} | ({"token": token} if token else {})
+    answer = call(robot, LEASE_RELEASE, params)
+    print_answer(dict(answer), [printable(answer["message"])], as_json=as_json)
+
+
+@group.command()
+def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+    """Show who holds the lease.
+
+    \b
+    Examples:
+      robotctl lease status --json
+    """
+    token = own_token()
+    answer = call(robot, LEASE_STATUS, {"token": token} if token else {})
+    print_answer(dict(answer), [_line(answer)], as_json=as_json)
+
+
+def _line(answer: LeaseStatus) -> str:
+    if answer["holder"] is None:
+        return "the lease is free: any client may start a motion"
+    why = f" ({answer['reason']})" if answer["reason"] else ""
+    you = "; you act for it" if answer["yours"] else ""
+    return f"{printable(answer['holder'])} holds the lease{printable(why)}{you}"
+
 
 SIGNALLED = 128
 """Added by shells to the number of the signal that ended a command."""

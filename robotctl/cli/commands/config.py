@@ -1,13 +1,17 @@
-"""config show: every key of a configuration, or the file of a profile."""
+"""config: show and check configurations, and the profiles of known robots."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
 
-from robotctl.cli.options import ConfigFile, Json
+import typer
+
+from robotctl.cli.options import ConfigFile, Json, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.profile_option import ProfileName
-from robotctl.cli.terminal.text import json_text
+from robotctl.cli.terminal.text import json_text, short_path
 from robotctl.config import Config, Declaration, declarations, flat, load
 from robotctl.errors import UsageError
 
@@ -41,3 +45,40 @@ def _lines(config: Config) -> Iterator[str]:
 
 def _comment(declaration: Declaration) -> str:
     return f"{declaration.about} ({declaration.allowed})"
+
+
+def validate(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A file for start --config.")],
+    as_json: Json = False,
+) -> None:
+    """Check a configuration file: exit code 0, or 2 with what is wrong and what is allowed.
+
+    \b
+    Examples:
+      robotctl config validate robot.yaml
+    """
+    config = load(file)
+    defaults, values = flat(Config()), flat(config)
+    changed = {key: value for key, value in values.items() if value != defaults[key]}
+    line = f"{short_path(file)} is valid; changed from the defaults: {len(changed)}"
+    print_answer({"file": str(file), "changed": changed}, [line], as_json=as_json)
+
+
+app = new_app()
+group = new_app()
+app.add_typer(group, name="config")
+
+
+@group.callback()
+def config() -> None:
+    """Show and check configuration files, and profiles of robots.
+
+    \b
+    Examples:
+      robotctl config show --profile turtlebot3 > robot.yaml
+      robotctl config validate robot.yaml
+    """
+
+
+group.command()(show)
+group.command()(validate)

@@ -1,4 +1,4 @@
-"""service call: one request, one response."""
+"""service: list services, and call one."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from robotctl.cli.options import DomainId, Json, Robot
+from robotctl.cli.options import DomainId, Json, Robot, new_app
 from robotctl.cli.support.answer import print_answer
+from robotctl.cli.support.names import All, Types, left_out_lines, name_lines, shown
 from robotctl.cli.support.ros_view import ros_view
 from robotctl.cli.terminal.message_text import as_json as plain
 from robotctl.cli.terminal.message_text import message_lines
@@ -90,3 +91,42 @@ def parse_words(words: list[str]) -> tuple[str, Any]:
     if not isinstance(values, dict):
         raise UsageError(f"{text!r} has no fields", 'write "{field: value}"')
     return type_name, values
+
+
+def list_services(
+    types: Types = False,
+    every: All = False,
+    robot: Robot = DEFAULT_ROBOT,
+    domain_id: DomainId = None,
+    as_json: Json = False,
+) -> None:
+    """List the services on ROS.
+
+    \b
+    Examples:
+      robotctl service list -t
+    """
+    graph = ros_view(robot, domain_id).names()
+    services = shown(graph["services"], every)
+    lines = [*name_lines(services, types), *left_out_lines(graph["left_out"])]
+    print_answer({"services": services}, lines, as_json=as_json)
+
+
+app = new_app()
+group = new_app()
+app.add_typer(group, name="service")
+
+
+@group.callback()
+def service() -> None:
+    """Show the services on ROS, and call them.
+
+    \b
+    Examples:
+      robotctl service list -t
+      robotctl service call /set_mode "{requested_mode: 1}"
+    """
+
+
+group.command("list")(list_services)
+group.command("call")(call_service)

@@ -1,18 +1,48 @@
-"""Print messages, or a field of each, for people or machines."""
+"""The messages of `topic echo` and `hz`: from a recording, and as text or JSON."""
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from typing import Any
 
 from robotctl.cdr.definition import UnreadableType, parse_definition
 from robotctl.cdr.field_path import parse_path, value_at
 from robotctl.cdr.given import WrongValue
 from robotctl.cdr.values import decode
+from robotctl.cli.support.recording_paths import find_recording
 from robotctl.cli.terminal.message_text import SHOWN_LENGTH, as_json, message_lines
 from robotctl.cli.terminal.text import json_text
 from robotctl.errors import UnreadableFile, UsageError
 from robotctl.kernel.units import NS_PER_S
+from robotctl.recording import Message, read_info, read_messages
+from robotctl.recording.table.topic_choice import choose_topic
+
+
+class RecordedTopic:
+    """A topic of a recording, which `find_recording` finds by its name."""
+
+    def __init__(self, file: str, topic: str, type_name: str) -> None:
+        """Find the topic; a leading / may be left out.
+
+        Raises:
+            UsageError: The recording has no such topic, or it has several types.
+            UnreadableFile: Nothing can be read, or the messages are not in CDR.
+        """
+        self._path = find_recording(file, None)
+        listing = f"robotctl topic list --file {file}"
+        self.info = choose_topic(read_info(self._path), topic, type_name, listing=listing)
+        self.name = self.info.name
+
+    def messages(self) -> Iterator[Message]:
+        """Yield its messages in the order of their log time.
+
+        Raises:
+            UnreadableFile: Not everything can be read; raised after the last message.
+        """
+        for message in read_messages(self._path, {self.name}):
+            if message.type_name == self.info.type_name:
+                yield message
 
 
 class Printer:

@@ -1,0 +1,345 @@
+"""What the operator wants now, by held keys or a gamepad, asked of the daemon again and again."""
+
+from __future__ import annotations
+
+import base64
+import struct
+import time
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple, Protocol
+
+from robotctl.cdr.definition import Definition, parse_definition
+from robotctl.cdr.values import decode
+from robotctl.cli.support.ros_view import MessageListener
+from robotctl.cli.terminal.key_events import ANSWER, Key, KeyEvent
+from robotctl.errors import Refused, UsageError
+from robotctl.ipc.client import Client
+from robotctl.ipc.method_names import HOLD, PARAM_LIST
+from robotctl.kernel.course import MAX_SILENCE_S
+from robotctl.kernel.patterns import MIN_SPEED_MPS
+
+REPEAT_S: Final = MAX_SILENCE_S
+"""Without releases, a key that comes again within this time is held; no person types that fast."""
+
+FIRST_REPEAT_S: Final = 0.8
+"""With releases, a key that does not repeat is let go. The longest usual delay is that of X11:
+660 ms; 600 ms with KDE, 500 ms with GNOME and Windows, 250 to 375 ms with macOS."""
+
+NEXT_REPEAT_S: Final = 0.25
+"""So is one whose repeats stop: they come each 25 to 50 ms, 90 ms with macOS."""
+
+AFTER_OTHER_S: Final = 3.0
+"""How long a key is held after the release of another: X11, Wayland and macOS repeat neither."""
+
+MAX_AT_ONCE: Final = 8
+"""More keys at once are no hand: the fastest repeat brings 5 in the longest silence."""
+
+
+class Wish(NamedTuple):
+    """Shares of the speeds that are chosen, -1 to 1: forward, and turning to the left."""
+
+    forward: float
+    left: float
+
+
+STAND: Final = Wish(0.0, 0.0)
+
+STEERING: Final = MappingProxyType(
+    {
+        **dict.fromkeys(("up", "w"), Wish(1.0, 0.0)),
+        **dict.fromkeys(("down", "s"), Wish(-1.0, 0.0)),
+        **dict.fromkeys(("left", "a"), Wish(0.0, 1.0)),
+        **dict.fromkeys(("right", "d"), Wish(0.0, -1.0)),
+    }
+)
+"""The keys that steer."""
+
+STOPPING: Final = frozenset(" eq")
+"""The keys that only stop: they count in every form, also as pasted text."""
+
+
+def typed(keys: list[Key], *, tells_releases: bool) -> list[Key]:
+    """Return the keys without text that no hand has typed, of which those that stop remain.
+
+    A terminal that tells releases sends no key as text. Elsewhere too much text at once is no hand.
+    """
+    if not tells_releases and len(keys) <= MAX_AT_ONCE:
+        return keys
+    return [key for key in keys if not key.is_text or key.name in STOPPING]
+
+
+class Hands(Protocol):
+    """Hands on the keys of a terminal; `problem` says why keys were let go, "" for none."""
+
+    problem: str
+
+    def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
+        """Take the keys of this moment; return what they ask for, None without any key."""
+
+    def forget(self) -> None:
+        """Let go of every key: each must be pressed again."""
+
+
+class HandsWithReleases:
+    """The hands on a terminal that tells releases: a key is held from its press to its release.
+
+    It is let go earlier if it does not repeat: then its release may be lost, with the focus of the
+    window or in a multiplexer. Only the key that was pressed last repeats, so after another key
+    nothing does. Text presses nothing: its release would never come.
+
+    Each answer of the terminal asks for the held keys once more. Without any, the robot stops.
+    """
+
+    def __init__(self) -> None:
+        self.problem = ""
+        self._held: set[str] = set()
+        self._wish = STAND
+        self._heard_s = float("-inf")
+        self._patience_s = 0.0
+
+    def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
+        """Return the sum of the held keys when it changes and with each answer, else None."""
+        for key in keys:
+            if key.name != ANSWER and not key.is_text:
+                self._hear(key, now_s)
+        if self._held and now_s - self._heard_s > self._patience_s:
+            self._held.clear()
+            self.problem = "let go: no key repeated. Press it again"
+        wishes = [STAND, *(STEERING[name] for name in self._held)]
+        forward, left = map(sum, zip(*wishes, strict=True))
+        wish = Wish(max(-1.0, min(forward, 1.0)), max(-1.0, min(left, 1.0)))
+        changes, self._wish = wish != self._wish, wish
+        return wish if changes or any(key.name == ANSWER for key in keys) else None
+
+    def forget(self) -> None:
+        """Let go of every key; a repeat of one that is still down counts for nothing."""
+        self._held.clear()
+        self._wish = STAND
+
+    def _hear(self, key: Key, now_s: float) -> None:
+        self._heard_s = now_s
+        if key.event is KeyEvent.RELEASED:
+            self._held.discard(key.name)
+            self._patience_s = AFTER_OTHER_S
+        elif key.event is KeyEvent.REPEATED:
+            self._patience_s = NEXT_REPEAT_S
+        else:
+            self._patience_s = FIRST_REPEAT_S
+            if key.name in STEERING and not key.with_control:
+                self._held.add(key.name)
+                self.problem = ""
+
+
+class HandsWithoutReleases:
+    """The hands on a terminal that sends a held key again and again, and no release.
+
+    The first press moves nothing, for it may be the last. After pasted text, all must rest.
+    """
+
+    def __init__(self) -> None:
+        self.problem = ""
+        self._last = ""
+        self._last_s = float("-inf")
+        self._is_forgotten = False
+
+    def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
+        """Return the wish of a key that has come again; None in each other moment."""
+        names = [key.name for key in keys if key.name in STEERING]
+        is_pasted = len(keys) > MAX_AT_ONCE
+        if not (names or is_pasted):
+            return None
+        name = names[-1] if names else ""  # keys at once are no repeats: they may have waited
+        is_soon = now_s - self._last_s <= REPEAT_S
+        repeats = name == self._last and is_soon
+        self._is_forgotten = is_pasted or (self._is_forgotten and is_soon)
+        self._last, self._last_s = name, now_s
+        return STEERING[name] if names and repeats and not self._is_forgotten else None
+
+    def forget(self) -> None:
+        """Let go; a key that still repeats must rest first."""
+        self._is_forgotten = True
+
+
+JOY: Final = "sensor_msgs/msg/Joy"
+
+SILENT_S: Final = 1.0
+"""After this time without a message the screen says so; the robot stands long before."""
+
+
+class Controls(NamedTuple):
+    """The numbers of the button that must be held, and of the axes: forward, to the left."""
+
+    button: int = 4
+    forward_axis: int = 1
+    left_axis: int = 0
+
+
+class Gamepad:
+    """The gamepad of a topic. While it sends nothing, the robot stands, as after a release.
+
+    While one publisher is heard, those of others on the topic are ignored.
+    """
+
+    def __init__(self, listener: MessageListener, topic: str, controls: Controls) -> None:
+        self._listener = listener
+        self._definition: Definition = parse_definition(listener.type_name, listener.definition)
+        self._topic = topic
+        self._controls = controls
+        self._is_forgotten = True
+        self._publisher = ""
+        self._heard_s = float("-inf")
+        self._is_down = True  # as long as nothing else is known
+        self._problem = ""
+
+    def __str__(self) -> str:
+        """Say what to do, or why nothing moves."""
+        button = f"button {self._controls.button} of {self._topic}"
+        if time.monotonic() - self._heard_s > SILENT_S:
+            return f"nothing is heard on {self._topic}: connect the gamepad (see autorepeat_rate)"
+        if self._is_forgotten and self._is_down and not self._problem:
+            return f"let go of {button} first"
+        how = f"hold {button}, and steer"
+        return f"{how} ({self._problem})" if self._problem else how
+
+    def fileno(self) -> int:
+        """Return the descriptor that becomes readable when the gamepad says something."""
+        return self._listener.fileno()
+
+    def forget(self) -> None:
+        """Let go: the button must be released before it counts again."""
+        self._is_forgotten = True
+
+    def take(self) -> Wish | None:
+        """Return what the last message wants, None if none is complete yet."""
+        ours = [each for each in self._listener.receive(0.0) if self._is_followed(each)]
+        if not ours:
+            return None
+        wish = self._wish(base64.b64decode(ours[-1]["data"]))
+        if not self._is_down:
+            self._is_forgotten = False
+        return STAND if self._is_forgotten else wish
+
+    def _is_followed(self, message: Mapping[str, Any]) -> bool:
+        """Return whether the message is of the gamepad that is followed; follow one if none is."""
+        now_s = time.monotonic()
+        if message["publisher"] != self._publisher:
+            if now_s - self._heard_s <= MAX_SILENCE_S:
+                self._problem = f"a second node publishes on {self._topic}: it is ignored"
+                return False
+            self._publisher = message["publisher"]
+            self._is_down = True
+            self.forget()
+        self._heard_s = now_s
+        return True
+
+    def _wish(self, data: bytes) -> Wish:
+        button, forward, left = self._controls
+        try:
+            values: dict[str, Any] = decode(self._definition, data)
+            is_held = bool(values["buttons"][button])
+            wish = Wish(_share(values["axes"][forward]), _share(values["axes"][left]))
+        except struct.error:
+            self._problem = f"unreadable messages on {self._topic}"
+            return STAND
+        except IndexError:
+            self._problem = (
+                f"it has {len(values['buttons'])} buttons and {len(values['axes'])} axes, "
+                f"without button {button} or axes {forward}, {left}"
+            )
+            return STAND
+        self._problem, self._is_down = "", is_held
+        return wish if is_held else STAND
+
+
+def _share(value: float) -> float:
+    return max(-1.0, min(value, 1.0)) if isfinite(value) else 0.0
+
+
+FIRST_SHARE, STEP = 0.5, 1.1
+"""The share of the limits at the start, and the factor of a step of it."""
+
+CALL_S = 1.0
+"""How long the daemon may take to answer; its robot stands long before."""
+
+
+class Speeds:
+    """The chosen speeds: the same share of both limits."""
+
+    def __init__(self, client: Client, speed_mps: float | None) -> None:
+        """Begin with `speed_mps`, or with FIRST_SHARE of the daemon's limits.
+
+        Raises:
+            UsageError: The speed is above the limit.
+        """
+        listed = client.call(PARAM_LIST)["parameters"]
+        limits: dict[str, Any] = {each["key"]: each["value"] for each in listed}
+        self._linear_mps: float = limits["limits.linear_mps"]
+        self._angular_rps: float = limits["limits.angular_rps"]
+        self._least = min(MIN_SPEED_MPS / self._linear_mps, 1.0)
+        self._share = FIRST_SHARE if speed_mps is None else speed_mps / self._linear_mps
+        if self._share > 1.0:
+            cure = f"the limit is {self._linear_mps:g} m/s (limits.linear_mps)"
+            raise UsageError(f"--speed {speed_mps:g}", cure)
+
+    def scale(self, factor: float) -> None:
+        """Multiply the speeds, within MIN_SPEED_MPS and the limits."""
+        self._share = min(max(self._share * factor, self._least), 1.0)
+
+    def velocity(self, wish: Wish) -> tuple[float, float]:
+        """Return what is wanted [m/s, rad/s]; backwards, left and right stay where they are."""
+        return (
+            wish.forward * self._share * self._linear_mps,
+            wish.left * self._share * self._angular_rps,
+        )
+
+    def __str__(self) -> str:
+        linear_mps, angular_rps = self.velocity(Wish(1.0, 1.0))
+        return f"{linear_mps:.2f} m/s, {angular_rps:.2f} rad/s"
+
+
+class Holding:
+    """The motion that is held; `message` says why the last one ended or was refused.
+
+    Where `silence_lets_go`, a silence is how the operator ends a motion, and the next wish begins
+    another one. Else it is a mishap, after which the operator must let go first.
+    """
+
+    def __init__(self, client: Client, params: Mapping[str, Any]) -> None:
+        """`params` says who asks: source, reason and lease."""
+        self.message = ""
+        self.silence_lets_go = False
+        self._client = client
+        self._params = params
+        self._number = 0
+        self._sent_s = float("-inf")
+
+    @property
+    def is_held(self) -> bool:
+        """Whether a motion is going on, as far as is known."""
+        return self._number != 0
+
+    def want(self, velocity: tuple[float, float]) -> bool:
+        """Begin or go on; return False where the motion was refused or ended by something else."""
+        now_s = time.monotonic()
+        if self.silence_lets_go and now_s - self._sent_s >= MAX_SILENCE_S:
+            self._number = 0
+        begins = self._number == 0
+        if begins and velocity == STAND:
+            return True
+        linear_mps, angular_rps = velocity
+        given = {"linear_mps": linear_mps, "angular_rps": angular_rps, "hold": self._number}
+        self._sent_s = now_s
+        try:
+            answer = self._client.call(HOLD, {**self._params, **given}, deadline_s=CALL_S)
+        except Refused as refused:
+            self._number, self.message = 0, str(refused)
+            return False
+        self._number = answer["hold"]
+        if self._number:
+            self.message = "" if begins else self.message
+        elif velocity != STAND:
+            self.message = answer["message"]
+            return False
+        return True

@@ -1,0 +1,164 @@
+"""watch: show the status of a running daemon, live."""
+
+from __future__ import annotations
+
+import json
+import select
+import time
+from collections.abc import Iterator
+from typing import Any, Final
+
+from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.support.background import Background
+from robotctl.cli.support.quick_actions import asked_by, lease_of_shell, mode_number
+from robotctl.cli.terminal.keyboard import Keyboard
+from robotctl.cli.terminal.status_line import HEADER, status_line
+from robotctl.cli.terminal.text import is_terminal
+from robotctl.errors import Refused, RobotctlError
+from robotctl.ipc.answers import DrivenPath, Status
+from robotctl.ipc.client import Client, call
+from robotctl.ipc.method_names import PATH, SET_MODE, STATUS
+from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
+from robotctl.paths import DEFAULT_ROBOT
+
+POLL_S = 0.1
+LINE_S = 1.0
+"""The period without a terminal, so that a log file gets one line per second."""
+
+
+def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
+    """Yield the daemon's status until the work is done; nothing if it is done at once.
+
+    Failed polls are skipped, because the work itself reports how it ended.
+    """
+    period_s = POLL_S if is_terminal() else LINE_S
+    working.join(POLL_S)
+    while not working.is_done:
+        try:
+            status = call(robot, STATUS)
+        except RobotctlError:
+            pass
+        else:
+            yield status
+        time.sleep(period_s)
+
+
+def show(statuses: Iterator[Status]) -> None:
+    """Draw each status over the previous one, or print a line for each without a terminal."""
+    if not is_terminal():
+        for row, status in enumerate(statuses):
+            if row == 0:
+                print(HEADER)
+            print(status_line(status), flush=True)
+        return
+    from rich.live import Live
+
+    from robotctl.cli.terminal.status_panel import live_view
+
+    with Live(auto_refresh=False) as live:
+        for status in statuses:
+            live.update(live_view(status), refresh=True)
+
+
+KEYS: Final = "space stop   e emergency stop   q quit"
+
+PATH_S: Final = 1.0
+"""How often the map is drawn again."""
+
+
+def watch_on_screen(robot: str) -> None:
+    """Draw the status until `q`, and stop the robot by keys.
+
+    Raises:
+        NoDaemon: The daemon has ended.
+    """
+    from rich.console import Group
+    from rich.live import Live
+    from rich.text import Text
+
+    from robotctl.cli.terminal.drive_map import History, drive_map
+    from robotctl.cli.terminal.status_panel import live_view
+
+    history = History()
+    note = ""
+    path: DrivenPath = {"reference": [], "driven": []}
+    path_due_s = 0.0
+    with (
+        Client(robot) as client,
+        Live(auto_refresh=False, screen=True, redirect_stdout=False) as live,
+        Keyboard(live.stop, live.start) as keyboard,
+    ):
+        while True:
+            status = client.call(STATUS)
+            if time.monotonic() >= path_due_s:
+                path, path_due_s = _path(client), time.monotonic() + PATH_S
+            history.add(status)
+            seen = drive_map(path, history, live.console.size.height)
+            keys = Text(note or KEYS, style="dim", no_wrap=True, overflow="ellipsis")
+            live.update(Group(live_view(status, beside=seen), keys), refresh=True)
+            for key in _pressed(keyboard):
+                if key == "q":
+                    return
+                note = _stopped(robot, key) or note
+
+
+def _path(client: Client) -> DrivenPath:
+    try:
+        return client.call(PATH)
+    except Refused:  # nothing was driven yet
+        return {"reference": [], "driven": []}
+
+
+def _pressed(keyboard: Keyboard) -> str:
+    """Wait for a poll's time; return the keys that were pressed meanwhile."""
+    if not keyboard.sources:
+        time.sleep(POLL_S)
+        return ""
+    ready, _, _ = select.select(keyboard.sources, [], [], POLL_S)
+    keys = keyboard.read() if ready else ""
+    return "q" if not keys and keyboard.has_ended(ready) else keys
+
+
+def _stopped(robot: str, key: str) -> str:
+    """Stop the robot if the key says so; return what to tell."""
+    told = {" ": "stopped with a ramp", "e": "emergency stop, released by robotctl reset"}
+    if key not in told:
+        return ""
+    mode = mode_number("idle") if key == " " else EMERGENCY_STOP_MODE
+    try:
+        call(robot, SET_MODE, {"mode": mode, **asked_by("watch"), **lease_of_shell()})
+    except RobotctlError as error:
+        return str(error)
+    return f"{told[key]}   {KEYS}"
+
+
+app = new_app()
+
+
+@app.command()
+def watch(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+    """Watch mode, pose, speed, path, battery, recorder and topics, live.
+
+    Space stops the robot with a ramp, e is the emergency stop, q or Ctrl-C ends the view. It ends
+    with the daemon, too. Without a terminal, or with --json, it prints one line per second.
+
+    \b
+    Examples:
+      robotctl watch
+      robotctl watch | tee run.log
+      robotctl watch --json | jq .pose
+    """
+    if as_json:
+        for status in _each_second(robot):
+            print(json.dumps(status), flush=True)
+    elif not is_terminal():
+        show(_each_second(robot))
+    else:
+        watch_on_screen(robot)
+
+
+def _each_second(robot: str) -> Iterator[Status]:
+    """Yield the status of the daemon until the daemon ends, with NoDaemon."""
+    while True:
+        yield call(robot, STATUS)
+        time.sleep(LINE_S)
