@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,9 +23,10 @@ from robotctl.paths import DEFAULT_ROBOT, check_robot_name
 if TYPE_CHECKING:
     from robotctl.decisions.evidence import Evidence
     from robotctl.decisions.journal import LogContent
-    from robotctl.evidence.recordings import EvidenceRecording
 
 app = new_app()
+
+_LIVE, _MISSING = "live", "missing"
 
 
 @app.command()
@@ -63,9 +65,6 @@ def evidence(
     """
     from robotctl.decisions.evidence import KILLED, RUNS, collect
     from robotctl.decisions.journal import log_folder, read_log
-    from robotctl.evidence.missing_entries import missing_entries
-    from robotctl.evidence.recordings import RecordingSearch, RecordingState
-    from robotctl.recording.read.known_heads import KnownHeads
 
     folder = log_folder(check_robot_name(robot))
     since_ns = 0 if since is None else parse_since(since, time.time_ns())
@@ -74,100 +73,113 @@ def evidence(
         start = command_for(robot, "start")
         raise Refused(f"robot {robot!r} has no journal of decisions in {folder}", f"begin: {start}")
     told, found = collect(log.entries), collect(log.entries, since_ns)
-    search = RecordingSearch(
-        robot, list(noted_folders(robot)), recordings, since_ns, KnownHeads().of_robot(robot)
-    )
-    there = list(search.find(told, found))
-    missing = missing_entries(log, [file for each in there for file in each.files], time.time_ns())
-    log.broken += missing.broken
-    log.notes += _unnamed(there, told)
-    proof, together = _proof(there, check=check, quiet=as_json)
+    items = list(_recordings(robot, told, found, recordings, since_ns))
+    for item in items:
+        log.broken += _cut_off(log, Path(item["path"]))
+    together = _prove(items, quiet=as_json) if check else None
     if found.daemons and found.daemons[-1]["end_ns"] is None:
-        runs = any(
-            item["path"] == found.daemons[-1]["recording"] and item["state"] == RecordingState.LIVE
-            for item in proof
-        )
+        last = {"path": found.daemons[-1]["recording"], "state": _LIVE}
+        runs = any(item | last == item for item in items)
         found.daemons[-1]["ended"] = RUNS if runs else KILLED
-    answer = _as_object(robot, since_ns, folder, log, missing.gaps, found) | {
-        "recordings": proof,
+    answer = _as_object(robot, since_ns, folder, log, found) | {
+        "recordings": items,
         "verify": together,
     }
-    error = _gravest(log, missing.gaps, proof, together)
+    error = _gravest(log, items, together)
     print_answer(answer, evidence_lines(answer), as_json=as_json, error=error)
 
 
-def _proof(
-    there: Sequence[EvidenceRecording], *, check: bool, quiet: bool
-) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
-    """Return each recording with what it is, and its verdicts if it is to be checked.
+def _recordings(
+    robot: str, told: Evidence, found: Evidence, elsewhere: Path | None, since_ns: int
+) -> Iterator[dict[str, Any]]:
+    """Yield each recording that the journal names, then others of the robot next to them.
 
-    The second object is what `verify` says of all that were checked together, None without a check.
+    Of what is `told` to be older than what was `found`, a recording is left out if its own messages
+    are older too. `elsewhere` may hold those that are no more where they were made.
     """
+    wanted = set(found.recordings())
+    removed = {Path(str(item.get("file"))).parent.name for item in told.removed}
+    folders, names = set(noted_folders(robot)), set()
+    for name in told.recordings():
+        path = Path(name)
+        folders.add(path.parent)
+        if elsewhere is not None and not path.exists():
+            path = elsewhere / path.name
+        names.add(path.name)
+        item = _looked_at(path)
+        if item["state"] == _MISSING and path.name in removed:
+            item["state"] = "removed"
+        if name in wanted or item.get("end_ns", -1) >= since_ns:
+            yield item
+    for path in sorted(path for folder in folders for path in folder.glob(f"{robot}_*")):
+        if path.is_dir() and path.name not in names:
+            names.add(path.name)
+            item = _looked_at(path)
+            is_own = any(head is not None for head, _ in _heads(path, robot))
+            if is_own and item.get("end_ns", -1) >= since_ns:
+                yield item | {"named": False}
+
+
+def _looked_at(path: Path) -> dict[str, Any]:
+    """Return what a recording is, as an object of `--json`, without its verdicts."""
+    from robotctl.recording.keep.listing import list_recording
+
+    item = {"path": str(path), "state": _MISSING, "named": True}
+    item |= {"verify": None, "check": None, "wrong": [], "unproved": []}
+    try:
+        listed = list_recording(path)
+    except OSError:
+        return item
+    times = {"start_ns": listed.start_ns, "end_ns": listed.end_ns}
+    state = _LIVE if listed.live else "kept" if listed.kept else "there"
+    return item | times | {"state": state, "size_bytes": listed.size_bytes}
+
+
+def _heads(recording: Path, robot: str = "") -> Iterator[tuple[str | None, int]]:
+    """Yield what each file notes of the journal: its newest entry when the file began, and when.
+
+    A file of an earlier version notes None. Those of other robots than `robot` are left out.
+    """
+    from robotctl.recording import read_info
+    from robotctl.recording.format.metadata_names import INFO_RECORD
+    from robotctl.recording.read.files import recording_files
+
+    with suppress(UnreadableFile):  # its verdict tells why
+        for file in recording_files(recording):
+            info = read_info(file)
+            noted = info.metadata.get(INFO_RECORD, {})
+            if robot in ("", noted.get("robot")):
+                yield noted.get("decisions"), info.start_ns
+
+
+def _cut_off(log: LogContent, recording: Path) -> Iterator[str]:
+    """Yield a sentence if a recording knows an entry that is not in the journal."""
+    for head, start_ns in _heads(recording):
+        is_older = log.begins_later and log.entries and start_ns <= log.entries[0].time_ns
+        if head and head not in log.heads and not is_older:
+            yield (
+                f"{recording.name} knows an entry that is not there: the journal was cut off, or "
+                "it was rewritten"
+            )
+            return
+
+
+def _prove(items: Sequence[dict[str, Any]], *, quiet: bool) -> dict[str, Any] | None:
+    """Add the verdicts to finished recordings; return what `verify` says of all together."""
     from robotctl.cli.commands.verify.report import verify_together
-    from robotctl.evidence.recordings import RecordingState
     from robotctl.rerun.check_many import check_recordings
 
-    proof: list[dict[str, Any]] = []
-    finished: list[tuple[Path, dict[str, Any]]] = []
-    for each in there:
-        item: dict[str, Any] = {
-            "path": str(each.path),
-            "state": each.state.value,
-            "named": each.named,
-            "verify": None,
-            "check": None,
-            "wrong": [],
-            "unproved": [],
-        }
-        proof.append(item)
-        if each.listed is None:
-            continue
-        item |= {
-            "start_ns": each.listed.start_ns,
-            "end_ns": each.listed.end_ns,
-            "size_bytes": each.listed.size_bytes,
-        }
-        if check and each.state is not RecordingState.LIVE:
-            finished.append((each.path, item))
+    finished = [item for item in items if "size_bytes" in item and item["state"] != _LIVE]
     if not finished:
-        return proof, None
-    paths = [path for path, _ in finished]
-    found_by_verify = verify_together(paths, quiet=quiet)
+        return None
+    paths = [Path(item["path"]) for item in finished]
+    verified = verify_together(paths, quiet=quiet)
     with progress_bar("checking", quiet=quiet) as on_progress:
         reports = check_recordings(paths, on_progress)
-    verdicts = zip(found_by_verify.recordings, reports, strict=True)
-    for (path, item), (verify, report) in zip(finished, verdicts, strict=True):
-        foreign = list(_of_other_recordings(path, verify))
-        item |= {
-            "verify": "broken" if foreign else verify["verdict"],
-            "check": report["verdict"],
-            "wrong": foreign + verify["wrong"],
-            "unproved": verify["unproved"],
-        }
-    return proof, found_by_verify.summary
-
-
-def _of_other_recordings(recording: Path, verify: dict[str, Any]) -> Iterator[str]:
-    """Yield a sentence for each file in the place of a recording that was sealed for another."""
-    for file in verify["files"]:
-        sealed = file["seal"]["file"]
-        if sealed and sealed.rpartition("_")[0] != recording.name:
-            yield (
-                f"{file['name']} was sealed as {sealed}: it is not of {recording.name}, which the "
-                "journal names"
-            )
-
-
-def _unnamed(there: Sequence[EvidenceRecording], told: Evidence) -> Iterator[str]:
-    """Yield a sentence for each recording that no entry names."""
-    if any(item.get("counts", {}).get("start") for item in told.unwritten):
-        return
-    for each in there:
-        if not each.named:
-            yield (
-                f"no entry names {each.path.name}: its daemon was killed at its start, or entries "
-                "were cut off"
-            )
+    for item, verify, report in zip(finished, verified.recordings, reports, strict=True):
+        item |= {"verify": verify["verdict"], "check": report["verdict"]}
+        item |= {name: verify[name] for name in ("wrong", "unproved")}
+    return verified.summary
 
 
 def _as_object(
@@ -175,7 +187,6 @@ def _as_object(
     since_ns: int,
     folder: Path,
     log: LogContent,
-    gaps: Sequence[str],
     found: Evidence,
 ) -> dict[str, Any]:
     times = [entry.time_ns for entry in log.entries]
@@ -189,7 +200,6 @@ def _as_object(
             "first_ns": times[0] if times else None,
             "last_ns": times[-1] if times else None,
             "broken": log.broken,
-            "gaps": list(gaps),
             "notes": log.notes,
         },
         "software": dict(found.software),
@@ -208,7 +218,6 @@ def _as_object(
 
 def _gravest(
     log: LogContent,
-    gaps: Sequence[str],
     proof: Sequence[dict[str, Any]],
     together: dict[str, Any] | None,
 ) -> RobotctlError | None:
@@ -219,8 +228,6 @@ def _gravest(
         return Divergence(f"{len(wrong)} recordings are not as they were written: {wrong[0]}")
     if together is not None and together["wrong"]:
         return Divergence(f"the chain of the recordings is broken: {together['wrong'][0]}")
-    if gaps:
-        return UnreadableFile(f"the journal of decisions is not complete: {gaps[0]}")
     partly = list(_wrong(proof, ("unreadable",), ("incomplete",)))
     if partly:
         return UnreadableFile(f"{len(partly)} recordings could not be checked: {partly[0]}")

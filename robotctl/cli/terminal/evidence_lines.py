@@ -22,9 +22,8 @@ def evidence_lines(answer: Mapping[str, Any]) -> Iterator[str]:
     if journal["first_ns"] is not None:
         yield from _field("from", moment(journal["first_ns"]))
         yield from _field("to", moment(journal["last_ns"]))
-    whole = "with gaps" if journal["gaps"] else "and never changed"
-    yield from _field("appended to", "NO" if journal["broken"] else whole)
-    for sentences in (journal["broken"], journal["gaps"], journal["notes"]):
+    yield from _field("appended to", "NO" if journal["broken"] else "and never changed")
+    for sentences in (journal["broken"], journal["notes"]):
         for sentence in sentences[:MOST_SHOWN]:
             yield from _field("", sentence)
         if len(sentences) > MOST_SHOWN:

@@ -1,1 +1,0 @@
-"""What the journal of decisions tells about a robot, as one report."""
