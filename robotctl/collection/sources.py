@@ -21,7 +21,7 @@ from typing import Final
 from robotctl.errors import Divergence, UnreadableFile
 from robotctl.kernel.units import NS_PER_S
 from robotctl.printable import printable
-from robotctl.recording.disk.disk_errors import reason_of
+from robotctl.recording.disk.access import reason_of
 from robotctl.recording.disk.storage import is_locked
 from robotctl.recording.format.derived_files import INDEX_FILE
 from robotctl.recording.format.natural_order import natural_order

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
 from robotctl.errors import UsageError
-from robotctl.recording.disk.replaced_file import replaced_file
+from robotctl.recording.disk.atomic_output import replaced_file
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection

@@ -31,7 +31,7 @@ from robotctl.fleet.recording_index import NOT_CHECKED
 from robotctl.fleet.stamps import stamps_of_each
 from robotctl.paths import make_private
 from robotctl.printable import printable
-from robotctl.recording.disk.replaced_file import replaced_file
+from robotctl.recording.disk.atomic_output import replaced_file
 from robotctl.regular_file import open_folder
 from robotctl.rerun.check import check_recording
 from robotctl.store import NoSuchObject, StoreError, open_store

@@ -24,9 +24,8 @@ if TYPE_CHECKING:
     from robotctl.recording.read.messages import Message
     from robotctl.recording.read.reader import Recording, read_info, read_messages
     from robotctl.recording.table.arrays import TopicArrays, read_arrays
-    from robotctl.recording.write.recorder import Recorder
+    from robotctl.recording.write.recorder import Recorder, RecorderState, RecorderStats
     from robotctl.recording.write.recorder_options import RecorderOptions
-    from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
 
 __all__ = [
     "Clip",
@@ -63,8 +62,8 @@ __all__ = [
 _NAMES_OF_MODULE = {
     "format.compression": ("Compression",),
     "format.event_kind": ("EventKind",),
-    "format.recorded_events": ("RecordedEvent",),
     "format.journal": ("EntryKind", "JournalEntry"),
+    "format.recorded_events": ("RecordedEvent",),
     "format.topics": ("Topic", "TopicStats"),
     "keep.clip": ("Clip", "Moment", "cut_clip"),
     "keep.listing": ("ListedRecording", "list_recordings"),
@@ -75,9 +74,8 @@ _NAMES_OF_MODULE = {
     "read.messages": ("Message",),
     "read.reader": ("Recording", "read_info", "read_messages"),
     "table.arrays": ("TopicArrays", "read_arrays"),
-    "write.recorder": ("Recorder",),
+    "write.recorder": ("Recorder", "RecorderState", "RecorderStats"),
     "write.recorder_options": ("RecorderOptions",),
-    "write.recorder_stats": ("RecorderState", "RecorderStats"),
 }
 _MODULES = {name: module for module, names in _NAMES_OF_MODULE.items() for name in names}
 

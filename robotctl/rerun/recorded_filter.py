@@ -7,7 +7,7 @@ from typing import Final
 
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.metadata_names import INFO_RECORD
-from robotctl.recording.write.topic_filter import TopicFilter
+from robotctl.recording.write.recorder_options import TopicFilter
 from robotctl.rerun.own_topics import full_name
 
 MAX_TEXT: Final = 100_000

@@ -47,7 +47,8 @@ __all__ = [
 ]
 
 _NAMES_OF_MODULE = {
-    "object_store": ("PART_BYTES", "ObjectStore"),
+    "hash_folders": ("has_hash_folders", "hash_in", "without_hashes"),
+    "object_store": ("ObjectStore", "PART_BYTES"),
     "opening": ("open_store",),
     "store_errors": (
         "AccessDenied",
@@ -58,7 +59,6 @@ _NAMES_OF_MODULE = {
         "TooLarge",
     ),
     "stored_object": ("Stamp", "StoredObject"),
-    "hash_folders": ("has_hash_folders", "hash_in", "without_hashes"),
     "url": ("is_url", "parse_url"),
 }
 _MODULES = {name: module for module, names in _NAMES_OF_MODULE.items() for name in names}

@@ -17,8 +17,8 @@ from robotctl.errors import Refused
 from robotctl.ipc.answers import RobotFacts
 from robotctl.ipc.params import MarkParams, NoParams
 from robotctl.recording import Recorder
-from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
-from robotctl.recording.write.topic_filter import TopicFilter
+from robotctl.recording.write.recorder import RecorderState, RecorderStats
+from robotctl.recording.write.recorder_options import TopicFilter
 from robotctl.ros.tap.tap import Tap
 
 FAILURE = "the recorder failed: see robotctl logs"

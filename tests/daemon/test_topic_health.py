@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from robotctl.daemon.recording.learned_period import MINUTE_S, ROUNDS
 from robotctl.daemon.recording.topic_health import FORGET_S, RECENT_S, TopicHealth, may_be_learned
 from robotctl.daemon.recording.topic_watch import LOOK_S
-from robotctl.recording.write.rate_by_topic import RateByTopic
+from robotctl.recording.write.recorder_options import RateByTopic
 
 WALL_NS = 1_800_000_000_000_000_000
 SCAN, SCAN_TYPE = "/scan", "sensor_msgs/msg/LaserScan"

@@ -15,10 +15,9 @@ from robotctl.ipc.answers import TopicAnswer
 from robotctl.recording import Recorder, Topic
 from robotctl.recording.format.message_counts import COUNTERS
 from robotctl.recording.format.topics import LATCHED_QOS, TopicStats, total
-from robotctl.recording.write import counts_of_topics
+from robotctl.recording.write.bag_writer import repeats
 from robotctl.recording.write.channel_state import ChannelState
-from robotctl.recording.write.counts_of_topics import CountsOfTopics
-from robotctl.recording.write.latched_repeats import repeats
+from robotctl.recording.write.recorder import CountsOfTopics
 from robotctl.recording.write.writer_thread import WriterThread
 from tests.support.waiting import until
 
@@ -124,7 +123,7 @@ def test_a_change_is_seen_after_memory_ran_out_while_it_was_copied(
         raise MemoryError
 
     with monkeypatch.context() as memory:
-        memory.setattr(counts_of_topics, "total", fail)
+        memory.setattr("robotctl.recording.write.recorder.total", fail)
         with pytest.raises(MemoryError):
             counts.update()
     counts.update()

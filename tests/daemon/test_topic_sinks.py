@@ -12,7 +12,7 @@ import pytest
 from robotctl.config import RecordingParams
 from robotctl.daemon.recording.topic_sinks import TopicSinks
 from robotctl.recording import Recorder
-from robotctl.recording.write.message_gate import MessageGate
+from robotctl.recording.write.recorder import MessageGate
 from robotctl.ros.messages.topic_description import TopicDescription
 
 LATCHED = "- durability: transient_local"

@@ -25,7 +25,7 @@ from robotctl.fleet.questions import Answer, ask, find
 from robotctl.fleet.recording_index import index_recording
 from robotctl.kernel.types import DriveEnded, ModeRequested
 from robotctl.recording import Recorder, Recording, read_journal
-from robotctl.recording.disk.replaced_file import replaced_file
+from robotctl.recording.disk.atomic_output import replaced_file
 from robotctl.rerun.journal_values import read_effect
 from robotctl.testing.drives import BEGIN_NS, TWIST, drive, drive_requested, record
 

@@ -33,8 +33,7 @@ from robotctl.recording.read.read_limits import (
     ReadLimits,
 )
 from robotctl.recording.read.stored_chunk import UnpackBudget
-from robotctl.recording.write.buffer import pack
-from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
 from tests.support.mcap_bombs import (
     BOMBS,

@@ -9,8 +9,7 @@ from robotctl.errors import ConfigError
 from robotctl.recording import Compression
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.decompression import decompressor_of
-from robotctl.recording.write.buffer import pack
-from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.buffer import ChunkEncoder, pack
 
 
 @pytest.mark.parametrize("compression", list(Compression))

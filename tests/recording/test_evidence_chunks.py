@@ -16,10 +16,9 @@ from robotctl.recording import Compression, Recorder, RecorderOptions, Topic, re
 from robotctl.recording.format.records import MESSAGE_HEAD, PlainMessage
 from robotctl.recording.read.mcap_input import walk_records
 from robotctl.recording.write.bag_writer import BagWriter
-from robotctl.recording.write.buffer import PackedMessages, pack
+from robotctl.recording.write.buffer import OutOfMemory, PackedMessages, pack
 from robotctl.recording.write.channel_state import ChannelState
-from robotctl.recording.write.chunk_encoder import OutOfMemory
-from robotctl.recording.write.evidence_chunks import EvidenceChunks
+from robotctl.recording.write.writer_thread import EvidenceChunks
 from robotctl.testing.drives import GID, ODOMETRY, START_NS, TWIST
 from tests.support.recordings import numbered
 

@@ -12,8 +12,7 @@ from robotctl.recording.format.ledger_record import ledger_values, read_ledger
 from robotctl.recording.format.message_counts import COUNTERS
 from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from robotctl.recording.format.topics import Topic, TopicStats, by_topic, total
-from robotctl.recording.write.channel_state import ChannelState
-from robotctl.recording.write.sequence_gaps import MAX_PUBLISHERS, SequenceGaps
+from robotctl.recording.write.channel_state import MAX_PUBLISHERS, ChannelState, SequenceGaps
 
 
 def feed(ledger: SequenceGaps, gid: bytes, *sequences: int) -> None:

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.recording import Recorder, Topic, read_messages
-from robotctl.recording.write.message_gate import MessageGate
-from robotctl.recording.write.rate_by_topic import RateByTopic
+from robotctl.recording.write.recorder import MessageGate
+from robotctl.recording.write.recorder_options import RateByTopic
 from tests.support.recordings import read_strictly
 
 IMAGE = Topic("/camera/image", "sensor_msgs/msg/Image")

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from robotctl.recording import Recorder, RecorderOptions, RecorderState
-from robotctl.recording.write.buffer import LargeMessage, PackBuffer
-from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.buffer import ChunkEncoder, LargeMessage, PackBuffer
 from robotctl.recording.write.writer_thread import WriterThread
 from robotctl.testing.drives import TWIST
 from tests.support.fork_server import fork_server

@@ -26,10 +26,9 @@ from robotctl.recording import (
     RecorderStats,
     Topic,
 )
-from robotctl.recording.disk.thread_priority import SLICE_NS
 from robotctl.recording.write import bag_writer
 from robotctl.recording.write import recorder as recorder_module
-from robotctl.recording.write.writer_thread import NICE
+from robotctl.recording.write.writer_thread import NICE, SLICE_NS
 from robotctl.testing.drives import GID, ODOMETRY, QOS, START_NS, TWIST
 from tests.support.recordings import Stored, numbered, read_strictly, write_numbered
 from tests.support.waiting import until

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.recording.disk.replaced_file import replaced_file
+from robotctl.recording.disk.atomic_output import replaced_file
 
 
 def test_the_new_content_takes_the_place_of_the_old_one(tmp_path: Path) -> None:

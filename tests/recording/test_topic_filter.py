@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.recording.write.topic_filter import TopicFilter
+from robotctl.recording.write.recorder_options import TopicFilter
 
 NAMES = st.from_regex(r"(/[a-z_][a-z0-9_]{0,3}){1,3}", fullmatch=True)
 TYPES = st.sampled_from(["std_msgs/msg/String", "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu"])

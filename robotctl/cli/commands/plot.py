@@ -116,7 +116,7 @@ def _range(field: FieldSeries) -> str:
 
 
 def _write(target: Path, found: Sequence[FieldSeries], duration_s: float) -> None:
-    from robotctl.recording.disk.replaced_file import replaced_file
+    from robotctl.recording.disk.atomic_output import replaced_file
 
     figures = [each.figure(duration_s) for each in found]
     try:

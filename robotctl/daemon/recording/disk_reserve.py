@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from robotctl.recording import Recorder
-from robotctl.recording.write.message_gate import MessageGate
+from robotctl.recording.write.recorder import MessageGate
 from robotctl.recording.write.recorder_options import free_space
 
 _log = logging.getLogger(__name__)

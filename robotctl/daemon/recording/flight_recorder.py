@@ -31,7 +31,7 @@ from robotctl.recording import RecorderStats, Topic
 from robotctl.recording.format import foxglove
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
-from robotctl.recording.write.topic_filter import TopicFilter
+from robotctl.recording.write.recorder_options import TopicFilter
 from robotctl.ros.executor import UNKNOWN_GID
 from robotctl.ros.nodes import mode_service, publishers
 from robotctl.ros.nodes.publishers import HeadPublisher, JournalPublisher, MarkPublisher

@@ -15,7 +15,7 @@ from robotctl.ipc.advice import for_robot
 from robotctl.ipc.answers import RecordingFacts, TopicAnswer
 from robotctl.recording import Recorder, RecorderStats
 from robotctl.recording.format.topics import by_topic
-from robotctl.recording.write.topic_filter import TopicFilter
+from robotctl.recording.write.recorder_options import TopicFilter
 from robotctl.ros.nodes.publishers import Diagnosis
 from robotctl.ros.tap.tap import Tap
 

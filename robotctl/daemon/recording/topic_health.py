@@ -12,7 +12,7 @@ from robotctl.daemon.recording.learned_period import LearnedPeriod
 from robotctl.daemon.recording.topic_watch import LOOK_S, TopicWatch, Trouble
 from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording.write.rate_by_topic import RateByTopic
+from robotctl.recording.write.recorder_options import RateByTopic
 
 _log = logging.getLogger(__name__)
 

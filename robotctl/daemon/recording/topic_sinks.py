@@ -10,9 +10,8 @@ from math import inf
 from robotctl.config import RecordingParams
 from robotctl.daemon.recording.topic_health import TopicHealth, may_be_learned
 from robotctl.recording import Recorder, Topic
-from robotctl.recording.write.message_gate import MessageGate
-from robotctl.recording.write.rate_by_topic import RateByTopic
-from robotctl.recording.write.topic_filter import is_plain_name
+from robotctl.recording.write.recorder import MessageGate
+from robotctl.recording.write.recorder_options import RateByTopic, is_plain_name
 from robotctl.ros.executor import ViewSink
 from robotctl.ros.messages.topic_description import TopicDescription
 

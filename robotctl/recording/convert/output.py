@@ -13,8 +13,7 @@ from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.metadata_names import LIBRARY
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
-from robotctl.recording.write.buffer import pack
-from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
 
 

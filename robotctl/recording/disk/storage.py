@@ -5,12 +5,13 @@ from __future__ import annotations
 import errno
 import os
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from fcntl import LOCK_EX, LOCK_NB, LOCK_SH, LOCK_UN, flock
 from pathlib import Path
 from typing import Protocol
 
+from robotctl.errors import Refused
 from robotctl.recording.disk.access import open_private
 
 Buffer = bytes | bytearray | memoryview
@@ -159,3 +160,31 @@ class DiskFile:
         descriptor, self._fd = self._fd, -1
         if descriptor >= 0:
             os.close(descriptor)
+
+
+@contextmanager
+def new_file(target: Path, open_file: Callable[[Path], Storage] = DiskFile) -> Iterator[Storage]:
+    """Create `target` for the block; if the block raises, `target` is removed.
+
+    Raises:
+        Refused: `target` exists already, or cannot be written.
+    """
+    try:
+        storage = open_file(target)
+    except (OSError, ValueError) as error:
+        raise Refused(f"cannot write {target}: {_reason(error)}") from error
+    try:
+        yield storage
+    except BaseException as error:
+        with suppress(OSError):
+            target.unlink()
+        if isinstance(error, OSError):
+            raise Refused(f"cannot write {target}: {_reason(error)}") from error
+        raise
+    finally:
+        with suppress(OSError):  # it is synced, or it is gone
+            storage.close()
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)

@@ -14,7 +14,7 @@ from mcap.records import Channel, Schema
 
 from robotctl.errors import Refused
 from robotctl.recording.disk.access import share_like
-from robotctl.recording.disk.new_file import new_file
+from robotctl.recording.disk.storage import new_file
 from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.metadata_names import CLIP_RECORD, LIBRARY
@@ -27,9 +27,8 @@ from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import since_snapshot
 from robotctl.recording.read.messages import Message, Window
 from robotctl.recording.read.reader import Recording
-from robotctl.recording.write.buffer import pack
+from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.channel_state import MAX_LATCHED
-from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.mcap_writer import McapFile
 
 CHUNK_BYTES = 1 << 20

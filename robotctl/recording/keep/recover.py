@@ -8,8 +8,7 @@ from pathlib import Path
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording.disk.access import share_like
-from robotctl.recording.disk.new_file import new_file
-from robotctl.recording.disk.storage import DiskFile, Storage
+from robotctl.recording.disk.storage import DiskFile, Storage, new_file
 from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.metadata_names import LIBRARY, RECOVERY_RECORD
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, metadata_text
@@ -22,8 +21,7 @@ from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
 from robotctl.recording.read.messages import OpenFile
 from robotctl.recording.read.readable_file import ReadableFile
-from robotctl.recording.write.buffer import pack
-from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
 
 Progress = Callable[[int, int], None]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from robotctl.recording.disk.access import open_private
-from robotctl.recording.disk.replaced_file import replaced_file
+from robotctl.recording.disk.atomic_output import replaced_file
 from robotctl.recording.keep.tidy_note import TidyNote
 from robotctl.regular_file import open_folder, open_regular
 

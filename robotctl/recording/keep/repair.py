@@ -14,7 +14,7 @@ from pathlib import Path
 from isal.isal_zlib import crc32
 
 from robotctl.errors import RobotctlError
-from robotctl.recording.disk.disk_errors import reason_of
+from robotctl.recording.disk.access import reason_of
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.metadata_names import LEDGER_RECORD, RECOVERY_RECORD
@@ -31,8 +31,7 @@ from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import FileIndex
 from robotctl.recording.read.mcap_input import InputFile, walk_records
 from robotctl.recording.read.summary_section import index_from_summary, read_written_file
-from robotctl.recording.write.buffer import pack
-from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
 
 _UNFINISHED = ".repair"

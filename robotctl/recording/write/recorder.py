@@ -8,14 +8,19 @@ queued + dropped at any time, and queued is 0 after `close`.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from math import inf
 from pathlib import Path
 from typing import Final
 
 from mcap.opcode import Opcode
 
 from robotctl.errors import Refused
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.disk.storage import Buffer
+from robotctl.recording.format.message_counts import COUNTERS, MessageCounts
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.records import (
     MAX_SEQUENCE,
@@ -27,10 +32,72 @@ from robotctl.recording.format.topics import Topic, TopicStats, total
 from robotctl.recording.write.bag_writer import begin_bag
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer
 from robotctl.recording.write.channel_state import MAX_PACKERS, ChannelState, Packer
-from robotctl.recording.write.counts_of_topics import CountsOfTopics
 from robotctl.recording.write.recorder_options import RecorderOptions
-from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
 from robotctl.recording.write.writer_thread import WriterCommand, WriterThread
+
+
+class RecorderState(StrEnum):
+    """Whether the recorder keeps messages, or counts them as dropped."""
+
+    RECORDING = "recording"
+    FAILED = "failed"
+    CLOSED = "closed"
+
+
+@dataclass(slots=True, kw_only=True)
+class RecorderStats(MessageCounts):
+    """The recorder at one instant; the counts are the sums over `topics`.
+
+    `file` is the current file, `bytes` the size of all files of this recording. `no_memory` counts
+    the dropped messages for which there was no memory. `failure` and `warning` are
+    sentences, or "".
+    """
+
+    state: RecorderState
+    file: Path
+    bytes: int
+    no_memory: int
+    failure: str
+    warning: str
+    topics: tuple[TopicStats, ...]
+
+
+class CountsOfTopics:
+    """Copies of the counts of channels, to which channels are only ever added."""
+
+    def __init__(self, channels: Sequence[ChannelState], marks: bytearray) -> None:
+        """`marks` are those of the channels, one byte each; a new channel is marked."""
+        self._channels = channels
+        self._marks = marks
+        self.topics: tuple[TopicStats, ...] = ()
+        """The counts of each channel; those that do not change stay the same object."""
+
+        self.sums = dict.fromkeys(COUNTERS, 0)
+        """The sum of each counter, by name."""
+
+    def update(self) -> None:
+        """Copy what has changed. Call it in the loop's thread."""
+        channels, marks = self._channels, self._marks
+        place = marks.find(1)
+        if place < 0:
+            return
+        counts, gone, come = list(self.topics), list[TopicStats](), list[TopicStats]()
+        counts += [TopicStats()] * (len(channels) - len(counts))
+        try:
+            while place >= 0:
+                marks[place] = 0  # first: a change that the copy lacks marks it again
+                gone.append(counts[place])
+                counts[place] = new = channels[place].stats()
+                come.append(new)
+                place = marks.find(1, place + 1)
+            before, after = total(gone), total(come)
+            sums = {name: self.sums[name] - before[name] + after[name] for name in COUNTERS}
+            self.topics, self.sums = tuple(counts), sums
+        except MemoryError:
+            for state in channels:
+                state.mark()
+            raise
+
 
 MAX_TOPICS: Final = 1 << 16
 """A channel id of MCAP has 16 bits."""
@@ -292,3 +359,39 @@ def _new_packer(state: ChannelState, channel: int, size: int) -> Packer:
     if len(state.packers) < MAX_PACKERS:
         state.packers[size] = packer
     return packer
+
+
+class MessageGate:
+    """A sink that hands messages on to the recorder, or counts them as throttled.
+
+    It keeps the first message of each interval. An interval begins where the last one ended, so
+    that the rate is reached on average; after a pause, with the next message.
+    """
+
+    def __init__(self, recorder: Recorder, channel: int, most_hz: float = inf) -> None:
+        """Keep `most_hz` messages a second at most; inf keeps all, 0 none."""
+        self._recorder = recorder
+        self._channel = channel
+        self._interval_ns = round(NS_PER_S / most_hz) if most_hz else None
+        self._due_ns = 0
+        self.is_shut = False
+        """Whether no message is kept."""
+
+    def __call__(
+        self, data: Buffer, log_ns: int, publish_ns: int, sequence: int, gid: bytes
+    ) -> None:
+        """Record a message, or count it as throttled. The arguments are those of Recorder.write."""
+        if self.is_shut or not self._keeps(log_ns):
+            self._recorder.leave_out(self._channel, log_ns, sequence, gid)
+        else:
+            self._recorder.write(self._channel, data, log_ns, publish_ns, sequence, gid)
+
+    def _keeps(self, log_ns: int) -> bool:
+        interval_ns, due_ns = self._interval_ns, self._due_ns
+        if not interval_ns:
+            return interval_ns == 0
+        if due_ns - interval_ns <= log_ns < due_ns:  # before that, the clock was set back
+            return False
+        is_on_time = due_ns <= log_ns < due_ns + interval_ns
+        self._due_ns = (due_ns if is_on_time else log_ns) + interval_ns
+        return True

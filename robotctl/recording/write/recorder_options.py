@@ -1,15 +1,83 @@
-"""The options of the recorder."""
+"""What a recorder records, and how: its options, the filter of topics, the rate of each topic."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from fnmatch import translate
 from pathlib import Path
 
 from robotctl.recording.disk.storage import DiskFile, Storage
 from robotctl.recording.format.compression import Compression
 from robotctl.recording.write.file_seal import Sealer
+
+TYPE_PREFIX = "type:"
+"""Prefix of a pattern that is matched against the type instead of the name."""
+
+
+def is_plain_name(pattern: str) -> bool:
+    """Return whether a pattern is the name of one topic."""
+    return pattern.startswith("/") and not set(pattern) & set("*?[")
+
+
+class TopicFilter:
+    """A filter that accepts a topic if `include` matches it or is empty, and `exclude` does not
+    match.
+
+    A pattern is a name (`/cmd_vel`), a name with the wildcards `*`, `?` and `[...]` (`*` also
+    matches `/`: `/camera/*`), or one of these for the type (`type:sensor_msgs/msg/Image`). The
+    topics in `always` are recorded regardless of the patterns.
+    """
+
+    def __init__(
+        self,
+        include: Iterable[str] = (),
+        exclude: Iterable[str] = (),
+        always: Iterable[str] = (),
+    ) -> None:
+        self._include = [TopicPattern(text) for text in include]
+        self._exclude = [TopicPattern(text) for text in exclude]
+        self._always = frozenset(always)
+
+    def records(self, topic: str, type_name: str) -> bool:
+        """Return whether the topic is recorded."""
+        if topic in self._always:
+            return True
+        if any(pattern.matches(topic, type_name) for pattern in self._exclude):
+            return False
+        included = (pattern.matches(topic, type_name) for pattern in self._include)
+        return not self._include or any(included)
+
+    def can_leave_out(self, topic: str) -> bool:
+        """Return whether patterns may exclude the topic. Some topics are always recorded."""
+        return topic not in self._always
+
+
+class TopicPattern:
+    """A pattern as `TopicFilter` describes it."""
+
+    def __init__(self, text: str) -> None:
+        self._of_type = text.startswith(TYPE_PREFIX)
+        self._match = re.compile(translate(text.removeprefix(TYPE_PREFIX))).match
+
+    def matches(self, topic: str, type_name: str) -> bool:
+        """Return whether the pattern matches the topic's name, or its type."""
+        return self._match(type_name if self._of_type else topic) is not None
+
+
+class RateByTopic:
+    """Rates [1/s] from texts such as `/camera/*=5`; the first pattern that matches counts."""
+
+    def __init__(self, texts: Iterable[str]) -> None:
+        parts = (text.rpartition("=") for text in texts)
+        self._rates = [(TopicPattern(pattern), float(rate)) for pattern, _, rate in parts]
+
+    def of(self, topic: str, type_name: str) -> float | None:
+        """Return the rate of a topic, None if no pattern matches it."""
+        matching = (rate for pattern, rate in self._rates if pattern.matches(topic, type_name))
+        return next(matching, None)
 
 
 def free_space(folder: Path) -> int:

@@ -19,9 +19,8 @@ from robotctl.recording.format.metadata_names import (
 )
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
-from robotctl.recording.write.buffer import PackedMessages
+from robotctl.recording.write.buffer import ChunkEncoder, PackedMessages
 from robotctl.recording.write.channel_state import ChannelState
-from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.file_seal import FileSeal
 from robotctl.recording.write.mcap_writer import McapFile
 from robotctl.recording.write.recorder_options import RecorderOptions
