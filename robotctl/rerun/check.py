@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from robotctl.errors import UnreadableFile
-from robotctl.kernel.health import Health
 from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
@@ -156,14 +155,14 @@ class _Check:
                         read_event(entry), tuple(map(read_effect, step.effects))
                     )
                 return
-            event, effects, measured = self._decided(rerun, step)
+            event, effects = self._decided(rerun, step)
         except UnreadableFile as error:
             self._interrupt_at(error)
             return
-        self._compared.step(entry.seq, event, effects, measured, (event.t_ns, *self._log_ns))
+        self._compared.step(entry.seq, event, effects, (event.t_ns, *self._log_ns))
 
-    def _decided(self, rerun: Rerun, step: Step) -> tuple[Event, tuple[Effect, ...], Health | None]:
-        """Decide on one step; return event, effects, and what is measured after them.
+    def _decided(self, rerun: Rerun, step: Step) -> tuple[Event, tuple[Effect, ...]]:
+        """Decide on one step; return its event and effects.
 
         Raises:
             UnreadableFile: An entry cannot be read.
@@ -173,7 +172,7 @@ class _Check:
         if effects is None:
             self._note(divergence)
             effects = tuple(map(read_effect, step.effects))
-        return event, effects, rerun.measured
+        return event, effects
 
     def _note(self, divergence: Divergence | None) -> None:
         report = self._report
@@ -211,7 +210,6 @@ class _Check:
         if kernel is not None:
             invariants.end(kernel.state.waiting)
         self._compared.end(ends.ending, self._reading.end_ns, self._log_ns[1])
-        self._compared.tell_times(self._reading.log_order, is_own=ends.origin.is_own)
         report.violations, report.violation_count = invariants.violations, invariants.count
 
 

@@ -12,7 +12,6 @@ from robotctl.rerun.check_report import Report
 from robotctl.rerun.entry_order import EntryOrder, Gap
 from robotctl.rerun.journal_chain import JournalChain
 from robotctl.rerun.journal_steps import Item, LogTimes, Step
-from robotctl.rerun.log_order import LogOrder
 from robotctl.rerun.recording_ends import RecordingEnds
 
 Readers = Mapping[str, Callable[[Message], None]]
@@ -38,7 +37,6 @@ class CheckReading:
         self._on_progress = on_progress
         self._decoder = EntryDecoder(recording)
         self.chain = JournalChain()
-        self.log_order = LogOrder()
         self.end_ns = 0
         self._log_ns: LogTimes = (0, 0)
         self._step: Step | None = None
@@ -53,7 +51,9 @@ class CheckReading:
             UnreadableFile: The journal cannot be read.
         """
         order, last_ns = EntryOrder(), 0
-        for message in self._messages({topic, *readers}):
+        for message in self._recording.in_order_written(
+            {topic, *readers}, self._report.miss, self._on_progress
+        ):
             if message.topic != topic:
                 readers[message.topic](message)
                 continue
@@ -68,12 +68,6 @@ class CheckReading:
         for item in order.rest():
             yield from self._grouped(item)
         yield from self._ended(is_cut=True)
-
-    def _messages(self, topics: set[str]) -> Iterator[Message]:
-        read = self._recording.in_order_written(topics, self._report.miss, self._on_progress)
-        for message in self._ends.origin.watch(read):
-            self.log_order.add(message)
-            yield message
 
     def _note(self, entry: JournalEntry, message: Message) -> None:
         if not self._report.begin_log_ns:

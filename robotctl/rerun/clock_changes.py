@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import NamedTuple
 
 from robotctl.kernel.units import NS_PER_S
@@ -47,10 +46,16 @@ class ClockChanges:
         return [change.by_ns for change in self._set if change.moment > 1]
 
     @property
-    def was_set_back(self) -> bool:
-        """Whether the clock was set, and next back to what it was, as at the first snapshot."""
-        steps = pairwise([change.by_ns for change in self._set])
-        return any(abs(one + other) <= CLOCK_NS for one, other in steps)
+    def note(self) -> str:
+        """A sentence about how often the clock was set, "" if it was not."""
+        changes = self.set_by_ns
+        if not changes:
+            return ""
+        often = "once" if len(changes) == 1 else f"{len(changes)} times"
+        by_s = changes[0] / NS_PER_S
+        return (
+            f"the clock was set {often}, first by {by_s:+.2f} s: times around it are not compared"
+        )
 
     def begin(self, steady_ns: int, wall_ns: int) -> None:
         """Take the moment of a snapshot; that of the first one counts."""

@@ -11,20 +11,18 @@ from robotctl.rerun.command_pairs import CommandPairs
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.traffic import CommandTraffic
 
 CUT = 3
 """How many commands at the end of a clip may be decided after it."""
 
 
 class CommandCheck:
-    """The comparison of commands and decisions: by number, or by value for version 0.1.0."""
+    """The comparison of commands and decisions by number, which version 0.1.0 did not tell."""
 
     def __init__(self, report: Report, clock: ClockChanges) -> None:
         self._report = report
         self._clock = clock
         self._pairs = CommandPairs()
-        self._traffic = CommandTraffic()
         self._by_number: bool | None = None
         self._seen = 0
 
@@ -33,8 +31,6 @@ class CommandCheck:
         self._seen += 1
         if self._by_number:
             self._pairs.message(message.sequence, message.data, message.publish_ns)
-        elif self._traffic.seen or message.publish_ns >= self._report.begin_log_ns > 0:
-            self._traffic.message(message.data)  # else decided in an earlier file
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """Continue from a snapshot."""
@@ -52,19 +48,11 @@ class CommandCheck:
         if self._by_number:
             self._clock.look(event.t_ns, moments[1])
             self._pairs.step(event, effects, moments)
-        elif effects:
-            self._traffic.step(effects)
 
     def end(self, invariants: Invariants, ending: Ending) -> None:
         """Report what differs."""
         self._report.commands = self._seen
         if not self._by_number:
-            self._traffic.end()
-            extra, example = self._traffic.undecided, self._traffic.example
-            if invariants.foreign:
-                self._tell_foreign(invariants, extra, example)
-            else:
-                self._tell_extra(invariants, ending, extra, example)
             return
         pairs = self._pairs
         is_closed = ending.ledger is not None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from robotctl.kernel.health import Health
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event, OdomReceived
 from robotctl.recording import RecordingInfo
@@ -14,13 +13,10 @@ from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_bytes import command_topic
 from robotctl.rerun.command_check import CommandCheck
 from robotctl.rerun.ending import Ending, JournalEnd
-from robotctl.rerun.event_records import EventRecords
 from robotctl.rerun.input_check import input_checks
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.log_order import LogOrder
 from robotctl.rerun.measurement_order import MeasurementOrder
-from robotctl.rerun.recorded_times import tell_times
 from robotctl.rerun.safety_input_check import SafetyInputChecks
 from robotctl.rerun.service_check import ServiceChecks
 from robotctl.rerun.stalls import RecordedStalls
@@ -44,7 +40,6 @@ class Comparisons:
         self._safety_inputs = SafetyInputChecks(report, info, journal_topic, self._stalls)
         self._services = ServiceChecks(report, info, journal_topic, clock)
         self._status = StatusCheck(report, info, journal_topic, clock)
-        self._events = EventRecords(report, info, clock)
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
         """Return for each compared topic what takes its messages."""
@@ -59,7 +54,6 @@ class Comparisons:
     def step_before_snapshot(self, event: Event, effects: tuple[Effect, ...]) -> None:
         """Take a step of a kernel that is not known."""
         self._commands.step(event, effects, (0, 0, 0))
-        self._events.step(effects, (0, 0, 0))
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
         """Continue from a snapshot, with its time by the steady clock and since the epoch."""
@@ -73,26 +67,18 @@ class Comparisons:
         self._services.snapshot(has_proof, log_ns)
         self._status.snapshot(snapshot, t_ns, log_ns)
 
-    def step(
-        self,
-        seq: int,
-        event: Event,
-        effects: tuple[Effect, ...],
-        measured: Health | None,
-        moments: Moments,
-    ) -> None:
-        """Take an event with its effects, entry number, and what is measured after it."""
+    def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
+        """Take an event with its effects, the number of its entry, and when it was handled."""
         self._order.step(event, seq)
         self._stalls.step(event)
         self._inputs.step(event, seq)
         self._safety_inputs.step(event, seq)
-        self._status.step(event, effects, measured, moments)
+        self._status.step(event, effects, moments)
         if not effects and isinstance(event, OdomReceived):
             return  # most steps are so
         self._ticks.step(event, seq)
         self._commands.step(event, effects, moments)
         self._services.step(event, seq, effects, moments)
-        self._events.step(effects, moments)
         self.invariants.step(seq, event, effects)
 
     def stop(self) -> None:
@@ -105,7 +91,6 @@ class Comparisons:
         self._safety_inputs.stop()
         self._services.stop()
         self._status.stop()
-        self._events.stop()
 
     def end(self, ending: Callable[[str | None], Ending], end_ns: int, log_ns: int) -> None:
         """Report what differs; the journal ends at `end_ns`, since the epoch at `log_ns`.
@@ -125,9 +110,5 @@ class Comparisons:
         self._safety_inputs.end(self.invariants, ending, moment)
         self._services.end(self.invariants, ending, end_ns, log_ns)
         self._status.end(self.invariants, ending(self._status.topic), log_ns)
-        self._events.end(self.invariants, ending(None), log_ns)
-
-    def tell_times(self, order: LogOrder, *, is_own: bool) -> None:
-        """Report what the log times tell; those of a journal that is not own are of its arrival."""
-        if is_own:
-            tell_times(self._clock, order, self._report)
+        if self._clock.note and ending(None).is_own:
+            self._report.notes.append(self._clock.note)

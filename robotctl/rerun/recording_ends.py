@@ -87,7 +87,7 @@ class RecordingEnds:
             if self._recording.path.is_dir():
                 self._check_begin(events_before_snapshot)
             self._check_end(ledger)
-        check_schemas(self._recording, self._report, invariants)
+        check_schemas(self._recording, self._report)
         self._check_ledger(ledger, invariants)
 
     def _check_begin(self, events_before_snapshot: int) -> None:

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
-from robotctl.kernel.health import Health
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
@@ -49,11 +48,6 @@ class Rerun:
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""
         self.kernel = None
-
-    @property
-    def measured(self) -> Health | None:
-        """What is measured after the last step; None without a kernel."""
-        return None if self.kernel is None else self.kernel.state.health
 
     def snapshot(self, entry: JournalEntry) -> tuple[Snapshot, Divergence | None]:
         """Continue from a recorded snapshot; return it, and how the kernel differs from it.

@@ -27,7 +27,6 @@ from robotctl.rerun.input_report import report_inputs, report_last
 from robotctl.rerun.input_topics import InputTopic, InputTopics
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.repeated_latched import RepeatedLatched
-from robotctl.rerun.said_diagnoses import SaidDiagnoses
 from robotctl.rerun.stalls import RecordedStalls
 from robotctl.rerun.unheard_change import ShownValue, UnheardChange
 
@@ -59,7 +58,9 @@ class SafetyInputCheck:
         self._report = report
         self._name = NAMES[kind]
         self._read = reader_of(kind, button=button, robot=robot)
-        self._diagnoses = SaidDiagnoses(robot) if kind is SafetyInput.DIAGNOSTICS else None
+        self._is_diagnosis = kind is SafetyInput.DIAGNOSTICS
+        """A diagnosis in the journal is the worst of all names: only its message is compared."""
+
         self._pairs = InputPairs()
         self._repeat_ns = round(timeout_s * NS_PER_S / REPEATS_PER_TIMEOUT)
         self._unheard = UnheardChange(self._repeat_ns)
@@ -71,8 +72,7 @@ class SafetyInputCheck:
         is_repeat = self._is_latched and self._repeats.take(message)
         if is_repeat or not self._is_on:
             return
-        if self._diagnoses is not None:
-            self._diagnoses.message(message.data)
+        if self._is_diagnosis:
             self._pairs.message(message.sequence, None, message.log_ns)
             return
         value, _ = self._read(message.data)
@@ -84,11 +84,9 @@ class SafetyInputCheck:
         if not self._is_on:
             return
         sequence = event.sequence & MAX_SEQUENCE
-        value = None if self._diagnoses is not None else event.value
+        value = None if self._is_diagnosis else event.value
         self._pairs.received(sequence, Input(event.t_ns, event.publisher, value, seq))
-        if self._diagnoses is not None:
-            self._diagnoses.heard(event.value, event.detail)
-        else:
+        if not self._is_diagnosis:
             self._unheard.heard(sequence)
 
     def snapshot(self, has_proof: bool, stall_ns: int) -> None:
@@ -109,7 +107,7 @@ class SafetyInputCheck:
     ) -> None:
         """Report what differs; the longest stall was of `longest_ns`."""
         pairs, report = self._pairs, self._report
-        if self._diagnoses is not None:
+        if self._is_diagnosis:
             if ending.is_clip:
                 return  # its messages begin later than its journal
             pairs.repeated = 0  # robotctl publishes on the topic as well
@@ -121,13 +119,9 @@ class SafetyInputCheck:
         self._unheard.end(moment.log_ns, longest_ns)
         if self._unheard.example and pairs.has_one_publisher:
             report.miss(f"the journal does not hold {self._unheard.example} of {self._name}")
-        if self._diagnoses is None:
+        if not self._is_diagnosis:
             waited_ns = longest_ns + self._repeat_ns
             report_last(report, self._name, pairs, ending, moment, waited_ns, is_rare=True)
-        unsaid = [] if self._diagnoses is None else self._diagnoses.unsaid()
-        if unsaid and self.topic is not None and ending.has_begin and ending.lost == 0:
-            text = f"{len(unsaid)} diagnoses in the journal are in no message: {unsaid[0]}"
-            ending.accuse(report, invariants, text)
 
 
 class SafetyInputChecks:

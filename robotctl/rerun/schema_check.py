@@ -1,26 +1,15 @@
-"""Checks what the file tells of each topic's type: others read the messages by it, not the check.
-
-A type has one hash, which its fields determine. So the text of a type and the hash that the file
-tells contradict each other where one of them was changed.
-"""
+"""Checks that the topics that a check reads have the types whose fields it knows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from functools import lru_cache
+from collections.abc import Mapping
 from typing import Final
 
-from mcap.records import Channel, Schema
-
 from robotctl.cdr import known_types
-from robotctl.cdr.definition import UnreadableType, parse_definition
-from robotctl.cdr.type_hash import rihs01_hash
 from robotctl.kernel import command_types
 from robotctl.recording import Recording
-from robotctl.recording.convert.installed_definition import installed_definition
 from robotctl.recording.format.type_names import type_name_of
 from robotctl.rerun.check_report import Report
-from robotctl.rerun.invariants import Invariants
 
 HASHES: Final[Mapping[str, str]] = {
     command_types.TWIST: "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
@@ -47,93 +36,20 @@ HASHES: Final[Mapping[str, str]] = {
 }
 """The hash of each type whose messages a check reads, without `RIHS01_`."""
 
-_PREFIX: Final = "RIHS01_"
-_ROS2MSG: Final = "ros2msg"
-_HASH_KEY, _QOS_KEY = "topic_type_hash", "offered_qos_profiles"
-
-_OWN: Final = frozenset({known_types.JOURNAL_ENTRY, known_types.ROBOT_STATUS})
-"""The types of topics that only robotctl publishes: it always tells what it offers."""
-
-_MAX_TEXT: Final = 1 << 20
-"""Longer than any type of ROS; a recording may hold any text."""
+_HASH_KEY: Final = "topic_type_hash"
 
 
-def check_schemas(recording: Recording, report: Report, invariants: Invariants) -> None:
-    """Compare schema and channel of each topic with its type."""
-    for channel, schema in _channels(recording):
-        name = type_name_of(channel, schema)
-        if name in HASHES:
-            _check_read(channel, schema, name, report, invariants)
-        elif schema is not None and schema.encoding == _ROS2MSG:
-            _check_other(channel, schema, name, report, invariants)
-
-
-def _check_read(
-    channel: Channel, schema: Schema | None, name: str, report: Report, invariants: Invariants
-) -> None:
-    """Check a topic of a type that the check reads by its own knowledge of the fields."""
-    topic, told = channel.topic, channel.metadata.get(_HASH_KEY, "")
-    if channel.message_encoding != "cdr" or (schema and schema.encoding not in (_ROS2MSG, "")):
-        invariants.violate(f"the encoding of {topic} is not that of ROS messages")
-        return
-    if schema is None or not schema.data or not told:
-        report.miss(f"{topic} is recorded without the definition of its type")
-        return
-    described = _hash_of(name, schema.data)
-    if described != told:
-        invariants.violate(_contradiction(topic, name))
-    elif described != _PREFIX + HASHES[name]:
-        report.miss(f"{topic} is recorded with another version of {name} than the check reads")
-    elif name in _OWN and not channel.metadata.get(_QOS_KEY):
-        report.miss(f"{topic} is recorded without its quality of service")
-
-
-def _check_other(
-    channel: Channel, schema: Schema, name: str, report: Report, invariants: Invariants
-) -> None:
-    """Check a topic of another type, as far as it is installed here."""
-    topic, told = channel.topic, channel.metadata.get(_HASH_KEY, "")
-    described = _hash_of(name, schema.data)
-    if described == told or not told:
-        return
-    if _installed_hash(name) == told:
-        invariants.violate(_contradiction(topic, name))
-    else:
-        report.notes.append(f"{_contradiction(topic, name)}, in a version that is not installed")
-
-
-def _contradiction(topic: str, name: str) -> str:
-    return f"the schema of {topic} does not describe the fields that {name} has"
-
-
-def _channels(recording: Recording) -> Iterator[tuple[Channel, Schema | None]]:
-    """Yield what the files tell of each topic; what they tell alike comes once."""
-    told = set()
+def check_schemas(recording: Recording, report: Report) -> None:
+    """Report each topic that is recorded with another version of its type, or without its hash."""
     for each in recording.open_files:
         for channel in each.index.channels.values():
-            schema = each.index.schemas.get(channel.schema_id)
-            key = (
-                channel.topic,
-                channel.message_encoding,
-                *sorted(channel.metadata.items()),
-                *((schema.name, schema.encoding, schema.data) if schema else ()),
-            )
-            if key not in told:
-                told.add(key)
-                yield channel, schema
-
-
-@lru_cache(maxsize=256)
-def _hash_of(type_name: str, text: bytes) -> str:
-    """Return the hash of a type that is described so, "" if the text cannot be read."""
-    if len(text) > _MAX_TEXT or type_name.count("/") != 2:
-        return ""
-    try:
-        return rihs01_hash(type_name, parse_definition(type_name, text.decode(errors="replace")))
-    except UnreadableType:
-        return ""
-
-
-@lru_cache(maxsize=256)
-def _installed_hash(type_name: str) -> str:
-    return _hash_of(type_name, installed_definition(type_name, "").encode())
+            name = type_name_of(channel, each.index.schemas.get(channel.schema_id))
+            type_hash, topic = channel.metadata.get(_HASH_KEY, ""), channel.topic
+            if name not in HASHES:
+                continue
+            if not type_hash:
+                report.miss(f"{topic} is recorded without the definition of its type")
+            elif type_hash != f"RIHS01_{HASHES[name]}" or channel.message_encoding != "cdr":
+                report.miss(
+                    f"{topic} is recorded with another version of {name} than the check reads"
+                )

@@ -4,7 +4,6 @@ none.
 
 from __future__ import annotations
 
-import json
 from typing import Final
 
 from robotctl.kernel.snapshot import Proof
@@ -16,17 +15,9 @@ from robotctl.rerun.journal_chain import JournalChain
 WITHOUT_PROOF: Final = "0.1.0"
 """The version that wrote no proofs."""
 
-_STATE: Final = frozenset(
-    [
-        *("mode", "phase", "reason", "cause", "command", "tick_t_ns", "health", "drive"),
-        *("stop_reason", "waiting"),
-    ]
-)
-"""The fields of a state in that version."""
-
 NOT_COMPARED: Final = (
-    f"version {WITHOUT_PROOF} did not number what it sent and wrote: not compared are inputs, "
-    "statuses, calls, order and times of commands, and whether the journal is whole"
+    f"version {WITHOUT_PROOF} did not number what it sent and wrote: not compared are commands, "
+    "inputs, statuses, calls, and whether the journal is whole"
 )
 
 
@@ -50,17 +41,12 @@ class SnapshotProofs:
             )
         has_proof = proof is not None
         if self._has_proofs is None:
-            self._has_proofs = has_proof or not self._may_lack(entry)
+            self._has_proofs = has_proof or self._report.version != WITHOUT_PROOF
             if not self._has_proofs:
                 self._report.notes.append(NOT_COMPARED)
         if has_proof is not self._has_proofs and not self._is_told:
             self._is_told = True
             self._tell(entry, has_proof=has_proof)
-
-    def _may_lack(self, entry: JournalEntry) -> bool:
-        """Return whether a snapshot is of the version that wrote no proofs."""
-        is_named = self._report.version == WITHOUT_PROOF
-        return is_named and _STATE.issuperset(json.loads(entry.data)["state"])
 
     def _tell(self, entry: JournalEntry, *, has_proof: bool) -> None:
         does = "tells" if has_proof else "does not tell"

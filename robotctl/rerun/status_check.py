@@ -1,31 +1,115 @@
-"""Checks the robot statuses against the journal: name, mode, battery level, odometry."""
+"""Checks the robot statuses against the journal: robot, mode, and none is missing."""
 
 from __future__ import annotations
 
 import struct
+from collections import deque
+from dataclasses import dataclass
 from math import inf
+from typing import Final
 
 from robotctl.cdr.known_types import ROBOT_STATUS
 from robotctl.cdr.reader import CdrReader
-from robotctl.kernel.health import Health
+from robotctl.kernel.modes import Mode
 from robotctl.kernel.snapshot import Snapshot
-from robotctl.kernel.types import BatteryReceived, Effect, Event, ModeChanged
+from robotctl.kernel.types import Effect, Event, ModeChanged
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import RecordingInfo
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
-from robotctl.rerun.clock_changes import ClockChanges
+from robotctl.rerun.clock_changes import EXCUSES_NS, ClockChanges
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.own_topics import own_name
 from robotctl.rerun.repeated_latched import RepeatedLatched
-from robotctl.rerun.status_times import RecordedStatus, StatusTimes
 
-UNDER_WAY_NS = 2 * NS_PER_S
-"""How long before the end a change of the mode may lack its status."""
+FIRST_NS: Final = 2 * NS_PER_S
+"""A journal longer than this has a status."""
 
-_OTHER_REPEAT = "one that was recorded before it was sent differs from the one that was sent"
+NEAR_NS: Final = NS_PER_S
+"""How near to its status a mode must be in the journal."""
+
+MAX_WAITING: Final = 10_000
+"""The number of statuses that wait for the journal, and of modes that are kept."""
+
+
+@dataclass(slots=True)
+class _ModeSpan:
+    """How long the journal has a mode, by the steady clock [ns]."""
+
+    mode: int
+    begin_ns: int
+    end_ns: float = inf
+
+
+class ShownModes:
+    """The comparison of the statuses with the modes of the journal, from a snapshot on.
+
+    A status that does not show a mode that the journal had within NEAR_NS is `wrong`, unless the
+    clock was set then.
+    """
+
+    def __init__(self, clock: ClockChanges) -> None:
+        self.wrong = 0
+        self.example = ""
+        self._clock = clock
+        self._spans: deque[_ModeSpan] = deque(maxlen=MAX_WAITING)
+        self._statuses: deque[tuple[int, int, int]] = deque(maxlen=MAX_WAITING)
+        """Each with mode and steady time, and the time of the event before it in the file."""
+
+        self._t_ns = self._offset_ns = self._begin_ns = 0
+
+    def snapshot(self, mode: Mode, t_ns: int, wall_ns: int) -> None:
+        """Continue from a snapshot, with its time by the steady clock and since the epoch."""
+        self._t_ns, self._offset_ns = t_ns, wall_ns - t_ns
+        if not self._spans:
+            self._spans.append(_ModeSpan(mode.value, t_ns))
+            self._begin_ns = t_ns
+        self._judge(t_ns - EXCUSES_NS)
+
+    def status(self, mode: int, publish_ns: int) -> None:
+        """Compare a status, which was sent at `publish_ns` since the epoch."""
+        steady_ns = publish_ns - self._offset_ns
+        if self._spans and steady_ns >= self._begin_ns:
+            self._statuses.append((mode, steady_ns, self._t_ns))
+
+    def step(self, t_ns: int, wall_ns: int) -> None:
+        """Note the time of an event by both clocks."""
+        self._t_ns, self._offset_ns = t_ns, wall_ns - t_ns
+
+    def change(self, mode: Mode, moments: Moments) -> None:
+        """Note the mode after a step, until whose end statuses may show the one before."""
+        t_ns, begin_ns, end_ns = moments
+        if self._spans:
+            self._spans[-1].end_ns = t_ns + max(end_ns - begin_ns, 0)
+            self._spans.append(_ModeSpan(mode.value, t_ns))
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        self._spans.clear()
+        self._statuses.clear()
+
+    def end(self) -> None:
+        """Compare what is left."""
+        self._judge(inf)
+
+    def _judge(self, until_ns: float) -> None:
+        spans = self._spans
+        while self._statuses and self._statuses[0][1] < until_ns:
+            mode, at_ns, seen_ns = self._statuses.popleft()
+            is_then = any(
+                span.begin_ns - NEAR_NS <= at_ns <= span.end_ns + NEAR_NS and span.mode == mode
+                for span in spans
+            )
+            if not is_then and not any(map(self._clock.is_near, (at_ns, seen_ns))):
+                self.wrong += 1
+                name = Mode(mode).name if mode in [each.value for each in Mode] else str(mode)
+                self.example = self.example or (
+                    f"one shows the mode {name}, which was not the mode then"
+                )
+        while len(spans) > 1 and spans[0].end_ns + NEAR_NS < until_ns - NEAR_NS:
+            spans.popleft()
 
 
 class StatusCheck:
@@ -40,7 +124,7 @@ class StatusCheck:
         self._others = sorted(recorded - {self._name})
         self.is_on = False
         self._report = report
-        self._times = StatusTimes(clock)
+        self._modes = ShownModes(clock)
         self._first = 1
         """The number of the first status."""
 
@@ -48,9 +132,6 @@ class StatusCheck:
         self._gaps = 0
         self._seen = 0
         self._repeats = RepeatedLatched(info)
-        self._ahead: dict[int, bytes] = {}
-        """Statuses that were recorded as repeats and have not arrived in order yet, by number."""
-
         self._unordered = 0
         self._wrong = 0
         self._example = ""
@@ -62,20 +143,15 @@ class StatusCheck:
         Where the recorder lags, the one it repeats is sent later, and comes again in the file.
         """
         if message.log_ns < message.publish_ns:
-            if self._ahead.setdefault(message.sequence, message.data) != message.data:
-                self._blame(_OTHER_REPEAT)
             self._repeats.count()
             return
-        if self._ahead.pop(message.sequence, message.data) != message.data:
-            self._blame(_OTHER_REPEAT)
         if self._repeats.take(message):
             return
         try:
             reader = CdrReader(message.data)
             name, (mode,) = reader.text(), reader.take("B")
-            (level,) = reader.take("f")
-            reader.take("f")  # the temperature
-            (is_connected,) = reader.take("?")
+            reader.take("f", 2)  # battery level and temperature
+            reader.take("?")  # whether odometry is fresh
         except struct.error:
             self._blame("one that cannot be read")
             return
@@ -87,7 +163,7 @@ class StatusCheck:
         self._seen += 1
         if self._report.robot and name != self._report.robot:
             self._blame(f"one of {name[:40]!r}")
-        self._times.status(RecordedStatus(mode, level, is_connected, message.publish_ns))
+        self._modes.status(mode, message.publish_ns)
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
         """Continue from a snapshot, with its time by the steady clock and since the epoch."""
@@ -96,27 +172,18 @@ class StatusCheck:
         self._repeats.snapshot()
         if not self.is_on:
             self.is_on, self._begin_ns = True, log_ns
-        self._times.snapshot(snapshot, t_ns, log_ns)
+        self._modes.snapshot(snapshot.state.mode, t_ns, log_ns)
 
-    def step(
-        self,
-        event: Event,
-        effects: tuple[Effect, ...],
-        measured: Health | None,
-        moments: Moments,
-    ) -> None:
-        """Take an event with its effects, and what is measured after it, if known."""
-        if measured is not None:
-            self._times.step(event.t_ns, moments[1], measured.odometry_t_ns)
-            if isinstance(event, BatteryReceived):
-                self._times.level(measured.battery_level, moments)
+    def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
+        """Compare the modes after an event from now on."""
+        self._modes.step(event.t_ns, moments[1])
         for effect in effects:
             if isinstance(effect, ModeChanged):
-                self._times.mode(effect.mode, moments)
+                self._modes.change(effect.mode, moments)
 
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""
-        self._times.stop()
+        self._modes.stop()
 
     def end(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:
         """Report what differs; the journal ends at `end_ns` since the epoch."""
@@ -125,25 +192,19 @@ class StatusCheck:
         if self.topic is None:
             self._tell_unrecorded(ending)
             return
-        report, times = self._report, self._times
-        is_closed = ending.is_whole and ending.ledger is not None
-        times.end(inf if is_closed else end_ns - UNDER_WAY_NS)
+        report, modes = self._report, self._modes
+        modes.end()
         if ending.has_begin:
             self._gaps += self._first - 1
-        wrong = self._wrong + times.wrong
+        wrong = self._wrong + modes.wrong
         if wrong:
-            example = self._example or times.example
+            example = self._example or modes.example
             self._accuse(invariants, ending, f"{wrong} robot statuses are wrong: {example}")
-        lost = min(self._gaps, ending.lost) if is_closed else self._gaps
         missing = []
-        if times.unshown > lost:
-            missing.append(f"{times.unshown} changes of the mode are shown by no robot status then")
         if self._gaps > ending.lost and ending.ledger is not None:
             missing.append(f"{self._gaps} robot statuses are missing")
-        elif not self._seen and ending.is_whole and end_ns - self._begin_ns > UNDER_WAY_NS:
+        elif not self._seen and ending.is_whole and end_ns - self._begin_ns > FIRST_NS:
             missing.append("no robot status is recorded")
-        if self._ahead and ending.is_whole:
-            missing.append(f"{len(self._ahead)} robot statuses are recorded before they were sent")
         for text in missing:
             if ending.ledger is None:
                 report.miss(f"{text}; {ending.unknown_losses}")

@@ -15,7 +15,6 @@ from robotctl.recording.format.journal import (
     JournalEntry,
     decode,
     encode,
-    is_snapshot,
 )
 from robotctl.recording.read.journal_reader import journal_topic, read_journal
 from robotctl.testing.drives import GID, START_NS, TWIST
@@ -80,17 +79,6 @@ def test_a_damaged_chunk_is_told_and_the_rest_is_read(tmp_path: Path) -> None:
         read = list(read_journal(recording, missing.append))
     assert len(missing) == 1
     assert 0 < len(read) < 500
-
-
-@pytest.mark.parametrize("kind", EntryKind)
-def test_a_snapshot_is_told_from_other_entries_without_decoding(kind: EntryKind) -> None:
-    entry = encode(JournalEntry(7, 7, kind, "Name", "{}"))
-    assert is_snapshot(entry) is (kind is EntryKind.SNAPSHOT)
-
-
-@pytest.mark.parametrize("size", range(21))
-def test_bytes_too_short_for_an_entry_are_no_snapshot(size: int) -> None:
-    assert not is_snapshot(encode(JournalEntry(7, 7, EntryKind.SNAPSHOT, "Name", "{}"))[:size])
 
 
 @pytest.mark.parametrize(

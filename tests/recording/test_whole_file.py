@@ -11,8 +11,7 @@ import pytest
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording import Compression, Recorder, RecorderOptions
-from robotctl.recording.read.single_flip import find_flip
-from robotctl.recording.read.whole_file import FileState, read_whole_file
+from robotctl.recording.read.whole_file import FileState, find_flip, read_whole_file
 from robotctl.recording.read.whole_recording import read_whole_recording
 from robotctl.testing.drives import ODOMETRY, TWIST
 from tests.support.recordings import write_numbered

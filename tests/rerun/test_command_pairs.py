@@ -14,6 +14,7 @@ from robotctl.kernel.types import ForeignCommandHeard, LoopStalled, ModeRequeste
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
+from robotctl.rerun.command_bytes import numbers_of
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested
 from tests.support.checked_drives import altered, checked, rechained
 from tests.support.edited_recordings import Contents, edit, recorded, write_contents
@@ -207,3 +208,9 @@ def test_the_last_zero_of_a_daemon_that_failed_is_explained_by_the_last_snapshot
     ended = checked(tmp_path / "ended", counting_one_more(written, -1))
     assert (ended.verdict, ended.missing) == (Verdict.SAME, [])
     assert checked(tmp_path / "amid", counting_one_more(written, 1)).verdict is not Verdict.SAME
+
+
+def test_a_big_endian_command_is_read() -> None:
+    little = encode_twist(Twist(0.1, 0.2))
+    values = b"".join(little[i : i + 8][::-1] for i in range(4, 52, 8))
+    assert numbers_of(b"\x00\x00\x00\x00" + values) == numbers_of(little)

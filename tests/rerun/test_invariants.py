@@ -7,13 +7,11 @@ from math import inf, nan
 
 import pytest
 
-from robotctl.cdr.motion import encode_twist
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
-    ZERO,
     BatteryReceived,
     Cause,
     Effect,
@@ -30,7 +28,6 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.rerun.invariants import MAX_VIOLATIONS, Invariants, unbalanced
-from robotctl.rerun.traffic import MAX_WAITING, STILL_STEPS, CommandTraffic
 from robotctl.testing.kernels import ready
 
 MOVING, IDLE, STOP = Mode.MOVING, Mode.IDLE, Mode.EMERGENCY_STOP
@@ -164,61 +161,6 @@ def test_nothing_is_checked_where_events_are_missing() -> None:
     found.stop()
     found.step(1, Tick(0), (command(9.0),))
     assert found.violations == []
-
-
-# The traffic
-
-
-def test_each_decision_explains_one_command_whichever_is_seen_first() -> None:
-    traffic = CommandTraffic()
-    traffic.step((command(0.1),))
-    traffic.message(encode_twist(Twist(0.1)))
-    traffic.message(encode_twist(Twist(0.2)))
-    traffic.step((command(0.2),))
-    traffic.message(encode_twist(ZERO))
-    traffic.message(encode_twist(Twist(-0.0, -0.0)))
-    traffic.end()
-    assert (traffic.seen, traffic.undecided) == (4, 0)
-
-
-def test_a_command_that_is_seen_twice_was_decided_once() -> None:
-    traffic = CommandTraffic()
-    traffic.step((command(0.1, 0.2),))
-    for _ in range(3):
-        traffic.message(encode_twist(Twist(0.1, 0.2)))
-    traffic.end()
-    assert (traffic.undecided, traffic.example) == (2, "0.1 m/s, 0.2 rad/s")
-
-
-def test_a_sideways_motion_was_never_decided() -> None:
-    traffic = CommandTraffic()
-    traffic.step((command(0.1),))
-    data = bytearray(encode_twist(Twist(0.1)))
-    data[12:20] = data[4:12]
-    traffic.message(bytes(data))
-    traffic.end()
-    assert traffic.undecided == 1
-
-
-def test_a_lost_message_excuses_no_later_one_for_ever() -> None:
-    traffic = CommandTraffic()
-    traffic.step((command(0.1),))
-    for _ in range(STILL_STEPS):
-        traffic.step((command(0.0),))
-    traffic.message(encode_twist(Twist(0.1)))
-    for _ in range(MAX_WAITING + 1):
-        traffic.message(encode_twist(Twist(0.3)))
-    assert traffic.undecided >= 2
-
-
-def test_a_big_endian_command_is_understood() -> None:
-    little = encode_twist(Twist(0.1, 0.2))
-    values = b"".join(little[i : i + 8][::-1] for i in range(4, 52, 8))
-    traffic = CommandTraffic()
-    traffic.step((command(0.1, 0.2),))
-    traffic.message(b"\x00\x00\x00\x00" + values)
-    traffic.end()
-    assert traffic.undecided == 0
 
 
 # The ledger

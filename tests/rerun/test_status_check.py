@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.metadata_names import INFO_RECORD, LEDGER_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from tests.support.edited_recordings import Contents, Stored, edit, write_contents
-from tests.support.heard_drives import STATUS, heard_drive, status
+from tests.support.heard_drives import STATUS, heard_drive
 
 
 @pytest.fixture(scope="module")
@@ -19,24 +20,18 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> Contents:
     return heard_drive(tmp_path_factory.mktemp("heard") / "run", 3.0)
 
 
-@pytest.mark.parametrize(
-    ("earlier_ns", "verdict"), [(10_000_000_000, Verdict.SAME), (0, Verdict.BROKEN)]
-)
-def test_the_status_of_before_the_journal_may_show_another_battery_level(
-    tmp_path: Path, heard: Contents, earlier_ns: int, verdict: Verdict
+def test_the_status_of_before_the_journal_may_show_another_mode(
+    tmp_path: Path, heard: Contents
 ) -> None:
-    """A clip and a split begin with the last status, which a battery level may follow at once."""
+    """A clip and a split begin with the last status, which may be of long before."""
 
     def another(number: int, message: Stored) -> Stored:
-        if number:
-            return message
-        mode = message.data[16]
-        return replace(
-            message, data=status(mode, 0.123), publish_ns=message.publish_ns - earlier_ns
-        )
+        publish_ns = message.publish_ns - 10 * NS_PER_S
+        other = replace(message, data=with_mode(message, 3), publish_ns=publish_ns)
+        return message if number else other
 
     report = check_recording(write_contents(tmp_path / "run", edit(heard, STATUS, another)))
-    assert report.verdict is verdict, report
+    assert report.verdict is Verdict.SAME, report
 
 
 @pytest.mark.parametrize("set_s", [-3600, -1, 1, 3600])
@@ -57,17 +52,14 @@ def test_a_wall_clock_that_is_set_is_held_against_no_status(
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
 
 
-@pytest.mark.parametrize(("mode", "verdict"), [(0, Verdict.SAME), (1, Verdict.BROKEN)])
-def test_a_status_that_a_file_repeats_before_it_was_sent_says_the_same(
-    tmp_path: Path, heard: Contents, mode: int, verdict: Verdict
+def test_a_status_that_a_file_repeats_before_it_was_sent_is_no_difference(
+    tmp_path: Path, heard: Contents
 ) -> None:
-    """The first status shows that the robot is IDLE."""
     edited = heard.copy()
     first = next(each for each in heard.messages if each.topic == STATUS)
-    early = replace(first, log_ns=first.log_ns - 1, data=with_mode(first, mode))
-    edited.messages.insert(0, early)
+    edited.messages.insert(0, replace(first, log_ns=first.log_ns - 1))
     report = check_recording(write_contents(tmp_path / "run", edited))
-    assert (report.verdict, report.missing) == (verdict, [])
+    assert (report.verdict, report.missing) == (Verdict.SAME, [])
 
 
 def renamed(contents: Contents, topic: str) -> Contents:

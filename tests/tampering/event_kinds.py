@@ -75,7 +75,7 @@ def a_minute_later(values: Values) -> Values:
     return {**values, "log_ns": str(int(values["log_ns"]) + 60 * NS_PER_S)}
 
 
-IN_EVENTS: Mapping[str, Kind] = {
+FORGED_EVENTS: Mapping[str, Kind] = {
     "events: one removed": one_event(lambda values: None),
     "events: all removed": no_events,
     "events: a drive added": another_drive,
@@ -93,4 +93,4 @@ IN_EVENTS: Mapping[str, Kind] = {
         of_drives,
     ),
 }
-"""Edits that a check finds."""
+"""Edits that only the seal shows."""

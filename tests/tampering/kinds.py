@@ -27,21 +27,31 @@ from tests.tampering.edits import (
     without,
 )
 from tests.tampering.end_kinds import AT_THE_END, BUTTON, THOUSANDS_OF_THE_BUTTON
-from tests.tampering.event_kinds import IN_EVENTS
+from tests.tampering.event_kinds import FORGED_EVENTS
 from tests.tampering.journal_changes import last_dropped
 from tests.tampering.journal_kinds import IN_JOURNAL
 from tests.tampering.message_changes import numbered
-from tests.tampering.pretended_kinds import PRETENDED, excluding, together
-from tests.tampering.topic_kinds import IN_TOPICS
+from tests.tampering.pretended_kinds import FORGED_NAMES, PRETENDED, excluding, together
+from tests.tampering.schema_kinds import FORGED_SCHEMAS
+from tests.tampering.time_kinds import FORGED_TIMES
+from tests.tampering.topic_kinds import FORGED_STATUSES, IN_TOPICS
 
 FOUND: Mapping[str, Kind] = {
     **IN_TOPICS,
     **IN_JOURNAL,
-    **IN_EVENTS,
     **AT_THE_END,
     **PRETENDED,
 }
 """Edits that a check finds: its verdict is not `same`."""
+
+FORGED: Mapping[str, Kind] = {
+    **FORGED_EVENTS,
+    **FORGED_NAMES,
+    **FORGED_SCHEMAS,
+    **FORGED_STATUSES,
+    **FORGED_TIMES,
+}
+"""Edits that no fault makes, only a forger of an unsealed file: the seal shows them."""
 
 ON_A_BUTTON: Mapping[str, Kind] = {
     "button: thousands added at the end": THOUSANDS_OF_THE_BUTTON,

@@ -78,7 +78,6 @@ PRETENDED: Mapping[str, Kind] = {
     "journal: the proof of one snapshot set to null, chained anew": journal(
         rewritten("Snapshot", _PROOF, '"proof":null'), careful=True
     ),
-    "metadata: version 0.1.0, all proofs removed": without_proofs("0.1.0"),
     "metadata: a version to come, all proofs removed": without_proofs("9.9.9"),
     "metadata: no version, all proofs removed": without_proofs(""),
     "metadata: the robot renamed": metadata("robotctl", "robot", "other"),
@@ -91,12 +90,6 @@ PRETENDED: Mapping[str, Kind] = {
         OBSERVED,
         metadata("robotctl", "mode", "IDLE"),
     ),
-    "metadata: only observed, the journal received, motion added for 10 s": together(
-        OBSERVED, _DRIVEN_ON
-    ),
-    "metadata: only observed, the first entry received": together(
-        UNNAMED, metadata("robotctl", "mode", "observing"), _first_received
-    ),
     "metadata: the cameras left out, odometry removed": together(
         excluding("/camera/*"), removed(ODOMETRY)
     ),
@@ -108,3 +101,14 @@ PRETENDED: Mapping[str, Kind] = {
     ),
 }
 """Edits that a check finds."""
+
+FORGED_NAMES: Mapping[str, Kind] = {
+    "metadata: version 0.1.0, all proofs removed": without_proofs("0.1.0"),
+    "metadata: only observed, the journal received, motion added for 10 s": together(
+        OBSERVED, _DRIVEN_ON
+    ),
+    "metadata: only observed, the first entry received": together(
+        UNNAMED, metadata("robotctl", "mode", "observing"), _first_received
+    ),
+}
+"""Edits that only the seal shows."""

@@ -70,22 +70,26 @@ def commented(channel: Channel, schema: Schema) -> Described:
 
 
 IN_SCHEMAS: Mapping[str, Kind] = {
-    "schema: linear and angular exchanged": described(exchanged(" linear", " angular"), COMMANDS),
-    "schema: x and y exchanged": described(exchanged("float64 x\n", "float64 y\n"), ODOMETRY),
-    "schema: another type of a field": described(exchanged("float64", "int64"), ODOMETRY),
     "schema: of another version, with its hash": described(of_another_version, *READ),
-    "schema: its text removed": described(
-        lambda channel, schema: (channel, replace(schema, data=b"")), *READ
-    ),
-    "schema: another encoding": described(
-        lambda channel, schema: (channel, replace(schema, encoding="jsonschema")), *READ
-    ),
     "channel: another type hash": described(told("topic_type_hash", f"RIHS01_{0:064}"), *READ),
     "channel: no type hash": described(told("topic_type_hash", ""), *READ),
     "channel: another encoding": described(
         lambda channel, schema: (replace(channel, message_encoding="json"), schema),
         *(COMMANDS, ODOMETRY, BATTERY, STATUS),
     ),
-    "channel: no quality of service": described(told("offered_qos_profiles", ""), STATUS, JOURNAL),
 }
 """Edits that a check finds."""
+
+FORGED_SCHEMAS: Mapping[str, Kind] = {
+    "schema: linear and angular exchanged": described(exchanged(" linear", " angular"), COMMANDS),
+    "schema: x and y exchanged": described(exchanged("float64 x\n", "float64 y\n"), ODOMETRY),
+    "schema: another type of a field": described(exchanged("float64", "int64"), ODOMETRY),
+    "schema: its text removed": described(
+        lambda channel, schema: (channel, replace(schema, data=b"")), *READ
+    ),
+    "schema: another encoding": described(
+        lambda channel, schema: (channel, replace(schema, encoding="jsonschema")), *READ
+    ),
+    "channel: no quality of service": described(told("offered_qos_profiles", ""), STATUS, JOURNAL),
+}
+"""Edits that only the seal shows."""

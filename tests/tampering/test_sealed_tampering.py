@@ -18,6 +18,7 @@ from robotctl.recording.write import file_seal
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.sealed import Forger, keyring
 from tests.tampering.honest_looks import ACCEPTED
+from tests.tampering.kinds import FORGED
 from tests.tampering.sources import recording_for, sources
 from tests.tampering.test_tampering import edits
 
@@ -84,10 +85,10 @@ def test_thousands_of_edits_of_a_sealed_recording_are_found(
     assert missed(tmp_path, honest, forger, 2, MANY) == []
 
 
-@pytest.mark.parametrize("name", ACCEPTED)
-def test_what_looks_honest_without_a_seal_is_found_with_it(
+@pytest.mark.parametrize("name", [*ACCEPTED, *FORGED])
+def test_what_a_check_does_not_show_is_found_by_the_seal(
     tmp_path: Path, honest: dict[str, Contents], forger: Forger, name: str
 ) -> None:
-    kind, _ = ACCEPTED[name]
+    kind = FORGED[name] if name in FORGED else ACCEPTED[name][0]
     recording = recording_for(name)
     assert is_found(tmp_path, kind(honest[recording], Random(1)), forger)

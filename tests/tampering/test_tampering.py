@@ -19,7 +19,7 @@ from tests.support.edited_recordings import Contents, write_contents
 from tests.support.heard_drives import COMMANDS
 from tests.tampering.edits import Kind
 from tests.tampering.honest_looks import ACCEPTED
-from tests.tampering.kinds import FOUND, ON_A_BUTTON, ONLY_IF_CLOSED
+from tests.tampering.kinds import FORGED, FOUND, ON_A_BUTTON, ONLY_IF_CLOSED
 from tests.tampering.sources import recording_for, sources
 
 ATTEMPTS = 200
@@ -102,12 +102,13 @@ def test_what_looks_honest_is_listed(
     assert report.verdict is Verdict.SAME
 
 
-def test_the_page_tells_how_many_kinds_look_honest() -> None:
-    found, closed, honest = len(FOUND) + len(ON_A_BUTTON), len(ONLY_IF_CLOSED), len(ACCEPTED)
+def test_the_page_tells_how_many_kinds_are_found() -> None:
+    found, closed = len(FOUND) + len(ON_A_BUTTON), len(ONLY_IF_CLOSED)
+    honest, forged = len(ACCEPTED), len(FORGED)
     page = " ".join((Path(__file__).parents[2] / "docs" / "replay.md").read_text().split())
-    total = found + closed + honest
+    total = found + closed + honest + forged
     assert f"of {total} kinds, {found} are found in each recording and {closed} in one" in page
-    assert f"The other {honest} look like an honest recording" in page
+    assert f"{honest} look like an honest recording, each with its reason, and {forged} are" in page
 
 
 def test_a_flood_of_commands_of_decisions_that_never_come_takes_time_in_proportion(

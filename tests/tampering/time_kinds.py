@@ -46,7 +46,7 @@ def another_ahead(contents: Contents, random: Random) -> Contents:
 
 OTHERS = (COMMANDS, ODOMETRY, BATTERY, STATUS)
 
-IN_TIMES: Mapping[str, Kind] = {
+FORGED_TIMES: Mapping[str, Kind] = {
     "journal: each second entry recorded later": all_later(lambda at: at % 2 * 0.3, JOURNAL),
     "journal: some entries recorded later": all_later(lambda at: at // 50 % 2 * 0.3, JOURNAL),
     "journal: recorded ever later": all_later(float, JOURNAL),
@@ -63,4 +63,4 @@ IN_TIMES: Mapping[str, Kind] = {
         ODOMETRY, lambda each, _: recorded_later(each, -60.0), anywhere
     ),
 }
-"""Edits that a check finds."""
+"""Edits that only the seal shows."""

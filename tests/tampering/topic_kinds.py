@@ -45,11 +45,9 @@ from tests.tampering.message_changes import (
     with_mode,
 )
 from tests.tampering.schema_kinds import IN_SCHEMAS
-from tests.tampering.time_kinds import IN_TIMES
 
 IN_TOPICS: Mapping[str, Kind] = {
     **IN_SCHEMAS,
-    **IN_TIMES,
     "commands: one that moves dropped": dropped(COMMANDS, 1, moves),
     "commands: any dropped": dropped(COMMANDS),
     "commands: many dropped": dropped(COMMANDS, 30, moves),
@@ -87,21 +85,9 @@ IN_TOPICS: Mapping[str, Kind] = {
     "battery: one repeated": repeated(BATTERY),
     "battery: topic removed": removed(BATTERY),
     "status: another mode": changed(STATUS, mode, lambda m: m.sequence == 2),
-    "status: another battery level": changed(STATUS, shown_level, lambda m: m.sequence > 3),
-    "status: the mode before at a change": changed(
-        STATUS, lambda m, _: with_mode(m, Mode.IDLE), lambda m: m.sequence == 2
-    ),
-    "status: the mode of the next change": changed(
-        STATUS, lambda m, _: with_mode(m, Mode.IDLE), lambda m: m.sequence in (3, 4)
-    ),
-    "status: one says that odometry was stale": changed(
-        STATUS, lambda m, _: replace(m, data=m.data[:-1] + b"\0"), lambda m: m.sequence > 2
-    ),
-    "status: one shown late": changed(STATUS, lambda m, _: late(m), lambda m: m.sequence == 2),
     "status: another robot": changed(STATUS, robot, anywhere),
     "status: topic removed": removed(STATUS),
     "status: topic renamed": renamed(STATUS),
-    "status: two swapped": swapped(STATUS, anywhere),
     "service: a call for another mode": changed(SET_MODE, requested, lambda m: m.sequence == 1),
     "service: a response says the opposite": changed(SET_MODE, granted, lambda m: m.sequence == 2),
     "service: a call received late": changed(
@@ -113,3 +99,19 @@ IN_TOPICS: Mapping[str, Kind] = {
         careful=True,
     ),
 }
+
+FORGED_STATUSES: Mapping[str, Kind] = {
+    "status: another battery level": changed(STATUS, shown_level, lambda m: m.sequence > 3),
+    "status: the mode before at a change": changed(
+        STATUS, lambda m, _: with_mode(m, Mode.IDLE), lambda m: m.sequence == 2
+    ),
+    "status: the mode of the next change": changed(
+        STATUS, lambda m, _: with_mode(m, Mode.IDLE), lambda m: m.sequence in (3, 4)
+    ),
+    "status: one says that odometry was stale": changed(
+        STATUS, lambda m, _: replace(m, data=m.data[:-1] + b"\0"), lambda m: m.sequence > 2
+    ),
+    "status: two swapped": swapped(STATUS, anywhere),
+    "status: one shown late": changed(STATUS, lambda m, _: late(m), lambda m: m.sequence == 2),
+}
+"""Edits that only the seal shows."""

@@ -40,9 +40,7 @@ class JournalEntry(NamedTuple):
 
 _KINDS = tuple(EntryKind)
 
-_KIND_AT = struct.calcsize("<4sQq")
 _NAME_SIZE_AT = struct.calcsize("<4sQqBxxx")
-_SNAPSHOT = bytes([EntryKind.SNAPSHOT])
 
 MAX_NAME_BYTES = 255
 """Maximum size of the name of an entry, with the zero at its end."""
@@ -88,11 +86,6 @@ def chained(serialized: bytes, crc: int) -> int:
 def chained_all(entries: Iterable[bytes], crc: int) -> int:
     """Return what `chained` returns for one entry after the other, in a quarter of the time."""
     return crc32(b"".join([serialized.rstrip(b"\0") for serialized in entries]), crc)
-
-
-def is_snapshot(serialized: bytes) -> bool:
-    """Return whether an entry is a snapshot, without decoding it; the bytes may be anything."""
-    return serialized[_KIND_AT : _KIND_AT + 1] == _SNAPSHOT
 
 
 def decode(serialized: bytes) -> JournalEntry:

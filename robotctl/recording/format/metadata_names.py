@@ -42,14 +42,5 @@ RECOVERY_RECORD = "robotctl.recovery"
 CONVERSION_RECORD = "robotctl.conversion"
 """In a converted file: the files it was made from, and what is missing."""
 
-OWN_RECORDS = frozenset(
-    (
-        *(INFO_RECORD, SOFTWARE_RECORD, SHADOW_RECORD, FOXGLOVE_RECORD),
-        *(EVENT_RECORD, LEDGER_RECORD),
-        *(CLIP_RECORD, RECOVERY_RECORD, CONVERSION_RECORD),
-    )
-)
-"""The names of all metadata records that robotctl writes, beside that of rosbag2."""
-
 MADE_BY = f"Python {platform.python_version()}, {' '.join(platform.libc_ver())}".rstrip()
 """Python and libc: the last bit of sin and cos depends on them."""

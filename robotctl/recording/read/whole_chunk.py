@@ -146,8 +146,6 @@ class WholeChunks:
                     if entries is None:
                         entries = indexes[channel] = self._entries_of(channel)
                     entries += log_ns, position
-                elif data.own:
-                    raise Damaged("a chunk holds records that robotctl does not write there")
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     start = position + RECORD_HEAD.size
                     data.define(opcode, content[start : start + length], at, self._flaws)

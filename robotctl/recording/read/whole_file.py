@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import isqrt
 from pathlib import Path
 
 from isal.isal_zlib import crc32
@@ -37,12 +38,16 @@ from robotctl.recording.read.file_end import (
 from robotctl.recording.read.files import reason_of
 from robotctl.recording.read.flaws import Flaws
 from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile, parse
-from robotctl.recording.read.single_flip import find_flip
 from robotctl.recording.read.summary_section import read_written_file
 from robotctl.recording.read.whole_data import WholeData
 from robotctl.recording.read.whole_summary import compare_summary
 
 _CRC_BYTES = 4
+_ONES = (1 << 32) - 1
+
+MAX_FLIP_BYTES = 1 << 28
+"""In more bytes, several bits change a CRC-32 in the same way."""
+
 _GROWING_S = 2.0
 """How long reading the end of a growing file is retried."""
 
@@ -234,3 +239,28 @@ def _check_summary_crc(
         found.flaws.add(start, start + 1, "the checksum of the summary tells that a bit is wrong")
     elif not place_known:
         found.flaws.add(end.summary, end.magic, "the checksum of the summary is wrong")
+
+
+def find_flip(told: int, found: int, size: int) -> int | None:
+    """Return the offset of the byte in which one flipped bit explains the difference, or None.
+
+    `told` and `found` are CRC-32s of `size` bytes. A CRC is linear: the effect of a bit depends on
+    the number of bytes behind it. The search, in steps of the root of `size`, takes 0.1 s for
+    100 MB.
+    """
+    if told == found or size > MAX_FLIP_BYTES:
+        return None
+    step = isqrt(size) + 1
+    zeros, behind_of = bytes(step), dict[int, int]()
+    for bit in range(8):
+        effect = crc32(bytes([1 << bit])) ^ crc32(b"\0")
+        for behind in range(0, size + step, step):
+            behind_of[effect] = behind
+            effect = crc32(zeros, effect ^ _ONES) ^ _ONES
+    effect = told ^ found
+    for nearer in range(step):
+        behind = behind_of.get(effect, -1) - nearer
+        if 0 <= behind < size:
+            return size - 1 - behind
+        effect = crc32(b"\0", effect ^ _ONES) ^ _ONES
+    return None

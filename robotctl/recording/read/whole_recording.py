@@ -11,7 +11,7 @@ from mcap.records import Channel
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording.format.ledger_record import read_ledger
-from robotctl.recording.format.metadata_names import INFO_RECORD, LEDGER_RECORD, OWN_RECORDS
+from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from robotctl.recording.format.rosbag2 import (
     METADATA_RECORD,
     message_counts_in,
@@ -82,7 +82,7 @@ def read_whole_recording(
         if file.data.unread:
             unreadable.append(prefix + file.data.unread)
         if not file.flaws.count and not file.data.unread and file.data.own:
-            wrong += [prefix + sentence for sentence in _unusual_records(file)]
+            wrong += [prefix + sentence for sentence in _miscounted(file)]
     if not wrong and not unreadable:
         wrong += _contradictions(text, files, whole_folder=whole_folder)
     return WholeRecording(path, tuple(files), tuple(unreadable), tuple(wrong))
@@ -95,26 +95,12 @@ def _size(path: Path) -> int:
         return 0
 
 
-def _unusual_records(file: WholeFile) -> Iterator[str]:
-    """Yield a sentence for each record that robotctl would not have written into this file."""
-    data = file.data
-    names = [data.metadata[offset].name for offset in sorted(data.metadata)]
-    for name in dict.fromkeys(names):
-        if name not in OWN_RECORDS | {METADATA_RECORD}:
-            yield f"robotctl writes no metadata of the name {name[:80]!r}"
-    recorded = file.state in (FileState.FINISHED, FileState.NOT_CLOSED, FileState.LIVE)
-    if not recorded:
-        return
-    if data.attachment_indexes:
-        yield "robotctl writes no attachments"
-    if names.count(INFO_RECORD) != 1:
-        yield "it does not hold one record that describes the recording"
-    if names.count(LEDGER_RECORD) > 1 or LEDGER_RECORD in names[:-1]:
-        yield "its ledger is not its last record"
-    texts = [r.metadata for r in data.metadata.values() if r.name == METADATA_RECORD]
+def _miscounted(file: WholeFile) -> Iterator[str]:
+    """Yield a sentence for each count of a rosbag2 record that is not what was found."""
+    texts = [r.metadata for r in file.data.metadata.values() if r.name == METADATA_RECORD]
     if file.state is FileState.FINISHED and texts:
         told = topic_counts_in(texts[-1].get("serialized_metadata", ""))
-        yield from _differences("its rosbag2 record", told, _counts([data]))
+        yield from _differences("its rosbag2 record", told, _counts([file.data]))
 
 
 def _contradictions(text: str, files: Sequence[WholeFile], *, whole_folder: bool) -> Iterator[str]:
