@@ -1,18 +1,17 @@
 """The daemon's configuration: one frozen `Config`, validated when it is read.
 
-- `schema`: what may be set, with the defaults.
-- `settings`: read and change a `Config` by dotted keys.
-- `values`: whether a value is allowed for a key.
-- `declarations`: each key with its type, its allowed values and when it may change.
+- `settings`: what may be set, with the defaults; read and change a `Config` by dotted keys.
 - `file`: read a `Config` from a YAML file.
+- `ros_settings`: the same from parameter files and arguments of ROS.
 """
 
 from robotctl.config.file import MAX_FILE_BYTES, load
-from robotctl.config.schema import Config, RecordingParams
 from robotctl.config.settings import (
     PATTERN_HELP,
+    Config,
     Declaration,
     Kind,
+    RecordingParams,
     check_all,
     check_together,
     declarations,

@@ -16,8 +16,13 @@ from pathlib import Path
 from reprlib import repr as short_repr
 from typing import Any
 
-from robotctl.config.schema import Config
-from robotctl.config.settings import RATE_KEYS, check_together, warn_of_retired, with_setting
+from robotctl.config.settings import (
+    RATE_KEYS,
+    Config,
+    check_together,
+    warn_of_retired,
+    with_setting,
+)
 from robotctl.errors import ConfigError
 from robotctl.regular_file import open_regular
 

@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple
 
 from robotctl import ros_arguments
 from robotctl.config.file import flatten, read_value, read_yaml
-from robotctl.config.schema import Config
 from robotctl.config.settings import (
+    Config,
     check_together,
     flat,
     keyed_leaves,

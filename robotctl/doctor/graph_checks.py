@@ -7,7 +7,7 @@ from itertools import chain, islice
 from typing import Final
 
 from robotctl.cdr.known_types import ODOMETRY
-from robotctl.doctor.finding import Finding, fault, ok, warning
+from robotctl.doctor.machine import Finding, fault, ok, warning
 from robotctl.ipc.answers import GraphEndpoint, GraphTopic, NameAndTypes
 from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 

@@ -18,9 +18,8 @@ from robotctl.show.figure import (
     time_figure,
     x_ticks,
 )
-from robotctl.show.markup import Markup, plain, tag
 from robotctl.show.series import DrivenPlace, Series
-from robotctl.show.svg import BASELINE_PX, TIME_FRAME, drawing, element
+from robotctl.show.svg import BASELINE_PX, TIME_FRAME, Markup, drawing, element, plain, tag
 from robotctl.show.traces import ModeSpan, TracedMoment, Traces
 
 BAND_FRAME: Final = Frame(960, 72, 62, 948, 24, 50)

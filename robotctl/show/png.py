@@ -8,8 +8,7 @@ from typing import IO, TYPE_CHECKING, Final
 
 from robotctl.recording.disk.atomic_output import replaced_file
 from robotctl.show.figure import Figure, Frame, Label, Point, laid_out
-from robotctl.show.markup import shown
-from robotctl.show.svg import TIME_FRAME, TITLE_HEIGHT
+from robotctl.show.svg import TIME_FRAME, TITLE_HEIGHT, shown
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw

@@ -1,12 +1,29 @@
-"""Values over time and places of a robot, thinned out while they are read."""
+"""Values over time and places of a robot, thinned out while they are read; fields of topics."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+import struct
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice, pairwise
 from math import hypot, isfinite
 from statistics import median
 from typing import Final, NamedTuple
+
+from robotctl.cdr.definition import (
+    Definition,
+    FieldShape,
+    UnreadableType,
+    parse_definition,
+)
+from robotctl.cdr.field_path import Steps, parse_path, value_at
+from robotctl.cdr.given import WrongValue
+from robotctl.cdr.leaf_fields import LeafField, leaf_fields
+from robotctl.cdr.values import decode
+from robotctl.errors import IN_PARENTHESES, UnreadableFile, UsageError
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording import Recording, TopicInfo
+from robotctl.show.figure import Figure, Line, time_figure
 
 COLUMNS: Final = 600
 """Columns of a plot; more than one value in a column cannot be told apart by eye."""
@@ -148,3 +165,173 @@ class ThinnedPath:
         """Return the places, and where the robot was last."""
         ends = self._last is not None and self._last != self.places[-1]
         return [*self.places, self._last] if ends and self._last is not None else self.places
+
+
+MAX_SEARCHED: Final = 5000
+MAX_LISTS: Final = 24
+MAX_NAMED: Final = 24
+MAX_FIELDS: Final = 8
+"""Fields and lists that are searched, fields that a message names, and that a picture shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSeries:
+    """A field and its values over time.
+
+    `absent` is the number of messages without a value: their list is shorter than the index in the
+    path.
+    """
+
+    path: str
+    series: Series
+    absent: int
+
+    def figure(self, duration_s: float) -> Figure:
+        """Return its figure over time, without a line if there is no value."""
+        return time_figure(self.path, [Line(list(self.series.lines()), "command")], duration_s)
+
+
+@dataclass(slots=True)
+class _Wanted:
+    path: str
+    steps: Steps
+    series: Series
+    absent: int = 0
+
+
+def number_fields(topic: TopicInfo, paths: Sequence[str]) -> list[tuple[str, Steps]]:
+    """Return path and steps of each number that is meant; a message stands for its numbers.
+
+    Raises:
+        UsageError: A path leads to no number; the error names those there are.
+        UnreadableFile: The recording does not describe the type.
+    """
+    definition = _definition(topic)
+    if not paths:
+        raise UsageError(f"no field of {topic.name} is given", _named(definition))
+    found: dict[str, Steps] = {}
+    for path in paths:
+        found |= _numbers_at(definition, path)
+    if len(found) > MAX_FIELDS:
+        raise UsageError(f"{len(found)} fields are too many for a picture", f"give {MAX_FIELDS}")
+    return list(found.items())
+
+
+def read_fields(
+    recording: Recording,
+    topic: TopicInfo,
+    fields: Sequence[tuple[str, Steps]],
+    on_missing: Callable[[str], None],
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[FieldSeries]:
+    """Read these fields of all messages of a topic; times count from the recording's first message.
+
+    `on_missing` gets a sentence about each part that cannot be read.
+    """
+    info = recording.info()
+    definition = _definition(topic)
+    wanted = [_Wanted(path, steps, Series(info.duration_s)) for path, steps in fields]
+    undecoded = 0
+    for message in recording.in_order_written({topic.name}, on_missing, on_progress):
+        if message.type_name != topic.type_name:
+            continue
+        try:
+            values = decode(definition, message.data)
+        except (struct.error, RecursionError, MemoryError):
+            undecoded += 1
+            continue
+        t_s = (message.log_ns - info.start_ns) / NS_PER_S
+        for each in wanted:
+            try:
+                each.series.add(t_s, float(value_at(values, each.steps)))
+            except WrongValue:
+                each.absent += 1
+    if undecoded:
+        on_missing(f"{undecoded} messages of {topic.name} cannot be decoded")
+    return [FieldSeries(each.path, each.series, each.absent) for each in wanted]
+
+
+def _definition(topic: TopicInfo) -> Definition:
+    if not topic.definition.strip():
+        raise UnreadableFile(f"the recording does not describe the type {topic.type_name}")
+    try:
+        return parse_definition(topic.type_name, topic.definition)
+    except UnreadableType as error:
+        raise UnreadableFile(f"the type {topic.type_name} cannot be read: {error}") from None
+
+
+def _numbers_at(definition: Definition, path: str) -> dict[str, Steps]:
+    try:
+        steps = parse_path(definition, path)
+    except WrongValue as error:
+        text = str(error)
+        cure = "" if "did you mean" in text else _named(definition)
+        raise UsageError(text, cure, sentence=IN_PARENTHESES) from None
+    leaves = list(islice(leaf_fields(definition, *_listed(definition, steps)), MAX_SEARCHED))
+    leaf = next((each for each in leaves if each.steps == steps), None)
+    if leaf is None and isinstance(steps[-1], int):
+        owner = next((each for each in leaves if each.steps == steps[:-1]), None)
+        if owner is not None and owner.is_number_list:
+            return {path: steps}
+    if leaf is not None and leaf.is_number:
+        return {path: steps}
+    if leaf is not None and (names := _names(_with_lists(definition, [leaf]))):
+        cause = f"{path} is a list: {leaf.field.type_text}"
+        raise UsageError(cause, f"choose one value: {names[0]}")
+    below = {
+        each.path: each.steps
+        for each in leaves
+        if each.is_number and each.steps[: len(steps)] == steps
+    }
+    if below:
+        return below
+    raise UsageError(f"{path} is no number", _named(definition))
+
+
+def _listed(definition: Definition, steps: Steps) -> tuple[str, Steps]:
+    """Return the last message in a sequence on the way along the steps: its type and its place."""
+    found: tuple[str, Steps] = definition.root, ()
+    fields = definition.types[definition.root]
+    field = fields[0]
+    for place, step in enumerate(steps, 1):
+        if isinstance(step, str):
+            field = next(each for each in fields if each.name == step)
+            fields = definition.types.get(field.type_name, ())
+        elif fields and field.shape is FieldShape.SEQUENCE:
+            found = field.type_name, steps[:place]
+    return found
+
+
+def _with_lists(definition: Definition, leaves: Iterable[LeafField]) -> Iterable[LeafField]:
+    """Return MAX_SEARCHED leaves, with those of the first message of each sequence of messages.
+
+    MAX_LISTS sequences are searched: each costs a look at all types.
+    """
+    room = iter(range(MAX_LISTS))
+
+    def walk(leaves: Iterable[LeafField]) -> Iterator[LeafField]:
+        for leaf in leaves:
+            yield leaf
+            if leaf.field.type_name in definition.types and next(room, None) is not None:
+                yield from walk(leaf_fields(definition, leaf.field.type_name, (*leaf.steps, 0)))
+
+    return islice(walk(leaves), MAX_SEARCHED)
+
+
+def _names(leaves: Iterable[LeafField]) -> list[str]:
+    """Return the paths of those leaves that are numbers, or that of their first number."""
+    return [
+        f"{leaf.path}[0]" if leaf.is_number_list else leaf.path
+        for leaf in leaves
+        if leaf.is_number or leaf.is_number_list
+    ]
+
+
+def _named(definition: Definition) -> str:
+    """Return the numbers of a type, as a sentence."""
+    names = _names(_with_lists(definition, leaf_fields(definition)))
+    if not names:
+        return "it has no numbers"
+    more = len(names) - MAX_NAMED
+    rest = f" and {more} more" if more > 0 else ""
+    return f"its numbers are {', '.join(names[:MAX_NAMED])}{rest}"

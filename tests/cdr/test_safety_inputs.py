@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from robotctl.cdr.reader import ENCAPSULATION
 from robotctl.cdr.safety_inputs import MAX_STATUSES, MAX_VALUES, reader_of
 from robotctl.kernel.safety_inputs import SafetyInput
-from robotctl.testing.safety_messages import safety_message
+from robotctl.testing.hearing import safety_message
 
 HEADER = struct.pack("<4siII1s3x", ENCAPSULATION, 0, 0, 1, b"\0")
 EMPTY = struct.pack("<IB3xIII", 1, 0, 0, 0, 0)

@@ -8,10 +8,24 @@ from math import log
 
 import pytest
 
-from robotctl.commission.measure import NEAR_S, Measured, Turned, measured
-from robotctl.commission.propose import STOP_WITHIN_M, STOP_WITHIN_RAD, configuration, proposals
-from robotctl.commission.result_lines import file_lines, measured_lines, warnings
-from robotctl.commission.trial import Trial, TrialCommand, TrialSample
+from robotctl.commission.measure import (
+    NEAR_S,
+    Measured,
+    Trial,
+    TrialCommand,
+    TrialSample,
+    Turned,
+    measured,
+)
+from robotctl.commission.propose import (
+    STOP_WITHIN_M,
+    STOP_WITHIN_RAD,
+    configuration,
+    file_lines,
+    measured_lines,
+    proposals,
+    warnings,
+)
 from robotctl.config import Config, flat
 from robotctl.config.settings import with_setting
 from robotctl.errors import Refused

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.doctor import machine
-from robotctl.doctor.finding import Finding, Level
+from robotctl.doctor.machine import Finding, Level
 from robotctl.paths import runtime_folder, state_folder
 from robotctl.recording.write.recorder_options import RecorderOptions
 from tests.support.users import as_root, process_of

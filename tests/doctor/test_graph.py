@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from robotctl.doctor.finding import Level
 from robotctl.doctor.graph_checks import MAX_NAMED, check_command, check_definitions, check_odometry
+from robotctl.doctor.machine import Level
 from robotctl.ipc.answers import GraphEndpoint, GraphTopic
 
 TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"

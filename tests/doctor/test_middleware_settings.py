@@ -7,8 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.doctor.finding import Finding, Level
-from robotctl.doctor.machine import check_middleware, check_profiles, check_range, check_shell
+from robotctl.doctor.machine import (
+    Finding,
+    Level,
+    check_middleware,
+    check_profiles,
+    check_range,
+    check_shell,
+)
 from robotctl.environment import RMW
 
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"

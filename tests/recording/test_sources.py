@@ -14,7 +14,7 @@ import pytest
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
-from robotctl.show.recorded import read_recorded
+from robotctl.show.traces import read_recorded
 from robotctl.store.opened_bucket import opened_bucket
 from robotctl.store.store_path import path_of
 from robotctl.testing.drives import GID, JOURNAL, ODOMETRY, TWIST, drive, record

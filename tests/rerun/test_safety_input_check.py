@@ -28,7 +28,7 @@ from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.testing.drives import BEGIN_NS, drive_requested
-from robotctl.testing.safety_messages import TOPICS, safety_message
+from robotctl.testing.hearing import TOPICS, safety_message
 from tests.support.edited_recordings import Contents, Stored, edit, write_contents
 from tests.support.heard_drives import JOURNAL, heard_drive
 from tests.tampering.edits import journal

@@ -15,7 +15,7 @@ from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.types import DriveRequested, ModeRequested
 from robotctl.rerun.resim import resimulate
 from robotctl.rerun.whatif import what_if
-from robotctl.show.recorded import figures_of, read_recorded
+from robotctl.show.traces import figures_of, read_recorded
 from robotctl.testing.drives import BEGIN_NS, drive, record
 
 

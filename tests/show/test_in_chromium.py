@@ -12,7 +12,7 @@ from PIL import Image
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import ModeRequested
 from robotctl.show.page import CommandVerdict, ReportFindings, Tone, report_page
-from robotctl.show.recorded import read_recorded
+from robotctl.show.traces import read_recorded
 from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record
 from tests.support.chromium import CHROMIUM, Chromium
 

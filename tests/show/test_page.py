@@ -13,8 +13,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import DriveReport, Event, ModeRequested
 from robotctl.recording import Recorder
 from robotctl.show.page import CommandVerdict, Explanation, ReportFindings, Tone, report_page
-from robotctl.show.recorded import Recorded, figures_of, read_recorded
-from robotctl.show.traces import EndedDrive, Traces
+from robotctl.show.traces import EndedDrive, Recorded, Traces, figures_of, read_recorded
 from robotctl.testing.drives import (
     BEGIN_NS,
     START_NS,

@@ -14,8 +14,7 @@ from robotctl.kernel.types import (
     PublishTwist,
     Twist,
 )
-from robotctl.sim.faults import SimFault
-from robotctl.sim.robot import Robot, SimParams
+from robotctl.sim.robot import Robot, SimFault, SimParams
 from robotctl.testing.kernels import TICK_NS, Bench, moving
 
 TICK_S = TICK_NS / 1e9

@@ -28,7 +28,7 @@ from robotctl.recording.format.metadata_names import INFO_RECORD, LEDGER_RECORD
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.testing.drives import BEGIN_NS, QOS, drive_requested, journaled, record
 from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, WANTED, HearingKernel
-from robotctl.testing.safety_messages import TOPICS as SAFETY_TOPICS
+from robotctl.testing.hearing import TOPICS as SAFETY_TOPICS
 from tests.support.edited_recordings import Contents, Stored, contents_of
 from tests.support.service_calls import ESTOP, EVENTS, SET_MODE, received, sent
 

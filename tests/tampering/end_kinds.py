@@ -9,8 +9,7 @@ from random import Random
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.units import NS_PER_S
-from robotctl.testing.hearing import BATTERY, ODOMETRY
-from robotctl.testing.safety_messages import TOPICS
+from robotctl.testing.hearing import BATTERY, ODOMETRY, TOPICS
 from tests.support.edited_recordings import Contents, Stored
 from tests.support.heard_drives import COMMANDS, STATUS
 from tests.support.service_calls import ESTOP, received

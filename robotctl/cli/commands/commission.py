@@ -228,10 +228,8 @@ def _report(
 
     The last is why the configuration could not be written.
     """
-    from robotctl.commission.measure import measured
-    from robotctl.commission.propose import proposals
-    from robotctl.commission.result_lines import file_lines, measured_lines, warnings
-    from robotctl.commission.trial import read_trial
+    from robotctl.commission.measure import measured, read_trial
+    from robotctl.commission.propose import file_lines, measured_lines, proposals, warnings
 
     base = measured(read_trial(file))
     proposed = proposals(base, present)

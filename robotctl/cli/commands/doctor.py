@@ -10,7 +10,7 @@ import typer
 from robotctl.cli.options import ConfigFile, DomainId, Json, Robot, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.terminal.text import printable
-from robotctl.doctor.finding import Finding, Level
+from robotctl.doctor.machine import Finding, Level
 from robotctl.errors import Refused
 from robotctl.paths import DEFAULT_ROBOT
 

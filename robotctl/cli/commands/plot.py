@@ -17,7 +17,7 @@ from robotctl.cli.terminal.text import can_show_braille, elided, is_terminal, pr
 from robotctl.errors import RecoveredWithLoss, Refused, UsageError
 
 if TYPE_CHECKING:
-    from robotctl.show.fields import FieldSeries
+    from robotctl.show.series import FieldSeries
 
 app = new_app()
 
@@ -71,7 +71,7 @@ def plot(
         raise UsageError(f"-o {output}", f"give a name that ends in {PNG} or {SVG}")
     from robotctl.recording import Recording
     from robotctl.recording.table.topic_choice import choose_topic
-    from robotctl.show.fields import number_fields, read_fields
+    from robotctl.show.series import number_fields, read_fields
 
     source = find_recording(file, robot, folder)
     with Recording(source) as recording:

@@ -17,7 +17,7 @@ from robotctl.errors import UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import SIM_FAULT, SIM_SET
 from robotctl.paths import DEFAULT_ROBOT, check_namespace, check_robot_name, namespace_of
-from robotctl.sim.faults import MAX_FAULT_S, SimFault
+from robotctl.sim.robot import MAX_FAULT_S, SimFault
 
 app = new_app()
 group = new_app()

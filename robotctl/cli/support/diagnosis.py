@@ -15,7 +15,7 @@ from robotctl.cli.support.robots import RobotDaemon
 from robotctl.cli.support.ros_view import RosView, ros_view
 from robotctl.config import Config, load
 from robotctl.doctor import graph_checks, machine
-from robotctl.doctor.finding import Finding, Level, fault, ok, warning
+from robotctl.doctor.machine import Finding, Level, fault, ok, warning
 from robotctl.domains import discovery_range, requested_domain, wider_discovery
 from robotctl.environment import RANGE, limit_discovery
 from robotctl.errors import RobotctlError, UsageError

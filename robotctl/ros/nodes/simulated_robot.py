@@ -20,8 +20,7 @@ from robotctl.ros.messages.command_type import PLAIN, CommandType
 from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import Session
-from robotctl.sim.faults import SimFault
-from robotctl.sim.robot import Robot, SimParams
+from robotctl.sim.robot import Robot, SimFault, SimParams
 
 MAX_STEP_S = 0.1
 """The longest step of the motion. The rest of a longer pause of the process is ignored, so that the

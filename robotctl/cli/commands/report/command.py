@@ -21,7 +21,7 @@ from robotctl.errors import Refused, UnreadableFile, UsageError
 from robotctl.recording.format.derived_files import PAGE_FILE
 
 if TYPE_CHECKING:
-    from robotctl.show.recorded import KeyFigure, Recorded
+    from robotctl.show.traces import KeyFigure, Recorded
 
 app = new_app()
 
@@ -79,7 +79,7 @@ def report(
 
 
 def _read(path: Path, *, quiet: bool) -> Recorded:
-    from robotctl.show.recorded import read_recorded
+    from robotctl.show.traces import read_recorded
 
     with progress_bar("reading", quiet=quiet) as on_progress:
         return read_recorded(path, on_progress)
@@ -110,7 +110,7 @@ def _write(target: Path, data: bytes) -> None:
 
 
 def _as_object(path: Path, recorded: Recorded, verdicts: dict[str, str]) -> dict[str, Any]:
-    from robotctl.show.recorded import figures_of
+    from robotctl.show.traces import figures_of
 
     figures: list[KeyFigure] = figures_of(recorded)
     return {

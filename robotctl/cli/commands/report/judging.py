@@ -17,7 +17,7 @@ from robotctl.rerun import find_incident
 from robotctl.rerun.check_many import check_recordings
 from robotctl.rerun.check_report import Verdict
 from robotctl.show.page import CommandVerdict, Explanation, ReportFindings, Tone
-from robotctl.show.recorded import Recorded
+from robotctl.show.traces import Recorded
 from robotctl.store.store_path import StorePath
 
 MAX_EXPLAINED: Final = 5
