@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import sys
 from typing import Annotated, Any
 
 import typer
@@ -150,6 +149,3 @@ def dispatch(arguments: list[str]) -> None:
                 f"the argument of {words} is retired", retired.ARGUMENTS[words]
             ) from error
         raise UsageError(text, f"see: {where} --help", sentence=IN_PARENTHESES) from error
-    finally:
-        if "robotctl.store.opened_bucket" in sys.modules:  # a listing lives as long as one command
-            sys.modules["robotctl.store.opened_bucket"].opened_bucket.cache_clear()

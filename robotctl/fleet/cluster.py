@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
 from contextlib import closing, contextmanager
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -21,7 +21,6 @@ from robotctl.fleet.jobs import Done
 from robotctl.fleet.judging import Answers, Judged, Judging
 from robotctl.fleet.result_store import ResultStore
 from robotctl.fleet.software import software_hash, software_name
-from robotctl.store.store_path import path_of
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -153,7 +152,7 @@ class Cluster:
             if not state.sees_place:
                 raise Refused(
                     f"the worker {worker} does not see {self._place}",
-                    "give --in a URL, or a folder that all workers see under this name",
+                    "give --in a folder that all workers see under this name",
                 )
             if not state.sees_results:
                 raise _no_results(f"the worker {worker}", judging.store)
@@ -226,32 +225,25 @@ class _State(NamedTuple):
 
 def _state(place: str, results: str, token: str) -> _State:
     """Return, in a worker, its software, and whether it sees recordings and results."""
-    sees_results = _begin(token, results)
-    return _State(software_hash(), software_name(), path_of(place).exists(), sees_results)
+    sees_results = _sees(token, results)
+    return _State(software_hash(), software_name(), Path(place).exists(), sees_results)
 
 
 def _judged(token: str, judging: Judging, path: Path) -> Judged:
-    if not _begin(token, str(judging.store)):  # a worker that came later
+    if not _sees(token, str(judging.store)):  # a worker that came later
         raise _no_results(platform.node(), judging.store)
     return judging.judged(path)
 
 
-@lru_cache(maxsize=1)
-def _begin(token: str, results: str) -> bool:
-    """Begin a run of the gate in a worker; return whether it sees the results.
-
-    Stores are asked again what they hold: a worker may know it from an earlier run.
-    """
-    from robotctl.store.opened_bucket import opened_bucket  # it loads asyncio
-
-    opened_bucket.cache_clear()
+def _sees(token: str, results: str) -> bool:
+    """Return, in a worker, whether it sees the results of this run of the gate."""
     return ResultStore(results).has_token(token)
 
 
 def _no_results(worker: str, store: ResultStore) -> Refused:
     return Refused(
         f"{worker} does not see the results in {store}",
-        "give --results a URL, or a folder that all workers see under this name",
+        "give --results a folder that all workers see under this name",
     )
 
 

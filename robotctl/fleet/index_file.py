@@ -20,6 +20,8 @@ from robotctl.fleet.rows import IndexRow, RecordingRow, all_columns
 from robotctl.recording.disk.storage import is_being_written
 from robotctl.recording.format.derived_files import INDEX_FILE
 from robotctl.recording.format.natural_order import natural_order
+from robotctl.recording.format.rosbag2 import entries_of
+from robotctl.store import is_hash
 
 LAYOUT: Final = 1
 """The number of the columns' layout; an index with another one is made again."""
@@ -49,7 +51,10 @@ def files_of(recording: Path | str) -> list[str]:
     if path.endswith(".mcap"):
         return [path]
     with os.scandir(path) as entries:
-        return [each.path for each in entries if each.name.endswith(".mcap")]
+        names = [each.name for each in entries]
+    if any(map(is_hash, names)):  # a copy of an earlier robotctl
+        return [str(each) for each in entries_of(Path(path)) if each.suffix == ".mcap"]
+    return [f"{path}/{name}" for name in names if name.endswith(".mcap")]
 
 
 def closed_files(files: Iterable[Path | str]) -> list[Path]:

@@ -20,7 +20,6 @@ from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.divergence import Divergence
 from robotctl.rerun.whatif import what_if
-from robotctl.store.store_path import StorePath
 
 VerdictName = Literal["diverged", "broken", "crashed", "incomplete", "unfit", "unreadable", "same"]
 """Those of `replay --check`, and three more; the most severe first.
@@ -81,14 +80,13 @@ def judge(path: Path, settings: Mapping[str, str], content: Content | None = Non
 
     Raises:
         OSError: A file cannot be read, also not a part of it.
-        UnreadableFile: There are no files, a process writes or has changed them, or their store
-            has failed.
+        UnreadableFile: There are no files, or a process writes or has changed them.
     """
     content = content or read_content(path)
     with noted_read_failures() as failures:
         report, verdict, says, other = _checked(path, settings)
     content.check(path)
-    if failures and not isinstance(path, StorePath):
+    if failures:
         raise UnreadableFile(failures[0])
     return Judgement(
         recording=content.digest,

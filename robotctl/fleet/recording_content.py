@@ -14,7 +14,6 @@ from robotctl.recording.disk.storage import is_being_written
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.read.files import recording_files
 from robotctl.regular_file import open_regular
-from robotctl.store.store_path import StorePath
 
 if TYPE_CHECKING:
     from io import BufferedReader
@@ -28,8 +27,7 @@ class BeingWritten(UnreadableFile):
 class Content:
     """The content of a recording at one moment.
 
-    `digest` is the SHA-256 over names and contents. Of a file in a store size and ETag stand for
-    its content. So it is not that of the same file on a disk, of which a check reads every byte.
+    `digest` is the SHA-256 over names and contents.
     """
 
     digest: str
@@ -41,11 +39,9 @@ class Content:
 
         Raises:
             OSError: A file is gone or cannot be examined.
-            UnreadableFile: A file has changed, or its store has failed.
+            UnreadableFile: A file has changed.
         """
-        if isinstance(path, StorePath):
-            path.check()
-        elif tuple(_marks(path)) != self._marks:
+        if tuple(_marks(path)) != self._marks:
             raise UnreadableFile(f"{path.name} was changed while it was read")
 
 
@@ -54,15 +50,10 @@ def read_content(path: Path) -> Content:
 
     Raises:
         OSError: A file cannot be read.
-        UnreadableFile: There are no files, or the store fails.
+        UnreadableFile: There are no files.
         BeingWritten: A process still writes it.
     """
     digest = hashlib.sha256()
-    if isinstance(path, StorePath):
-        for file in _files(path):
-            found = file.described()  # type: ignore[attr-defined]
-            digest.update(f"{file.name}\n{found.size_bytes} {found.etag}\n".encode())
-        return Content(digest.hexdigest(), ())
     for file in recording_files(path):
         with suppress(OSError):  # no locks there; what cannot be opened is told below
             if is_being_written(file):

@@ -1,11 +1,10 @@
-"""Results of the gate in a folder or a bucket: an object each, named by what it was made from."""
+"""Results of the gate in a folder: a file each, named by what it was made from."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, Final
 from uuid import uuid4
@@ -13,12 +12,11 @@ from uuid import uuid4
 from robotctl.errors import Refused
 from robotctl.fleet.judgement import Judgement
 from robotctl.fleet.typed import Typed
-from robotctl.store import NoSuchObject, ObjectStore, StoreError, TooLarge, is_url, open_store
+from robotctl.regular_file import open_regular
+from robotctl.store import StoreError
+from robotctl.store.folder_store import FolderStore
 
 MAX_BYTES: Final = 64 << 20
-
-opened_results = cache(open_store)
-"""A store stays open for the jobs of a process."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,30 +31,35 @@ _sealed_result, _judgement = Typed(_Sealed), Typed(Judgement)
 
 
 class ResultStore:
-    """The results below a URL or a folder; several gates may use them at once.
+    """The results in a folder; several gates may use them at once.
 
     It can be sent to another machine, which then reads and writes the same results.
     """
 
-    def __init__(self, place: str | Path) -> None:
-        self._place = str(place) if is_url(str(place)) else str(Path(place).absolute())
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder).absolute()
+        self._store = FolderStore(self.folder)
 
     def __str__(self) -> str:
-        """Return the URL or the folder."""
-        return self._place
+        """Return the folder."""
+        return str(self.folder)
 
     def get(self, key: str) -> Judgement | None:
         """Return the result of that name, None if there is none, or a damaged one.
 
         Raises:
-            Refused: The store cannot be read.
+            Refused: It cannot be read.
         """
         try:
-            result = _opened(self._store.get(_name(key), MAX_BYTES))
-        except (NoSuchObject, TooLarge, ValueError):
+            with open_regular(self.folder / _name(key)) as file:
+                data = file.read(MAX_BYTES + 1)
+            if len(data) > MAX_BYTES:
+                return None
+            result = _opened(data)
+        except (FileNotFoundError, ValueError):
             return None
-        except StoreError as error:
-            raise _refusal("read", error) from error
+        except OSError as error:
+            raise Refused(f"cannot read results: {error}") from error
         return result if result.key == key else None
 
     def put(self, result: Judgement) -> Judgement:
@@ -73,7 +76,7 @@ class ResultStore:
                 return stored
             self._store.put(name, [data])  # it was damaged
         except StoreError as error:
-            raise _refusal("write", error) from error
+            raise Refused(f"cannot write results: {error.cause}", error.cure) from error
         return result
 
     def put_token(self) -> str:
@@ -86,36 +89,23 @@ class ResultStore:
         try:
             self._store.put(name, [name.encode()])
         except StoreError as error:
-            raise _refusal("write", error) from error
+            raise Refused(f"cannot write results: {error.cause}", error.cure) from error
         return name
 
     def has_token(self, name: str) -> bool:
-        """Return whether a token is there.
-
-        Raises:
-            Refused: The store cannot be read.
-        """
-        try:
-            return self._store.get(name, MAX_BYTES) == name.encode()
-        except NoSuchObject:
-            return False
-        except StoreError as error:
-            raise _refusal("read", error) from error
+        """Return whether a token is there."""
+        return (self.folder / name).is_file()
 
     def remove_token(self, name: str) -> None:
         """Remove a token.
 
         Raises:
-            Refused: The store cannot be written.
+            Refused: The folder cannot be written.
         """
         try:
-            self._store.delete(name)
-        except StoreError as error:
-            raise _refusal("write", error) from error
-
-    @property
-    def _store(self) -> ObjectStore:
-        return opened_results(self._place)
+            (self.folder / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise Refused(f"cannot write results: {error}") from error
 
 
 def _sealed(result: Judgement) -> bytes:
@@ -144,7 +134,3 @@ def _hash(result: dict[str, Any]) -> str:
 
 def _name(key: str) -> str:
     return f"{key}.json"
-
-
-def _refusal(verb: str, error: StoreError) -> Refused:
-    return Refused(f"cannot {verb} results: {error.cause}", error.cure)

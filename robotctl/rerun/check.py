@@ -30,7 +30,7 @@ from robotctl.rerun.recording_groups import FileGroup, file_groups
 from robotctl.rerun.rerun import Rerun
 from robotctl.rerun.snapshot_proofs import SnapshotProofs
 from robotctl.rerun.unknown_fields import without_retired_fields
-from robotctl.store.store_path import StorePath
+from robotctl.store.remote_file import RemoteFile
 
 Progress = Callable[[int, int], None]
 """Called with the bytes that are done and the bytes in total."""
@@ -67,7 +67,7 @@ def check_recording(
                 f"{file.name} is of another recording, of robot {other.robot or '(unknown)'}: "
                 f"checked on its own, it is {other.verdict}"
             )
-    if source is None and not (isinstance(path, StorePath) and not all_bytes):
+    if source is None and not (isinstance(path, RemoteFile) and not all_bytes):
         check_bytes(path, report, all_bytes=all_bytes)
     else:
         how = ": --all-bytes reads them all" if source is None else ", only what the check needs"

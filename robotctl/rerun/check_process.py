@@ -13,7 +13,7 @@ from contextlib import suppress
 
 from robotctl.processes import report_fd, send_report
 from robotctl.rerun.check import check_recording
-from robotctl.store.store_path import path_of
+from robotctl.store.remote_file import path_of
 
 PROGRESS_PERIOD_S = 0.1
 

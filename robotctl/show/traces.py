@@ -52,7 +52,6 @@ from robotctl.rerun.journal_values import (
 )
 from robotctl.rerun.sentences import sentence_of
 from robotctl.show.series import Series, ThinnedPath, is_on_earth
-from robotctl.store.store_path import StorePath
 
 MAX_SPANS: Final = 150
 MAX_MOMENTS: Final = 100
@@ -407,8 +406,6 @@ def read_recorded(
 ) -> Recorded:
     """Read a recording: a file or a folder, written by robotctl or by another recorder.
 
-    From a store, only the topics that the report draws are read.
-
     Raises:
         UnreadableFile: Nothing can be read.
     """
@@ -426,9 +423,7 @@ def read_recorded(
                 t_s = (event.log_ns - info.start_ns) / NS_PER_S
                 traces.happened(t_s, event.kind.value, event.text)
         from_journal, decoder = JournalTraces(traces), EntryDecoder(recording)
-        drawn = set(others.topics) if journal is None else {journal}
-        topics = drawn if isinstance(path, StorePath) else None
-        for message in recording.in_order_written(topics, miss, on_progress):
+        for message in recording.in_order_written(None, miss, on_progress):
             t_s = (message.log_ns - info.start_ns) / NS_PER_S
             traces.rates.add(message.topic, t_s)
             if journal is None:

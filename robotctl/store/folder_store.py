@@ -2,26 +2,39 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
 import stat
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final
+from tempfile import NamedTemporaryFile
+from typing import IO, Final
 
 from robotctl.printable import printable
-from robotctl.store.failed_request import changed, short_answer
-from robotctl.store.store_errors import (
+from robotctl.regular_file import open_folder
+from robotctl.store.objects import (
+    NO_STAMP,
     AccessDenied,
     NoSuchObject,
+    Stamp,
+    StoredObject,
     StoreError,
     StoreFailed,
-    TooLarge,
+    changed,
+    check_key,
+    short_answer,
 )
-from robotctl.store.stored_object import NO_STAMP, Stamp, StoredObject, check_key
-from robotctl.store.unfinished_file import PREFIX, UnfinishedFile, unfinished_file
+
+PREFIX: Final = ".unfinished-"
+
+_NOT_OFFERED: Final = (errno.EPERM, errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL, errno.ENOSYS)
+"""What FAT and exFAT, as of a USB stick, and some network file systems answer."""
+
+_AT_FDCWD: Final = -100
+_RENAME_NOREPLACE: Final = 1
+"""Of renameat2(2), which os.rename does not know."""
 
 
 class FolderStore:
@@ -29,8 +42,6 @@ class FolderStore:
 
     The folder is created when something is stored.
     """
-
-    can_list: Final = True
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -74,22 +85,6 @@ class FolderStore:
                 raise short_answer(self._where(key), len(data), end - begin)
             return data
 
-    def start_range(self, found: StoredObject, begin: int, end: int) -> Future[bytes]:
-        """Do what `get_range` does, and return its result as one to come."""
-        result: Future[bytes] = Future()
-        try:
-            result.set_result(self.get_range(found, begin, end))
-        except StoreError as error:
-            result.set_exception(error)
-        return result
-
-    def get(self, key: str, max_bytes: int) -> bytes:
-        """Return a whole file."""
-        found = self.head(key)
-        if found.size_bytes > max_bytes:
-            raise TooLarge(f"{self._where(key)} has {found.size_bytes} bytes: that is too many")
-        return self.get_range(found, 0, found.size_bytes)
-
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
         """Store a file under a free name; return whether it was free."""
         with self._told(key), self._filled(key, parts, stamp) as file:
@@ -103,11 +98,6 @@ class FolderStore:
         """Store a file from parts of any length, and replace one of that name."""
         with self._told(key), self._filled(key, parts, stamp) as file:
             file.name_over(self._path(key))
-
-    def delete(self, key: str) -> None:
-        """Remove a file; one that does not exist is no error."""
-        with self._told(key), suppress(FileNotFoundError):
-            self._path(key).unlink()
 
     @contextmanager
     def _opened(self, key: str) -> Iterator[int]:
@@ -159,3 +149,101 @@ def _described(key: str, status: os.stat_result) -> StoredObject:
     # The time of change as well: that of modification can be set to any value.
     etag = f"{status.st_ino}-{status.st_mtime_ns}-{status.st_ctime_ns}-{status.st_size}"
     return StoredObject(key, status.st_size, etag, status.st_mtime_ns)
+
+
+class UnfinishedFile:
+    """A file to write, and then to name."""
+
+    def __init__(self, file: IO[bytes], path: Path | None) -> None:
+        """Take a file that is open; `path` is its hidden name, None if it has none."""
+        self._file = file
+        self._path = path
+        self.modified_ns = 0
+        """Its time of change when it gets its name; 0 leaves it as it is."""
+
+    def write(self, data: bytes) -> None:
+        """Append to it.
+
+        Raises:
+            OSError: The disk is full or fails.
+        """
+        self._file.write(data)
+
+    def name_if_free(self, target: Path) -> None:
+        """Let it appear as `target`, and return when that would survive a power cut.
+
+        Raises:
+            FileExistsError: There is something of that name.
+            OSError: The disk is full or fails.
+        """
+        self._sync()
+        if self._path is None:
+            self._link(target)
+        else:
+            _rename_if_free(self._path, target)
+        _sync_folder(target.parent)
+
+    def name_over(self, target: Path) -> None:
+        """Let it take the place of `target`, and return when that would survive a power cut.
+
+        Raises:
+            OSError: The disk is full or fails.
+        """
+        self._sync()
+        path = self._path
+        if path is None:
+            path = target.with_name(f"{PREFIX}{os.getpid()}-{self._file.fileno()}")
+            self._link(path)
+        os.replace(path, target)
+        _sync_folder(target.parent)
+
+    def _sync(self) -> None:
+        self._file.flush()
+        if self.modified_ns:
+            os.utime(self._file.fileno(), ns=(self.modified_ns, self.modified_ns))
+        os.fsync(self._file.fileno())
+
+    def _link(self, target: Path) -> None:
+        # A descriptor makes Python follow the link in /proc.
+        with open_folder(target.parent) as folder:
+            os.link(f"/proc/self/fd/{self._file.fileno()}", target, src_dir_fd=folder)
+
+
+@contextmanager
+def unfinished_file(folder: Path) -> Iterator[UnfinishedFile]:
+    """Yield a file in `folder` that is gone after the block unless it got a name.
+
+    A process that is killed leaves nothing; where every file has a name, a hidden one.
+
+    Raises:
+        OSError: It cannot be created.
+    """
+    try:
+        descriptor = os.open(folder, os.O_TMPFILE | os.O_WRONLY | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        if error.errno not in _NOT_OFFERED:
+            raise
+    else:
+        with os.fdopen(descriptor, "wb") as file:
+            yield UnfinishedFile(file, None)
+        return
+    named = NamedTemporaryFile(dir=folder, prefix=PREFIX, delete=False)  # noqa: SIM115
+    try:
+        with named:
+            yield UnfinishedFile(named, Path(named.name))
+    finally:
+        with suppress(FileNotFoundError):  # it has another name by now
+            os.unlink(named.name)
+
+
+def _rename_if_free(path: Path, target: Path) -> None:
+    library = ctypes.CDLL(None, use_errno=True)
+    source, name = os.fsencode(path), os.fsencode(target)
+    if library.renameat2(_AT_FDCWD, source, _AT_FDCWD, name, _RENAME_NOREPLACE):
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number), str(target))
+
+
+def _sync_folder(folder: Path) -> None:
+    with open_folder(folder) as descriptor, suppress(OSError):  # some network file systems cannot
+        os.fsync(descriptor)

@@ -14,7 +14,6 @@ import pytest
 from robotctl.cli.terminal import text
 from robotctl.fleet.recording_index import index_recording
 from robotctl.testing.drives import drive, drive_requested, record
-from tests.support.faulty_bucket import serving
 
 pytest.importorskip("duckdb", reason="indexes are an extra: robotctl[parquet]")
 
@@ -51,19 +50,14 @@ def test_a_user_finds_the_drives_of_a_folder(cli: Cli) -> None:
 
 
 @pytest.mark.usefixtures("indexed")
-@pytest.mark.parametrize("place", ["recordings", "s3://robots/day"])
 @pytest.mark.parametrize(
     "command", [("index",), ("find", "--in"), ("find", "--sql", "SELECT 1", "--in")]
 )
 def test_without_the_extra_a_question_is_one_sentence_with_its_cure(
-    cli: Cli, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, place: str, command: tuple[str, ...]
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
 ) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setitem(sys.modules, "duckdb", None)
-    with serving(monkeypatch) as bucket:
-        for path in LAP.iterdir():
-            bucket[f"day/{LAP.name}/{path.name}"] = path.read_bytes()
-        ran = cli(*command, place)
+    ran = cli(*command, "recordings")
     assert (ran.exit_code, ran.out) == (2, "")
     said = "an index needs duckdb, which is not installed: pip install 'robotctl[parquet]'"
     assert ran.err.split("robotctl: ")[1:] == [f"{said}\n"]
@@ -116,24 +110,6 @@ def test_an_answer_fits_a_terminal_of_80_columns_and_is_whole_in_a_pipe(
     assert long.name in piped
     assert f"{long.name[:12]}..{long.name[-12:]}" in shown
     assert len(shown.splitlines()) >= len(piped.splitlines())
-
-
-def test_a_row_of_a_bucket_is_found_and_opened(
-    cli: Cli, made: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    with serving(monkeypatch) as bucket:
-        for path in (made / LAP.name).iterdir():
-            bucket[f"day/{LAP.name}/{path.name}"] = path.read_bytes()
-        found = json.loads(cli("find", "--in", "s3://robots/day", "--json").out)
-        assert [row["recording"] for row in found["rows"]] == [LAP.name]
-        indexed = cli("index", "s3://robots/day")
-        assert indexed.out.startswith("s3://robots/day: 1 recording has an index")
-        opened = cli("find", "--in", "s3://robots/day", "--open", "1", "--json")
-        assert Path(json.loads(opened.out)["report"]).exists()
-        wrong = cli("find", "--in", "s3://robots/night")
-        assert (wrong.exit_code, wrong.out) == (6, "")
-        assert "there is no recording below s3://robots/night" in wrong.err
 
 
 @pytest.mark.usefixtures("indexed")

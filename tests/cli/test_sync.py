@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import sys
 import threading
 import time
@@ -111,30 +110,6 @@ def test_what_comes_back_from_a_bucket_is_as_it_was_with_its_time(
     assert (refused.exit_code, f"nothing can be removed from {url}" in refused.err) == (2, True)
 
 
-@pytest.mark.parametrize("kind", ["folder", "bucket"])
-def test_what_was_copied_is_read_as_the_recording_is(
-    cli: Cli,
-    recording: Path,
-    s3_endpoint: str,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    kind: str,
-) -> None:
-    for name, value in environment(s3_endpoint).items():
-        monkeypatch.setenv(name, value)
-    place = str(tmp_path / "usb") if kind == "folder" else f"s3://robots/{tmp_path.name}"
-    assert cli("sync", place).exit_code == 0
-    here = json.loads(cli("info", str(recording), "--json").out)
-    shutil.rmtree(recording)
-    ran = cli("info", f"{place}/{NAME}", "--json")
-    assert ran.exit_code == 0, ran
-    there = json.loads(ran.out)
-    assert there["path"] == f"{place}/{NAME}"
-    assert there["topics"] == here["topics"]
-    checked = cli("replay", "--check", place)
-    assert (checked.exit_code, checked.out.split()[0]) == (0, "same")
-
-
 def test_an_object_that_was_changed_is_told_with_exit_code_7(
     cli: Cli, recording: Path, tmp_path: Path
 ) -> None:
@@ -166,11 +141,11 @@ def test_a_full_disk_is_told_with_exit_code_6_and_the_rest_follows_later(
 def test_no_network_is_told_with_exit_code_6(
     cli: Cli, recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from robotctl.store import remote_store
+    from robotctl.store import bucket
 
     for name, value in environment("http://127.0.0.1:9").items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(remote_store, "MAX_RETRIES", 1)
+    monkeypatch.setattr(bucket, "MAX_RETRIES", 1)
     ran = cli("sync", "s3://robots/one")
     assert ran.exit_code == 6
     assert "refuses the connection" in ran.err

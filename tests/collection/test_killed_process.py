@@ -14,6 +14,7 @@ import pytest
 
 from robotctl.store import open_store
 from tests.collection.conftest import copy_as, files_below
+from tests.support.memory_store import content
 from tests.support.s3_server import environment
 from tests.support.waiting import until
 
@@ -40,7 +41,7 @@ def run_to_its_end(place: str, recordings: Path, *options: str) -> None:
 def check_whole(place: str, whole: dict[str, bytes]) -> int:
     """Check that what is there is whole; return the number of files."""
     store = open_store(place)
-    found = {each.key: store.get(each.key, 1 << 30) for each in store.list()}
+    found = {each.key: content(store, each.key) for each in store.list()}
     assert found.items() <= whole.items()
     return len(found)
 

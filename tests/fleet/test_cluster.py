@@ -127,7 +127,7 @@ def test_a_worker_that_does_not_see_the_recordings_says_so(
 ) -> None:
     judging = Judging({}, ResultStore(tmp_path / "results"), software_hash())
     hidden = Cluster(dask.address, tmp_path / "nowhere").judge
-    with pytest.raises(Refused, match=r"the worker .* does not see .*nowhere: give --in a URL"):
+    with pytest.raises(Refused, match=r"the worker .* does not see .*nowhere: give --in a folder"):
         list(hidden(judging, [tmp_path], lambda done, total: None))
     engine = Cluster(dask.address, tmp_path).judge
     ((_, answer),) = engine(judging, [tmp_path / "gone"], lambda done, total: None)

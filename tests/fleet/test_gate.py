@@ -17,10 +17,8 @@ from robotctl.fleet.judgement import judge
 from robotctl.fleet.junit import junit_text
 from robotctl.fleet.result_store import ResultStore
 from robotctl.rerun.check_report import Verdict
-from robotctl.store import open_store
 from robotctl.testing.drives import drive, record
 from tests.support.judged_folder import judged, wrong
-from tests.support.s3_server import environment
 
 GOOD, WRONG = "robot_20260101_120000", "robot_20260102_120000"
 
@@ -88,30 +86,22 @@ def test_the_report_for_continuous_integration_names_each_recording(folder: Path
     assert cases == {GOOD: [], WRONG: ["failure"], "gone\\x1b": ["error"]}
 
 
-@pytest.fixture(params=["s3", "folder"])
-def place(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> str:
-    """A place for results."""
-    if request.param == "folder":
-        return str(tmp_path / "results")
-    for name, value in environment(request.getfixturevalue("s3_endpoint")).items():
-        monkeypatch.setenv(name, value)
-    return f"s3://robots/{tmp_path.name}/results"
-
-
-def test_a_result_is_stored_once_and_a_damaged_one_is_made_again(made: Path, place: str) -> None:
-    results, raw = ResultStore(place), open_store(place)
+def test_a_result_is_stored_once_and_a_damaged_one_is_made_again(
+    made: Path, tmp_path: Path
+) -> None:
+    results = ResultStore(tmp_path)
     result = judge(made / GOOD, {})
     assert results.get(result.key) is None
     assert results.put(result) == result
-    (stored,) = raw.list()
+    (stored,) = tmp_path.iterdir()
+    before = stored.stat()
     assert results.put(result) == result
-    assert list(raw.list()) == [stored]
+    assert stored.stat() == before
     other = judge(made / WRONG, {})
     results.put(other)
-    forged = raw.get(f"{other.key}.json", 1 << 20).decode()
-    raw.delete(f"{other.key}.json")
+    forged = (tmp_path / f"{other.key}.json").read_text()
     for damage in ("{", forged):
-        raw.put(stored.key, [damage.encode()])
+        stored.write_text(damage)
         assert results.get(result.key) is None
         assert results.put(result) == result
         assert results.get(result.key) == result

@@ -15,7 +15,6 @@ import pytest
 from robotctl.fleet import result_store
 from robotctl.fleet.judgement import judge
 from robotctl.fleet.result_store import ResultStore
-from robotctl.store import open_store
 from robotctl.testing.drives import drive, record
 from tests.support.judged_folder import judged
 
@@ -69,14 +68,14 @@ def test_a_damaged_result_is_made_again(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
 ) -> None:
     monkeypatch.setattr(result_store, "MAX_BYTES", 50_000)
-    results, raw = ResultStore(tmp_path), open_store(str(tmp_path))
+    results = ResultStore(tmp_path)
     result = results.put(judge(made / NAME, SETTINGS))
     assert results.get(result.key) == result
-    (stored,) = raw.list()
-    data = raw.get(stored.key, 1 << 20)
+    (stored,) = tmp_path.iterdir()
+    data = stored.read_bytes()
     damaged = DAMAGES[damage](data)
     assert damaged != data
-    raw.put(stored.key, [damaged])
+    stored.write_bytes(damaged)
     assert results.get(result.key) is None
     assert results.put(result) == result
     assert results.get(result.key) == result

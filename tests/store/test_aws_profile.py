@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.store import open_store
-from robotctl.store.aws_profile import profile_keys
+from robotctl.store.bucket import profile_keys
 from tests.support.faulty_bucket import FaultyBucket
 
 

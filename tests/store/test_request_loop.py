@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-from robotctl.store.request_loop import RequestLoop
+from robotctl.store.bucket import RequestLoop
 from tests.support.waiting import loop_until, until
 
 

@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from robotctl.store.unfinished_file import unfinished_file
+from robotctl.store.folder_store import unfinished_file
 
 WRITER = """
 import sys
 from pathlib import Path
-from robotctl.store.unfinished_file import unfinished_file
+from robotctl.store.folder_store import unfinished_file
 with unfinished_file(Path(sys.argv[1])) as file:
     file.write(bytes(100_000))
     print("written", flush=True)

@@ -18,7 +18,6 @@ from xml.sax.saxutils import escape
 
 import pytest
 
-from robotctl.store.opened_bucket import opened_bucket
 from tests.support.s3_server import environment
 
 
@@ -134,13 +133,11 @@ def faulty_bucket() -> Iterator[FaultyBucket]:
 
 @contextmanager
 def serving(monkeypatch: pytest.MonkeyPatch) -> Iterator[FaultyBucket]:
-    """Serve an empty bucket to this process and its children; forget what was known of another."""
-    opened_bucket.cache_clear()
+    """Serve an empty bucket to this process and its children."""
     with faulty_bucket() as bucket:
         for name, value in environment(bucket.endpoint).items():
             monkeypatch.setenv(name, value)
         yield bucket
-    opened_bucket.cache_clear()
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -20,7 +20,7 @@ import pytest
 from obstore import list_with_delimiter_async
 from obstore.store import MemoryStore
 
-from robotctl.store.request_loop import requests
+from robotctl.store.bucket import requests
 
 Surroundings = Mapping[str, str]
 """What was found, by what and where it is: `environ HOME` -> `/root`."""
@@ -44,7 +44,6 @@ ALLOWED: Final[Mapping[str, str]] = {
     r"descriptor \d+: not there -> /tmp/#\d+ \(deleted\)": "objects that the S3 server keeps",
     r"child \d+: not there -> $": "it ended; Python waits for it when it starts the next one",
     r"descriptor \d+: not there -> .*/\.ros/log/": "rcl opens its log at the first message",
-    r"cache .*\.(opened_results|_begin):": "stores of results stay open for the jobs of a process",
     r"descriptor \d+: .*socket:": "connections that the library of the stores keeps for a while",
     r"thread .*\(process_request_thread\)": "the other end of those connections",
     r"(thread|child|descriptor|cache) .* -> gone": "it belonged to what a fixture of the run did",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from robotctl.store import NoSuchObject, ObjectChanged, Stamp, StoredObject
+from robotctl.store import NoSuchObject, ObjectChanged, ObjectStore, Stamp, StoredObject
 
 
 def works(request: str, key: str) -> None:
@@ -13,6 +13,12 @@ def works(request: str, key: str) -> None:
 
 
 NO_STAMP = Stamp()
+
+
+def content(store: ObjectStore, key: str) -> bytes:
+    """Return a whole object."""
+    found = store.head(key)
+    return store.get_range(found, 0, found.size_bytes)
 
 
 class MemoryStore:
@@ -46,9 +52,6 @@ class MemoryStore:
             raise ObjectChanged(f"memory/{found.key} was changed while it was read")
         return self.objects[found.key][begin:end]
 
-    def get(self, key: str, max_bytes: int) -> bytes:
-        return self.get_range(self._described(key), 0, max_bytes)
-
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
         data = b"".join(parts)
         if key in self.objects:
@@ -63,10 +66,6 @@ class MemoryStore:
     def _store(self, key: str, data: bytes, stamp: Stamp) -> None:
         self._request("put", key)
         self.objects[key], self.stamps[key] = data, stamp
-
-    def delete(self, key: str) -> None:
-        self._request("delete", key)
-        self.objects.pop(key, None)
 
     def puts(self) -> Sequence[str]:
         """Return the keys of all requests that stored something."""

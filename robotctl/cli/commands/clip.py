@@ -139,7 +139,7 @@ def _find(
         if not candidates:
             find_recording("last", robot, folder)  # raises Refused with the reason
     else:
-        candidates = [find_recording(file, robot, folder)]
+        candidates = [find_recording(file, robot, folder, also_url=True)]
     for path in candidates:
         try:
             listed = list_recording(path)

@@ -102,7 +102,7 @@ def export(
         if given
     ]
     form = _format(chosen, output)
-    source = find_recording(file, robot, folder)
+    source = find_recording(file, robot, folder, also_url=True)
     with Recording(source) as recording:
         info = recording.info()
         chosen_topic = choose_topic(

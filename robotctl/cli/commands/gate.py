@@ -36,9 +36,9 @@ def gate(
         Path | None,
         typer.Option(
             "--in",
-            metavar="DIR|URL",
+            metavar="DIR",
             parser=recording_path,
-            help="A folder of recordings, also in a store [default: ./recordings, or the daemon's, "
+            help="A folder of recordings [default: ./recordings, or the daemon's, "
             "or the last daemon's].",
         ),
     ] = None,
@@ -54,9 +54,11 @@ def gate(
         typer.Option(metavar="WHY", help="Accept what is wrong now, and add it to the baseline."),
     ] = None,
     results: Annotated[
-        str | None,
+        Path | None,
         typer.Option(
-            metavar="DIR|URL", help=f"Where results are kept [default: {RESULTS} in --in]."
+            metavar="DIR",
+            parser=recording_path,
+            help=f"Where results are kept [default: {RESULTS} in --in].",
         ),
     ] = None,
     junit: Annotated[
@@ -84,7 +86,7 @@ def gate(
       robotctl gate --in recordings --junit gate.xml
       robotctl gate --what-if odometry.timeout_s=0.3
       robotctl gate --baseline accepted.json --accept "a shorter ramp"
-      robotctl gate --in s3://bucket/robots/one --cluster tcp://10.0.0.5:8786
+      robotctl gate --in /mnt/recordings --cluster tcp://10.0.0.5:8786
     """
     from robotctl.fleet.baseline import Baseline, read_baseline
     from robotctl.fleet.gate import judge_all
@@ -143,7 +145,7 @@ def _recordings(place: Path) -> list[Path]:
     if not found:
         raise Refused(
             f"{short_path(place)} holds no recordings, so nothing was judged",
-            "give --in the folder or URL above them",
+            "give --in the folder above them",
         )
     return found
 

@@ -21,7 +21,7 @@ def index(
     folder: Annotated[
         str | None,
         typer.Argument(
-            metavar="[DIR|URL]",
+            metavar="[DIR]",
             help="A folder of recordings [default: ./recordings, or the daemon's, or the last "
             "daemon's].",
         ),
@@ -39,7 +39,6 @@ def index(
     Examples:
       robotctl index
       robotctl index /data/robots --json
-      robotctl index s3://bucket/robots/one
     """
     with open_catalogue(folder, quiet=as_json) as (place, catalogue):
         bytes_of = [os.stat(each).st_size for each in catalogue.indexes]

@@ -60,12 +60,12 @@ def info(
     Examples:
       robotctl info last
       robotctl info recordings/robot_20260101_120000
-      robotctl info s3://bucket/robots/robot_20260101_120000
+      robotctl info s3://bucket/robots/run.mcap
       robotctl info run.mcap --json | jq '.topics[].name'
     """
     from robotctl.recording import read_info
 
-    path = find_recording(file, robot, folder)
+    path = find_recording(file, robot, folder, also_url=True)
     found = read_info(path)
     error = None
     if found.missing:

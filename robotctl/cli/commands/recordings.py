@@ -15,7 +15,7 @@ from robotctl.cli.support.given_options import given_options
 from robotctl.cli.support.recording_paths import (
     RecordedBy,
     RecordingsFolder,
-    find_local_recording,
+    find_recording,
     recordings_folder,
     robot_of,
 )
@@ -187,7 +187,7 @@ def rm(
       robotctl recordings rm robot_20260101_120000
       robotctl recordings rm last --yes
     """
-    removed_bytes = remove(path := find_local_recording(name, robot, folder), without_asking=yes)
+    removed_bytes = remove(path := find_recording(name, robot, folder), without_asking=yes)
     told = f"{printable(path.name)} is removed: {size(removed_bytes)}"
     answer = {"path": str(path), "removed_bytes": removed_bytes}
     print_answer(answer, [told], as_json=as_json)
@@ -209,7 +209,7 @@ def _refuse_options_before(context: typer.Context, command: str) -> None:
 def _set_kept(name: str, folder: Path | None, robot: str | None, *, kept: bool) -> Path:
     from robotctl.recording.keep.catalog import set_kept
 
-    path = find_local_recording(name, robot, folder)
+    path = find_recording(name, robot, folder)
     if not path.is_dir():
         raise Refused(
             f"{path} is not the folder of a recording",

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
-from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_local_recording
+from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import short_path
-from robotctl.errors import RecoveredWithLoss, UsageError
-from robotctl.store.store_path import StorePath
+from robotctl.errors import RecoveredWithLoss
 
 if TYPE_CHECKING:
     from robotctl.recording.keep.recover import RecoveryReport
@@ -52,13 +49,7 @@ def recover(
     from robotctl.recording.keep.recover import recover as recover_file
     from robotctl.recording.keep.recover_folder import recover_folder
 
-    source = find_local_recording(file, robot, folder)
-    if isinstance(source, StorePath):
-        copied = next(map(os.fspath, source.glob("*.mcap")), str(source))
-        raise UsageError(
-            f"{source} is a copy by robotctl sync, which keeps each file in a folder of its own",
-            f"recover its files one by one: robotctl recover {quote(copied)} -o OUT.mcap",
-        )
+    source = find_recording(file, robot, folder)
     target = output or _beside(source)
     with progress_bar("recovering", quiet=as_json) as on_progress:
         work = recover_folder if source.is_dir() else recover_file

@@ -109,7 +109,9 @@ def _recordings_to_search(
 
 def _holds_recordings(path: Path) -> bool:
     """Return whether a path is a folder of recordings, and not a recording."""
-    return not any(path.glob("*.mcap")) and any(path.glob("*/*.mcap"))
+    from robotctl.recording.read.files import is_bag
+
+    return path.is_dir() and not is_bag(path) and any(map(is_bag, path.iterdir()))
 
 
 def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:

@@ -17,30 +17,21 @@ if TYPE_CHECKING:
 
 @contextmanager
 def open_catalogue(given: str | None, *, quiet: bool) -> Iterator[tuple[Path, Catalogue]]:
-    """Yield a folder or URL and its catalogue; recordings without an index are indexed first.
+    """Yield a folder and its catalogue; recordings without an index are indexed first.
 
     Raises:
         UsageError: There is no such folder, or what is needed is not installed.
         Refused: It cannot be listed.
-        UnreadableFile: The store cannot be listed.
     """
-    from robotctl.store.store_path import StorePath
+    from robotctl.fleet.catalogue import catalogue_of
 
     place = recordings_folder(None, None) if given is None else recording_path(given)
-    if given is not None and not isinstance(place, StorePath) and not place.is_dir():
+    if given is not None and not place.is_dir():
         raise UsageError(f"{place}: no such folder")
     try:
         with ExitStack() as stack:
             with progress_bar("indexing", quiet=quiet) as on_progress:
-                if isinstance(place, StorePath):
-                    from robotctl.fleet.stored_catalogue import stored_catalogue
-
-                    opened = stored_catalogue(place, on_progress)
-                else:
-                    from robotctl.fleet.catalogue import catalogue_of
-
-                    opened = catalogue_of(place, on_progress)
-                catalogue = stack.enter_context(opened)
+                catalogue = stack.enter_context(catalogue_of(place, on_progress))
             yield place, catalogue
     except OSError as error:
         raise Refused(f"{place} cannot be read: {error.strerror or error}") from error

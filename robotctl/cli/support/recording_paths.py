@@ -75,26 +75,44 @@ def recordings_folder(robot: str | None, given: Path | None) -> Path:
     return here.absolute()
 
 
-def recording_path(text: str) -> Path:
-    """Return what an argument names: a path of this computer, or a URL.
+def file_path(text: str) -> Path:
+    """Return what an argument names: a path of this computer, or a URL of one file.
 
     Raises:
-        UsageError: It is a URL that no recording can have.
+        UsageError: It is another URL.
     """
-    from robotctl.store.store_path import path_of
+    from robotctl.store.remote_file import path_of
 
     return path_of(text)
 
 
-def find_recording(name: str, robot: str | None, given: Path | None = None) -> Path:
-    """Return the path of a recording: a path, a URL, a name in the folder of recordings, or `last`.
+def recording_path(text: str) -> Path:
+    """Return what an argument names: a path of this computer.
 
-    A name that is not found is returned as it is; opening it then fails with the reason.
+    Raises:
+        UsageError: It is a URL.
+    """
+    from robotctl.store.remote_file import RemoteFile, not_here
+
+    path = file_path(text)
+    if isinstance(path, RemoteFile):
+        raise not_here(text)
+    return path
+
+
+def find_recording(
+    name: str, robot: str | None, given: Path | None = None, *, also_url: bool = False
+) -> Path:
+    """Return the path of a recording: a path, a name in the folder of recordings, or `last`.
+
+    A name that is not found is returned as it is; opening it then fails with the reason. With
+    `also_url` it may be a URL of one file, too.
 
     Raises:
         Refused: `name` is `last`, and there is no recording.
+        UsageError: It is a URL.
     """
-    path = recording_path(name)
+    path = file_path(name) if also_url else recording_path(name)
     if "://" in name:
         return path
     if os.path.exists(name):  # unlike Path.exists, False if permission is denied
@@ -111,18 +129,6 @@ def find_recording(name: str, robot: str | None, given: Path | None = None) -> P
             )
         return newest[0]
     return folder / name if os.path.exists(folder / name) else path
-
-
-def find_local_recording(name: str, robot: str | None, given: Path | None = None) -> Path:
-    """Return what `find_recording` returns, for a command that needs files of this computer.
-
-    Raises:
-        Refused: `name` is `last`, and there is no recording.
-        UsageError: It is a URL.
-    """
-    path = find_recording(name, robot, given)
-    os.fspath(path)  # which a path of a store refuses
-    return path
 
 
 def cure_of_damage(path: Path) -> str:

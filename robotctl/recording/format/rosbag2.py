@@ -18,7 +18,9 @@ from pathlib import Path
 
 from robotctl.recording.disk.access import open_private, share_like
 from robotctl.recording.format.topics import Topic
-from robotctl.store.store_path import open_file
+from robotctl.regular_file import open_regular
+from robotctl.store.remote_file import RemoteFile
+from robotctl.store.url import is_hash
 
 METADATA_FILE = "metadata.yaml"
 METADATA_RECORD = "rosbag2"
@@ -97,15 +99,45 @@ def read_metadata(path: Path) -> str:
         OSError: It cannot be read.
         ValueError: It is no text, or too long.
     """
+    if isinstance(path, RemoteFile):
+        return ""
     folder = path if path.is_dir() else path.parent
+    if is_hash(folder.name):
+        folder = folder.parent
     try:
-        with TextIOWrapper(open_file(folder / METADATA_FILE), encoding="utf-8") as stream:
+        with TextIOWrapper(open_regular(_metadata_in(folder)), encoding="utf-8") as stream:
             text = stream.read(_MAX_METADATA_CHARACTERS + 1)
     except FileNotFoundError:
         return ""
     if len(text) > _MAX_METADATA_CHARACTERS:
         raise ValueError(f"it has more than {_MAX_METADATA_CHARACTERS} characters")
     return text
+
+
+def _metadata_in(folder: Path) -> Path:
+    path = folder / METADATA_FILE
+    if not path.exists():
+        return next((each for each in entries_of(folder) if each.name == METADATA_FILE), path)
+    return path
+
+
+def entries_of(folder: Path) -> list[Path]:
+    """Return what is in the folder of a recording.
+
+    Of a copy that an earlier `robotctl sync` made, each file is in a folder that is named by its
+    hash. Of several with one name it is the newest.
+
+    Raises:
+        OSError: It cannot be listed.
+    """
+    entries = list(folder.iterdir())
+    if not any(is_hash(each.name) for each in entries):
+        return entries
+    copies = [path for each in entries if is_hash(each.name) for path in each.iterdir()]
+    copies.sort(key=lambda path: path.lstat().st_mtime_ns)
+    newest = {path.name: path for path in copies}
+    here = {path.name for path in entries}
+    return [*entries, *(path for name, path in newest.items() if name not in here)]
 
 
 def files_in(text: str) -> list[str]:

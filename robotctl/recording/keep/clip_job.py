@@ -17,7 +17,7 @@ from robotctl.recording.keep.catalog import CLIPS_FOLDER
 from robotctl.recording.keep.clip import Clip, Moment, Progress, cut_clip
 from robotctl.recording.keep.listing import ListedRecording, list_recording
 from robotctl.recording.read.reader import Recording
-from robotctl.store.store_path import StorePath
+from robotctl.store.remote_file import RemoteFile
 
 PATIENCE_S = 3.0
 """How long to wait for a live recording to contain messages that are due."""
@@ -113,11 +113,11 @@ def _wait_for_end(job: ClipJob) -> None:
 def _free_name(job: ClipJob) -> Path:
     """Return an unused name in the clips folder of the recording, and create that folder.
 
-    The clip of a recording in a store goes into the working directory.
+    The clip of a file at a URL goes into the working directory.
     """
     source = job.source
     folder = (source if source.is_dir() else source.parent) / CLIPS_FOLDER
-    if isinstance(source, StorePath):
+    if isinstance(source, RemoteFile):
         folder = Path()
     try:
         if not folder.is_dir():

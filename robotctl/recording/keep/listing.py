@@ -14,7 +14,7 @@ from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.recording.format.natural_order import natural_order
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
-from robotctl.recording.format.rosbag2 import metadata_text
+from robotctl.recording.format.rosbag2 import entries_of, metadata_text
 from robotctl.recording.keep.catalog import CLIPS_FOLDER, KEEP_FILE
 from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged
@@ -117,7 +117,8 @@ def _files(path: Path) -> list[Path]:
     if path.suffix == ".mcap" and path.is_file():
         return [path]
     try:
-        return sorted(path.glob("*.mcap"), key=natural_order) if path.is_dir() else []
+        entries = entries_of(path) if path.is_dir() else []
+        return sorted((e for e in entries if e.suffix == ".mcap"), key=natural_order)
     except OSError:
         return []
 

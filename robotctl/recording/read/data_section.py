@@ -71,7 +71,6 @@ class _DataSection:
         data = WholeData(header)
         if data.own and record_bytes(header) != file.read(len(MAGIC), offset - len(MAGIC)):
             flaws.add(len(MAGIC), offset, "the header is not as robotctl writes it")
-        file.expect([(offset, (file.size if stop is None else stop) - offset)])
         self._file = file
         self._data = data
         self._flaws = flaws

@@ -9,9 +9,9 @@ from stat import S_ISDIR, S_ISREG
 from robotctl.errors import UnreadableFile
 from robotctl.recording.format.natural_order import natural_order
 from robotctl.recording.format.records import MAGIC
-from robotctl.recording.format.rosbag2 import METADATA_FILE, files_in, read_metadata
+from robotctl.recording.format.rosbag2 import METADATA_FILE, entries_of, files_in, read_metadata
 from robotctl.recording.read.zstd_file import SUFFIX
-from robotctl.store.store_path import open_file
+from robotctl.regular_file import open_regular
 
 SQLITE_SUFFIX = ".db3"
 """Suffix of the files of rosbag2's sqlite3 storage."""
@@ -21,6 +21,7 @@ DENIED_CURE = "run this as its owner, or record with recording.group_readable: t
 _FILES_OF_RECORDINGS = (
     *("*.mcap", f"*.mcap{SUFFIX}", f"*{SQLITE_SUFFIX}*", METADATA_FILE),
     "*/*.mcap",
+    f"*/{'[0-9a-f]' * 64}/*.mcap",
 )
 """Patterns for the content of a folder that is a recording, or holds recordings."""
 
@@ -76,6 +77,16 @@ def may_not_be_listed(path: Path) -> bool:
     return False
 
 
+def is_bag(path: Path) -> bool:
+    """Return whether a path is a folder with MCAP files, or one that this user may not list."""
+    if not path.is_dir():
+        return False
+    try:
+        return any(each.suffix == ".mcap" for each in entries_of(path))
+    except OSError:
+        return may_not_be_listed(path)
+
+
 def is_recording(path: Path) -> bool:
     """Return whether a path is a recording, or a folder of recordings, by names and first bytes.
 
@@ -91,7 +102,7 @@ def is_recording(path: Path) -> bool:
             return True
         if not S_ISREG(mode):
             return False
-        with open_file(path) as file:
+        with open_regular(path) as file:
             return file.read(len(MAGIC)) == MAGIC
     except (OSError, ValueError):
         return True
@@ -103,7 +114,7 @@ def files_of_bag(folder: Path) -> list[Path]:
     Raises:
         OSError: The folder cannot be listed.
     """
-    entries = list(folder.iterdir())  # unlike glob, it raises where the user may not list
+    entries = entries_of(folder)  # unlike glob, it raises where the user may not list
     files = [path for path in entries if path.name.endswith(".mcap")]
     names = {path.name for path in files}
     packed = [

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
@@ -147,10 +147,6 @@ class InputFile:
             reason = f"the disk cannot read it at byte {offset}: {error.strerror or error}"
             raise self.failed(reason) from error
         return data
-
-    def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
-        """Take notice of ranges that will be read in this order, each an offset and a length."""
-        self._source.expect(ranges)
 
     def failed(self, reason: str) -> Unreadable:
         """Return the error for a failure of disk or memory; `failure` keeps the first."""

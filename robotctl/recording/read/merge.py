@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from heapq import heapify, heappop, heappush
 
 from robotctl.recording.read.damage import BeyondLimit, Damaged
@@ -29,8 +29,6 @@ def merge(
     `on_missing` gets a sentence about each lost part.
     """
     found = list(place_readers(files, topics, window))
-    for file in files:
-        file.file.expect(_ranges(_in_order_of_time(found, file)))
     heap = [(source.place.start_ns, rank) for rank, source in enumerate(found)]
     heapify(heap)
     held = 0
@@ -69,7 +67,6 @@ def in_order_written(
     """
     done, total = 0, sum(file.file.size for file in files)
     for file in files:
-        file.file.expect(_ranges(place_readers([file], topics, ALWAYS)))
         for source in place_readers([file], topics, ALWAYS):
             try:
                 yield from source.as_written()
@@ -79,17 +76,6 @@ def in_order_written(
         done += file.file.size
         on_progress(done, total)
     _tell_unaccounted(files, on_missing)
-
-
-def _in_order_of_time(readers: list[PlaceReader], file: OpenFile) -> Iterator[PlaceReader]:
-    yield from sorted(
-        (each for each in readers if each.file is file), key=lambda each: each.place.start_ns
-    )
-
-
-def _ranges(readers: Iterable[PlaceReader]) -> Iterator[tuple[int, int]]:
-    for each in readers:
-        yield each.place.offset, each.place.length
 
 
 def _tell_unaccounted(files: Sequence[OpenFile], on_missing: Callable[[str], None]) -> None:

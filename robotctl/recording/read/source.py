@@ -5,13 +5,13 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
 from robotctl.recording.disk.storage import is_locked
 from robotctl.recording.read.zstd_file import is_zstd_file, unpack_zstd_file
-from robotctl.store.store_path import StorePath
+from robotctl.store.remote_file import RemoteFile
 
 
 class Source(Protocol):
@@ -28,9 +28,6 @@ class Source(Protocol):
 
     def read(self, offset: int, length: int) -> bytes:
         """Return `length` bytes at `offset`, or fewer; none only at the end."""
-
-    def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
-        """Take notice of ranges that will be read in this order, each an offset and a length."""
 
     def is_written(self) -> bool:
         """Return whether a process has it open for recording."""
@@ -49,7 +46,7 @@ def open_source(
         Damaged: It cannot be decompressed.
         UnreadableFile: The store fails.
     """
-    return StoreSource(path) if isinstance(path, StorePath) else LocalSource(path, on_progress)
+    return RemoteSource(path) if isinstance(path, RemoteFile) else LocalSource(path, on_progress)
 
 
 class LocalSource:
@@ -91,9 +88,6 @@ class LocalSource:
         """Return `length` bytes at `offset`, or fewer; none only at the end."""
         return os.pread(self._fd, length, offset)
 
-    def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
-        """Do nothing: the system reads ahead."""
-
     def is_written(self) -> bool:
         """Return whether a process has it open for recording."""
         return is_locked(self._fd)
@@ -105,19 +99,15 @@ class LocalSource:
             self._fd = -1
 
 
-class StoreSource:
-    """A file of a store, which cannot be changed in place."""
+class RemoteSource:
+    """A file at a URL, which cannot be changed in place."""
 
-    def __init__(self, path: StorePath) -> None:
+    def __init__(self, path: RemoteFile) -> None:
         """Find the file.
 
         Raises:
-            OSError: It is compressed as a whole.
             UnreadableFile: The store fails.
         """
-        if is_zstd_file(path):
-            reason = "it is compressed as a whole: download it first"
-            raise OSError(errno.EOPNOTSUPP, reason, str(path))
         self._size = path.stat().st_size
         self._reader = path.reader()
 
@@ -132,10 +122,6 @@ class StoreSource:
     def read(self, offset: int, length: int) -> bytes:
         """Return `length` bytes at `offset`, or fewer; none only at the end."""
         return self._reader.read(offset, length)
-
-    def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
-        """Ask for the ranges ahead."""
-        self._reader.expect(ranges)
 
     def is_written(self) -> bool:
         """Return False: an object is complete when it appears."""

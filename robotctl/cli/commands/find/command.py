@@ -41,7 +41,7 @@ def find(
         str | None,
         typer.Option(
             "--in",
-            metavar="DIR|URL",
+            metavar="DIR",
             help="A folder of recordings [default: ./recordings, or the daemon's, or the last "
             "daemon's].",
         ),
@@ -94,7 +94,6 @@ def find(
       robotctl find "check != 'same'" --recordings --in /data/robots
       robotctl find --sort -max_error_m --limit 3 --json
       robotctl find --sort -max_error_m --open 1
-      robotctl find "laps >= 1" --in s3://bucket/robots/one
       robotctl find "mode == 'EMERGENCY_STOP'" --events --open 2 --as clip
       robotctl find --sql "SELECT cause, count(*) FROM drives GROUP BY cause"
     """

@@ -36,7 +36,7 @@ def check_command(
         Divergence: A recording is decided differently, or breaks a promise.
         UnreadableFile: A recording could not be checked completely.
     """
-    paths, skipped = select_recordings(files, robot)
+    paths, skipped = select_recordings(files, robot, also_urls=True)
     with progress_bar("checking", quiet=as_json) as on_progress:
         reports = check_recordings(paths, on_progress, all_bytes=all_bytes)
     lines = [line for report in reports for line in report_lines(report)]

@@ -11,11 +11,7 @@ import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.given_options import given_options
-from robotctl.cli.support.recording_paths import (
-    RecordedBy,
-    find_local_recording,
-    recording_path,
-)
+from robotctl.cli.support.recording_paths import RecordedBy, file_path, find_recording
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.text import short_path
 from robotctl.domains import requested_domain
@@ -39,7 +35,7 @@ def replay(
         list[Path],
         typer.Argument(
             metavar="FILE",
-            parser=recording_path,
+            parser=file_path,
             help="An MCAP file, a recording's folder or name, a URL, or `last`.",
         ),
     ],
@@ -173,7 +169,7 @@ def replay(
 
     domain = requested_domain(domain_id)
     name = _only(files)
-    path = find_local_recording(str(name), robot)
+    path = find_recording(str(name), robot)
     job = Job(
         file=path.absolute(),
         domain_id=0 if draw_only else domain_to_play_in(domain, daemon_robot),

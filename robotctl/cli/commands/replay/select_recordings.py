@@ -7,13 +7,15 @@ from pathlib import Path
 
 from robotctl.cli.support.recording_paths import find_recording
 from robotctl.cli.terminal.text import short_path
-from robotctl.recording.read.files import is_recording, may_not_be_listed
+from robotctl.recording.read.files import is_bag, is_recording
 
 LABEL_WIDTH = 12
 """Width of the column before a path: a verdict or `skipped`."""
 
 
-def select_recordings(files: Sequence[Path], robot: str | None) -> tuple[list[Path], list[Path]]:
+def select_recordings(
+    files: Sequence[Path], robot: str | None, *, also_urls: bool = False
+) -> tuple[list[Path], list[Path]]:
     """Return the recordings that paths, names or `last` stand for, and the paths to skip.
 
     A folder of recordings stands for all of them. If no path is a recording, none is skipped: each
@@ -21,8 +23,9 @@ def select_recordings(files: Sequence[Path], robot: str | None) -> tuple[list[Pa
 
     Raises:
         Refused: `last` was given and there is no recording.
+        UsageError: A URL was given, but not `also_urls`.
     """
-    found = [find_recording(str(file), robot) for file in files]
+    found = [find_recording(str(file), robot, also_url=also_urls) for file in files]
     skipped = [path for path in found if not is_recording(path)]
     if len(skipped) == len(found):
         skipped = []
@@ -37,9 +40,8 @@ def skipped_lines(skipped: Sequence[Path]) -> list[str]:
 def _recordings_at(path: Path) -> list[Path]:
     """Return the recording at `path`, or those in it if it is a folder of recordings."""
     try:
-        if path.is_dir() and not any(path.glob("*.mcap")):
-            closed = {each for each in path.iterdir() if may_not_be_listed(each)}
-            return sorted(closed | {file.parent for file in path.glob("*/*.mcap")}) or [path]
+        if path.is_dir() and not is_bag(path):
+            return sorted(filter(is_bag, path.iterdir())) or [path]
     except OSError:
         pass  # the reader of the recording reports why
     return [path]

@@ -86,14 +86,7 @@ def _read(path: Path, *, quiet: bool) -> Recorded:
 
 
 def page_of(path: Path) -> Path:
-    """Return where the page of a recording is written: into its folder, or next to the file.
-
-    That of a recording in a store goes into the working directory.
-    """
-    from robotctl.store.store_path import StorePath
-
-    if isinstance(path, StorePath):
-        return Path(f"{path.stem}.{PAGE_FILE}")
+    """Return where the page of a recording is written: into its folder, or next to the file."""
     return path / PAGE_FILE if path.is_dir() else path.with_name(f"{path.stem}.{PAGE_FILE}")
 
 

@@ -18,14 +18,11 @@ from robotctl.rerun.check_many import check_recordings
 from robotctl.rerun.check_report import Verdict
 from robotctl.show.page import CommandVerdict, Explanation, ReportFindings, Tone
 from robotctl.show.traces import Recorded
-from robotctl.store.store_path import StorePath
 
 MAX_EXPLAINED: Final = 5
 """Each explanation reads the journal once."""
 
 MAX_SENTENCES: Final = 20
-
-_NOT_VERIFIED: Final = "of a store only what is drawn is read: robotctl verify URL reads every byte"
 
 _CHECK_TONES: Final = {Verdict.SAME: Tone.GOOD, Verdict.INCOMPLETE: Tone.UNSURE}
 _VERIFY_TONES: Final = {"sealed": Tone.GOOD, "whole": Tone.UNSURE}
@@ -40,9 +37,6 @@ def judge(path: Path, recorded: Recorded, *, quiet: bool) -> ReportFindings:
             (checked,) = check_recordings([path], on_progress)
         judgements.append(_checked(checked))
         explanations = _explained(path, recorded, quiet=quiet)
-    if isinstance(path, StorePath):
-        judgements.append(CommandVerdict("verify", "not run", Tone.UNSURE, (_NOT_VERIFIED,)))
-        return ReportFindings(tuple(judgements), tuple(explanations))
     with progress_bar("verifying", quiet=quiet) as on_progress:
         judgements.append(_verified(verified(path, on_progress)))
     return ReportFindings(tuple(judgements), tuple(explanations))

@@ -10,7 +10,7 @@ import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
-from robotctl.cli.support.recording_paths import RecordedBy, recording_path
+from robotctl.cli.support.recording_paths import RecordedBy, file_path
 from robotctl.errors import Divergence, NotSealed, RobotctlError, UnreadableFile, UsageError
 
 app = new_app()
@@ -24,7 +24,7 @@ def verify(
         list[Path],
         typer.Argument(
             metavar="FILE",
-            parser=recording_path,
+            parser=file_path,
             help="An MCAP file, a recording's folder or name, a folder of them, a URL, last.",
         ),
     ],
@@ -36,7 +36,7 @@ def verify(
         Path | None,
         typer.Option(
             metavar="FILE",
-            parser=recording_path,
+            parser=file_path,
             help="The recording that a clip was cut from: all that it took from there is compared.",
         ),
     ] = None,
@@ -53,7 +53,7 @@ def verify(
     Examples:
       robotctl verify last
       robotctl verify recordings
-      robotctl verify s3://bucket/robots/robot_20260101_120000
+      robotctl verify s3://bucket/robots/run.mcap
       robotctl verify robot_0.mcap --head $(ssh robot robotctl key head)
       robotctl verify stop.mcap --source recordings/robot_20260101_120000
     """
@@ -74,7 +74,7 @@ def verify(
         raise UsageError(
             f"--head {head[:80]} is no head", "give 64 digits, as robotctl key head does"
         )
-    paths, _ = select_recordings(files, robot)
+    paths, _ = select_recordings(files, robot, also_urls=True)
     found = verify_together(paths, head, quiet=as_json)
     reports, summary = found.recordings, found.summary
     lines = [line for report in reports for line in recording_lines(report)]

@@ -1,0 +1,447 @@
+"""Object stores and web servers, by the library obstore (the extra `store`).
+
+Requests run in a thread of their own, so that Ctrl-C ends the wait for them at once: the library
+has its own threads, and none of its blocking calls can be interrupted. A request that is still
+under way when Python ends would make it print a Rust backtrace: at the exit all requests are
+cancelled first.
+The text of an error of the library may show signatures and headers; ours does not.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import os
+import re
+import threading
+import time
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from configparser import ConfigParser, Error
+from contextlib import suppress
+from datetime import timedelta
+from functools import cache
+from itertools import chain
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
+
+from robotctl.errors import UsageError
+from robotctl.printable import printable, short_name
+from robotctl.store.objects import (
+    NO_STAMP,
+    PART_BYTES,
+    AccessDenied,
+    BrokenAnswer,
+    NoSuchObject,
+    Stamp,
+    StoredObject,
+    StoreError,
+    StoreFailed,
+    changed,
+    check_key,
+    short_answer,
+)
+from robotctl.store.url import StoreUrl
+
+if TYPE_CHECKING:
+    from obstore import Attributes, GetOptions, ObjectMeta
+    from obstore.store import ClientConfig, RetryConfig, S3Config
+
+_Result = TypeVar("_Result")
+
+_Request = Callable[[], Coroutine[Any, Any, _Result]]
+
+_PAUSE_S: Final = 0.2
+"""Before an answer that broke off is asked for again."""
+
+MAX_RETRIES: Final = 8
+
+_LISTED_AT_ONCE: Final = 1000
+
+NS_PER_S: Final = 1_000_000_000
+
+_SHA256: Final = "sha256"
+_WRITTEN: Final = "mtime"
+"""The attributes of an object; the second [ns since the epoch] has the name that rclone uses."""
+
+_LIBRARY_LETS_GO_S: Final = 0.5
+"""How long its threads may need after a cancellation, on a busy machine; no call waits for them."""
+
+_CREDENTIALS: Final = {
+    "s3": "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; for a public bucket "
+    "AWS_SKIP_SIGNATURE=true",
+    "gs": "set GOOGLE_APPLICATION_CREDENTIALS; for a public bucket GOOGLE_SKIP_SIGNATURE=true",
+    "az": "set AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY",
+}
+_OF_THE_SERVER: Final = "only files that everybody may read can be read through https"
+
+ALLOW_HTTP: Final = "use https, or set AWS_ALLOW_HTTP=true for a network that you trust"
+
+_BROKEN: Final = re.compile(r"kind: (Body|Decode|Interrupted)\b|IncompleteMessage|UnexpectedRange")
+
+_REASONS: Final = {
+    "ConnectionRefused": "the server refuses the connection",
+    "dns error": "there is no such host",
+    "InvalidContentType": "the server does not speak https",
+    "UnknownIssuer": "the certificate of the server is not trusted",
+    "certificate": "the certificate of the server is not valid",
+    "TimedOut": "the server does not answer in time",
+    "kind: Timeout": "the server does not answer in time",
+    "NotPartial": "the server cannot send parts of a file",
+    "RangeNotSupported": "the server cannot send parts of a file",
+    "CONTENT_RANGE": "the server claims a size that no file can have",
+    "Connect": "the server cannot be reached",
+}
+"""Words of the error, and what they mean; the first that is found counts."""
+
+_INSTANCE_METADATA: Final = re.compile(
+    r"169\.254\.169\.254|metadata\.google|metadata\.azure|SharedKeyCredential|MissingKey"
+)
+
+_OTHER_SOURCES: Final = frozenset(
+    {
+        "AWS_ACCESS_KEY_ID",
+        "AWS_SKIP_SIGNATURE",
+        "AWS_WEB_IDENTITY_TOKEN_FILE",
+        "AWS_CONTAINER_CREDENTIALS_RELATIVE_URI",
+        "AWS_CONTAINER_CREDENTIALS_FULL_URI",
+    }
+)
+_DEFAULT: Final = "default"
+
+
+class RemoteStore:
+    """The objects below a URL; see `ObjectStore`."""
+
+    def __init__(self, url: StoreUrl) -> None:
+        """Open a store; nothing is asked of it yet.
+
+        Raises:
+            UsageError: The library is missing, or the URL is wrong.
+        """
+        try:
+            import obstore
+            from obstore.store import from_url
+        except ImportError as error:
+            cure = "pip install 'robotctl[store]'"
+            raise UsageError("URLs need obstore, which is not installed", cure) from error
+        allow_http = os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("true", "1")
+        if url.scheme == "http" and not allow_http:
+            raise UsageError(f"{url} would not be encrypted", ALLOW_HTTP)
+        self._url = url
+        self._library = obstore
+        try:
+            self._store = from_url(
+                url.root,
+                config=profile_keys(os.environ) if url.scheme == "s3" else None,
+                client_options=_client(allow_http=allow_http),
+                retry_config=_retries(),
+            )
+        except (ValueError, obstore.exceptions.BaseError) as error:
+            raise UsageError(f"{url} is not a valid URL") from error
+
+    @property
+    def name(self) -> str:
+        """Return the URL."""
+        return printable(self._url)
+
+    def list(self, prefix: str = "") -> Iterator[StoredObject]:
+        """Yield the objects below the folder `prefix`, and below its folders."""
+        if prefix:
+            check_key(prefix)
+        below = "/".join(part for part in (self._url.path, prefix) if part)
+        stream = self._library.list(self._store, below or None, chunk_size=_LISTED_AT_ONCE)
+
+        async def listed() -> Sequence[ObjectMeta]:
+            try:
+                return await anext(stream)
+            except StopAsyncIteration:
+                return ()
+
+        skipped = len(self._url.path) + 1 if self._url.path else 0
+        while found := self._run(listed, prefix):
+            for meta in found:
+                yield _described(meta, meta["path"][skipped:])
+
+    def head(self, key: str) -> StoredObject:
+        """Return what is known about an object."""
+
+        async def asked() -> StoredObject:
+            options: GetOptions = {"head": True}
+            answer = await self._library.get_async(self._store, self._path(key), options=options)
+            return _described(answer.meta, key, answer.attributes)
+
+        return self._run(asked, key)
+
+    def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
+        """Return exactly the bytes from `begin` to before `end` of the object that was found."""
+        return requests().run(self._range(found, begin, end))
+
+    async def _range(self, found: StoredObject, begin: int, end: int) -> bytes:
+        if begin >= end:
+            return b""
+        path, where = self._path(found.key), self._where(found.key)
+        options: GetOptions = {"range": (begin, end)}
+        if found.etag.startswith('"'):  # a weak one never matches
+            options["if_match"] = found.etag
+
+        async def ranged() -> bytes:
+            answer = await self._library.get_async(self._store, path, options=options)
+            if _described(answer.meta, found.key) != found:
+                raise changed(where)
+            data = bytes(await answer.bytes_async())
+            if len(data) != end - begin:
+                raise short_answer(where, len(data), end - begin)
+            return data
+
+        # The library continues an answer that broke off only if it knows a strong etag.
+        with suppress(BrokenAnswer):
+            return await self._told(ranged, found.key)
+        await asyncio.sleep(_PAUSE_S)
+        return await self._told(ranged, found.key)
+
+    def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
+        """Store an object under a free name; return whether it was free.
+
+        No store has a condition for an object in several parts: another process that stores a
+        large one of the same name at the same time is not noticed.
+        """
+        begin, rest = _beginning(parts)
+        if len(begin) <= PART_BYTES:
+            return self._put(key, begin, stamp, mode="create")
+        with suppress(NoSuchObject):
+            self.head(key)
+            return False
+        return self._put(key, chain((begin,), rest), stamp)
+
+    def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
+        """Store an object from parts of any length, and replace one of that name."""
+        begin, rest = _beginning(parts)
+        self._put(key, begin if len(begin) <= PART_BYTES else chain((begin,), rest), stamp)
+
+    def _put(
+        self,
+        key: str,
+        content: bytes | Iterable[bytes],
+        stamp: Stamp,
+        mode: Literal["create", "overwrite"] = "overwrite",
+    ) -> bool:
+        async def stored() -> bool:
+            try:
+                await self._library.put_async(
+                    self._store,
+                    self._path(key),
+                    content,
+                    attributes=_attributes(stamp),
+                    mode=mode,
+                    use_multipart=not isinstance(content, bytes),
+                    chunk_size=PART_BYTES,
+                    max_concurrency=2,
+                )
+            except self._library.exceptions.AlreadyExistsError:
+                return False
+            return True
+
+        return self._run(stored, key)
+
+    def _run(self, request: _Request[_Result], key: str) -> _Result:
+        return requests().run(self._told(request, key))
+
+    async def _told(self, request: _Request[_Result], key: str) -> _Result:
+        try:
+            return await request()
+        except (self._library.exceptions.BaseError, FileNotFoundError, ValueError) as error:
+            raise error_of(error, self._url.scheme, self._where(key)) from None
+
+    def _path(self, key: str) -> str:
+        check_key(key)
+        return f"{self._url.path}/{key}" if self._url.path else key
+
+    def _where(self, key: str) -> str:
+        return f"{self.name}/{printable(key)}" if key else self.name
+
+
+def _described(meta: ObjectMeta, key: str, attributes: Attributes | None = None) -> StoredObject:
+    etag = meta["e_tag"] or f"of {meta['last_modified'].isoformat()}"
+    stored_with = attributes or {}
+    written_ns = str(stored_with.get(_WRITTEN, ""))
+    modified_ns = int(meta["last_modified"].timestamp() * NS_PER_S)
+    if re.fullmatch(r"\d{1,19}", written_ns):
+        modified_ns = int(written_ns)
+    return StoredObject(key, meta["size"], etag, modified_ns, str(stored_with.get(_SHA256, "")))
+
+
+def _attributes(stamp: Stamp) -> Attributes:
+    return {_SHA256: stamp.sha256, _WRITTEN: str(stamp.modified_ns)} if stamp.sha256 else {}
+
+
+def _beginning(parts: Iterable[bytes]) -> tuple[bytes, Iterator[bytes]]:
+    """Return more than a part of an object, or all of it, and the rest."""
+    begin, rest = bytearray(), iter(parts)
+    while len(begin) <= PART_BYTES and (part := next(rest, None)) is not None:
+        begin += part
+    return bytes(begin), rest
+
+
+def _client(*, allow_http: bool) -> ClientConfig:
+    return {
+        "allow_http": allow_http,
+        "connect_timeout": timedelta(seconds=5),
+        # Without a byte: a large part may take long on a thin line.
+        "read_timeout": timedelta(seconds=20),
+        "timeout": timedelta(minutes=10),
+    }
+
+
+def _retries() -> RetryConfig:
+    return {
+        "max_retries": MAX_RETRIES,
+        "retry_timeout": timedelta(seconds=20),
+        "backoff": {
+            "init_backoff": timedelta(milliseconds=50),
+            "max_backoff": timedelta(seconds=3),
+            "base": 2,
+        },
+    }
+
+
+class RequestLoop:
+    """An asyncio loop in a thread of its own; call `end` when Python ends."""
+
+    def __init__(
+        self,
+        now_s: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._now_s = now_s
+        self._sleep = sleep
+        self._cancelled_s = -inf
+        """When a request was last cancelled."""
+
+        self.loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self.loop.run_forever, name="store", daemon=True)
+        self._thread.start()
+
+    def start(self, request: Coroutine[Any, Any, _Result]) -> Future[_Result]:
+        """Start a request, and return its result to come."""
+        return asyncio.run_coroutine_threadsafe(request, self.loop)
+
+    def run(self, request: Coroutine[Any, Any, _Result]) -> _Result:
+        """Return the result of a request, or raise its error; cancel it if Ctrl-C comes."""
+        started = self.start(request)
+        try:
+            return started.result()
+        except BaseException:
+            if started.cancel():
+                self._cancelled_s = self._now_s()
+            raise
+
+    def end(self) -> None:
+        """Cancel all requests, end the thread, and wait until the library has let go."""
+
+        def cancel_all() -> None:
+            for task in asyncio.all_tasks(self.loop):
+                task.cancel()
+                self._cancelled_s = self._now_s()
+            self.loop.call_soon(self.loop.stop)
+
+        self.loop.call_soon_threadsafe(cancel_all)
+        self._thread.join()
+        self.loop.close()
+        left_s = self._cancelled_s + _LIBRARY_LETS_GO_S - self._now_s()
+        if left_s > 0.0:
+            self._sleep(left_s)
+
+
+@cache
+def requests() -> RequestLoop:
+    """Return the loop of this process; it is made when it is first needed."""
+    loop = RequestLoop()
+    atexit.register(loop.end)
+    return loop
+
+
+def error_of(error: Exception, scheme: str, where: str) -> StoreError:
+    """Return the error for the user; `where` names the object, or the store."""
+    text = str(error)
+    kind = type(error).__name__
+    cure = _CREDENTIALS.get(scheme, _OF_THE_SERVER)
+    if "NoSuchBucket" in text or "ContainerNotFound" in text:
+        return NoSuchObject(f"{where}: there is no such bucket", "check the URL")
+    if kind in ("FileNotFoundError", "NotFoundError"):
+        return NoSuchObject(f"{where} does not exist")
+    if kind in ("PreconditionError", "NotModifiedError"):
+        return changed(where)
+    if _INSTANCE_METADATA.search(text):
+        return AccessDenied(f"{where}: there are no credentials", cure)
+    if kind in ("PermissionDeniedError", "UnauthenticatedError") or _status(text) in (401, 403):
+        return AccessDenied(f"{where}: access is denied{_code(text)}", cure)
+    if kind == "InvalidPathError":
+        found = re.search(r'[Pp]ath "([^"]*)"', text)
+        name = short_name(found[1]) if found else ""
+        cure = "rename or remove it, or give a folder that it is not in"
+        return StoreFailed(f"{where}: an object '{name}' there has an impossible name", cure)
+    return _failure(text, scheme, where)
+
+
+def _failure(text: str, scheme: str, where: str) -> StoreFailed:
+    status = _status(text)
+    if "without LOCATION" in text or status in (301, 307, 308):
+        cure = "set AWS_REGION to the region of the bucket" if scheme == "s3" else "check the URL"
+        return StoreFailed(f"{where}: the store sends requests elsewhere", cure)
+    if status is not None:
+        return StoreFailed(f"{where}: the store answers with HTTP status {status}{_code(text)}")
+    if "BadScheme" in text:
+        return StoreFailed(f"{where}: the connection would not be encrypted", ALLOW_HTTP)
+    if _BROKEN.search(text):
+        return BrokenAnswer(f"{where}: the store broke off in the middle of an answer")
+    reasons = (reason for word, reason in _REASONS.items() if word in text)
+    reason = next(reasons, "the request failed")
+    return StoreFailed(f"{where}: {reason}", "check the network and the URL")
+
+
+def _status(text: str) -> int | None:
+    found = re.search(r"status(?: code)?: (\d{3})\b", text)
+    return int(found[1]) if found else None
+
+
+def _code(text: str) -> str:
+    """Return the store's own word for the error, such as ` (SlowDown)`, or ""."""
+    found = re.search(r"<Code>(\w{1,60})</Code>", text)
+    return f" ({found[1]})" if found else ""
+
+
+def profile_keys(environment: Mapping[str, str]) -> S3Config:
+    """Return keys and region of the profile in AWS_PROFILE, or of the default one.
+
+    Nothing is returned if the environment names keys itself, or there are none in the profile.
+    """
+    if _OTHER_SOURCES & environment.keys():
+        return {}
+    profile = environment.get("AWS_PROFILE", _DEFAULT)
+    in_config = profile if profile == _DEFAULT else f"profile {profile}"
+    keys = _section(environment.get("AWS_SHARED_CREDENTIALS_FILE", "~/.aws/credentials"), profile)
+    other = _section(environment.get("AWS_CONFIG_FILE", "~/.aws/config"), in_config)
+    told = other | keys
+    if not {"aws_access_key_id", "aws_secret_access_key"} <= told.keys():
+        return {}
+    found: S3Config = {
+        "access_key_id": told["aws_access_key_id"],
+        "secret_access_key": told["aws_secret_access_key"],
+    }
+    if "aws_session_token" in told:
+        found["session_token"] = told["aws_session_token"]
+    if "region" in told and not {"AWS_REGION", "AWS_DEFAULT_REGION"} & environment.keys():
+        found["region"] = told["region"]
+    return found
+
+
+def _section(file: str, name: str) -> dict[str, str]:
+    """Return the values of a section; none if the file cannot be read."""
+    parser = ConfigParser(interpolation=None, default_section="")
+    try:
+        parser.read_string(Path(file).expanduser().read_text(encoding="utf-8"))
+        return dict(parser[name])
+    except (OSError, ValueError, KeyError, RuntimeError, Error):
+        return {}
