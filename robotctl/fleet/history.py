@@ -29,8 +29,7 @@ from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.format.metadata_names import INFO_RECORD, OWN_LIBRARY, SOFTWARE_RECORD
 from robotctl.recording.read.journal_reader import read_journal
-from robotctl.rerun.entry_order import Gap
-from robotctl.rerun.journal_steps import Step, steps
+from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import decide, read_effect, read_event, read_snapshot
 
 SAMPLE_PERIOD_NS = NS_PER_S // 10

@@ -17,8 +17,7 @@ from robotctl.fleet.recording_content import Content, read_content
 from robotctl.fleet.software import software_hash
 from robotctl.recording.read.read_failures import noted_read_failures
 from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Report
-from robotctl.rerun.divergence import Divergence
+from robotctl.rerun.check_report import Divergence, Report
 from robotctl.rerun.whatif import what_if
 
 VerdictName = Literal["diverged", "broken", "crashed", "incomplete", "unfit", "unreadable", "same"]

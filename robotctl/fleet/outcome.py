@@ -10,8 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from robotctl.fleet.change import Change
-from robotctl.rerun.check_report import Report
-from robotctl.rerun.rounded import rounded
+from robotctl.rerun.check_report import Report, rounded
 
 _OTHER_RULES = re.compile(r"decided by the rules of another version \([^)]*\): ")
 

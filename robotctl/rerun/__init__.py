@@ -25,8 +25,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from robotctl.rerun.check import check_recording
     from robotctl.rerun.check_many import check_recordings
-    from robotctl.rerun.check_report import Report, Verdict
-    from robotctl.rerun.divergence import Divergence
+    from robotctl.rerun.check_report import Divergence, Report, Verdict
     from robotctl.rerun.incident import Incident, IncidentKind, Searched, find_incident
     from robotctl.rerun.invariants import Violation
     from robotctl.rerun.recorded_settings import Settings, parse_settings
@@ -56,7 +55,7 @@ __all__ = [
 ]
 
 _MODULES = {
-    "Divergence": "divergence",
+    "Divergence": "check_report",
     "Incident": "incident",
     "IncidentKind": "incident",
     "Report": "check_report",

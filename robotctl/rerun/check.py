@@ -3,34 +3,222 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Final, NamedTuple
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
-from robotctl.recording.format.journal import JournalEntry
+from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
 from robotctl.recording.format.metadata_names import INFO_RECORD, OWN_LIBRARY
-from robotctl.recording.read.journal_reader import journal_topic, journal_topics
+from robotctl.recording.read.files import recording_files
+from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic, journal_topics
+from robotctl.recording.read.messages import Message
+from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.source import Source
-from robotctl.rerun.bytes_check import check_bytes
-from robotctl.rerun.check_reading import CheckReading
-from robotctl.rerun.check_report import Report
-from robotctl.rerun.comparison import Comparison
+from robotctl.recording.read.verified import VerifiedRecording, verify_recording
+from robotctl.rerun.check_report import Divergence, Report
 from robotctl.rerun.comparisons import Comparisons
-from robotctl.rerun.divergence import Divergence
-from robotctl.rerun.entry_order import Gap
-from robotctl.rerun.journal_format import JournalFormat
-from robotctl.rerun.journal_origin import JournalOrigin
-from robotctl.rerun.journal_steps import Step
+from robotctl.rerun.journal_format import JournalFormat, without_retired_fields
+from robotctl.rerun.journal_steps import EntryOrder, Gap, Item, LogTimes, Step
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
-from robotctl.rerun.recording_ends import RecordingEnds
-from robotctl.rerun.recording_groups import FileGroup, file_groups
-from robotctl.rerun.rerun import Rerun
-from robotctl.rerun.snapshot_proofs import SnapshotProofs
-from robotctl.rerun.unknown_fields import without_retired_fields
+from robotctl.rerun.recording_ends import JournalOrigin, RecordingEnds
+from robotctl.rerun.rerun import Comparison, Rerun
+from robotctl.rerun.snapshot_proofs import JournalChain, SnapshotProofs
 from robotctl.store.remote_file import RemoteFile
+
+ALL_BYTES_BELOW: Final = 100_000_000
+"""A recording below this size [bytes] is always read completely; that takes a second."""
+
+_KEY_DIGITS = 16
+
+
+def is_small(path: Path) -> bool:
+    """Return whether every byte of a recording is read in any case.
+
+    Raises:
+        OSError, UnreadableFile: There is no recording.
+    """
+    return sum(file.stat().st_size for file in recording_files(path)) < ALL_BYTES_BELOW
+
+
+def check_bytes(path: Path, report: Report, *, all_bytes: bool) -> None:
+    """Read every byte of the recording `path`, if it is small or `all_bytes` is set.
+
+    What is wrong is noted as missing from the check: it cannot tell what was recorded there. The
+    seal is told, and changes no verdict.
+    """
+    try:
+        if not all_bytes and not is_small(path):
+            report.notes.append("not every byte was read: --all-bytes reads them all")
+            return
+        found = verify_recording(path)
+    except (OSError, UnreadableFile):
+        return  # the check has told why
+    for sentence in (*found.whole.unreadable, *found.whole.wrong):
+        if sentence not in report.missing:
+            report.miss(sentence)
+    report.seal = _seal_line(found)
+
+
+def _seal_line(found: VerifiedRecording) -> str:
+    """Return what the seals prove in one line, "" without a seal."""
+    states = [file.seal.state for file in found.files]
+    if set(states) <= {SealState.NONE}:
+        return ""
+    broken = next((sentence for file in found.files for sentence in file.seal.wrong), "")
+    if broken or found.chain.wrong:
+        return f"broken: {broken or found.chain.wrong[0]}"
+    sealed = states.count(SealState.SEALED)
+    opening = next(file.seal.opening for file in found.files if file.seal.opening is not None)
+    extent = "whole" if sealed == len(states) else f"{sealed} of {len(states)} files whole"
+    return f"{extent}, unbroken, by {opening.robot}'s key {opening.root[:_KEY_DIGITS]}"
+
+
+class FileGroup(NamedTuple):
+    """The files of one recording, in their order, and its robot; "" if that is not recorded."""
+
+    robot: str
+    files: list[Path]
+
+
+def file_groups(path: Path) -> list[FileGroup]:
+    """Return the files of a recording, in groups if they are of several; that of its name first.
+
+    A file continues a group if it is of the same robot and its journal begins later than that of
+    the file before. A file that cannot be read counts to the first group: its check tells why.
+
+    Raises:
+        UnreadableFile: `path` is not a recording.
+    """
+    files = recording_files(path)
+    if len(files) < 2:
+        return [FileGroup("", files)]
+    groups: list[FileGroup] = []
+    newest: list[int] = []
+    loose: list[Path] = []
+    for file in files:
+        try:
+            robot, first = _identity(file)
+        except UnreadableFile:
+            loose.append(file)
+            continue
+        for number, group in enumerate(groups):
+            if group.robot == robot and (first is None or first > newest[number]):
+                group.files.append(file)
+                newest[number] = newest[number] if first is None else first
+                break
+        else:
+            groups.append(FileGroup(robot, [file]))
+            newest.append(-1 if first is None else first)
+    groups.sort(key=lambda group: not any(each.name.startswith(path.name) for each in group.files))
+    if not groups:
+        return [FileGroup("", files)]
+    first_group = groups[0]
+    together = [file for file in files if file in first_group.files or file in loose]
+    return [FileGroup(first_group.robot, together), *groups[1:]]
+
+
+def _identity(file: Path) -> tuple[str, int | None]:
+    """Return the robot of a file and the number of its first journal entry, None without one."""
+    with Recording(file) as recording:
+        info = recording.info()
+        topic = journal_topic(info)
+        robot = info.metadata.get(INFO_RECORD, {}).get("robot", "")
+        if topic is None:
+            return robot, None
+        messages = recording.in_order_written({topic}, lambda sentence: None)
+        entry = next((decode(message.data) for message in messages), None)
+        return robot, None if entry is None else entry.seq
+
+
+Readers = Mapping[str, Callable[[Message], None]]
+"""What reads the messages of each compared topic."""
+
+
+class CheckReading:
+    """One pass over a recording.
+
+    `end_ns` is that of the last entry that was read; `chain` includes each entry up to it.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        report: Report,
+        ends: RecordingEnds,
+        on_progress: Callable[[int, int], None],
+    ) -> None:
+        self._recording = recording
+        self._report = report
+        self._ends = ends
+        self._on_progress = on_progress
+        self._decoder = EntryDecoder(recording)
+        self.chain = JournalChain()
+        self.end_ns = 0
+        self._log_ns: LogTimes = (0, 0)
+        self._step: Step | None = None
+        """The last step, of which effects may follow."""
+
+    def items(self, topic: str, readers: Readers) -> Iterator[tuple[Item, LogTimes]]:
+        """Yield what is read of the journal `topic`, with the log times of what was read before it.
+
+        Messages of other topics go to their `readers` at once.
+
+        Raises:
+            UnreadableFile: The journal cannot be read.
+        """
+        order, last_ns = EntryOrder(), 0
+        for message in self._recording.in_order_written(
+            {topic, *readers}, self._report.miss, self._on_progress
+        ):
+            if message.topic != topic:
+                readers[message.topic](message)
+                continue
+            entry = self._decoder.decode(message.data)
+            self._note(entry, message)
+            last_ns = message.log_ns
+            if entry.kind is not EntryKind.EFFECT:
+                self._log_ns = self._log_ns[1], last_ns
+            for item in order.take(entry):
+                yield from self._grouped(item)
+        self._log_ns = self._log_ns[1], max(self._log_ns[1], last_ns)  # of the last step
+        for item in order.rest():
+            yield from self._grouped(item)
+        yield from self._ended(is_cut=True)
+
+    def _note(self, entry: JournalEntry, message: Message) -> None:
+        if not self._report.begin_log_ns:
+            self._ends.origin.first(message)
+            self._report.begin_ns, self._report.begin_log_ns = entry.t_ns, message.log_ns
+        self.end_ns = entry.t_ns
+        self.chain.add(entry.seq, message.data)
+        self._ends.entry(entry.seq)
+
+    def _grouped(self, item: JournalEntry | Gap) -> Iterator[tuple[Item, LogTimes]]:
+        """Add an effect to its step; yield the step before any other item, and that item."""
+        if isinstance(item, Gap):
+            yield from self._ended(is_cut=True)
+            yield item, self._log_ns
+        elif item.kind is EntryKind.EFFECT:
+            if self._step is not None:
+                self._step.effects.append(item)
+        else:
+            yield from self._ended()
+            if item.kind is EntryKind.EVENT:
+                self._step = Step(item)
+            else:
+                yield item, self._log_ns
+
+    def _ended(self, *, is_cut: bool = False) -> Iterator[tuple[Item, LogTimes]]:
+        """Yield the present step; `is_cut` where the journal may lack effects of it."""
+        step, self._step = self._step, None
+        if step is not None:
+            step.cut = is_cut
+            yield step, self._log_ns
+
 
 Progress = Callable[[int, int], None]
 """Called with the bytes that are done and the bytes in total."""

@@ -3,22 +3,57 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 from zlib import crc32
 
 from robotctl import __version__
 from robotctl.errors import Divergence as DivergenceError
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
+from robotctl.kernel.state import State
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.read.file_index import note_missing
-from robotctl.rerun.divergence import Divergence
 from robotctl.rerun.invariants import Violation
-from robotctl.rerun.rounded import rounded
+
+DIGITS: Final = 9
+"""The digits of a float that count: the last ones depend on Python and the C library."""
+
+_FLOAT: Final = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?")
+
+
+def rounded(text: str) -> str:
+    """Return a text with each float in it rounded."""
+    return _FLOAT.sub(lambda number: f"{float(number[0]):.{DIGITS}g}", text)
+
+
+@dataclass(frozen=True, slots=True)
+class Divergence:
+    """The first place where a new kernel decided differently.
+
+    `recorded` and `decided` are texts `Name {json}`, "" where one is missing, and `event` is what
+    both kernels decided on. `seq` and `t_ns` are those of the recorded entry, `before` is the state
+    of the new kernel before the event, and `differences` names the fields.
+    """
+
+    seq: int
+    t_ns: int
+    event: str
+    recorded: str
+    decided: str
+    before: State | None
+    differences: tuple[str, ...] = ()
+
+    def sentence(self) -> str:
+        """Return the difference in one sentence."""
+        differs = "; ".join(self.differences)
+        if not differs:
+            differs = f"recorded {self.recorded or 'nothing'}, decided {self.decided or 'nothing'}"
+        return f"entry {self.seq}, after {self.event.partition(' ')[0]}: {differs}"
 
 
 class Verdict(StrEnum):

@@ -8,9 +8,9 @@ from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_pairs import CommandPairs
-from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
+from robotctl.rerun.recording_ends import Ending
 
 CUT = 3
 """How many commands at the end of a clip may be decided after it."""

@@ -3,13 +3,22 @@
 Each decided command got the next sequence number of our publisher; the journal counts the zeros
 that the watchdog sent between them. So the journal says which numbers carry which velocities. A
 message with another number or velocity is of another publisher, or was not decided.
+
+A watchdog sends zeros while the control loop stalls, and the journal tells of them afterwards. A
+daemon that fails sends its last zeros without a decision. A recording may end before its journal
+tells either.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import struct
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import inf
+from typing import Final, NamedTuple
 
+from robotctl.errors import UnreadableFile
+from robotctl.kernel.command_types import COMMAND_TYPES
 from robotctl.kernel.snapshot import Proof
 from robotctl.kernel.types import (
     CommandPublishersSeen,
@@ -20,15 +29,309 @@ from robotctl.kernel.types import (
     LoopStalled,
     PublishTwist,
     Tick,
+    Twist,
 )
 from robotctl.kernel.units import NS_PER_S
+from robotctl.recording import RecordingInfo
 from robotctl.recording.format.records import MAX_SEQUENCE
-from robotctl.rerun.command_bytes import STILL, is_zero, numbers_of, serialized
-from robotctl.rerun.command_counts import CommandCounts, follows
 from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.other_commands import OtherCommands
-from robotctl.rerun.recent_commands import RecentCommands
-from robotctl.rerun.undecided_end import JOURNAL_LAG_NS, LAST_ZEROS, Early, UndecidedEnd
+from robotctl.rerun.own_topics import full_name
+
+_NUMBERS = struct.Struct("<6d")
+_BIG_ENDIAN_NUMBERS = struct.Struct(">6d")
+"""The six velocities at the end of a serialized message (CDR, OMG DDSI-RTPS 10.2)."""
+
+STILL = bytes(_NUMBERS.size)
+"""The numbers of a command of zero."""
+
+
+def command_topic(info: RecordingInfo, journal_topic: str) -> str | None:
+    """Return the topic of the velocity commands of the journal, None if it is not recorded."""
+    name = full_name(info, journal_topic, "command.topic", "cmd_vel")
+    recorded = {topic.name for topic in info.topics if topic.type_name in COMMAND_TYPES}
+    return name if name in recorded else None
+
+
+def numbers_of(data: bytes) -> bytes:
+    """Return the six numbers of a Twist as little-endian bytes.
+
+    Raises:
+        UnreadableFile: The message is too short.
+    """
+    numbers = data[-_NUMBERS.size :]
+    if len(numbers) < _NUMBERS.size:
+        raise UnreadableFile("a velocity command is cut short")
+    if data[1:2] == b"\x00":
+        return _NUMBERS.pack(*_BIG_ENDIAN_NUMBERS.unpack(numbers))
+    return numbers
+
+
+def is_zero(numbers: bytes) -> bool:
+    """Return whether these numbers command no motion; a negative zero commands none either."""
+    return numbers == STILL or not any(_NUMBERS.unpack(numbers))
+
+
+def serialized(twist: Twist) -> bytes:
+    """Return the six numbers of a command."""
+    return _NUMBERS.pack(twist.linear, 0.0, 0.0, 0.0, 0.0, twist.angular)
+
+
+def shown_command(numbers: bytes) -> str:
+    """Return the text of a command."""
+    linear, _, _, _, _, angular = _NUMBERS.unpack(numbers)
+    return f"{linear:.6g} m/s, {angular:.6g} rad/s"
+
+
+LATE_NS = NS_PER_S // 2
+"""How far the time of a command may lie outside of its step."""
+
+MAX_LATE = 20_000
+"""The number of late commands that are kept, the newest ones."""
+
+
+class CommandCounts:
+    """The counts, and which number came first and last since the count began."""
+
+    def __init__(self) -> None:
+        self.paired = 0
+        self.undecided = 0
+        """The number of commands at the end that may have been decided after it."""
+
+        self.missing = 0
+        """The number of decided commands without a message, before the last one with a message."""
+
+        self.missing_example = ""
+        self.before_first = 0
+        """The number of decided commands before the first one with a message."""
+
+        self.late: deque[tuple[int, str]] = deque(maxlen=MAX_LATE)
+        """Commands that were sent outside of their step: steady time [ns], and the sentence."""
+
+        self.out_of_order = 0
+        """The number of commands after one with a higher number."""
+
+        self.resumed = 0
+        """How often the count of a snapshot was not that of the decisions before it."""
+
+        self.unsent = False
+        """Whether the journal tells that commands could not be sent."""
+
+        self._first: int | None = None
+        self._newest = 0
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether a command was paired since the count began."""
+        return self._first is not None
+
+    def begin_again(self) -> None:
+        """Begin the count again: what came before says nothing about what follows."""
+        self._first = None
+
+    def is_passed(self, number: int) -> bool:
+        """Return whether a later number, or this one, was paired."""
+        return self._first is not None and not follows(number, self._newest)
+
+    def pair(self, sequence: int, moments: Moments, publish_ns: int) -> None:
+        """Count a command that was sent as it was decided."""
+        self.paired += 1
+        if self._first is None:
+            self._first = self._newest = sequence
+        elif follows(sequence, self._newest):
+            self._newest = sequence
+        else:
+            self.out_of_order += 1
+        steady_ns, begin_ns, end_ns = moments
+        if end_ns and not begin_ns - LATE_NS <= publish_ns <= end_ns + LATE_NS:
+            off_s = max(begin_ns - publish_ns, publish_ns - end_ns) / NS_PER_S
+            when = "before" if publish_ns < begin_ns else "after"
+            self.late.append((steady_ns, f"command {sequence}, {off_s:.3f} s {when} its decision"))
+
+    def lack(self, number: int, numbers: bytes) -> None:
+        """Count a decided command without a message; `numbers` is its velocity."""
+        if self._first is not None and follows(self._first, number):
+            self.before_first += 1
+            return
+        self.missing += 1
+        if not self.missing_example:
+            self.missing_example = f"command {number} ({shown_command(numbers)})"
+
+
+def follows(number: int, other: int) -> bool:
+    """Return whether a number is later than another one; they begin again after MAX_SEQUENCE."""
+    return 0 < (number - other) & MAX_SEQUENCE <= MAX_SEQUENCE // 2
+
+
+NEAR_NS = 5 * NS_PER_S
+"""How long before or after it was noticed another publisher may have sent a command."""
+
+
+class OtherCommands:
+    """The commands without a decision, by whether another publisher was there at that time.
+
+    Times are those of the journal (steady, in nanoseconds).
+    """
+
+    def __init__(self) -> None:
+        self.extra = 0
+        """The number of messages without a known sender."""
+
+        self.extra_example = ""
+        self.foreign = 0
+        """The number of messages of other publishers."""
+
+        self.foreign_example = ""
+        self.after_end = 0
+        """The number of messages after the end of a journal that the recording outlives."""
+
+        self._heard_ns: int | None = None
+        self._publish = False
+        self._waiting: deque[tuple[int, bytes]] = deque()
+        """Messages whose sender may still be noticed: time, numbers."""
+
+    @property
+    def are_waiting(self) -> bool:
+        """Whether there are messages whose sender may still be noticed."""
+        return bool(self._waiting)
+
+    def hear(self, t_ns: int) -> None:
+        """Note that another publisher was noticed."""
+        self._heard_ns = t_ns
+        while self._waiting:
+            at_ns, numbers = self._waiting.popleft()
+            if t_ns - at_ns <= NEAR_NS:
+                self._note_foreign(numbers)
+            else:
+                self._note_extra(numbers)
+
+    def publish(self, t_ns: int, others: bool) -> None:
+        """Note whether the graph shows other publishers from now on."""
+        if others or self._publish:
+            self.hear(t_ns)
+        self._publish = others
+
+    def doubt(self, t_ns: int, numbers: bytes) -> None:
+        """Take a command that was not decided."""
+        heard = self._publish or (self._heard_ns is not None and t_ns - self._heard_ns <= NEAR_NS)
+        if heard:
+            self._note_foreign(numbers)
+        else:
+            self._waiting.append((t_ns, numbers))
+
+    def settle(self, t_ns: int) -> None:
+        """Count messages as extra that are older than `NEAR_NS`: no other publisher was noticed."""
+        while self._waiting and t_ns - self._waiting[0][0] > NEAR_NS:
+            self._note_extra(self._waiting.popleft()[1])
+
+    def end(self, end_ns: float) -> None:
+        """Give up everything that is left; what came from `end_ns` on is after the journal."""
+        for t_ns, numbers in self._waiting:
+            if t_ns < end_ns:
+                self._note_extra(numbers)
+            else:
+                self.after_end += 1
+        self._waiting.clear()
+
+    def _note_extra(self, numbers: bytes) -> None:
+        self.extra += 1
+        self.extra_example = self.extra_example or shown_command(numbers)
+
+    def _note_foreign(self, numbers: bytes) -> None:
+        self.foreign += 1
+        self.foreign_example = self.foreign_example or shown_command(numbers)
+
+
+MOST = 64
+"""The number of commands that are kept."""
+
+
+class RecentCommands:
+    """Numbers and velocities, the oldest first."""
+
+    def __init__(self) -> None:
+        self._commands: deque[tuple[int, bytes]] = deque(maxlen=MOST)
+
+    @property
+    def were_moving(self) -> bool:
+        """Whether the last command was not zero."""
+        return bool(self._commands) and not is_zero(self._commands[-1][1])
+
+    def add(self, number: int, numbers: bytes) -> None:
+        """Keep a command: its number, and the numbers of its velocity."""
+        self._commands.append((number, numbers))
+
+    def withheld(self, count: int) -> list[int]:
+        """Return the numbers of the last commands, of which `count` were not zero."""
+        held: list[int] = []
+        for number, numbers in reversed(self._commands):
+            if count <= 0:
+                break
+            held.append(number)
+            count -= not is_zero(numbers)
+        return held[::-1]
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._commands.clear()
+
+
+LAST_ZEROS: Final = 2
+"""How many zeros a daemon that fails while it moves the robot may send after its kernel's last
+command."""
+
+ZERO_PERIOD_NS: Final = NS_PER_S // 25
+"""The watchdog sends its zeros less often than this: one in 50 ms."""
+
+STALL_NS: Final = 10 * NS_PER_S
+"""The longest stall that may end together with the recording."""
+
+JOURNAL_LAG_NS: Final = NS_PER_S
+"""How far a journal that a recorder only receives may lag behind the commands."""
+
+
+class Early(NamedTuple):
+    """A message before its decision: its six numbers, publish time and journal time [ns]."""
+
+    numbers: bytes
+    publish_ns: int
+    t_ns: int
+
+
+class UndecidedEnd(NamedTuple):
+    """The end of a journal: the number of its last command, and when it ends [ns since the epoch].
+
+    The next `cut` commands may be decided after the end. A journal that `is_own` was written by the
+    recorder itself; one that `is_closed` ends with the number of all commands.
+    """
+
+    number: int
+    log_ns: int
+    cut: int
+    is_own: bool
+    is_closed: bool
+
+    def unexplained(self, early: Mapping[int, Sequence[Early]]) -> Iterator[Early]:
+        """Yield the messages that neither a stall nor a failure at the end explains, by number."""
+        for sequence, messages in early.items():
+            later = (sequence - self.number) & MAX_SEQUENCE
+            explained = next((each for each in messages if self._explains(each, later)), None)
+            yield from _without(messages, explained)
+
+    def _explains(self, message: Early, later: int) -> bool:
+        """Return whether the end explains a message, `later` numbers after the last command."""
+        if later <= self.cut:
+            return True
+        after_ns = message.publish_ns - self.log_ns
+        if not self.is_own:
+            return after_ns > -JOURNAL_LAG_NS
+        return message.numbers == STILL and (
+            later <= LAST_ZEROS or (later - LAST_ZEROS) * ZERO_PERIOD_NS <= after_ns <= STALL_NS
+        )
+
+
+def _without(messages: Iterable[Early], explained: Early | None) -> Iterator[Early]:
+    return (each for each in messages if each is not explained)
+
 
 MAX_WAITING = 20_000
 """The number of commands, decided or sent, that may wait for their counterpart."""

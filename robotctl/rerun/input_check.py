@@ -3,29 +3,61 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from math import nan
-from typing import Any
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 from robotctl.cdr import known_types
 from robotctl.cdr.battery import read_battery_level
-from robotctl.cdr.motion import decode_twist, decode_twist_stamped, read_sample
+from robotctl.cdr.motion import Sample, decode_twist, decode_twist_stamped, read_sample, sample_of
 from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.kernel.safety_inputs import Use
-from robotctl.kernel.types import Event, Twist
+from robotctl.kernel.types import (
+    BatteryReceived,
+    Event,
+    GuardedCommandReceived,
+    OdomReceived,
+    ScanReceived,
+    Twist,
+)
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
-from robotctl.rerun.ending import Ending, JournalEnd
-from robotctl.rerun.input_kinds import BATTERY, ODOMETRY, SCAN, WANTED, InputKind, sequence_of
-from robotctl.rerun.input_pairs import Input, InputPairs
-from robotctl.rerun.input_report import report_inputs, report_last
-from robotctl.rerun.input_topics import InputTopic, InputTopics
+from robotctl.rerun.input_pairs import Input, InputPairs, report_inputs, report_last
 from robotctl.rerun.invariants import Invariants
-from robotctl.rerun.repeated_latched import RepeatedLatched
+from robotctl.rerun.own_topics import InputTopic, InputTopics, RepeatedLatched
+from robotctl.rerun.recording_ends import Ending, JournalEnd
+
+
+class InputKind(NamedTuple):
+    """A kind of input, such as odometry: its name for people and the class of its events.
+
+    `source` returns which publisher an event is from, `value` what was measured.
+    """
+
+    name: str
+    event: type[Event]
+    source: Callable[[Event], Hashable]
+    value: Callable[[Event], Any]
+
+
+def _sample(event: Event) -> Sample:
+    assert isinstance(event, OdomReceived)
+    return sample_of(event.odometry)
+
+
+sequence_of: Callable[[Event], int] = attrgetter("sequence")
+_SOURCE, _PUBLISHER = attrgetter("source"), attrgetter("publisher")
+
+ODOMETRY = InputKind("odometry", OdomReceived, _SOURCE, _sample)
+BATTERY = InputKind("the battery", BatteryReceived, _PUBLISHER, attrgetter("level"))
+SCAN = InputKind("the scan", ScanReceived, _PUBLISHER, attrgetter("sectors"))
+WANTED = InputKind("the wanted velocity", GuardedCommandReceived, _PUBLISHER, attrgetter("twist"))
+
 
 _OFF = Use.OFF.value
 

@@ -1,11 +1,19 @@
-"""Pairs each input that the kernel received with the recorded message, by number and value."""
+"""Pairs each input that the kernel received with the recorded message, and says what differs.
+
+The last messages may have been under way when the recording ended. The control loop receives inputs
+with best effort, so earlier ones may be lost; then other messages of this input are lost, too.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-from typing import Any, NamedTuple
+from collections.abc import Collection, Hashable
+from math import inf
+from typing import Any, Final, NamedTuple
 
 from robotctl.kernel.units import NS_PER_S
+from robotctl.rerun.check_report import Report
+from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.recording_ends import Ending, JournalEnd
 
 PATIENCE_NS = 30 * NS_PER_S
 """How long an input waits for its message, on the steady clock of the journal."""
@@ -222,3 +230,137 @@ class InputPairs:
 
 def _same(one: Any, other: Any) -> bool:
     return one == other or repr(one) == repr(other)  # nan differs from itself
+
+
+AFTER_NS: Final = 2 * NS_PER_S
+"""How long after the last journal entry a message may be recorded."""
+
+FEW: Final = 10
+"""The number of messages that may always be under way..."""
+
+BURST: Final = 10.0
+"""...plus this factor times the number expected at the mean rate of their publisher."""
+
+LOST: Final = 2
+"""The number of messages in a row that may be lost if no others are lost."""
+
+
+class UnheardEnd(NamedTuple):
+    """The messages with these log times after the last one that became an input.
+
+    The journal ends at `end_ns`; all times are since the epoch. Messages may be under way for
+    `window_ns`, and come at `rate_hz`. Up to `lost` of them may have been lost before.
+    """
+
+    log_ns: Collection[int]
+    end_ns: int
+    window_ns: int
+    rate_hz: float
+    lost: float
+
+    @property
+    def earlier(self) -> int:
+        """The number of messages that came too early to be under way at the end."""
+        return sum(each < self.end_ns - self.window_ns for each in self.log_ns)
+
+    def difference(self) -> str:
+        """Return what is wrong about the messages, "" if nothing is."""
+        after = sum(each > self.end_ns + AFTER_NS for each in self.log_ns)
+        if after:
+            return f"{after} messages are recorded after the end of the journal"
+        under_way = len(self.log_ns) - self.earlier
+        most = FEW + BURST * self.rate_hz * self.window_ns / NS_PER_S
+        if under_way > most or self.earlier > self.lost:
+            return f"the last {len(self.log_ns)} messages never became an input"
+        return ""
+
+
+def report_inputs(
+    report: Report,
+    invariants: Invariants,
+    name: str,
+    pairs: InputPairs,
+    ending: Ending,
+    *,
+    is_left_out: bool,
+) -> None:
+    """Report values that differ, missing and repeated messages of the input `name`.
+
+    `pairs` have ended. `is_left_out` tells that the configuration leaves the topic out.
+    """
+    if pairs.differing:
+        text = f"{pairs.differing} messages are not what the control loop received as"
+        text = f"{text} {name}: {pairs.differing_example}"
+        if pairs.has_one_publisher or pairs.differing > ending.lost:
+            ending.accuse(report, invariants, text)
+        else:
+            report.notes.append(text)
+    _report_lacking(report, invariants, name, pairs, ending, is_left_out=is_left_out)
+    if pairs.repeated and pairs.has_one_publisher:
+        report.miss(f"{pairs.repeated} messages of {name} are repeated or out of order")
+
+
+def _report_lacking(
+    report: Report,
+    invariants: Invariants,
+    name: str,
+    pairs: InputPairs,
+    ending: Ending,
+    *,
+    is_left_out: bool,
+) -> None:
+    count = pairs.lacking + (0 if ending.is_clip else pairs.before_first)
+    if not (ending.is_clip or ending.has_begin) and pairs.at_begin:
+        count -= pairs.at_begin
+        report.notes.append(
+            f"the first {pairs.at_begin} messages of {name} are not here: the file before has them"
+        )
+    elif ending.ledger is None and not ending.is_clip and pairs.before_found:
+        count -= pairs.before_found
+        report.notes.append(
+            f"the first {pairs.before_found} messages of {name} are not recorded: the "
+            "recorder finds a publisher later than the control loop"
+        )
+    if not count:
+        return
+    text = f"{count} messages of {name} that the control loop received are not recorded"
+    if pairs.lacking_example:
+        text += f", the first is of {pairs.lacking_example}"
+    if count <= ending.lost:
+        report.notes.append(f"{text}: {ending.lost} were counted as lost")
+    elif is_left_out:
+        report.notes.append(f"the topic of {name} was not recorded, as configured")
+    elif ending.ledger is None:
+        report.miss(f"{text}; {ending.unknown_losses}")
+    else:
+        ending.accuse(report, invariants, text)
+
+
+def report_last(
+    report: Report,
+    name: str,
+    pairs: InputPairs,
+    ending: Ending,
+    moment: JournalEnd,
+    waited_ns: int,
+    *,
+    is_rare: bool = False,
+) -> int:
+    """Report messages after the last input that cannot all have been under way.
+
+    The control loop may have been `waited_ns` late. If `is_rare` is set, most messages never become
+    an input. Return how many messages may have been lost.
+    """
+    if not (pairs.paired and pairs.has_one_publisher and ending.is_own) or moment.clock_changed:
+        return 0
+    last = UnheardEnd(
+        pairs.later_ns,
+        moment.log_ns,
+        EDGE_NS + waited_ns,
+        pairs.rate_hz,
+        inf if is_rare else pairs.unheard + LOST,
+    )
+    if difference := last.difference():
+        report.miss(f"{name}: {difference}")
+        return 0
+    return last.earlier

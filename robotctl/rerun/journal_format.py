@@ -6,11 +6,86 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
+from robotctl import retired
+from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
-from robotctl.recording.format.journal import JournalEntry
+from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.check_report import Report
-from robotctl.rerun.journal_values import read_snapshot
-from robotctl.rerun.unknown_fields import Vocabulary
+from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
+
+MAX_FORMS = 4096
+MAX_FORM_BYTES = 1000
+"""A form is the text of an entry without its digits; each form is parsed only once.
+
+The limits bound the memory: a request may hold any text.
+"""
+
+_READERS = {
+    EntryKind.EVENT: read_event,
+    EntryKind.EFFECT: read_effect,
+    EntryKind.SNAPSHOT: read_snapshot,
+}
+
+
+def without_retired_fields(entry: JournalEntry) -> JournalEntry:
+    """Return the entry without the retired fields that have their default."""
+    names = {
+        path.partition(".")[2]: default
+        for path, default in retired.JOURNAL_FIELDS.items()
+        if path.startswith(f"{entry.name}.") and f'"{path.rpartition(".")[2]}":' in entry.data
+    }
+    if not names:
+        return entry
+    try:
+        data = json.loads(entry.data)
+    except (ValueError, RecursionError):
+        return entry
+    for path, default in names.items():
+        *sections, name = path.split(".")
+        section = data
+        for each in sections:
+            section = section.get(each) if isinstance(section, dict) else None
+        if isinstance(section, dict) and section.get(name) == default:
+            section.pop(name, None)
+    # As the journal is written: a float reads back to the same bits.
+    return entry._replace(data=json.dumps(data, separators=(",", ":")))
+
+
+class Vocabulary:
+    """The forms of entries whose fields are all known."""
+
+    def __init__(self) -> None:
+        self._known: set[tuple[str, bytes]] = set()
+
+    def unknown_field(self, entry: JournalEntry) -> str:
+        """Return the first field that this version would ignore, as `Name.path`, or "".
+
+        Raises:
+            UnreadableFile: The whole entry is not of this version.
+        """
+        form = (entry.name, entry.data.encode().translate(None, b"0123456789"))
+        if form in self._known:
+            return ""
+        ours = json.loads(to_json(_READERS[entry.kind](entry)))
+        try:
+            unknown = next(_added(entry.name, json.loads(entry.data), ours), "")
+        except RecursionError:
+            raise UnreadableFile(f"journal entry {entry.seq} is nested too deeply") from None
+        if not unknown and len(form[1]) <= MAX_FORM_BYTES and len(self._known) < MAX_FORMS:
+            self._known.add(form)
+        return unknown
+
+
+def _added(path: str, theirs: Any, ours: Any) -> Iterator[str]:
+    if isinstance(theirs, dict) and isinstance(ours, dict):
+        for name, value in theirs.items():
+            if name in ours:
+                yield from _added(f"{path}.{name}", value, ours[name])
+            else:
+                yield f"{path}.{name[:40]}"
+    elif isinstance(theirs, list) and isinstance(ours, list):
+        for each, own in zip(theirs, ours, strict=False):
+            yield from _added(f"{path}[]", each, own)
 
 
 class JournalFormat:

@@ -1,12 +1,96 @@
-"""Groups journal entries into snapshots, and steps of one event with its effects."""
+"""Puts journal entries in the order of their `seq`, and groups them into snapshots and steps."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from heapq import heappop, heappush
+from typing import final
 
 from robotctl.recording.format.journal import EntryKind, JournalEntry
-from robotctl.rerun.entry_order import Gap, in_sequence
+
+MAX_DISORDER = 4096
+"""How many entries are held back to put them in the order of their `seq`.
+
+Our files are in order; in a file that another program sorted by time, entries are out of order
+around a change of the clock.
+"""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A place where journal entries are missing or out of order; `text` says which."""
+
+    text: str
+
+
+class EntryOrder:
+    """The entries that are held back, and the number of the next one.
+
+    An entry with the number `following` is next if nothing `is_waiting`. It need not be taken here:
+    then `following` is to be set to the number after it.
+    """
+
+    __slots__ = ("_first", "_held", "_taken", "following")
+
+    def __init__(self) -> None:
+        self.following = 0
+        self._first: int | None = None
+        self._held: list[tuple[int, int, JournalEntry]] = []
+        self._taken = 0
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the first entry was not taken, or entries are held back."""
+        return self._first is None or bool(self._held)
+
+    def take(self, entry: JournalEntry) -> Iterator[JournalEntry | Gap]:
+        """Take the next entry of the file, and yield those whose turn it is."""
+        if self._first is None:
+            self._first = self.following = entry.seq
+        elif entry.seq < self._first:
+            yield Gap(f"the journal is not in order: entry {entry.seq} follows {self._first}")
+            self._first = entry.seq
+            return
+        self._taken += 1
+        heappush(self._held, (entry.seq, self._taken, entry))
+        yield from self._released(MAX_DISORDER)
+
+    def rest(self) -> Iterator[JournalEntry | Gap]:
+        """Yield what is held back, at the end of the file."""
+        yield from self._released(0)
+
+    def _released(self, at_most: int) -> Iterator[JournalEntry | Gap]:
+        held = self._held
+        while held and (held[0][0] <= self.following or len(held) > at_most):
+            seq, _, entry = heappop(held)
+            if seq < self.following:
+                yield Gap(f"the journal repeats entry {seq}")
+                continue
+            if seq > self.following:
+                yield _missing(self.following, seq - 1)
+            yield entry
+            self.following = seq + 1
+
+
+def in_sequence(entries: Iterable[JournalEntry]) -> Iterator[JournalEntry | Gap]:
+    """Yield the entries ordered by `seq`, and the gaps and repetitions among them."""
+    order = EntryOrder()
+    for entry in entries:
+        if entry.seq == order.following and not order.is_waiting:
+            order.following += 1
+            yield entry
+        else:
+            yield from order.take(entry)
+    yield from order.rest()
+
+
+def _missing(first: int, last: int) -> Gap:
+    if first == last:
+        return Gap(f"the journal lacks entry {first}")
+    return Gap(f"the journal lacks the entries {first} to {last}")
+
 
 LogTimes = tuple[int, int]
 """When the last two events were recorded, in nanoseconds since the epoch."""

@@ -1,10 +1,15 @@
-"""The topics of the robot whose journal is checked, by the parameters in the metadata."""
+"""The topics of the robot whose journal is checked: names, which are recorded, repeats."""
 
 from __future__ import annotations
+
+import ast
+from typing import Final, NamedTuple
 
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.journal import TOPIC
 from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.read.messages import Message
+from robotctl.recording.write.recorder_options import TopicFilter
 
 
 def full_name(info: RecordingInfo, journal_topic: str, parameter: str, default: str) -> str:
@@ -23,3 +28,93 @@ def own_name(info: RecordingInfo, journal_topic: str, key: str) -> tuple[str, bo
     told = info.metadata.get(INFO_RECORD, {}).get(key)
     namespace = journal_topic.removesuffix(f"/{TOPIC}")
     return told or f"{namespace}/{key.rpartition('.')[2]}", told is not None
+
+
+MAX_TEXT: Final = 100_000
+"""The longest list of patterns that is read."""
+
+
+class RecordedFilter:
+    """The patterns in the metadata of a recording, for the robot with this journal."""
+
+    def __init__(self, info: RecordingInfo, journal_topic: str) -> None:
+        # The others that are always recorded are compared with the journal in any case.
+        always = [full_name(info, journal_topic, "odometry.topic", "odom")]
+        self._filter = TopicFilter(_patterns(info, "include"), _patterns(info, "exclude"), always)
+
+    def leaves_out(self, topic: str, *types: str) -> bool:
+        """Return whether a topic that has one of these types is not recorded."""
+        return not all(self._filter.records(topic, each) for each in types)
+
+
+def _patterns(info: RecordingInfo, key: str) -> list[str]:
+    """Return the patterns as the metadata names them; none where it is no list of texts."""
+    text = info.metadata.get(INFO_RECORD, {}).get(f"parameter.recording.{key}", "[]")
+    try:
+        values = ast.literal_eval(text[:MAX_TEXT])
+    except (ValueError, SyntaxError, RecursionError, MemoryError):
+        return []
+    is_list = isinstance(values, list) and all(isinstance(each, str) for each in values)
+    return values if is_list else []
+
+
+class InputTopic(NamedTuple):
+    """A topic: its full name, None if it is not recorded, and its recorded type.
+
+    `is_left_out` tells whether the configuration leaves it out.
+    """
+
+    name: str | None = None
+    type_name: str = ""
+    is_left_out: bool = False
+
+
+class InputTopics:
+    """The topics of the robot with this journal."""
+
+    def __init__(self, info: RecordingInfo, journal_topic: str) -> None:
+        self._info = info
+        self._journal_topic = journal_topic
+        self._filter = RecordedFilter(info, journal_topic)
+
+    def of(self, parameter: str, default: str, *types: str) -> InputTopic:
+        """Return the topic that a parameter names, which has one of these types."""
+        name = full_name(self._info, self._journal_topic, parameter, default)
+        for topic in self._info.topics:
+            if topic.name == name and topic.type_name in types:
+                return InputTopic(name, topic.type_name)
+        return InputTopic(is_left_out=self._filter.leaves_out(name, *types))
+
+
+class RepeatedLatched:
+    """The messages of a topic that are the one before them again, from a first snapshot on.
+
+    Each file begins with a snapshot as well, so that there are no more repeats than snapshots, also
+    where files were put together. A journal that was received has other snapshots.
+    """
+
+    def __init__(self, info: RecordingInfo) -> None:
+        self._files = len(info.files)
+        self._snapshots = 0
+        self._last: Message | None = None
+        self._count = 0
+
+    def take(self, message: Message) -> bool:
+        """Take a message; return whether it is the one before it again."""
+        last, self._last = self._last, message
+        is_again = last is not None and last._replace(log_ns=message.log_ns) == message
+        self._count += is_again
+        return is_again
+
+    def count(self) -> None:
+        """Count a repeat that comes before the message that it repeats."""
+        self._count += 1
+
+    def snapshot(self) -> None:
+        """Take a snapshot."""
+        self._snapshots += 1
+
+    @property
+    def excess(self) -> int:
+        """The number of repeats that no file begins with."""
+        return max(self._count - max(self._files, self._snapshots), 0)

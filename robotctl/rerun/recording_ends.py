@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
+from robotctl.cdr import known_types
+from robotctl.config import Config, flat
+from robotctl.config.settings import keyed_leaves
+from robotctl.kernel import command_types
+from robotctl.kernel.params import KernelParams
 from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.kernel.types import Cause
 from robotctl.recording import Recording, RecordingInfo
@@ -13,13 +19,165 @@ from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.format.metadata_names import CLIP_RECORD, INFO_RECORD
 from robotctl.recording.format.natural_order import natural_order
+from robotctl.recording.format.type_names import type_name_of
+from robotctl.recording.read.journal_reader import own_journal_topic
+from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
-from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants, unbalanced
-from robotctl.rerun.journal_origin import JournalOrigin
 from robotctl.rerun.journal_values import read_snapshot
-from robotctl.rerun.recorded_parameters import differing_parameters
-from robotctl.rerun.schema_check import check_schemas
+
+IN_SOURCE = "a clip does not tell what was lost, its source does"
+"""Why a clip may lack something."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """The end of a recording, for one of its topics.
+
+    `ledger` holds the counts of the topic, None if the recording was not closed.
+    """
+
+    ledger: Mapping[str, int] | None
+    is_clip: bool
+    is_own: bool
+    """Whether the recorder wrote the journal itself: one that it received may come late."""
+
+    is_whole: bool
+    """Whether the last file is there, in a folder: no message is in a file after it."""
+
+    has_begin: bool
+    """Whether the journal is there from its first entry on."""
+
+    @property
+    def lost(self) -> int:
+        """The number of messages that were counted as not recorded."""
+        ledger = self.ledger or {}
+        return sum(ledger.get(count, 0) for count in ("lost", "unseen", "dropped"))
+
+    @property
+    def unknown_losses(self) -> str:
+        """Why the losses are not known, where there is no ledger."""
+        return IN_SOURCE if self.is_clip else "it was not closed, so its losses are not known"
+
+    def accuse(self, report: Report, invariants: Invariants, text: str) -> None:
+        """Report a broken promise; only a note where what is missing may explain it."""
+        if report.has_gaps or report.divergence is not None:
+            report.notes.append(text)
+        else:
+            invariants.violate(text)
+
+
+class JournalEnd(NamedTuple):
+    """When the journal ends, on the steady clock and since the epoch, after stalls shortly before.
+
+    `clock_changed` tells whether the two clocks ever moved against each other.
+    """
+
+    t_ns: int
+    log_ns: int
+    stalled_ns: int
+    clock_changed: bool
+
+
+OBSERVING: Final = "observing"
+"""The mode of a recorder that drives nothing. It may observe a robot with its own name."""
+
+NOT_COMPARED: Final = (
+    "the journal was received from the robot: not compared are parameters, statuses, calls, and "
+    "what was sent after its end"
+)
+
+
+class JournalOrigin:
+    """Who wrote a journal. A recorder stamps the entries that it writes itself as it records them,
+    and an observer writes none.
+    """
+
+    def __init__(self, info: RecordingInfo, topic: str) -> None:
+        """`topic` is that of the journal."""
+        self._topic = topic
+        self._noted = info.metadata.get(INFO_RECORD, {})
+        self._has_own_name = topic == own_journal_topic(info)
+        self._observes = self._noted.get("mode") == OBSERVING
+        self._was_received: bool | None = None
+        """Whether the first entry was received, None before it."""
+
+    @property
+    def is_own(self) -> bool:
+        """Whether the recorder wrote the journal itself, and not what it received of it."""
+        return not self._was_received or (self._has_own_name and not self._observes)
+
+    def first(self, message: Message) -> None:
+        """Take the first message of the journal."""
+        self._was_received = message.log_ns != message.publish_ns
+
+    def check(self, report: Report) -> None:
+        """Note what is not compared in a journal that was received."""
+        if self.is_own:
+            return
+        report.notes.append(NOT_COMPARED)
+        if not self._observes:
+            report.miss("the journal of the robot that recorded is not there", is_beside=True)
+
+
+def differing_parameters(noted: Mapping[str, str], params: KernelParams) -> Iterator[str]:
+    """Yield a sentence for each parameter that the kernel began with and `noted` contradicts.
+
+    `noted` is what the first file of a recording tells of the daemon that began with it.
+    """
+    config = Config(kernel=params)
+    values = flat(config)
+    for key, leaf in keyed_leaves(config):
+        theirs = noted.get(f"parameter.{key}")
+        if leaf.path[0] == "kernel" and theirs is not None and theirs != str(values[key]):
+            yield (
+                f"the journal begins with {key} {values[key]}, and the metadata says {theirs[:80]}"
+            )
+
+
+HASHES: Final[Mapping[str, str]] = {
+    command_types.TWIST: "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
+    command_types.TWIST_STAMPED: "5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
+    known_types.ODOMETRY: "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
+    known_types.ROBOT_STATUS: "61598f9d2936bf0665499ce4f458aba4b3e12ede4281ea119ca421cde9331509",
+    known_types.JOURNAL_ENTRY: "8ecaa1252cd850455be383c3a05c471a0dbe13d5fc23ae327afcc626da89175a",
+    "robot_controller/srv/SetMode_Event": (
+        "9e6dda1519f7f4c9b7773852b8742429baebad1dde87e67dcda45a04abedc813"
+    ),
+    "std_srvs/srv/Trigger_Event": (
+        "ec4a1d26b0575e61906890342aba9523a2360e9845857c5590fa6e23bc39e1c2"
+    ),
+    "sensor_msgs/msg/BatteryState": (
+        "4bee5dfce981c98faa6828b868307a0a73f992ed0789f374ee96c8f840e69741"
+    ),
+    "sensor_msgs/msg/LaserScan": "64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
+    "sensor_msgs/msg/Joy": "0d356c79cad3401e35ffeb75a96a96e08be3ef896b8b83841d73e890989372c5",
+    "sensor_msgs/msg/Imu": "7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b",
+    "std_msgs/msg/Bool": "feb91e995ff9ebd09c0cb3d2aed18b11077585839fb5db80193b62d74528f6c9",
+    "diagnostic_msgs/msg/DiagnosticArray": (
+        "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e"
+    ),
+}
+"""The hash of each type whose messages a check reads, without `RIHS01_`."""
+
+_HASH_KEY: Final = "topic_type_hash"
+
+
+def check_schemas(recording: Recording, report: Report) -> None:
+    """Report each topic that is recorded with another version of its type, or without its hash."""
+    for each in recording.open_files:
+        for channel in each.index.channels.values():
+            name = type_name_of(channel, each.index.schemas.get(channel.schema_id))
+            type_hash, topic = channel.metadata.get(_HASH_KEY, ""), channel.topic
+            if name not in HASHES:
+                continue
+            if not type_hash:
+                report.miss(f"{topic} is recorded without the definition of its type")
+            elif type_hash != f"RIHS01_{HASHES[name]}" or channel.message_encoding != "cdr":
+                report.miss(
+                    f"{topic} is recorded with another version of {name} than the check reads"
+                )
+
 
 SINGLE_FILE: Final = "the journal goes on after this file, or was cut off: check the whole folder"
 

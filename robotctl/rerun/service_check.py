@@ -2,14 +2,22 @@
 
 Each call that robotctl received is one request in the journal, in the same order, and each response
 that it sent says what the journal replied.
+
+An event (service_msgs/ServiceEventInfo, then request and response) is a call that a server received
+or a response that it sent; clients may publish theirs on the same topic.
 """
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable
-from typing import Final
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final, NamedTuple
 
+from robotctl.cdr.reader import CdrReader
+from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Effect, Event, ModeRequested, Reply
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import RecordingInfo
@@ -17,15 +25,232 @@ from robotctl.recording.format.journal import TOPIC
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
-from robotctl.rerun.command_counts import LATE_NS
-from robotctl.rerun.ending import Ending
+from robotctl.rerun.command_pairs import LATE_NS
+from robotctl.rerun.input_pairs import AFTER_NS
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.own_topics import own_name
-from robotctl.rerun.recorded_filter import RecordedFilter
-from robotctl.rerun.service_events import SERVICES, Service, read_service_event
-from robotctl.rerun.service_pairs import Asked, Call, ServicePairs
-from robotctl.rerun.unheard_end import AFTER_NS
+from robotctl.rerun.own_topics import RecordedFilter, own_name
+from robotctl.rerun.recording_ends import Ending
+
+_GID_BYTES = 16
+
+
+class EventType(IntEnum):
+    """What happened, by its number in ServiceEventInfo.msg; two further numbers are of clients."""
+
+    RECEIVED = 1
+    SENT = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """A service; `estop` has no field for a mode, and always requests EMERGENCY_STOP."""
+
+    name: str
+    type_name: str
+    has_mode: bool
+
+
+SERVICES = (
+    Service("set_mode", "robot_controller/srv/SetMode_Event", True),
+    Service("estop", "std_srvs/srv/Trigger_Event", False),
+)
+
+
+class RecordedAnswer(NamedTuple):
+    """A response: whether the request was granted, its text, and the mode after it if it has one.
+
+    `publish_ns` is when it was sent, since the epoch.
+    """
+
+    ok: bool
+    text: str
+    mode: int | None
+    publish_ns: int
+
+
+class ServiceEvent(NamedTuple):
+    """An event of a server; `call` identifies the call by client and number.
+
+    `requested` is the number of the mode in a request, None in a response.
+    """
+
+    call: tuple[bytes, int]
+    requested: int | None
+    answer: RecordedAnswer | None
+
+
+def read_service_event(service: Service, data: bytes, publish_ns: int) -> ServiceEvent | None:
+    """Return the event in a message, None if it is one of a client.
+
+    Raises:
+        struct.error: The message cannot be read.
+    """
+    reader = CdrReader(data)
+    (kind,) = reader.take("B")
+    reader.take("I", 2)  # the stamp
+    client = reader.octets(_GID_BYTES)
+    (number,) = reader.take("q")
+    if kind not in (EventType.RECEIVED, EventType.SENT):
+        return None
+    call = client, number
+    (has_request,) = reader.take("I")
+    requested = reader.take("B")[0] if has_request else None
+    (has_response,) = reader.take("I")
+    if kind == EventType.RECEIVED:
+        if requested is None:
+            raise struct.error("a call without a request")
+        return ServiceEvent(
+            call, requested if service.has_mode else Mode.EMERGENCY_STOP.value, None
+        )
+    if not has_response:
+        raise struct.error("a response without contents")
+    ok, text = bool(reader.take("B")[0]), reader.text()
+    mode = reader.take("B")[0] if service.has_mode else None
+    return ServiceEvent(call, None, RecordedAnswer(ok, text, mode, publish_ns))
+
+
+MAX_CALLS: Final = 100_000
+"""The number of calls of a service that are compared."""
+
+MAX_AHEAD: Final = 1_000
+"""How many requests are searched for the one of a call: those between them are not recorded."""
+
+ANSWER_NS: Final = NS_PER_S
+"""How long before the end a request may lack its response: it waits for the disk."""
+
+MANY_IN_WORK: Final = 128
+"""With fewer open calls no call is refused as busy: robotctl takes 256 at a time."""
+
+_BUSY = re.compile(r"busy: \d+ requests wait for their reply; try again")
+
+
+@dataclass(slots=True)
+class Asked:
+    """A request in the journal: number of its entry, mode, when it was handled, its reply."""
+
+    seq: int
+    requested: int
+    moments: Moments
+    reply: Reply | None = None
+
+
+@dataclass(slots=True)
+class Call:
+    """A call on the wire: the mode, when it was received, its response.
+
+    `in_work` is the number of calls without a response then.
+    """
+
+    requested: int
+    publish_ns: int
+    in_work: int
+    answer: RecordedAnswer | None = None
+
+    @property
+    def was_refused_as_busy(self) -> bool:
+        """Whether the call was refused without a decision."""
+        answer = self.answer
+        return (
+            self.in_work > MANY_IN_WORK
+            and answer is not None
+            and not answer.ok
+            and _BUSY.fullmatch(answer.text) is not None
+        )
+
+
+class ServicePairs:
+    """The calls of one service and its requests in the journal."""
+
+    def __init__(self, source: str, open_calls: dict[tuple[bytes, int], Call]) -> None:
+        """`source` is how the journal names the service; `open_calls` are those of all services."""
+        self.source = source
+        self.calls: list[Call] = []
+        self.asked: list[Asked] = []
+        self.unasked: list[Call] = []
+        """The calls without a request in the journal."""
+
+        self.unheard: list[Asked] = []
+        """The requests without a call, and not those after the last call with a request."""
+
+        self.last_unheard: list[Asked] = []
+        """The requests after the last call with a request."""
+
+        self.answers_alone = 0
+        """The number of responses whose call is not recorded."""
+
+        self.pairs: list[tuple[Asked, Call]] = []
+        self._open_calls = open_calls
+        self._open_requests: dict[int, Asked] = {}
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there were more calls than are compared."""
+        return max(len(self.calls), len(self.asked)) >= MAX_CALLS
+
+    def event(self, event: ServiceEvent, publish_ns: int) -> None:
+        """Take an event of the service."""
+        if event.requested is not None:
+            if not self.is_full:
+                call = Call(event.requested, publish_ns, len(self._open_calls))
+                self._open_calls[event.call] = call
+                self.calls.append(call)
+            return
+        answered = self._open_calls.pop(event.call, None)
+        if answered is None:
+            self.answers_alone += 1
+        else:
+            answered.answer = event.answer
+
+    def request(self, event: ModeRequested, seq: int, moments: Moments) -> None:
+        """Take a request of the journal, with the number of its entry."""
+        if event.source == self.source and not self.is_full:
+            asked = Asked(seq, event.requested, moments)
+            self._open_requests[event.request_id] = asked
+            self.asked.append(asked)
+
+    def reply(self, reply: Reply) -> None:
+        """Take a reply of the journal."""
+        asked = self._open_requests.pop(reply.request_id, None)
+        if asked is not None:
+            asked.reply = reply
+
+    def pair(self, clock: ClockChanges) -> None:
+        """Pair calls and requests, each in their order."""
+        first = 0
+        for call in self.calls:
+            if call.was_refused_as_busy:
+                continue
+            ahead = range(first, min(first + MAX_AHEAD, len(self.asked)))
+            at = next((at for at in ahead if _fits(self.asked[at], call, clock)), None)
+            if at is None:
+                self.unasked.append(call)
+                continue
+            self.unheard += self.asked[first:at]
+            self.pairs.append((self.asked[at], call))
+            first = at + 1
+        self.last_unheard = self.asked[first:]
+
+    def unanswered(self, end_ns: int) -> list[Asked]:
+        """Return the requests with a reply whose response is not recorded, without the last ones.
+
+        `end_ns` is the end of the journal.
+        """
+        return [
+            asked
+            for asked, call in self.pairs
+            if asked.reply is not None
+            and call.answer is None
+            and end_ns - asked.moments[0] > ANSWER_NS
+        ]
+
+
+def _fits(asked: Asked, call: Call, clock: ClockChanges) -> bool:
+    steady_ns, begin_ns, end_ns = asked.moments
+    return asked.requested == call.requested and (
+        begin_ns - LATE_NS <= call.publish_ns <= end_ns + LATE_NS or clock.is_near(steady_ns)
+    )
+
 
 MAX_UNDER_WAY: Final = 1_000
 """How many calls may have been received before the journal could tell of them."""

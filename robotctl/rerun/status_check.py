@@ -18,11 +18,10 @@ from robotctl.recording import RecordingInfo
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import EXCUSES_NS, ClockChanges
-from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.own_topics import own_name
-from robotctl.rerun.repeated_latched import RepeatedLatched
+from robotctl.rerun.own_topics import RepeatedLatched, own_name
+from robotctl.rerun.recording_ends import Ending
 
 FIRST_NS: Final = 2 * NS_PER_S
 """A journal longer than this has a status."""

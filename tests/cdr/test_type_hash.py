@@ -11,7 +11,7 @@ import pytest
 from robotctl.cdr.definition import parse_definition
 from robotctl.cdr.type_hash import rihs01_hash
 from robotctl.recording.convert.installed_definition import installed_definition
-from robotctl.rerun.schema_check import HASHES
+from robotctl.rerun.recording_ends import HASHES
 from tests.support.service_calls import EVENTS
 
 SHARE = Path(sys.prefix) / "share"

@@ -14,8 +14,8 @@ from robotctl.fleet.baseline import Baseline, read_baseline
 from robotctl.fleet.gate import GateReport
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import Effect, Event
-from robotctl.rerun import check_report, comparison
-from robotctl.rerun.comparison import Comparison
+from robotctl.rerun import check_report, rerun
+from robotctl.rerun.rerun import Comparison
 from robotctl.testing.drives import BEGIN_NS, drive, record
 from tests.support.checked_drives import rechained
 from tests.support.judged_folder import judged, wrong
@@ -105,7 +105,7 @@ def test_what_was_accepted_passes_with_the_next_version_too(
 ) -> None:
     record(folder / "other", wrong(drive(2.0)))
     baseline = accepted(judged(folder), tmp_path / "baseline.json")
-    for module in (check_report, comparison, judgement):
+    for module in (check_report, rerun, judgement):
         monkeypatch.setattr(module, "__version__", "9.9.9")
     shutil.rmtree(folder / ".gate")
     again = judged(folder, baseline)

@@ -1,4 +1,4 @@
-"""What is held against the recorded calls of a service."""
+"""Each call of a service is one request in the journal; what is not is named."""
 
 from __future__ import annotations
 
@@ -6,13 +6,18 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import ModeRequested, Reply
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
+from robotctl.rerun.clock_changes import ClockChanges
+from robotctl.rerun.service_check import MANY_IN_WORK, SERVICES, ServicePairs, read_service_event
 from robotctl.testing.drives import BEGIN_NS, drive_requested
 from tests.support.edited_recordings import Stored, write_contents
 from tests.support.heard_drives import heard_drive
-from tests.support.service_calls import SET_MODE, received
+from tests.support.service_calls import SET_MODE, received, sent
 
 
 @pytest.mark.parametrize(
@@ -29,3 +34,89 @@ def test_a_call_at_the_end_may_have_its_request_after_it_unless_the_recording_wa
     contents.messages.append(Stored(SET_MODE, received(1, 2), at_ns, at_ns, 1))
     report = check_recording(write_contents(tmp_path / "run", contents))
     assert (report.verdict, report.missing) == (verdict, [])
+
+
+WALL_NS = 1_700_000_000 * NS_PER_S
+SOURCE = "the ROS service /set_mode"
+BUSY = f"busy: {2 * MANY_IN_WORK} requests wait for their reply; try again"
+
+
+class Traffic:
+    """Calls of `set_mode` and their requests in the journal, one a second."""
+
+    def __init__(self) -> None:
+        self.pairs = ServicePairs(SOURCE, {})
+        self.clock = ClockChanges()
+
+    def call(self, number: int, requested: int, late_s: float = 0.0) -> None:
+        now_ns = WALL_NS + number * NS_PER_S + round(late_s * NS_PER_S)
+        event = read_service_event(SERVICES[0], received(number, requested), now_ns)
+        assert event is not None
+        self.pairs.event(event, now_ns)
+
+    def response(self, number: int, ok: bool, text: str, mode: int) -> None:
+        now_ns = WALL_NS + number * NS_PER_S
+        event = read_service_event(SERVICES[0], sent(number, ok, text, mode), now_ns)
+        assert event is not None
+        self.pairs.event(event, now_ns)
+
+    def ask(self, number: int, requested: int) -> None:
+        t_ns = number * NS_PER_S
+        moments = t_ns, WALL_NS + t_ns, WALL_NS + t_ns
+        self.pairs.request(ModeRequested(t_ns, number, requested, SOURCE), number, moments)
+        self.pairs.reply(Reply(number, True, "done", Mode(requested)))
+
+
+def test_calls_and_requests_are_paired_in_their_order() -> None:
+    traffic = Traffic()
+    for number, mode in enumerate((0, 1, 1, 0)):
+        traffic.call(number, mode)
+        traffic.ask(number, mode)
+    traffic.pairs.pair(traffic.clock)
+    assert len(traffic.pairs.pairs) == 4
+    traffic_left = traffic.pairs.unasked, traffic.pairs.unheard, traffic.pairs.last_unheard
+    assert traffic_left == ([], [], [])
+
+
+def test_a_request_without_a_call_is_told_and_the_others_are_paired() -> None:
+    traffic = Traffic()
+    for number in range(4):
+        traffic.ask(number, 0)
+        if number not in (1, 3):
+            traffic.call(number, 0)
+    traffic.pairs.pair(traffic.clock)
+    assert [each.seq for each in traffic.pairs.unheard] == [1]
+    assert [each.seq for each in traffic.pairs.last_unheard] == [3]
+
+
+@pytest.mark.parametrize(("set_s", "paired"), [(None, 0), (1.5, 1)])
+def test_a_call_at_another_time_is_not_the_one_unless_the_clock_was_set(
+    set_s: float | None, paired: int
+) -> None:
+    traffic = Traffic()
+    traffic.call(1, 0, late_s=2.0)
+    traffic.ask(1, 0)
+    if set_s is not None:
+        traffic.clock.look(0, WALL_NS)
+        traffic.clock.look(round(set_s * NS_PER_S), WALL_NS)
+    traffic.pairs.pair(traffic.clock)
+    assert len(traffic.pairs.pairs) == paired
+
+
+@pytest.mark.parametrize(("in_work", "unasked"), [(0, 1), (MANY_IN_WORK + 1, 0)])
+def test_a_call_is_refused_as_busy_only_while_many_are_in_work(in_work: int, unasked: int) -> None:
+    traffic = Traffic()
+    for number in range(in_work):
+        traffic.call(number, 0)
+        traffic.ask(number, 0)
+    traffic.call(in_work, 1)
+    traffic.response(in_work, False, BUSY, 0)
+    traffic.pairs.pair(traffic.clock)
+    assert len(traffic.pairs.unasked) == unasked
+    assert len(traffic.pairs.pairs) == in_work
+
+
+def test_events_of_clients_are_not_those_of_the_server() -> None:
+    data = bytearray(received(1, 0))
+    data[4] = 0
+    assert read_service_event(SERVICES[0], bytes(data), WALL_NS) is None

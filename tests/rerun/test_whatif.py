@@ -1,7 +1,11 @@
-"""Other parameters on the same events, and in a closed loop with a simulated robot."""
+"""Other parameters on the same events, and in a closed loop with a simulated robot.
+
+A velocity has no path: its drive has no errors, and they are not 0.
+"""
 
 from __future__ import annotations
 
+from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -9,18 +13,27 @@ import pytest
 
 from robotctl.config import Config, with_setting
 from robotctl.errors import ConfigError, UnreadableFile, UsageError
+from robotctl.fleet.history import rows_of
+from robotctl.fleet.rows import DriveRow
+from robotctl.kernel.course import Course, Held
 from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.types import (
     CommandListenersSeen,
     CommandPublishersSeen,
+    DriveRequested,
     Event,
     ModeRequested,
 )
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.rerun.recorded_settings import check_scope, parse_settings
 from robotctl.rerun.resim import resimulate
 from robotctl.rerun.whatif import what_if
+from robotctl.show.traces import figures_of, read_recorded
 from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record
+from tests.support.kernel_history import make_history
 
 
 def silent(done: int, total: int) -> None:
@@ -217,3 +230,119 @@ def test_without_a_drive_the_reason_is_said(tmp_path: Path) -> None:
     refused = ModeRequested(BEGIN_NS + 500_000_000, 1, 7, "operator")
     folder = record(tmp_path / "refused", drive(1.0, requests=[refused]))
     assert if_set(folder, "tracking.k_y=8")["no_drive"]["recorded"].startswith("refused: 7 is")
+
+
+SLOW = {"limits.linear_mps": "0.2"}
+
+
+@pytest.fixture(scope="module")
+def history(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("history")
+    make_history(folder)
+    return folder
+
+
+def drives(path: Path, settings: dict[str, str]) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = what_if(path, settings)["drives"]
+    return found
+
+
+def test_with_the_same_parameters_both_sides_are_equal(history: Path) -> None:
+    for recording in history.iterdir():
+        for each in drives(recording, {"limits.linear_mps": "0.6"}):
+            if recording.name != "lease":  # where a request changes the limit later
+                assert each["recorded"] == each["what_if"]
+
+
+def test_drives_that_replace_each_other_are_told_apart(history: Path) -> None:
+    found = drives(history / "replaced", SLOW)
+    assert [each["drive"] for each in found] == [*range(1, len(found) + 1)]
+    begins = [each["after_s"] for each in found]
+    assert begins == sorted(begins)
+    assert len({each["request_id"] for each in found}) == len(found) > 2
+    ends = [each["recorded"]["ended"] for each in found]
+    assert None not in ends
+
+
+def test_the_time_of_a_drive_is_that_until_its_end(history: Path) -> None:
+    (one,) = drives(history / "laps", SLOW)
+    for side in (one["recorded"], one["what_if"]):
+        assert sum(side["modes_s"].values()) == pytest.approx(side["duration_s"], abs=0.05)
+    assert one["what_if"]["duration_s"] < one["recorded"]["duration_s"], "it lost its track"
+    assert one["what_if"]["cause"] == "tracking lost"
+
+
+def test_what_only_the_robot_can_tell_stands_beside_both(history: Path) -> None:
+    (one,) = drives(history / "laps", SLOW)
+    assert one["measured"]["laps"] == 1
+    for side in (one["recorded"], one["what_if"]):
+        assert not {"laps", "distance_m", "max_error_m"} & side.keys()
+
+
+def test_a_drive_that_only_one_side_begins_is_missing_on_the_other(tmp_path: Path) -> None:
+    small = Pattern(size_m=0.3)
+    requests: list[Event] = [
+        DriveRequested(BEGIN_NS + round(after_s * NS_PER_S), number, small, 1, False, "operator")
+        for number, after_s in enumerate((0.1, 13.5), 1)
+    ]
+    first, second = drives(record(tmp_path / "run", drive(14.0, requests=requests)), SLOW)
+    assert first["what_if"]["end_mode"] == "ERROR"
+    assert second["recorded"] is not None
+    assert second["what_if"] is None
+
+
+def test_a_drive_that_goes_on_at_the_end_has_no_end(tmp_path: Path) -> None:
+    written = drive(2.0, closed=False)
+    (one,) = drives(record(tmp_path / "run", written), SLOW)
+    assert one["measured"] is None
+    assert [one[side]["ended"] for side in ("recorded", "what_if")] == [None, None]
+    assert one["what_if"]["max_linear_mps"] == pytest.approx(0.2)
+
+
+@pytest.fixture(scope="module")
+def unmeasured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A velocity that is stopped, then a line whose errors are exactly 0."""
+    velocity, line = Course(held=Held(0.2, 0.1, 5.0)), Pattern(PatternKind.LINE, 0.3)
+    asked = (
+        DriveRequested(BEGIN_NS + 100_000_000, 1, Pattern(), 1, False, "test", course=velocity),
+        ModeRequested(BEGIN_NS + 1_000_000_000, 2, Mode.IDLE, "test"),
+        DriveRequested(BEGIN_NS + 2_000_000_000, 3, line, 1, False, "test"),
+    )
+    written = drive(5.0, requests=asked)
+    return record(tmp_path_factory.mktemp("unmeasured") / "robot_20260101_120000", written)
+
+
+def test_a_what_if_and_a_simulation_know_no_errors_of_a_velocity(
+    unmeasured: Path,
+) -> None:
+    velocity, line = what_if(unmeasured, {})["drives"]
+    assert velocity["measured"]["distance_m"] > 0.1
+    assert (velocity["measured"]["rms_error_m"], velocity["measured"]["max_error_m"]) == (None,) * 2
+    assert line["measured"]["max_error_m"] is not None
+    velocity, line = resimulate(unmeasured, {})["drives"]
+    for side in ("recorded", "simulated"):
+        assert velocity[side]["distance_m"] > 0.1
+        assert velocity[side]["cross_track_rms_m"] is velocity[side]["cross_track_max_m"] is None
+        assert line[side]["cross_track_rms_m"] is not None
+
+
+def test_the_page_of_a_recording_leaves_a_velocity_out_of_its_errors(
+    unmeasured: Path,
+) -> None:
+    found = read_recorded(unmeasured)
+    velocity, line = found.traces.drives
+    assert isnan(velocity.report.cross_track_rms_m)
+    assert not isnan(line.report.cross_track_rms_m)
+    figures = {each.key: each.value for each in figures_of(found)}
+    assert figures["cross_track_rms_m"] == line.report.cross_track_rms_m
+
+
+def test_the_index_of_a_recording_knows_no_errors_of_a_velocity(
+    unmeasured: Path,
+) -> None:
+    rows = rows_of(unmeasured, "same", "", "whole")
+    velocity, line = (row for row in rows if isinstance(row, DriveRow))
+    assert velocity.pattern == "velocity"
+    assert (velocity.rms_error_m, velocity.max_error_m) == (None, None)
+    assert (velocity.rms_heading_rad, velocity.max_heading_rad) == (None, None)
+    assert line.max_error_m is not None

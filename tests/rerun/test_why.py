@@ -1,4 +1,7 @@
-"""The journal explains why the robot was stopped or a request was refused."""
+"""The journal explains why the robot was stopped or a request was refused.
+
+Each kind of motion is journaled: `--check` repeats it bit for bit, and `why` names it.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,11 @@ from pathlib import Path
 import pytest
 
 from robotctl.errors import UnreadableFile
+from robotctl.kernel.course import Course, Held
+from robotctl.kernel.drive import Drive
+from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.lease import LeaseLost, LeaseRequested
+from robotctl.kernel.patterns import Pattern, PatternKind, named
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.types import (
     BatteryReceived,
@@ -17,6 +24,7 @@ from robotctl.kernel.types import (
     DriveRequested,
     Event,
     FaultReported,
+    HoldReceived,
     ModeRequested,
     ResetRequested,
     Tick,
@@ -27,6 +35,7 @@ from robotctl.recording.write.recording_file import RecordingFile
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.rerun.incident import Incident, IncidentKind, find_incident
+from robotctl.rerun.sentences import driven
 from robotctl.rerun.why import explain, rule_of
 from robotctl.testing.drives import BEGIN_NS, START_NS, drive, drive_requested, record
 
@@ -281,3 +290,79 @@ def test_a_kill_of_a_robot_that_stands_stopped_nothing(tmp_path: Path) -> None:
 def test_a_recording_that_was_closed_does_not_tell_of_a_kill(tmp_path: Path) -> None:
     folder = record(tmp_path / "run", drive(1.0))
     assert find_incident(folder, None, lambda done, total: None).incident is None
+
+
+MS = 1_000_000
+COURSES = {
+    "reverse": Course(reverse=True),
+    "open loop": Course(open_loop=True),
+    "waypoints": Course(waypoints=((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))),
+    "velocity": Course(held=Held(0.2, -0.5, 30.0)),
+    "by hand": Course(held=Held(0.2, 0.1, 0.125, 0)),
+}
+MOTIONS = [
+    *((kind.value, Pattern(kind), Course(angle_rad=3.0)) for kind in PatternKind),
+    *((name, Pattern(), course) for name, course in COURSES.items()),
+]
+
+
+def requests(pattern: Pattern, course: Course, last: int) -> list[Event]:
+    """Return a motion from 0.1 s on, held by hand until 1.2 s, and a request that ends it then."""
+    begin_ns, end_ns = BEGIN_NS + 100 * MS, BEGIN_NS + 1_200 * MS
+    held = course.held is not None and course.held.is_held_to_run
+    return [
+        DriveRequested(begin_ns, 7, pattern, 1, False, "the operator", course=course),
+        *(
+            HoldReceived(t_ns, 7, Twist(0.2, 0.1))
+            for t_ns in range(begin_ns + 25 * MS, end_ns if held else 0, 25 * MS)
+        ),
+        ModeRequested(end_ns, 8, last, "somebody"),
+    ]
+
+
+@pytest.mark.parametrize("last", [0, 3], ids=["idle", "emergency stop"])
+@pytest.mark.parametrize(("name", "pattern", "course"), MOTIONS, ids=[each[0] for each in MOTIONS])
+def test_every_kind_of_motion_is_checked_and_explained(
+    name: str, pattern: Pattern, course: Course, last: int, tmp_path: Path
+) -> None:
+    written = drive(2.0, requests=requests(pattern, course, last), snapshots_s=(0.0, 0.6))
+    folder = record(tmp_path / "robot_20260101_120000", written)
+    report = check_recording(folder)
+    assert report.verdict is Verdict.SAME, report.as_object()
+    assert any(isinstance(each, Twist) and each != Twist() for each in written)
+    incident = find_incident(folder, None, lambda done, total: None).incident
+    assert incident is not None
+    why = explain(incident)
+    assert f"{named(pattern, course)}: the operator" in why.asked
+    assert "somebody" in why.came_in
+
+
+def test_one_who_lets_go_is_told_so(tmp_path: Path) -> None:
+    asked = requests(Pattern(), COURSES["by hand"], 0)[:20]
+    asked += [HoldReceived(asked[-1].t_ns + n * 25 * MS, 7, Twist()) for n in range(1, 20)]
+    folder = record(tmp_path / "robot_20260101_120000", drive(2.0, requests=asked))
+    assert check_recording(folder).verdict is Verdict.SAME
+    incident = find_incident(folder, None, lambda done, total: None).incident
+    assert incident is not None
+    why = explain(incident)
+    assert why.what == "MOVING -> IDLE: let go"
+    assert why.rule == "hold to run: let go, the robot ramps down"
+
+
+def test_a_silence_is_explained_by_its_length(tmp_path: Path) -> None:
+    asked = requests(Pattern(), COURSES["by hand"], 0)[:20]
+    folder = record(tmp_path / "robot_20260101_120000", drive(2.0, requests=asked))
+    assert check_recording(folder).verdict is Verdict.SAME
+    incident = find_incident(folder, None, lambda done, total: None).incident
+    assert incident is not None
+    why = explain(incident)
+    assert why.what == "MOVING -> IDLE: not held for 125 ms"
+    assert why.rule == "hold to run: a silence is zero at once, and ends the motion"
+
+
+def test_only_a_motion_with_a_path_is_told_as_off_its_track() -> None:
+    drive = Drive(1, Pattern(), 1, ORIGIN)
+    velocity = replace(drive, course=Course(held=Held(0.2, 0.0, 2.0)))
+    report = drive.report(0)
+    assert driven(report, drive).startswith("0 laps and 0.00 m, off track 0.000 m RMS")
+    assert driven(report, velocity) == "0 laps and 0.00 m"

@@ -1,22 +1,36 @@
-"""Each odometry sample and battery level in the journal is a message that was recorded."""
+"""Each odometry sample, battery level, scan and wanted velocity in the journal was recorded."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable
 from dataclasses import replace
+from math import inf, nan
 from pathlib import Path
 
 import pytest
 
-from robotctl.kernel.types import Event, LoopStalled
+from robotctl.cdr.motion import encode_twist
+from robotctl.config import Config
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.obstacles import ScanParams
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.safety_inputs import Use
+from robotctl.kernel.types import (
+    Event,
+    GuardedCommandReceived,
+    LoopStalled,
+    ModeRequested,
+    ScanReceived,
+    Twist,
+)
 from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
-from robotctl.rerun.command_bytes import is_zero, numbers_of
+from robotctl.rerun.command_pairs import is_zero, numbers_of
 from robotctl.testing.drives import BEGIN_NS, drive_requested
-from robotctl.testing.hearing import BATTERY, ODOMETRY
+from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, WANTED
 from tests.support.edited_recordings import Contents, Stored, edit, write_contents
 from tests.support.heard_drives import COMMANDS, JOURNAL, heard_drive
 
@@ -179,3 +193,94 @@ def test_a_flood_of_messages_that_were_not_heard_is_no_violation(
     ]
     report = check(tmp_path, edited)
     assert (report.verdict, report.violations) == (Verdict.INCOMPLETE, [])
+
+
+RANGES_AT = 4 + 16 + 7 * 4 + 4
+"""Where the ranges begin in a scan without a frame name."""
+
+CLEAR = (inf,) * 63
+
+
+@pytest.fixture(scope="module")
+def scanned(tmp_path_factory: pytest.TempPathFactory) -> Contents:
+    """A drive with ten scans a second, in which something comes nearer behind the robot."""
+    params = replace(KernelParams(), scan=ScanParams(use=Use.OPTIONAL))
+    scans = [
+        ScanReceived(BEGIN_NS + 50_000_000 + number * 100_000_000, (9.0 - number / 10.0, *CLEAR))
+        for number in range(50)
+    ]
+    requests: list[Event] = [*scans, drive_requested()]
+    requests.sort(key=lambda event: event.t_ns)
+    folder = tmp_path_factory.mktemp("scanned") / "run"
+    return heard_drive(folder, 6.0, requests=requests, config=Config(kernel=params))
+
+
+def test_the_recorded_scans_have_the_sectors_of_the_journal(
+    tmp_path: Path, scanned: Contents
+) -> None:
+    report = check(tmp_path, scanned)
+    assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
+    assert scanned.counts[SCAN] == 50
+
+
+def test_a_scan_that_was_changed_is_found(tmp_path: Path, scanned: Contents) -> None:
+    def nearer(at: int, each: Stored) -> Stored:
+        data = bytearray(each.data)
+        struct.pack_into("<f", data, RANGES_AT, 0.5)
+        return replace(each, data=bytes(data)) if at == 20 else each
+
+    report = check(tmp_path, edit(scanned, SCAN, nearer))
+    assert report.verdict is Verdict.BROKEN
+    assert "1 messages are not what the control loop received as the scan" in (
+        report.violations[0].text
+    )
+
+
+def test_scans_that_were_removed_are_missed(tmp_path: Path, scanned: Contents) -> None:
+    edited = edit(scanned, SCAN, lambda at, each: each if at not in (20, 21) else None)
+    report = check(tmp_path, edited)
+    assert report.verdict is Verdict.BROKEN
+    assert report.violations[0].text.startswith("2 messages of the scan")
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Contents:
+    """Ten wanted velocities a second, one of them not finite."""
+    wanted: list[Event] = [
+        GuardedCommandReceived(
+            BEGIN_NS + 250_000_000 + number * 100_000_000,
+            Twist(nan if number == 20 else number / 200.0, 0.1),
+        )
+        for number in range(50)
+    ]
+    asked = ModeRequested(BEGIN_NS + 200_000_000, 1, Mode.MOVING.value, "planner")
+    config = Config(kernel=replace(KernelParams(), guard=True))
+    folder = tmp_path_factory.mktemp("guarded") / "run"
+    return heard_drive(folder, 6.0, requests=[asked, *wanted], config=config)
+
+
+def test_the_recorded_velocities_are_those_of_the_journal(
+    tmp_path: Path, guarded: Contents
+) -> None:
+    report = check(tmp_path, guarded)
+    assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
+    assert guarded.counts[WANTED] == 50
+
+
+def test_a_wanted_velocity_that_was_changed_is_found(tmp_path: Path, guarded: Contents) -> None:
+    slower = encode_twist(Twist(0.01, 0.1))
+    edited = edit(
+        guarded, WANTED, lambda at, each: replace(each, data=slower) if at == 30 else each
+    )
+    report = check(tmp_path, edited)
+    assert report.verdict is Verdict.BROKEN
+    assert "1 messages are not what the control loop received as the wanted velocity" in (
+        report.violations[0].text
+    )
+
+
+def test_wanted_velocities_that_were_removed_are_missed(tmp_path: Path, guarded: Contents) -> None:
+    edited = edit(guarded, WANTED, lambda at, each: None if at in (20, 21) else each)
+    report = check(tmp_path, edited)
+    assert report.verdict is Verdict.BROKEN
+    assert report.violations[0].text.startswith("2 messages of the wanted velocity")
