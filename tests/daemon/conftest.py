@@ -77,13 +77,11 @@ def in_process(
         from robotctl.daemon.app import serve
 
         ready: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-        chosen: dict[str, Any] = {
-            "config": world.patient,
-            "drive": None,
-            "sim": True,
-            "settings": (("recording.index", False),),  # its process may outlive the test
-            **options,
-        }
+        chosen: dict[str, Any] = {"config": world.patient, "drive": None, "sim": True, **options}
+        text = chosen["config"].read_text() if chosen["config"] else ""
+        if "recording.index" not in text:  # its process may outlive the test
+            chosen["config"] = world.folder / "in_process.yaml"
+            chosen["config"].write_text(f"{text}recording.index: false\n")
         given = DaemonOptions(
             "robot", recordings=world.recordings, domain_id=world.domain_id, **chosen
         )
