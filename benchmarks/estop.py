@@ -37,7 +37,7 @@ from recording import publisher
 from stopping.loads import SITUATIONS, Bench
 from stopping.witness import Witness
 
-from tests.support.spinning import node_in
+from tests.support.ros_peer import node_in
 from tests.support.world import PATIENT, new_world
 
 P99_LIMIT_MS = 20.0

@@ -25,7 +25,7 @@ BASE: dict[str, Any] = {
 
 @pytest.mark.slow
 def test_a_base_of_10_hz_with_lag_and_deadband_and_no_timeout_is_told_as_such(world: World) -> None:
-    base = Told(peer_command("tests.support.stub_base"), world.environment)
+    base = Told(peer_command("tests.support.role_peers", "StubBase"), world.environment)
     try:
         base("begin", **BASE)
         settings = world.folder / "robot.yaml"

@@ -39,7 +39,9 @@ def world() -> Iterator[World]:
 @pytest.fixture(scope="module")
 def peer(world: World) -> Iterator[Told]:
     """The client's process."""
-    with closing(Told(peer_command("tests.support.action_peer"), world.environment)) as made:
+    with closing(
+        Told(peer_command("tests.support.role_peers", "ActionPeer"), world.environment)
+    ) as made:
         yield made
 
 

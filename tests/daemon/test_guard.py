@@ -18,7 +18,7 @@ def test_a_planner_steers_in_moving_only_and_an_emergency_stop_locks_the_mux(wor
     settings = world.folder / "guard.yaml"
     settings.write_text(SETTINGS)
     world.ok("start", "--sim", "--config", str(settings))
-    planner = Told(peer_command("tests.support.mux_peer"), world.environment)
+    planner = Told(peer_command("tests.support.role_peers", "MuxPeer"), world.environment)
     try:
         planner("mux", lock="/robotctl/lock", wanted="/cmd_vel_nav")
         planner("want", topic="/cmd_vel_nav", linear=0.2)

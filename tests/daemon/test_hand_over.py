@@ -15,7 +15,7 @@ def test_others_drive_in_idle_and_a_start_waits_until_they_are_quiet(world: Worl
     settings = world.folder / "shared.yaml"
     settings.write_text(SETTINGS)
     world.ok("start", "--sim", "--config", str(settings))
-    joystick = Told(peer_command("tests.support.mux_peer"), world.environment)
+    joystick = Told(peer_command("tests.support.role_peers", "MuxPeer"), world.environment)
     try:
         joystick("want", topic="/cmd_vel", linear=0.2)
         until(lambda: world.status()["velocity"]["linear"] > 0.18)

@@ -10,7 +10,7 @@ from typing import Any
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from tests.support.spinning import node_in
+from tests.support.ros_peer import node_in
 from tests.support.waiting import until
 from tests.support.world import PATIENT, World, new_world, read_back
 

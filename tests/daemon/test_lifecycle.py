@@ -29,7 +29,9 @@ def world() -> Iterator[World]:
 @pytest.fixture(scope="module")
 def peer(world: World) -> Iterator[Told]:
     """The other process."""
-    with closing(Told(peer_command("tests.support.lifecycle_peer"), world.environment)) as made:
+    with closing(
+        Told(peer_command("tests.support.role_peers", "LifecyclePeer"), world.environment)
+    ) as made:
         yield made
 
 

@@ -49,7 +49,7 @@ SLOW = pytest.mark.slow
     ],
 )
 def test_a_profile_drives_a_base_like_its_robot(world: World, profile: Profile) -> None:
-    base = Told(peer_command("tests.support.stub_base"), world.environment)
+    base = Told(peer_command("tests.support.role_peers", "StubBase"), world.environment)
     try:
         base("begin", **BASES[profile])
         settings = world.folder / "robot.yaml"

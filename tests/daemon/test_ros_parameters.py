@@ -35,7 +35,7 @@ class Graph:
 @pytest.fixture(scope="module")
 def graph() -> Iterator[Graph]:
     with new_world() as world:
-        peer = Told(peer_command("tests.support.parameter_peer"), world.environment)
+        peer = Told(peer_command("tests.support.role_peers", "ParameterPeer"), world.environment)
         try:
             world.ok("start", "--sim")
             until(lambda: len(peer("visible")) >= 4)

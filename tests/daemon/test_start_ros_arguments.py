@@ -14,7 +14,7 @@ def test_a_start_takes_parameters_remaps_a_namespace_and_a_node_name() -> None:
         file = world.folder / "params.yaml"
         file.write_text("/lab/velocity:\n  ros__parameters: {limits.angular_rps: 1.0}\n")
         peer = Peer(world)
-        client = Told(peer_command("tests.support.parameter_peer"), world.environment)
+        client = Told(peer_command("tests.support.role_peers", "ParameterPeer"), world.environment)
         try:
             world.ok(
                 *("start", "--sim", "--config", str(world.patient)),

@@ -137,7 +137,7 @@ class Hanging(Told):
 
     def __init__(self, domain_id: int) -> None:
         environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
-        super().__init__(peer_command("tests.support.mux_peer"), environment)
+        super().__init__(peer_command("tests.support.role_peers", "MuxPeer"), environment)
 
     def __enter__(self) -> None:
         self._process.send_signal(signal.SIGSTOP)

@@ -14,10 +14,15 @@ from tests.support.waiting import DEADLINE_S
 ROOT = Path(__file__).parents[2]
 
 
-def peer_command(module: str) -> list[str]:
+def peer_command(module: str, *arguments: str) -> list[str]:
     """Return the command that runs a module of `tests`, given by its full name, from any folder."""
     run = f"import runpy; runpy.run_module('{module}', run_name='__main__')"
-    return [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}); {run}"]
+    return [
+        sys.executable,
+        "-c",
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); {run}",
+        *arguments,
+    ]
 
 
 class Told:

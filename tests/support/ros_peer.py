@@ -5,13 +5,16 @@ from __future__ import annotations
 import threading
 import time
 from array import array
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import rclpy
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry, Path
+from rclpy.context import Context
 from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from robot_controller.msg import RobotStatus
@@ -21,8 +24,56 @@ from std_msgs.msg import Bool, String, UInt8MultiArray
 from std_srvs.srv import Trigger
 
 from tests.support.lines import obey
-from tests.support.spinning import spinning
 from tests.support.waiting import DEADLINE_S, until
+
+
+class NodePeer:
+    """A peer; its public methods are its commands."""
+
+    node: Node
+
+    def end(self) -> None:
+        """Destroy what the node does not."""
+
+
+def run_peer(make: Callable[[], NodePeer]) -> None:
+    """Be the process of a peer until its commands end."""
+    rclpy.init(args=[])
+    peer = make()
+    with spinning(peer.node):
+        obey(peer)
+    peer.end()
+    peer.node.destroy_node()
+    rclpy.shutdown()
+
+
+@contextmanager
+def spinning(node: Node) -> Iterator[None]:
+    """Run the callbacks of the node until the end of the block."""
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    spinner = threading.Thread(target=executor.spin)
+    spinner.start()
+    try:
+        yield
+    finally:
+        executor.shutdown()
+        spinner.join()
+
+
+@contextmanager
+def node_in(domain_id: int, name: str) -> Iterator[Node]:
+    """Make a node in a context of its own, and run its callbacks until the end of the block."""
+    context = Context()
+    rclpy.init(args=[], context=context, domain_id=domain_id)
+    node = Node(name, context=context)
+    try:
+        with spinning(node):
+            yield node
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 REQUESTS = QoSProfile(depth=1_500)
@@ -30,7 +81,9 @@ DEEP = QoSProfile(depth=10_000)
 BEST_EFFORT = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-class Peer:
+class Peer(NodePeer):
+    """Does what most tests of a daemon need of another node."""
+
     def __init__(self) -> None:
         self.node = Node("somebody_else")
         self.commands: list[tuple[int, int, float, float]] = []
@@ -294,15 +347,5 @@ class Peer:
         return self.node.create_subscription(kind, topic, callback, qos)
 
 
-def main() -> None:
-    rclpy.init(args=[])
-    peer = Peer()
-    with spinning(peer.node):
-        obey(peer)
-        peer.end()
-    peer.node.destroy_node()
-    rclpy.shutdown()
-
-
 if __name__ == "__main__":
-    main()
+    run_peer(Peer)
