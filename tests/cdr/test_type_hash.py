@@ -12,7 +12,7 @@ from robotctl.cdr.definition import parse_definition
 from robotctl.cdr.type_hash import rihs01_hash
 from robotctl.recording.convert.installed_definition import installed_definition
 from robotctl.rerun.recording_ends import HASHES
-from tests.support.service_calls import EVENTS
+from tests.support.heard_drives import EVENTS
 
 SHARE = Path(sys.prefix) / "share"
 MESSAGES = sorted(SHARE.glob("*/msg/*.json"))

@@ -16,7 +16,7 @@ import pytest
 from robotctl.cli.terminal import text
 from robotctl.fleet import judging
 from robotctl.testing.drives import drive, drive_requested, record
-from tests.support.judged_folder import here
+from tests.support.checked_drives import here
 
 Cli = Callable[..., Any]
 RECORDINGS = Path("recordings")

@@ -11,7 +11,7 @@ import pytest
 
 from robotctl.paths import make_private, seal_folder
 from robotctl.recording.seal.keyring import KEY_FILE, Keyring
-from tests.support.sealed import record_sealed
+from tests.support.recordings import record_sealed
 
 Cli = Callable[..., Any]
 

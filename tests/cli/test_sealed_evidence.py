@@ -21,7 +21,7 @@ from robotctl.recording.keep.recover import recover
 from robotctl.recording.seal.keyring import Keyring
 from robotctl.testing.drives import drive, record
 from tests.support.edited_recordings import contents_of, write_contents
-from tests.support.sealed import keyring
+from tests.support.recordings import keyring
 from tests.support.waiting import until
 
 Cli = Callable[..., Any]

@@ -17,8 +17,7 @@ from robotctl.kernel.types import Effect, Event
 from robotctl.rerun import check_report, rerun
 from robotctl.rerun.rerun import Comparison
 from robotctl.testing.drives import BEGIN_NS, drive, record
-from tests.support.checked_drives import rechained
-from tests.support.judged_folder import judged, wrong
+from tests.support.checked_drives import judged, rechained, wrong
 
 NAME = "robot_20260101_120000"
 SLOW = {"limits.linear_mps": "0.05", "tracking.max_error_m": "0.05"}

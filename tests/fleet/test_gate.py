@@ -18,7 +18,7 @@ from robotctl.fleet.junit import junit_text
 from robotctl.fleet.result_store import ResultStore
 from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import drive, record
-from tests.support.judged_folder import judged, wrong
+from tests.support.checked_drives import judged, wrong
 
 GOOD, WRONG = "robot_20260101_120000", "robot_20260102_120000"
 

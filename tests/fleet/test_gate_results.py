@@ -16,7 +16,7 @@ from robotctl.fleet import result_store
 from robotctl.fleet.judgement import judge
 from robotctl.fleet.result_store import ResultStore
 from robotctl.testing.drives import drive, record
-from tests.support.judged_folder import judged
+from tests.support.checked_drives import judged
 
 NAME = "robot_1"
 SETTINGS = {"limits.linear_mps": "0.3"}

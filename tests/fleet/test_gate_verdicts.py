@@ -20,7 +20,7 @@ from robotctl.recording.read.source import LocalSource
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report
 from robotctl.testing.drives import BEGIN_NS, drive, record
-from tests.support.judged_folder import judged, wrong
+from tests.support.checked_drives import judged, wrong
 
 ONE, TWO = "robot_1", "robot_2"
 

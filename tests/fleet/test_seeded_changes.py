@@ -17,7 +17,7 @@ import pytest
 import robotctl
 from robotctl import __version__
 from robotctl.fleet.software import software_hash
-from tests.support.kernel_history import make_history
+from tests.support.checked_drives import make_history
 
 
 @dataclass(frozen=True, slots=True)

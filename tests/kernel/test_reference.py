@@ -20,7 +20,7 @@ from robotctl.kernel.routes import legs_for, path_for
 from robotctl.kernel.segments import Arc, Circle, Line, Turn
 from robotctl.kernel.speed_plan import Leg, speed_plan
 from robotctl.kernel.tracking import Reference, track
-from tests.support.laps import lap_of
+from tests.support.fed_kernel import lap_of
 
 LIMITS = VelocityLimits(1.0, 2.0, 0.5, 4.0)
 FAR = Pose(50.0, 50.0, 0.0)

@@ -22,8 +22,7 @@ from robotctl.recording.keep.repair import repair
 from robotctl.show.figure import path_figure
 from robotctl.show.png import write_path_png
 from robotctl.testing.drives import START_NS, TWIST
-from tests.support.numbered_files import foreign
-from tests.support.recordings import write_numbered
+from tests.support.recordings import foreign, write_numbered
 
 PRIVATE = {"file": 0o600, "folder": 0o700}
 SHARED = {"file": 0o640, "folder": 0o750}

@@ -54,7 +54,7 @@ from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
 from robotctl.testing.drives import BEGIN_NS, drive
 from tests.support.mcap_files import CHANNEL, RECORD_HEAD, chunk, finished, stored_chunk
-from tests.support.numbered_files import salvaged
+from tests.support.recordings import salvaged
 
 SIZE: Final = 1_000_000
 _MIB: Final = 1 << 20

@@ -37,8 +37,7 @@ from robotctl.recording.convert.converter import Form
 from robotctl.recording.read.verified import RecordingProof, verify_recording
 from robotctl.rerun import Verdict, check_recording
 from robotctl.testing.drives import TWIST, drive, record
-from tests.support.recordings import read_strictly, write_numbered
-from tests.support.sealed import keyring, record_sealed
+from tests.support.recordings import keyring, read_strictly, record_sealed, write_numbered
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"

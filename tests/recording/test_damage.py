@@ -25,9 +25,12 @@ from robotctl.recording import Compression, read_info, read_messages
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.mcap_input import parse
 from robotctl.testing.faults import mutated, record_boundaries
-from tests.support.numbered_files import first_numbers, foreign, recorded, salvaged
 from tests.support.recordings import (
+    first_numbers,
+    foreign,
     number_of,
+    recorded,
+    salvaged,
 )
 
 

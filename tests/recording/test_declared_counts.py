@@ -16,8 +16,7 @@ from robotctl.recording.keep.recover_folder import recover_folder
 from robotctl.recording.read.journal_reader import read_journal
 from robotctl.testing.drives import TWIST, drive, record
 from robotctl.testing.faults import FailingFile, chunks_of
-from tests.support.numbered_files import recorded, salvaged
-from tests.support.recordings import write_numbered
+from tests.support.recordings import recorded, salvaged, write_numbered
 
 
 def recorded_twice(folder: Path) -> tuple[Path, bytes]:

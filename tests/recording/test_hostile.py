@@ -14,9 +14,9 @@ from mcap.writer import Writer
 
 from robotctl.recording import read_info
 from robotctl.recording.format.records import MAGIC
-from tests.support.numbered_files import salvaged
 from tests.support.recordings import (
     numbered,
+    salvaged,
 )
 
 

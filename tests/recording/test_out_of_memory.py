@@ -12,8 +12,12 @@ from robotctl.recording import Recorder, RecorderOptions, RecorderState
 from robotctl.recording.write.buffer import ChunkEncoder, LargeMessage, PackBuffer
 from robotctl.recording.write.writer_thread import WriterThread
 from robotctl.testing.drives import TWIST
-from tests.support.fork_server import fork_server
-from tests.support.recordings import read_strictly, record_without_memory, write_numbered
+from tests.support.recordings import (
+    fork_server,
+    read_strictly,
+    record_without_memory,
+    write_numbered,
+)
 from tests.support.waiting import until
 
 CHUNK_BYTES = 4096

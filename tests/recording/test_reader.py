@@ -24,8 +24,14 @@ from robotctl.recording.format.records import MAGIC
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
 from robotctl.testing.drives import ODOMETRY, TWIST
-from tests.support.numbered_files import first_numbers, foreign, recorded, salvaged
-from tests.support.recordings import numbered, write_numbered
+from tests.support.recordings import (
+    first_numbers,
+    foreign,
+    numbered,
+    recorded,
+    salvaged,
+    write_numbered,
+)
 
 
 @pytest.mark.parametrize("compression", list(Compression))

@@ -34,8 +34,8 @@ from robotctl.recording.write.buffer import PackBuffer
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.testing.drives import TWIST
 from robotctl.testing.faults import FailingFile, GatedFile, VolatileFile
-from tests.support.fork_server import fork_server
 from tests.support.recordings import (
+    fork_server,
     number_of,
     numbered,
     read_strictly,

@@ -20,8 +20,7 @@ from robotctl.recording.keep.recover import recover
 from robotctl.recording.keep.recover_folder import recover_folder
 from robotctl.recording.read.messages import ALWAYS
 from tests.support.bags import START_NS, data, talk, write_bag
-from tests.support.numbered_files import salvaged
-from tests.support.recordings import read_strictly
+from tests.support.recordings import read_strictly, salvaged
 
 LINES = talk("/alpha", 50)
 SENT = data(LINES)

@@ -9,7 +9,7 @@ from shutil import copyfile, copytree
 import pytest
 
 from robotctl.recording import read_info, read_messages
-from tests.support.numbered_files import salvaged
+from tests.support.recordings import salvaged
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 needs_samples = pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"no sample bags at {SAMPLES}")

@@ -25,8 +25,7 @@ from robotctl.recording.seal.keyring import KEY_FILE, Keyring
 from robotctl.recording.seal.signatures import SigningKey, is_signed
 from robotctl.recording.write import file_seal
 from robotctl.testing.drives import TWIST
-from tests.support.recordings import read_strictly, write_numbered
-from tests.support.sealed import keyring, record_sealed
+from tests.support.recordings import keyring, read_strictly, record_sealed, write_numbered
 from tests.support.waiting import until
 
 

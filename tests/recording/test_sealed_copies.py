@@ -19,8 +19,7 @@ from robotctl.recording.read.whole_file import read_whole_file
 from robotctl.recording.seal.keyring import Keyring
 from robotctl.recording.write import file_seal
 from robotctl.testing.drives import TWIST
-from tests.support.recordings import write_numbered
-from tests.support.sealed import keyring, record_sealed
+from tests.support.recordings import keyring, record_sealed, write_numbered
 
 
 @pytest.fixture(autouse=True)

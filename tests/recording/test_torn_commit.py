@@ -32,8 +32,7 @@ from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.recording_file import RecordingFile
 from robotctl.testing.drives import QOS
 from robotctl.testing.faults import PAGE, FailingFile
-from tests.support.recordings import numbered, read_strictly
-from tests.support.sealed import keyring
+from tests.support.recordings import keyring, numbered, read_strictly
 
 COMMITS = 8
 LARGE = 40_000

@@ -14,7 +14,7 @@ from robotctl.errors import UnreadableFile
 from robotctl.recording import Compression, read_info
 from robotctl.recording.format.records import MAGIC, MESSAGE_HEAD
 from robotctl.testing.faults import record_boundaries
-from tests.support.numbered_files import first_numbers, foreign, recorded, salvaged
+from tests.support.recordings import first_numbers, foreign, recorded, salvaged
 
 
 def complete_prefix(data: bytes, length: int) -> int:

@@ -17,8 +17,14 @@ from robotctl.recording.keep.recover import recover
 from robotctl.recording.keep.recover_folder import recover_folder
 from robotctl.recording.read.messages import ALWAYS
 from robotctl.testing.faults import PAGE, chunks_of, zero
-from tests.support.numbered_files import first_numbers, foreign, recorded, salvaged
-from tests.support.recordings import number_of, read_strictly
+from tests.support.recordings import (
+    first_numbers,
+    foreign,
+    number_of,
+    read_strictly,
+    recorded,
+    salvaged,
+)
 
 COUNT = 1000
 

@@ -16,8 +16,7 @@ from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.service_check import MANY_IN_WORK, SERVICES, ServicePairs, read_service_event
 from robotctl.testing.drives import BEGIN_NS, drive_requested
 from tests.support.edited_recordings import Stored, write_contents
-from tests.support.heard_drives import heard_drive
-from tests.support.service_calls import SET_MODE, received, sent
+from tests.support.heard_drives import SET_MODE, heard_drive, received, sent
 
 
 @pytest.mark.parametrize(

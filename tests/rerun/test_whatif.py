@@ -33,7 +33,7 @@ from robotctl.rerun.resim import resimulate
 from robotctl.rerun.whatif import what_if
 from robotctl.show.traces import figures_of, read_recorded
 from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record
-from tests.support.kernel_history import make_history
+from tests.support.checked_drives import make_history
 
 
 def silent(done: int, total: int) -> None:

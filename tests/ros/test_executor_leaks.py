@@ -13,8 +13,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor, RawTap
-from tests.support.descriptors import loop_descriptors
-from tests.support.entities import populate
+from tests.support.open_executor import loop_descriptors, populate
 from tests.support.rclpy_types import Node
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]

@@ -13,8 +13,7 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
-from tests.support.entities import populate
-from tests.support.open_executor import sources_of
+from tests.support.open_executor import populate, sources_of
 from tests.support.rclpy_types import Node
 from tests.support.waiting import DEADLINE_S
 

@@ -18,9 +18,7 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
-from tests.support.descriptors import loop_descriptors
-from tests.support.entities import populate
-from tests.support.open_executor import engine_of
+from tests.support.open_executor import engine_of, loop_descriptors, populate
 from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]

@@ -14,8 +14,7 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
-from tests.support.descriptors import loop_descriptors
-from tests.support.entities import populate
+from tests.support.open_executor import loop_descriptors, populate
 from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]

@@ -10,7 +10,7 @@ from itertools import pairwise
 import pytest
 
 from robotctl.ros import Tick, Ticker
-from tests.support.descriptors import loop_descriptors
+from tests.support.open_executor import loop_descriptors
 from tests.support.waiting import DEADLINE_S
 
 

@@ -3,14 +3,46 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 from robotctl import __version__
+from robotctl.config import Config
+from robotctl.fleet.baseline import Baseline
+from robotctl.fleet.gate import GateReport, judge_all
+from robotctl.fleet.jobs import local_threads
+from robotctl.fleet.judging import judge_here
+from robotctl.fleet.result_store import ResultStore
+from robotctl.kernel.course import PLAIN, Course, Held
+from robotctl.kernel.fence import FenceParams
+from robotctl.kernel.geometry import Pose
+from robotctl.kernel.lease import LeaseLost, LeaseRequested
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.parameter_change import ParameterRequested
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.patterns import Pattern, PatternKind
+from robotctl.kernel.types import (
+    BatteryReceived,
+    DriveRequested,
+    Event,
+    LoopStalled,
+    ModeRequested,
+    Odometry,
+    OdomReceived,
+    ResetRequested,
+    Tick,
+    Twist,
+)
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, encode
+from robotctl.recording.keep.listing import recordings_in
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report
 from robotctl.testing.drives import (
+    BEGIN_NS,
     Written,
+    drive,
     record,
 )
 
@@ -49,3 +81,163 @@ def altered(written: list[Written], name: str, old: str, new: str) -> tuple[list
             changed[position] = each._replace(data=each.data.replace(old, new, 1))
             return rechained(changed), each.seq
     raise AssertionError(f"no {name} holds {old}")
+
+
+RESULTS = ".gate"
+
+here = partial(judge_here, processes=local_threads)
+"""The engine of a gate in this process."""
+
+
+def judged(
+    folder: Path,
+    baseline: Baseline | None = None,
+    settings: Mapping[str, str] | None = None,
+) -> GateReport:
+    """Judge all recordings of a folder; results are kept there."""
+    store = ResultStore(folder / RESULTS)
+    return judge_all(recordings_in(folder), store, settings or {}, baseline or Baseline(), here)
+
+
+def wrong(written: list[Written], to: str = "0.0") -> list[Written]:
+    """Return a drive with another last command: the kernel decides differently from there on."""
+    return altered(written, "PublishTwist", '"linear":0.', f'"linear":{to}')[0]
+
+
+SQUARE = Pattern()
+CIRCLE = Pattern(PatternKind.CIRCLE, 0.3)
+
+
+def make_history(folder: Path) -> list[Path]:
+    """Make the recordings in a folder."""
+    return [record(folder / name, make(), config=_CONFIGS.get(name)) for name, make in _MADE]
+
+
+def _at(after_s: float) -> int:
+    return BEGIN_NS + round(after_s * NS_PER_S)
+
+
+def _go(
+    after_s: float,
+    request_id: int,
+    pattern: Pattern = SQUARE,
+    laps: int = 0,
+    *,
+    replace: bool = False,
+    client: int = 0,
+    course: Course = PLAIN,
+) -> DriveRequested:
+    return DriveRequested(
+        _at(after_s), request_id, pattern, laps, replace, "operator", client, course=course
+    )
+
+
+def _mode(after_s: float, request_id: int, mode: Mode) -> ModeRequested:
+    return ModeRequested(_at(after_s), request_id, mode, "operator")
+
+
+def _reset(after_s: float, request_id: int) -> ResetRequested:
+    return ResetRequested(_at(after_s), request_id, "operator")
+
+
+def _laps() -> list[Written]:
+    small = Pattern(size_m=0.3)
+    return drive(15.0, requests=[_go(0.1, 1, small, 1), _go(10.0, 2, CIRCLE, 2)])
+
+
+def _eight() -> list[Written]:
+    return drive(5.0, requests=[_go(0.1, 1, Pattern(PatternKind.FIGURE_EIGHT, 0.4), 1)])
+
+
+def _stops() -> list[Written]:
+    requests: list[Event] = [
+        _go(0.1, 1),
+        _mode(1.2, 2, Mode.IDLE),
+        _mode(1.3, 3, Mode.MOVING),
+        _mode(2.0, 4, Mode.MOVING),
+        _mode(2.8, 5, Mode.EMERGENCY_STOP),
+        _mode(2.9, 6, Mode.MOVING),
+        _reset(3.0, 7),
+        _mode(3.1, 8, Mode.ERROR),
+        _reset(3.2, 9),
+    ]
+    return drive(3.4, requests=requests)
+
+
+def _battery() -> list[Written]:
+    requests: list[Event] = [
+        _go(0.1, 1),
+        BatteryReceived(_at(0.8), 0.15),
+        _reset(0.9, 2),
+    ]
+    return drive(0.95, requests=requests)
+
+
+def _odometry() -> list[Written]:
+    jumped = Odometry(Pose(3.0, 0.0, 0.0), Twist(), _at(0.805))
+    then: list[Event] = [
+        *(Tick(_at(1.5 + 0.02 * number)) for number in range(40)),
+        _reset(2.5, 2),
+    ]
+    requests: list[Event] = [_go(0.1, 1), OdomReceived(_at(0.805), jumped)]
+    return drive(1.48, requests=requests, then=then)
+
+
+def _hanging_odometry() -> list[Written]:
+    hangs = Odometry(Pose(0.2, 0.0, 0.0), Twist(0.3), _at(1.0))
+    then: list[Event] = []
+    for number in range(35):
+        then.append(OdomReceived(_at(1.0 + 0.02 * number), hangs))
+        then.append(Tick(_at(1.001 + 0.02 * number)))
+    return drive(0.98, requests=[_go(0.1, 1)], then=then)
+
+
+def _replaced() -> list[Written]:
+    held = Course(held=Held(0.2, 0.3, 0.4))
+    backwards = Course(reverse=True)
+    line = Pattern(PatternKind.LINE, 0.3)
+    requests: list[Event] = [
+        _go(0.1, 1),
+        _go(0.9, 2, CIRCLE),
+        _go(1.0, 3, CIRCLE, replace=True),
+        _go(1.8, 4, replace=True, course=held),
+        _go(3.2, 5, line, 1, course=backwards),
+    ]
+    return drive(5.0, requests=requests)
+
+
+def _lease() -> list[Written]:
+    requests: list[Event] = [
+        LeaseRequested(_at(0.05), 1, take=True, client=7, source="joystick"),
+        _go(0.1, 2),
+        _go(0.15, 3, client=7),
+        ParameterRequested(_at(0.5), 4, "odometry.timeout_s", "0.5", "0.6", "operator"),
+        ParameterRequested(_at(0.6), 5, "limits.linear_mps", "0.6", "0.3", "operator"),
+        LeaseLost(_at(0.9), 7),
+    ]
+    return drive(1.6, requests=requests)
+
+
+def _fence() -> list[Written]:
+    return drive(2.4, config=_CONFIGS["fence"], requests=[_go(0.1, 1)])
+
+
+def _stall() -> list[Written]:
+    requests: list[Event] = [_go(0.1, 1), LoopStalled(_at(0.9), 0.1, 2, 0, "the disk")]
+    return drive(1.6, requests=requests)
+
+
+_CONFIGS = {"fence": Config(kernel=KernelParams(fence=FenceParams(radius_m=0.4)))}
+
+_MADE: list[tuple[str, Callable[[], list[Written]]]] = [
+    ("laps", _laps),
+    ("eight", _eight),
+    ("stops", _stops),
+    ("battery", _battery),
+    ("odometry", _odometry),
+    ("hanging_odometry", _hanging_odometry),
+    ("replaced", _replaced),
+    ("lease", _lease),
+    ("fence", _fence),
+    ("stall", _stall),
+]

@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 from math import inf, nan
 
 from robotctl.kernel.command_types import TWIST_STAMPED
+from robotctl.kernel.course import PLAIN
 from robotctl.kernel.fence import FenceParams
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.obstacles import ScanParams
 from robotctl.kernel.params import KernelParams, TrackingParams
-from robotctl.kernel.patterns import Pattern, PatternKind
+from robotctl.kernel.path import Path
+from robotctl.kernel.patterns import Pattern, PatternKind, path_of
 from robotctl.kernel.safety_inputs import SafetyInput, SafetyInputParams, Use
 from robotctl.kernel.types import (
     ZERO,
@@ -29,6 +31,12 @@ from robotctl.kernel.types import (
     ScanReceived,
 )
 from robotctl.testing.kernels import TICK_NS, Bench
+
+
+def lap_of(kind: PatternKind, size_m: float) -> Path:
+    """Return one lap of a plain pattern."""
+    return path_of(Pattern(kind, size_m), PLAIN)
+
 
 CLEAR = (inf,) * 64
 BLOCKED = (*CLEAR[:32], 0.4, *CLEAR[33:])

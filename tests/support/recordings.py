@@ -6,15 +6,25 @@ import random
 import resource
 import struct
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import forkserver, get_context
 from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
 
-from robotctl.recording import Compression, Recorder, RecorderOptions
+from robotctl.recording import Compression, Recorder, RecorderOptions, read_messages
+from robotctl.recording import Message as RecordedMessage
+from robotctl.recording.format.seal_records import Link, Opening, SealOfFile
+from robotctl.recording.seal.keyring import Keyring
+from robotctl.recording.seal.signatures import SEED_BYTES, SigningKey
+from robotctl.recording.write.file_seal import Sealer
 from robotctl.testing.drives import GID, START_NS, TWIST
 
 
@@ -125,3 +135,91 @@ def record_without_memory(folder: Path, result: Connection) -> None:
         recorder.write(channel, data[: number * 1000], number, number, number, GID)
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     result.send((failures, 2 * number, recorder.close()))
+
+
+CHUNK_BYTES = 1024
+
+
+def recorded(folder: Path, count: int, **options: Any) -> Path:
+    """Write a recording with `count` messages by robotctl."""
+    recorder = Recorder(
+        folder, RecorderOptions(**{"chunk_bytes": CHUNK_BYTES, **options}), on_failure=print
+    )
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, count + 1))
+    stats = recorder.close()
+    assert stats.written == count, stats.failure
+    return stats.file
+
+
+def foreign(path: Path, count: int, **options: Any) -> Path:
+    """Write a file by the writer of the mcap package."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, **{"chunk_size": CHUNK_BYTES, **options})
+        writer.start(profile="ros2", library="somebody")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+        channel = writer.register_channel("/cmd_vel", "cdr", schema)
+        for number in range(1, count + 1):
+            stamp = START_NS + number * 1_000_000
+            writer.add_message(channel, stamp, numbered(number), stamp, number)
+        writer.finish()
+    return path
+
+
+def salvaged(path: Path) -> tuple[list[RecordedMessage], list[str]]:
+    """Return all messages that can be read, and what is reported missing."""
+    missing: list[str] = []
+    return list(read_messages(path, on_missing=missing.append)), missing
+
+
+def first_numbers(count: int) -> list[bytes]:
+    """Return the data of the first messages."""
+    return [numbered(number) for number in range(1, count + 1)]
+
+
+class Forger:
+    """Seals a file under the opening of another one, without its private key."""
+
+    def __init__(self, opening: Opening) -> None:
+        self._opening = opening
+        self._key = SigningKey(bytes(SEED_BYTES))
+
+    def open_file(self, file: str) -> SealOfFile:
+        """Claim to be the original."""
+        return SealOfFile(self._opening, self._key.sign)
+
+    def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
+        """Keep nothing: the robot's list of heads is out of reach."""
+
+
+def keyring(folder: Path, robot: str = "robot") -> Keyring:
+    """Return the keys of a robot in `folder`, which is created."""
+    folder.mkdir(mode=0o700, exist_ok=True)
+    return Keyring(folder, robot)
+
+
+def record_sealed(
+    folder: Path, sealer: Sealer, *, splits: int = 0, compression: Compression = Compression.ZSTD
+) -> list[Path]:
+    """Record messages in several files; return them."""
+    options = RecorderOptions(sealer=sealer, compression=compression, chunk_bytes=1 << 12)
+    recorder = Recorder(folder, options, metadata=lambda: {"robot": "robot"}, on_failure=print)
+    channel = recorder.add_topic(TWIST)
+    for part in range(splits + 1):
+        write_numbered(recorder, channel, range(1000 * part + 1, 1000 * part + 200))
+        if part < splits:
+            recorder.split()
+    recorder.close()
+    return sorted(folder.glob("*.mcap"))
+
+
+@contextmanager
+def fork_server(*preloaded: str) -> Iterator[ForkServerContext]:
+    """Start processes from a server that has imported some modules, and then end the server."""
+    context = get_context("forkserver")
+    context.set_forkserver_preload(list(preloaded))
+    server: Any = forkserver._forkserver
+    try:
+        yield context
+    finally:
+        server._stop()
+        context.set_forkserver_preload([])

@@ -6,12 +6,14 @@ import asyncio
 import json
 import struct
 from collections.abc import AsyncIterator, Callable, Mapping
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import Any, NamedTuple
 
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
+from robotctl.view.admission import Admission
+from robotctl.view.view_server import ViewServer
 from tests.support.waiting import DEADLINE_S
 
 SDK = "foxglove.sdk.v1"
@@ -135,3 +137,31 @@ async def view_client(
             yield ViewClient(socket)
         finally:
             socket.transport.abort()  # a closing handshake would wait behind unread messages
+
+
+TOKEN = "a-token-of-this-run"
+STRING = ("std_msgs/msg/String", "string data\n")
+
+
+class Served:
+    """A running server, and where it listens."""
+
+    def __init__(self, server: ViewServer, port: int) -> None:
+        self.server = server
+        self.port = port
+        self.url = f"ws://127.0.0.1:{port}/?token={TOKEN}"
+
+
+@asynccontextmanager
+async def served(**options: Any) -> AsyncIterator[Served]:
+    """Serve during a block."""
+    server = ViewServer("test", Admission(TOKEN), **options)
+    port = await server.listen("127.0.0.1", 0)
+    running = asyncio.create_task(server.run())
+    try:
+        yield Served(server, port)
+    finally:
+        running.cancel()
+        with suppress(asyncio.CancelledError):
+            await running
+        server.close()

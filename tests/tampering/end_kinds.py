@@ -11,8 +11,7 @@ from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.units import NS_PER_S
 from robotctl.testing.hearing import BATTERY, ODOMETRY, TOPICS
 from tests.support.edited_recordings import Contents, Stored
-from tests.support.heard_drives import COMMANDS, STATUS
-from tests.support.service_calls import ESTOP, received
+from tests.support.heard_drives import COMMANDS, ESTOP, STATUS, received
 from tests.tampering.edits import MOTION, Kind, still
 from tests.tampering.message_changes import with_mode
 

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from robotctl.testing.hearing import BATTERY, ODOMETRY
-from tests.support.heard_drives import COMMANDS, STATUS
-from tests.support.service_calls import ESTOP
+from tests.support.heard_drives import COMMANDS, ESTOP, STATUS
 from tests.tampering.edits import (
     MOTION,
     Kind,

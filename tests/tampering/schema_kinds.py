@@ -12,8 +12,7 @@ from robotctl.cdr.definition import parse_definition
 from robotctl.cdr.type_hash import rihs01_hash
 from robotctl.testing.hearing import BATTERY, ODOMETRY
 from tests.support.edited_recordings import Contents
-from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS
-from tests.support.service_calls import ESTOP, SET_MODE
+from tests.support.heard_drives import COMMANDS, ESTOP, JOURNAL, SET_MODE, STATUS
 from tests.tampering.edits import Kind
 
 Described = tuple[Channel, Schema]

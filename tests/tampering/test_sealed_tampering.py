@@ -16,7 +16,7 @@ from robotctl.recording.format.seal_records import Opening
 from robotctl.recording.read.verified import RecordingProof, verify_recording
 from robotctl.recording.write import file_seal
 from tests.support.edited_recordings import Contents, write_contents
-from tests.support.sealed import Forger, keyring
+from tests.support.recordings import Forger, keyring
 from tests.tampering.honest_looks import ACCEPTED
 from tests.tampering.kinds import FORGED
 from tests.tampering.sources import recording_for, sources

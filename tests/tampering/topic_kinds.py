@@ -7,8 +7,7 @@ from dataclasses import replace
 
 from robotctl.kernel.modes import Mode
 from robotctl.testing.hearing import BATTERY, ODOMETRY
-from tests.support.heard_drives import COMMANDS, STATUS
-from tests.support.service_calls import ESTOP, SET_MODE, received
+from tests.support.heard_drives import COMMANDS, ESTOP, SET_MODE, STATUS, received
 from tests.tampering.edits import (
     MOTION,
     Kind,

@@ -10,7 +10,7 @@ import socket
 import pytest
 
 from robotctl.view.loop_failures import LoopFailures
-from tests.support.served_view import served
+from tests.support.view_client import served
 from tests.support.waiting import loop_until
 
 

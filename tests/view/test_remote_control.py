@@ -8,8 +8,7 @@ import pytest
 
 from robotctl.view.foxglove_requests import WrongRequest
 from robotctl.view.remote_control import MAX_CALLS, SERVICES, STOP, RemoteControl, velocity_of
-from tests.support.served_view import served
-from tests.support.view_client import view_client
+from tests.support.view_client import served, view_client
 
 NO_DAEMON = "no_daemon_has_this_name"
 

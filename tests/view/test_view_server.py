@@ -20,8 +20,7 @@ from robotctl.view.foxglove_requests import Offer
 from robotctl.view.outbox import MAX_MESSAGES
 from robotctl.view.view_server import MAX_OFFERS, ViewServer
 from robotctl.view.viewer import MAX_REQUEST_BYTES
-from tests.support.served_view import STRING, TOKEN, Served, served
-from tests.support.view_client import ViewClient, view_client
+from tests.support.view_client import STRING, TOKEN, Served, ViewClient, served, view_client
 from tests.support.waiting import loop_until
 
 

@@ -20,7 +20,7 @@ from robotctl.view.admission import Admission
 from robotctl.view.outbox import PIECE_BYTES
 from robotctl.view.view_server import ViewServer
 from robotctl.view.viewer import Viewer
-from tests.support.served_view import STRING, TOKEN, Served, served
+from tests.support.view_client import STRING, TOKEN, Served, served
 from tests.support.waiting import loop_until
 from tests.view.test_view_server import handshake_request
 
