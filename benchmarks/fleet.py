@@ -28,11 +28,11 @@ import duckdb
 from recording.figures import Figure, Round, table
 from recording.heard_drive import record_drive
 
+from robotctl.collection.catalogue import CATALOGUE_NAME
+from robotctl.collection.database import name, text
+from robotctl.collection.index_file import index_path, stamp_of, table_columns, write_index
+from robotctl.collection.indexing import rows_of
 from robotctl.daemon.recording.indexer import INDEX
-from robotctl.fleet.catalogue import CATALOGUE_NAME
-from robotctl.fleet.database import name, text
-from robotctl.fleet.history import rows_of
-from robotctl.fleet.index_file import index_path, stamp_of, table_columns, write_index
 from robotctl.kernel.types import DriveEnded
 from robotctl.processes.jobs import job_command
 from robotctl.recording import Recording, read_journal

@@ -14,10 +14,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from robotctl.processes.child import Child
-    from robotctl.processes.descriptors import pidfd_of, readable_within
-    from robotctl.processes.report_lines import REPORT_OPTION, LineSplitter, report_fd, send_report
-    from robotctl.processes.spawning import program, start
+    from robotctl.processes.child import Child, program, start
+    from robotctl.processes.pipes import (
+        REPORT_OPTION,
+        LineSplitter,
+        pidfd_of,
+        readable_within,
+        report_fd,
+        send_report,
+    )
 
 __all__ = [
     "REPORT_OPTION",
@@ -32,15 +37,15 @@ __all__ = [
 ]
 
 _MODULES = {
-    "REPORT_OPTION": "report_lines",
+    "REPORT_OPTION": "pipes",
     "Child": "child",
-    "LineSplitter": "report_lines",
-    "pidfd_of": "descriptors",
-    "program": "spawning",
-    "readable_within": "descriptors",
-    "report_fd": "report_lines",
-    "send_report": "report_lines",
-    "start": "spawning",
+    "LineSplitter": "pipes",
+    "pidfd_of": "pipes",
+    "program": "child",
+    "readable_within": "pipes",
+    "report_fd": "pipes",
+    "send_report": "pipes",
+    "start": "child",
 }
 """Where each name stands."""
 

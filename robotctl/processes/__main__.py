@@ -17,7 +17,7 @@ from functools import partial  # noqa: E402
 from importlib import import_module  # noqa: E402
 
 from robotctl.errors import RobotctlError  # noqa: E402
-from robotctl.processes.report_lines import report_fd, send_report  # noqa: E402
+from robotctl.processes.pipes import report_fd, send_report  # noqa: E402
 
 
 def main(arguments: list[str]) -> int:

@@ -8,8 +8,7 @@ from collections.abc import AsyncGenerator, Sequence
 from contextlib import aclosing, suppress
 from typing import Any, Final
 
-from robotctl.processes.child import Child
-from robotctl.processes.spawning import program, start
+from robotctl.processes.child import Child, program, start
 
 _END_S: Final = 1.0
 """How long a process may take to end after its last report."""

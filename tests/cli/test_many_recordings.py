@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from robotctl.cli.terminal import text
-from robotctl.fleet.recording_index import index_recording
+from robotctl.collection.indexing import index_recording
 from robotctl.testing.drives import drive, drive_requested, record
 
 pytest.importorskip("duckdb", reason="indexes are an extra: robotctl[parquet]")

@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
+from robotctl.collection.catalogue import stamps_in
+from robotctl.collection.index_file import files_of, index_path, stamp_of
 from robotctl.daemon.recording import indexer as module
 from robotctl.daemon.recording.indexer import Indexer, has_grown
-from robotctl.fleet.index_file import files_of, index_path, stamp_of
-from robotctl.fleet.stamps import stamps_in
 from robotctl.processes import Child, jobs, start
 from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
 from tests.support.waiting import until

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.collection import judgement
+from robotctl.collection.gate import Baseline, GateReport, read_baseline
 from robotctl.errors import ConfigError
-from robotctl.fleet import judgement
-from robotctl.fleet.baseline import Baseline, read_baseline
-from robotctl.fleet.gate import GateReport
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import Effect, Event
 from robotctl.rerun import check_report, rerun

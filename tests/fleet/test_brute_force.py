@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from robotctl.fleet import catalogue as catalogues
-from robotctl.fleet.catalogue import Catalogue, catalogue_of
-from robotctl.fleet.questions import find
-from robotctl.fleet.recording_index import index_recording
+from robotctl.collection import catalogue as catalogues
+from robotctl.collection.catalogue import Catalogue, catalogue_of
+from robotctl.collection.indexing import index_recording
+from robotctl.collection.questions import find
 from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.types import DriveRequested, ModeRequested
 from robotctl.recording import Recorder, Topic

@@ -10,14 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.collection import cluster, judgement
+from robotctl.collection.cluster import Cluster
+from robotctl.collection.content import software_hash
+from robotctl.collection.gate import Baseline, judge_all
+from robotctl.collection.judging import Judged, Judging, ResultStore
 from robotctl.errors import Refused, UsageError
-from robotctl.fleet import cluster, judgement
-from robotctl.fleet.baseline import Baseline
-from robotctl.fleet.cluster import Cluster
-from robotctl.fleet.gate import judge_all
-from robotctl.fleet.judging import Judged, Judging
-from robotctl.fleet.result_store import ResultStore
-from robotctl.fleet.software import software_hash
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report
 from robotctl.testing.drives import drive, record

@@ -10,12 +10,12 @@ from xml.etree import ElementTree
 
 import pytest
 
-from robotctl.fleet import gate as gates
-from robotctl.fleet import judgement, judging
-from robotctl.fleet.jobs import local_processes, results_of
-from robotctl.fleet.judgement import judge
-from robotctl.fleet.junit import junit_text
-from robotctl.fleet.result_store import ResultStore
+from robotctl.collection import gate as gates
+from robotctl.collection import judgement, judging
+from robotctl.collection.gate import junit_text
+from robotctl.collection.jobs import local_processes, results_of
+from robotctl.collection.judgement import judge
+from robotctl.collection.judging import ResultStore
 from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import drive, record
 from tests.support.checked_drives import judged, wrong

@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from robotctl.fleet import result_store
-from robotctl.fleet.judgement import judge
-from robotctl.fleet.result_store import ResultStore
+from robotctl.collection import judging
+from robotctl.collection.judgement import judge
+from robotctl.collection.judging import ResultStore
 from robotctl.testing.drives import drive, record
 from tests.support.checked_drives import judged
 
@@ -67,7 +67,7 @@ DAMAGES: dict[str, Callable[[bytes], bytes]] = {
 def test_a_damaged_result_is_made_again(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
 ) -> None:
-    monkeypatch.setattr(result_store, "MAX_BYTES", 50_000)
+    monkeypatch.setattr(judging, "MAX_BYTES", 50_000)
     results = ResultStore(tmp_path)
     result = results.put(judge(made / NAME, SETTINGS))
     assert results.get(result.key) == result
@@ -84,15 +84,25 @@ def test_a_damaged_result_is_made_again(
 def test_no_thread_meets_a_class_that_is_not_prepared() -> None:
     """Two threads in which msgspec prepares the same class crash Python."""
     program = (
-        "from robotctl.fleet import baseline, change, judgement, result_store\n"
-        "kinds = result_store._Sealed, judgement.Judgement, change.Change, change.DriveChange\n"
-        "kinds += change.Commanded, baseline._File, baseline.Accepted\n"
+        "from robotctl.collection import gate, judgement, judging\n"
+        "kinds = judging._Sealed, judgement.Judgement, judgement.Change, judgement.DriveChange\n"
+        "kinds += judgement.Commanded, gate._File, gate.Accepted\n"
         "print([kind.__name__ for kind in kinds if '__msgspec_cache__' not in vars(kind)])"
     )
     ran = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert ran.stdout == "[]\n"
+
+
+def test_programs_for_the_version_before_still_find_the_gate() -> None:
+    program = (
+        "from robotctl.fleet.baseline import Baseline\n"
+        "from robotctl.fleet.gate import judge_all\n"
+        "from robotctl.fleet.judging import judge_here\n"
+        "from robotctl.fleet.result_store import ResultStore\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_a_run_over_damaged_results_judges_again_and_repairs_them(made: Path) -> None:

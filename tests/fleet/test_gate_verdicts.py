@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.fleet import judgement
-from robotctl.fleet.junit import junit_text
+from robotctl.collection import judgement
+from robotctl.collection.gate import junit_text
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import Effect, Event
 from robotctl.recording.read.source import LocalSource

@@ -13,17 +13,15 @@ from types import SimpleNamespace
 
 import pytest
 
+from robotctl.collection import catalogue as catalogues
+from robotctl.collection import database as databases
+from robotctl.collection.catalogue import CATALOGUE_NAME, catalogue_of, stamps_in
+from robotctl.collection.database import database, parquet, write_parquet
+from robotctl.collection.index_file import files_of, index_path, stamp_of
+from robotctl.collection.indexing import index_recording
+from robotctl.collection.questions import ask, find
 from robotctl.daemon.recording.indexer import INDEX
 from robotctl.errors import Refused
-from robotctl.fleet import catalogue as catalogues
-from robotctl.fleet import database as databases
-from robotctl.fleet import stamps
-from robotctl.fleet.catalogue import CATALOGUE_NAME, catalogue_of
-from robotctl.fleet.database import database, parquet, write_parquet
-from robotctl.fleet.index_file import files_of, index_path, stamp_of
-from robotctl.fleet.questions import ask, find
-from robotctl.fleet.recording_index import index_recording
-from robotctl.fleet.stamps import stamps_in
 from robotctl.processes import start
 from robotctl.processes.jobs import job_command
 from robotctl.recording.format.derived_files import derived_files
@@ -98,7 +96,7 @@ def test_an_index_of_another_layout_is_made_again(
 def test_an_index_with_too_many_rows_is_made_again(
     folder: Path, indexed: list[str], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    monkeypatch.setattr(stamps, "MAX_ROWS", 1000)
+    monkeypatch.setattr(catalogues, "MAX_ROWS", 1000)
     rewritten(
         index_path(folder / NAME),
         f"SELECT one.* FROM (SELECT * FROM here WHERE kind IN ('recording', '{kind}')) AS one, "

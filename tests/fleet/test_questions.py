@@ -14,15 +14,14 @@ from typing import IO, Any
 
 import pytest
 
+from robotctl.collection import catalogue as catalogues
+from robotctl.collection import database as databases
+from robotctl.collection import questions
+from robotctl.collection.catalogue import CATALOGUE_NAME, Catalogue, catalogue_of
+from robotctl.collection.index_file import index_path
+from robotctl.collection.indexing import index_recording
+from robotctl.collection.questions import Answer, ask, find, parse_condition
 from robotctl.errors import Refused, UnreadableFile, UsageError
-from robotctl.fleet import catalogue as catalogues
-from robotctl.fleet import database as databases
-from robotctl.fleet import questions
-from robotctl.fleet.catalogue import CATALOGUE_NAME, Catalogue, catalogue_of
-from robotctl.fleet.condition import parse_condition
-from robotctl.fleet.index_file import index_path
-from robotctl.fleet.questions import Answer, ask, find
-from robotctl.fleet.recording_index import index_recording
 from robotctl.kernel.types import DriveEnded, ModeRequested
 from robotctl.recording import Recorder, Recording, read_journal
 from robotctl.recording.disk.atomic_output import replaced_file

@@ -16,7 +16,7 @@ import pytest
 
 import robotctl
 from robotctl import __version__
-from robotctl.fleet.software import software_hash
+from robotctl.collection.content import software_hash
 from tests.support.checked_drives import make_history
 
 

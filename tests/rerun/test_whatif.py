@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
+from robotctl.collection.index_file import DriveRow
+from robotctl.collection.indexing import rows_of
 from robotctl.config import Config, with_setting
 from robotctl.errors import ConfigError, UnreadableFile, UsageError
-from robotctl.fleet.history import rows_of
-from robotctl.fleet.rows import DriveRow
 from robotctl.kernel.course import Course, Held
 from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
 from robotctl.kernel.modes import Mode

@@ -8,12 +8,10 @@ from functools import partial
 from pathlib import Path
 
 from robotctl import __version__
+from robotctl.collection.gate import Baseline, GateReport, judge_all
+from robotctl.collection.jobs import local_threads
+from robotctl.collection.judging import ResultStore, judge_here
 from robotctl.config import Config
-from robotctl.fleet.baseline import Baseline
-from robotctl.fleet.gate import GateReport, judge_all
-from robotctl.fleet.jobs import local_threads
-from robotctl.fleet.judging import judge_here
-from robotctl.fleet.result_store import ResultStore
 from robotctl.kernel.course import PLAIN, Course, Held
 from robotctl.kernel.fence import FenceParams
 from robotctl.kernel.geometry import Pose

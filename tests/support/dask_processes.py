@@ -17,7 +17,7 @@ from contextlib import contextmanager
 import psutil
 from distributed import Scheduler, Worker
 
-import robotctl.fleet.gate  # noqa: F401 - what workers import for their first job
+import robotctl.collection.gate  # noqa: F401 - what workers import for their first job
 from tests.support.lines import Told, obey, peer_command
 
 _PR_SET_PDEATHSIG = 1

@@ -97,7 +97,7 @@ recording.index: false
 NO_INDEX = ("--ros-args", "-p", "recording.index:=false")
 """For a start with a configuration of its own."""
 
-INDEXING = "robotctl.fleet.recording_index:index_job"
+INDEXING = "robotctl.collection.indexing:index_job"
 
 
 @dataclass(frozen=True, slots=True)

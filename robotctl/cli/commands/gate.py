@@ -20,9 +20,8 @@ from robotctl.cli.terminal.text import short_path
 from robotctl.errors import Divergence, Refused, RobotctlError, UnreadableFile, UsageError
 
 if TYPE_CHECKING:
-    from robotctl.fleet.baseline import Baseline
-    from robotctl.fleet.gate import GateReport
-    from robotctl.fleet.judging import Engine
+    from robotctl.collection.gate import Baseline, GateReport
+    from robotctl.collection.judging import Engine
 
 app = new_app()
 
@@ -88,11 +87,8 @@ def gate(
       robotctl gate --baseline accepted.json --accept "a shorter ramp"
       robotctl gate --in /mnt/recordings --cluster tcp://10.0.0.5:8786
     """
-    from robotctl.fleet.baseline import Baseline, read_baseline
-    from robotctl.fleet.gate import judge_all
-    from robotctl.fleet.judging import judge_here
-    from robotctl.fleet.junit import junit_text
-    from robotctl.fleet.result_store import ResultStore
+    from robotctl.collection.gate import Baseline, judge_all, junit_text, read_baseline
+    from robotctl.collection.judging import ResultStore, judge_here
     from robotctl.rerun.recorded_settings import check_scope, parse_settings
 
     if accept is not None and baseline is None:
@@ -105,7 +101,7 @@ def gate(
     place = folder or recordings_folder(None, None)
     engine: Engine = judge_here
     if cluster is not None:
-        from robotctl.fleet.cluster import Cluster
+        from robotctl.collection.cluster import Cluster
 
         place = place.resolve()  # a worker has another working directory
         engine = Cluster(cluster, place).judge

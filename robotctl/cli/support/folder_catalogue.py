@@ -12,7 +12,7 @@ from robotctl.cli.terminal.progress import progress_bar
 from robotctl.errors import Refused, UsageError
 
 if TYPE_CHECKING:
-    from robotctl.fleet.catalogue import Catalogue
+    from robotctl.collection.catalogue import Catalogue
 
 
 @contextmanager
@@ -23,7 +23,7 @@ def open_catalogue(given: str | None, *, quiet: bool) -> Iterator[tuple[Path, Ca
         UsageError: There is no such folder, or what is needed is not installed.
         Refused: It cannot be listed.
     """
-    from robotctl.fleet.catalogue import catalogue_of
+    from robotctl.collection.catalogue import catalogue_of
 
     place = recordings_folder(None, None) if given is None else recording_path(given)
     if given is not None and not place.is_dir():

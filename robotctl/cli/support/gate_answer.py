@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 from robotctl.cli.terminal.text import elided, row, short_path
 
 if TYPE_CHECKING:
-    from robotctl.fleet.change import Commanded, DriveChange
-    from robotctl.fleet.gate import GateReport
-    from robotctl.fleet.judgement import Judgement
+    from robotctl.collection.gate import GateReport
+    from robotctl.collection.judgement import Commanded, DriveChange, Judgement
 
 MAX_NAMED = 5
 """The number of recordings that are named for each cause, and of drives; --json names all."""

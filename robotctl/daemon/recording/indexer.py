@@ -14,7 +14,7 @@ from robotctl.processes.jobs import JobFailed, job_command, run_job
 
 _log = logging.getLogger(__name__)
 
-INDEX: Final = "robotctl.fleet.recording_index:index_job"
+INDEX: Final = "robotctl.collection.indexing:index_job"
 
 MAX_BYTES: Final = 2_000_000_000
 """A larger recording is indexed when it is asked about, and not on the robot's machine."""

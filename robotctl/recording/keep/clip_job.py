@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from robotctl.errors import Refused
 from robotctl.kernel.units import NS_PER_S
-from robotctl.processes.report_lines import Report
+from robotctl.processes.pipes import Report
 from robotctl.recording.disk.access import is_shared, make_folder
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.keep.catalog import CLIPS_FOLDER

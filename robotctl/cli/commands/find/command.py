@@ -16,7 +16,7 @@ from robotctl.cli.terminal.text import columns, elided, moment, printable, row
 from robotctl.errors import UsageError
 
 if TYPE_CHECKING:
-    from robotctl.fleet.questions import Answer
+    from robotctl.collection.questions import Answer
 
 app = new_app()
 
@@ -107,8 +107,8 @@ def find(
     table = wanted[0] if wanted else "drives"
     if sql is not None and (condition or wanted):
         raise UsageError("--sql is a whole question", "give no condition and no table beside it")
-    from robotctl.fleet.questions import ask
-    from robotctl.fleet.questions import find as find_rows
+    from robotctl.collection.questions import ask
+    from robotctl.collection.questions import find as find_rows
 
     with open_catalogue(folder, quiet=as_json) as (place, catalogue):
         if sql is not None:

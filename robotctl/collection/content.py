@@ -1,4 +1,4 @@
-"""What a check reads of a recording: its files and `metadata.yaml`, by hash and by their marks."""
+"""What a judgement follows from: the content of a recording, and the robotctl that judges."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import hashlib
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+import robotctl
 from robotctl.errors import UnreadableFile
 from robotctl.recording.disk.storage import is_being_written
+from robotctl.recording.format.metadata_names import MADE_BY
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.read.files import recording_files
 from robotctl.regular_file import open_regular
@@ -77,3 +80,22 @@ def _marks(path: Path) -> Iterator[tuple[int, ...]]:
     for file in _files(path):
         status = file.stat()
         yield status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
+
+
+@cache
+def software_hash() -> str:
+    """Return the SHA-256 over all modules of robotctl, its version, Python and the C library.
+
+    A check compares numbers exactly only if the recording was made with the same Python and C
+    library.
+    """
+    package = Path(robotctl.__file__).parent
+    digest = hashlib.sha256(f"{robotctl.__version__}\n{MADE_BY}\n".encode())
+    for path in sorted(package.rglob("*.py")):
+        digest.update(f"{path.relative_to(package)}\n".encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def software_name() -> str:
+    """Return the same for people."""
+    return f"robotctl {robotctl.__version__} on {MADE_BY}"

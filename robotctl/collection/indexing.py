@@ -1,4 +1,4 @@
-"""Reads the rows of a recording from its journal, its events and its counts."""
+"""Indexes one recording: reads its rows from its journal, events and counts, and its verdicts."""
 
 from __future__ import annotations
 
@@ -6,9 +6,22 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from math import isfinite
 from pathlib import Path
+from typing import Any, Final
 
-from robotctl.errors import UnreadableFile
-from robotctl.fleet.rows import DriveRow, EventRow, IndexRow, RecordingRow, SampleRow, TopicRow
+from robotctl.collection.index_file import (
+    DriveRow,
+    EventRow,
+    IndexRow,
+    RecordingRow,
+    SampleRow,
+    TopicRow,
+    closed_files,
+    files_of,
+    index_path,
+    stamp_of,
+    write_index,
+)
+from robotctl.errors import RobotctlError, UnreadableFile
 from robotctl.kernel.codec import to_json
 from robotctl.kernel.finite import finite_or_none
 from robotctl.kernel.kernel import Kernel
@@ -24,11 +37,14 @@ from robotctl.kernel.types import (
     Tick,
 )
 from robotctl.kernel.units import NS_PER_S
+from robotctl.processes.pipes import Report
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.format.metadata_names import INFO_RECORD, OWN_LIBRARY, SOFTWARE_RECORD
 from robotctl.recording.read.journal_reader import read_journal
+from robotctl.recording.read.verified import verify_recording
+from robotctl.rerun.check import check_recording
 from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import decide, read_effect, read_event, read_snapshot
 
@@ -262,3 +278,41 @@ class _History:
 def _rounded(value: float) -> float | None:
     """Return a sample to 0.1 mm or 0.1 mrad, which takes a third less in a file; None for inf."""
     return round(value, 4) if isfinite(value) else None
+
+
+NOT_CHECKED: Final = "not checked"
+"""The verdicts of a recording that goes on: it is checked and verified when it is complete."""
+
+
+def index_recording(recording: Path) -> str:
+    """Write the index of a recording, with its verdicts; return why that failed, or "".
+
+    Of a recording that goes on, the closed files are indexed. It runs in another process, so that
+    it returns its error as a text.
+    """
+    try:
+        files = files_of(recording)
+        closed = closed_files(files)
+        stamp = stamp_of(closed)
+        if len(closed) < len(files):
+            rows = rows_of(recording, NOT_CHECKED, None, NOT_CHECKED, closed)
+        else:
+            verify = verify_recording(recording).proof.value
+            report = check_recording(recording)
+            says = [each.text for each in report.violations] + report.missing
+            rows = rows_of(recording, report.verdict.value, says[0] if says else None, verify)
+        write_index(index_path(recording), recording.name, rows, stamp)
+    except (RobotctlError, OSError) as error:
+        return str(error)
+    return ""
+
+
+def index_job(given: dict[str, Any], report: Report) -> None:
+    """Index the recording of a job in a process of its own.
+
+    Raises:
+        RobotctlError: It was not indexed.
+    """
+    failure = index_recording(Path(given["recording"]))
+    if failure:
+        raise RobotctlError(failure)

@@ -16,14 +16,14 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from robotctl.collection.content import software_hash, software_name
+from robotctl.collection.jobs import Done
+from robotctl.collection.judging import Answers, Judged, Judging, ResultStore
 from robotctl.errors import IN_PARENTHESES, Refused, RobotctlError, UsageError
-from robotctl.fleet.jobs import Done
-from robotctl.fleet.judging import Answers, Judged, Judging
-from robotctl.fleet.result_store import ResultStore
-from robotctl.fleet.software import software_hash, software_name
 
 if TYPE_CHECKING:
     from distributed import Client
+
 
 CONNECT_S: Final = 10.0
 """How long the gate waits for a scheduler at first."""

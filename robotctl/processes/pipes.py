@@ -1,14 +1,15 @@
-"""Pipes between processes, and waiting until a file descriptor can be read."""
+"""Pipes between processes, and the reports on them: JSON objects, one per line."""
 
 from __future__ import annotations
 
 import errno
 import fcntl
+import json
 import os
 import select
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Final
+from typing import Any, Final
 
 _FIRST_FREE_FD: Final = 10
 """The lowest number for our ends of the pipes. It is above the descriptors of the child, so that
@@ -67,3 +68,55 @@ def readable_within(descriptor: int, seconds: float) -> bool:
     poll = select.poll()
     poll.register(descriptor, select.POLLIN)
     return bool(poll.poll(max(0, int(seconds * 1000))))
+
+
+REPORT_OPTION: Final = "--report-fd"
+
+Report = Callable[[dict[str, Any]], None]
+"""Sends a report of a job; raises BrokenPipeError if the process that started it has ended."""
+
+
+class LineSplitter:
+    """A splitter of a byte stream into lines; an incomplete line waits for the next piece."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, piece: bytes) -> list[bytes]:
+        """Return the lines that this piece completes."""
+        *whole, self._rest = (self._rest + piece).split(b"\n")
+        return whole
+
+
+def report_fd(arguments: Sequence[str]) -> int:
+    """Return, in a child, the descriptor for reports; call it after any restart of the process.
+
+    Raises:
+        SystemExit: The process was not started by robotctl.
+    """
+    *_, option, text = ("", "", *arguments)
+    if option != REPORT_OPTION or not text.isdecimal():
+        raise SystemExit(f"this is started by robotctl, with {REPORT_OPTION}")
+    os.set_inheritable(int(text), False)
+    return int(text)
+
+
+def send_report(descriptor: int, report: dict[str, Any]) -> None:
+    """Send a report to the process that started this one.
+
+    Raises:
+        BrokenPipeError: That process has closed the pipe.
+    """
+    write_whole(descriptor, f"{json.dumps(report)}\n".encode())
+
+
+def decoded(line: bytes) -> dict[str, Any]:
+    """Return the report of a line.
+
+    Raises:
+        ValueError: The line is not a JSON object.
+    """
+    report = json.loads(line)
+    if not isinstance(report, dict):
+        raise ValueError(f"not a JSON object: {line[:80]!r}")
+    return report

@@ -18,6 +18,7 @@ from robotctl.recording.disk.atomic_output import replaced_file
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
+
 READING: Final = "120MB"
 """What a question may take; the process needs 60 MB beside it."""
 

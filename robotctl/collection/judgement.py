@@ -1,0 +1,411 @@
+"""The judgement of one recording by this robotctl: a pure function of its bytes and parameters."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final, Generic, Literal, TypeVar
+
+import msgspec
+
+from robotctl import __version__
+from robotctl.collection.content import Content, read_content, software_hash
+from robotctl.errors import ConfigError, UnreadableFile
+from robotctl.recording.read.read_failures import noted_read_failures
+from robotctl.rerun.check import check_recording
+from robotctl.rerun.check_report import Divergence, Report, rounded
+from robotctl.rerun.whatif import what_if
+
+Kind = TypeVar("Kind")
+
+
+class Typed(Generic[Kind]):
+    """Turns plain values into one class. Make it when a module is imported.
+
+    msgspec prepares a class when it first meets it; two threads that do so at once crash Python.
+    """
+
+    def __init__(self, kind: type[Kind]) -> None:
+        self._kind = kind
+        msgspec.json.Decoder(kind)  # prepares it
+
+    def __call__(self, value: Any) -> Kind:
+        """Return the value as an object of the class.
+
+        Raises:
+            ValueError: It is none.
+        """
+        try:
+            return msgspec.convert(value, self._kind)
+        except (msgspec.ValidationError, RecursionError) as error:
+            raise ValueError(str(error)) from error
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """A number with the recorded parameters, and with the other ones."""
+
+    recorded: float
+    what_if: float
+
+
+@dataclass(frozen=True, slots=True)
+class Apart:
+    """How far the commands are apart; `max_after_s` is None if they are equal."""
+
+    rms: float
+    max: float
+    max_after_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class FirstDifference:
+    """The first event on which both kernels decide differently."""
+
+    after_s: float
+    event: str
+    recorded: tuple[str, ...]
+    what_if: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """The first event at which only the kernel with other parameters could not go on."""
+
+    after_s: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class OtherAnswer:
+    """A request that gets another answer."""
+
+    after_s: float
+    request_id: int
+    recorded: str
+    what_if: str
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What the robot did in a drive, under the recorded commands; None is not known."""
+
+    laps: int
+    distance_m: float | None
+    rms_error_m: float | None
+    max_error_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Commanded:
+    """What one kernel decided in a drive; the last five are None before its end."""
+
+    modes_s: dict[str, float]
+    commanded_m: float
+    max_linear_mps: float
+    max_angular_rps: float
+    duration_s: float | None
+    completed: bool | None
+    ended: str | None
+    cause: str | None
+    end_mode: str | None
+
+    @property
+    def end(self) -> tuple[bool | None, str | None, str | None]:
+        """How it ends, without the numbers of the reason."""
+        return self.completed, self.cause, self.end_mode
+
+
+@dataclass(frozen=True, slots=True)
+class DriveChange:
+    """A drive with both parameters; a side is None where the drive did not begin."""
+
+    drive: int
+    request_id: int
+    after_s: float
+    measured: Measured | None
+    recorded: Commanded | None
+    what_if: Commanded | None
+
+    @property
+    def ends_otherwise(self) -> bool:
+        """Whether only one of both begins it, or it has another cause or mode at its end."""
+        mine, theirs = self.recorded, self.what_if
+        return mine is None or theirs is None or mine.end != theirs.end
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What other parameters change in one recording; the robot does not react to them."""
+
+    duration_s: float
+    settings: dict[str, dict[str, Any]]
+    ticks: int
+    linear_mps: Apart
+    angular_rps: Apart
+    modes_s: dict[str, Pair]
+    mode_differs_s: float
+    first_difference: FirstDifference | None
+    failure: Failure | None
+    drives: tuple[DriveChange, ...]
+    no_drive: dict[str, str]
+    answers: tuple[OtherAnswer, ...]
+    answer_count: int
+    missing: tuple[str, ...]
+
+    @property
+    def differs(self) -> bool:
+        """Whether modes or answers change, not only velocities, or the kernel fails."""
+        return bool(self.mode_differs_s or self.answer_count or self.failure)
+
+
+@dataclass(frozen=True, slots=True)
+class Totals:
+    """The numbers of all drives in many recordings."""
+
+    drives: int
+    end_otherwise: int
+    modes_s: dict[str, Pair]
+    """Of the whole recordings, not only of their drives."""
+
+    commanded_m: Pair
+    max_linear_mps: Pair
+    max_angular_rps: Pair
+
+
+_change = Typed(Change)
+
+
+def change_of(found: Mapping[str, Any]) -> Change:
+    """Return the object of `replay --what-if` with its types."""
+    return _change(found)
+
+
+def totals_of(changes: Iterable[Change]) -> Totals:
+    """Return the totals of some recordings."""
+    all_changes = list(changes)
+    drives = [drive for change in all_changes for drive in change.drives]
+    before = [each.recorded for each in drives if each.recorded is not None]
+    after = [each.what_if for each in drives if each.what_if is not None]
+    modes = dict.fromkeys(mode for change in all_changes for mode in change.modes_s)
+    linear = [_largest(each.max_linear_mps for each in side) for side in (before, after)]
+    angular = [_largest(each.max_angular_rps for each in side) for side in (before, after)]
+    return Totals(
+        drives=len(drives),
+        end_otherwise=sum(each.ends_otherwise for each in drives),
+        modes_s={
+            mode: Pair(
+                sum(each.modes_s[mode].recorded for each in all_changes if mode in each.modes_s),
+                sum(each.modes_s[mode].what_if for each in all_changes if mode in each.modes_s),
+            )
+            for mode in modes
+        },
+        commanded_m=Pair(*(sum(each.commanded_m for each in side) for side in (before, after))),
+        max_linear_mps=Pair(*linear),
+        max_angular_rps=Pair(*angular),
+    )
+
+
+def _largest(numbers: Iterable[float]) -> float:
+    return max(numbers, default=0.0)
+
+
+_OTHER_RULES = re.compile(r"decided by the rules of another version \([^)]*\): ")
+
+
+def outcome_of(
+    path: Path | None,
+    verdict: str,
+    says: str,
+    settings: Mapping[str, str],
+    report: Report | None,
+    other: Change | None,
+) -> str:
+    """Return the SHA-256 over a verdict, all that the check has found, and what settings change.
+
+    Where the recording lies and which version finds the same make no difference.
+    """
+    found = None if report is None else report.divergence
+    parts = {
+        "verdict": verdict,
+        "says": _OTHER_RULES.sub("", says) if found is None else "",
+        "settings": dict(settings),
+        "divergence": None
+        if found is None
+        else [found.seq, found.event, found.recorded, found.decided, *found.differences],
+        "divergences": None if report is None else [report.divergences, report.divergences_crc],
+        "violations": [] if report is None else [each.text for each in report.violations],
+        "violation_count": 0 if report is None else report.violation_count,
+        "missing": [] if report is None else _missing(report),
+        "other": None if other is None else asdict(other),
+    }
+    text = json.dumps(parts, sort_keys=True)
+    if path is not None:
+        text = text.replace(json.dumps(str(path))[1:-1], path.name)
+    return hashlib.sha256(rounded(text).encode()).hexdigest()
+
+
+def _missing(report: Report) -> list[str]:
+    """Return what could not be checked; for another version the report counts a divergence, too."""
+    found = "" if report.divergence is None else report.divergence.sentence()
+    sentences = [_OTHER_RULES.sub("", each) for each in report.missing]
+    return [each for each in sentences if each != found]
+
+
+VerdictName = Literal["diverged", "broken", "crashed", "incomplete", "unfit", "unreadable", "same"]
+"""Those of `replay --check`, and three more; the most severe first.
+
+In the gate a recording is `diverged` whatever version recorded it. `crashed` is one at which
+robotctl itself fails, `unfit` one whose parameters do not fit together with the other ones, and
+`unreadable` one from which other parameters can decide nothing.
+"""
+
+VERDICTS: Final[tuple[VerdictName, ...]] = VerdictName.__args__  # type: ignore[attr-defined]
+
+FAILED: Final = ("diverged", "broken", "crashed")
+"""The verdicts that close the gate; with other parameters also a change of modes or answers."""
+
+UNKNOWN: Final = ("incomplete", "unfit", "unreadable")
+
+_NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What the gate knows of one recording.
+
+    `recording` is the SHA-256 of its files and `software` that of robotctl. `says` is the first
+    sentence about what is wrong, `cause` the same without its numbers, "" if all is the same, and
+    `outcome` the SHA-256 over all that is wrong and changed. `other` is what other parameters
+    change, where they were asked for.
+    """
+
+    recording: str
+    software: str
+    settings: dict[str, str]
+    verdict: VerdictName
+    cause: str
+    says: str
+    outcome: str
+    other: Change | None
+
+    @property
+    def key(self) -> str:
+        """The name of this result: the same bytes, software and parameters give the same."""
+        return key_of(self.recording, self.settings)
+
+    @property
+    def differs(self) -> bool:
+        """Whether other parameters change modes or answers, not only velocities."""
+        return self.other is not None and self.other.differs
+
+    def as_object(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        return asdict(self)
+
+
+def judge(path: Path, settings: Mapping[str, str], content: Content | None = None) -> Judgement:
+    """Decide a recording again, and with other parameters if there are settings.
+
+    `content` is given if it was read before.
+
+    Raises:
+        OSError: A file cannot be read, also not a part of it.
+        UnreadableFile: There are no files, or a process writes or has changed them.
+    """
+    content = content or read_content(path)
+    with noted_read_failures() as failures:
+        report, verdict, says, other = _checked(path, settings)
+    content.check(path)
+    if failures:
+        raise UnreadableFile(failures[0])
+    return Judgement(
+        recording=content.digest,
+        software=software_hash(),
+        settings=dict(settings),
+        verdict=verdict,
+        cause=_cause(says),
+        says=says,
+        outcome=outcome_of(path, verdict, says, settings, report, other),
+        other=other,
+    )
+
+
+def crashed(content: Content, settings: Mapping[str, str], error: Exception) -> Judgement:
+    """Return the judgement of a recording at which robotctl itself fails."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    where = "" if trace is None else f" in {Path(trace.tb_frame.f_code.co_filename).name}"
+    line = "" if trace is None else f", line {trace.tb_lineno}"
+    says = f"robotctl failed{where}{line}: {type(error).__name__}: {error}"[:400]
+    return Judgement(
+        recording=content.digest,
+        software=software_hash(),
+        settings=dict(settings),
+        verdict="crashed",
+        cause=_cause(says),
+        says=says,
+        outcome=outcome_of(None, "crashed", says, settings, None, None),
+        other=None,
+    )
+
+
+def key_of(recording: str, settings: Mapping[str, str]) -> str:
+    """Return the name of the result for a recording, by its hash, and settings."""
+    parts = [recording, software_hash(), *(f"{key}={settings[key]}" for key in sorted(settings))]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _checked(
+    path: Path, settings: Mapping[str, str]
+) -> tuple[Report | None, VerdictName, str, Change | None]:
+    """Return report, verdict, first sentence and what other parameters change."""
+    try:
+        report = check_recording(path)
+    except UnreadableFile as error:
+        return None, "unreadable", str(error), None
+    verdict, says = _verdict(report)
+    if not settings:
+        return report, verdict, says, None
+    try:
+        other = change_of(what_if(path, settings))
+    except ConfigError as error:
+        problem: tuple[VerdictName, str] = "unfit", f"the parameters do not fit: {error}"
+    except UnreadableFile as error:
+        problem = "unreadable", str(error)
+    else:
+        if verdict == "same" and other.missing:
+            return report, "incomplete", other.missing[0], other
+        return report, verdict, says, other
+    return (report, verdict, says, None) if verdict in FAILED else (report, *problem, None)
+
+
+def _verdict(report: Report) -> tuple[VerdictName, str]:
+    """Return the verdict in the gate and the first sentence about what is wrong."""
+    if (found := report.divergence) is not None:
+        other = "" if report.version == __version__ else report.version or "another version"
+        by = f" (recorded by {other})" if other else ""
+        event = found.event.partition(" ")[0]
+        return "diverged", f"after {event} at entry {found.seq}: {_difference(found)}{by}"
+    verdict: VerdictName = report.verdict.value
+    if report.violations:
+        return verdict, report.violations[0].text
+    return verdict, report.missing[0] if report.missing else ""
+
+
+def _difference(found: Divergence) -> str:
+    if found.differences:
+        return "; ".join(found.differences)
+    name, _, fields = found.decided.partition(" ")
+    if name and not fields.startswith("{"):  # no effect, but what the kernel raised
+        return f"the kernel fails: {name}: {fields[:200]}"
+    return f"{name or 'nothing'} was decided"
+
+
+def _cause(sentence: str) -> str:
+    return _NUMBER.sub("N", sentence)[:200]

@@ -1,0 +1,251 @@
+"""Judges one recording, unless a folder has its result: the work of one job, on any machine."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+from uuid import uuid4
+
+from robotctl.collection.content import (
+    BeingWritten,
+    Content,
+    read_content,
+    software_hash,
+    software_name,
+)
+from robotctl.collection.jobs import Done, Processes, local_processes, local_threads, results_of
+from robotctl.collection.judgement import Judgement, Typed, crashed, judge, key_of
+from robotctl.errors import Refused, RobotctlError, UnreadableFile
+from robotctl.regular_file import open_regular
+from robotctl.store import StoreError
+from robotctl.store.folder_store import FolderStore
+
+MAX_BYTES: Final = 64 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class _Sealed:
+    """A result as it is stored, with the SHA-256 of its JSON."""
+
+    sha256: str
+    result: dict[str, Any]
+
+
+_sealed_result, _judgement = Typed(_Sealed), Typed(Judgement)
+
+
+class ResultStore:
+    """The results in a folder; several gates may use them at once.
+
+    It can be sent to another machine, which then reads and writes the same results.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder).absolute()
+        self._store = FolderStore(self.folder)
+
+    def __str__(self) -> str:
+        """Return the folder."""
+        return str(self.folder)
+
+    def get(self, key: str) -> Judgement | None:
+        """Return the result of that name, None if there is none, or a damaged one.
+
+        Raises:
+            Refused: It cannot be read.
+        """
+        try:
+            with open_regular(self.folder / _name(key)) as file:
+                data = file.read(MAX_BYTES + 1)
+            if len(data) > MAX_BYTES:
+                return None
+            result = _opened(data)
+        except (FileNotFoundError, ValueError):
+            return None
+        except OSError as error:
+            raise Refused(f"cannot read results: {error}") from error
+        return result if result.key == key else None
+
+    def put(self, result: Judgement) -> Judgement:
+        """Store a result unless there is one of its name; return the one that is stored.
+
+        Raises:
+            Refused: The store cannot be written.
+        """
+        name, data = _name(result.key), _sealed(result)
+        try:
+            if self._store.put_if_absent(name, [data]):
+                return result
+            if (stored := self.get(result.key)) is not None:
+                return stored
+            self._store.put(name, [data])  # it was damaged
+        except StoreError as error:
+            raise Refused(f"cannot write results: {error.cause}", error.cure) from error
+        return result
+
+    def put_token(self) -> str:
+        """Store an object by which others see that they use the same results; return its name.
+
+        Raises:
+            Refused: The store cannot be written.
+        """
+        name = f"{uuid4().hex}.token"
+        try:
+            self._store.put(name, [name.encode()])
+        except StoreError as error:
+            raise Refused(f"cannot write results: {error.cause}", error.cure) from error
+        return name
+
+    def has_token(self, name: str) -> bool:
+        """Return whether a token is there."""
+        return (self.folder / name).is_file()
+
+    def remove_token(self, name: str) -> None:
+        """Remove a token.
+
+        Raises:
+            Refused: The folder cannot be written.
+        """
+        try:
+            (self.folder / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise Refused(f"cannot write results: {error}") from error
+
+
+def _sealed(result: Judgement) -> bytes:
+    sealed = result.as_object()
+    return json.dumps({"sha256": _hash(sealed), "result": sealed}).encode()
+
+
+def _opened(data: bytes) -> Judgement:
+    """Return the result in an object.
+
+    Raises:
+        ValueError: It is damaged.
+    """
+    try:
+        found = _sealed_result(json.loads(data))
+        if _hash(found.result) != found.sha256:
+            raise ValueError("it was changed")
+        return _judgement(found.result)
+    except RecursionError as error:
+        raise ValueError(str(error)) from error
+
+
+def _hash(result: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(result, sort_keys=True).encode()).hexdigest()
+
+
+def _name(key: str) -> str:
+    return f"{key}.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """The answer of a job: a judgement, and whether the store had it; or what is in the way.
+
+    A recording that is `live` is still being written, and left out.
+    """
+
+    judgement: Judgement | None
+    was_stored: bool = False
+    problem: str = ""
+    live: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Judging:
+    """What the jobs of a gate have in common; it can be sent to another process or machine."""
+
+    settings: dict[str, str]
+    store: ResultStore
+    software: str
+    """The hash of the robotctl that asks: a result of another one is none."""
+
+    def judged(self, path: Path) -> Judged:
+        """Return the stored result, else judge the recording and store the result.
+
+        A recording at which robotctl itself fails is judged, but not stored: the failure may come
+        from what is installed here.
+
+        Raises:
+            Refused: The robotctl of this process is another one, or the result cannot be stored.
+        """
+        if software_hash() != self.software:
+            raise Refused(
+                f"{platform.node()} has another robotctl ({software_name()}) than the gate",
+                "give both the same, and start the workers again",
+            )
+        try:
+            content = read_content(path)
+            if (known := self._get(content)) is not None:
+                return known
+            try:
+                found = judge(path, self.settings, content)
+            except (OSError, UnreadableFile, MemoryError):
+                raise
+            except RobotctlError as error:  # what is installed here cannot read it
+                return Judged(None, problem=f"{platform.node()}: {error}")
+            except Exception as error:  # noqa: BLE001 - a bug of the kernel may raise anything
+                content.check(path)
+                return Judged(crashed(content, self.settings, error))
+        except (OSError, UnreadableFile, MemoryError) as error:
+            return _unread(error)
+        return Judged(self.store.put(found))
+
+    def stored(self, path: Path) -> Judged | None:
+        """Return the result if it is stored, or why the recording cannot be read.
+
+        Raises:
+            Refused: The store cannot be read.
+        """
+        try:
+            return self._get(read_content(path))
+        except (OSError, UnreadableFile) as error:
+            return _unread(error)
+
+    def _get(self, content: Content) -> Judged | None:
+        known = self.store.get(key_of(content.digest, self.settings))
+        return None if known is None else Judged(known, was_stored=True)
+
+
+Answers = Iterator[tuple[Path, Judged | None]]
+"""Each recording with its answer, in any order; None where the process was killed."""
+
+Engine = Callable[[Judging, Sequence[Path], Done], Answers]
+"""Does the jobs of a gate."""
+
+
+def judge_here(
+    judging: Judging,
+    recordings: Sequence[Path],
+    on_progress: Done,
+    processes: Processes = local_processes,
+) -> Answers:
+    """Do the jobs on this machine; no process is started for what is stored."""
+    new: list[Path] = []
+    done = 0
+    for path, known in results_of(judging.stored, recordings, local_threads):
+        if known is None:
+            new.append(path)
+        else:
+            done += 1
+            on_progress(done, len(recordings))
+            yield path, known
+
+    def tell(more: int, _: int) -> None:
+        on_progress(done + more, len(recordings))
+
+    yield from results_of(judging.judged, new, processes, tell)
+
+
+def _unread(error: OSError | UnreadableFile | MemoryError) -> Judged:
+    if isinstance(error, BeingWritten):
+        return Judged(None, problem=str(error), live=True)
+    said = (error.strerror if isinstance(error, OSError) else "") or str(error) or "no memory"
+    return Judged(None, problem=f"{platform.node()} cannot read it: {said}")
