@@ -20,7 +20,7 @@ from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.processes import Child, LineSplitter, program, readable_within, start
 from robotctl.processes.jobs import job_command
 from robotctl.recording import read_info
-from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.rerun.check_many import check_recordings
 from robotctl.testing.drives import drive, record

@@ -25,7 +25,7 @@ from robotctl.collection.index_file import (
 )
 from robotctl.errors import Refused
 from robotctl.printable import printable
-from robotctl.recording.format.derived_files import INDEX_FILE
+from robotctl.recording.format.names import INDEX_FILE
 from robotctl.regular_file import open_regular
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, cast
 import robotctl
 from robotctl.errors import UnreadableFile
 from robotctl.recording.disk.storage import is_being_written
-from robotctl.recording.format.metadata_names import MADE_BY
+from robotctl.recording.format.names import MADE_BY
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.read.files import recording_files
 from robotctl.regular_file import open_regular

@@ -19,8 +19,7 @@ from typing import Any, ClassVar, Final
 from robotctl.collection.database import file_of, name, text, write_parquet
 from robotctl.errors import Refused
 from robotctl.recording.disk.storage import is_being_written
-from robotctl.recording.format.derived_files import INDEX_FILE
-from robotctl.recording.format.natural_order import natural_order
+from robotctl.recording.format.names import INDEX_FILE, natural_order
 from robotctl.recording.format.rosbag2 import entries_of
 from robotctl.store import is_hash
 

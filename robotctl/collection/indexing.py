@@ -40,8 +40,8 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.processes.pipes import Report
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
-from robotctl.recording.format.ledger_record import read_ledger
-from robotctl.recording.format.metadata_names import INFO_RECORD, OWN_LIBRARY, SOFTWARE_RECORD
+from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY, SOFTWARE_RECORD
+from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.read.journal_reader import read_journal
 from robotctl.recording.read.verified import verify_recording
 from robotctl.rerun.check import check_recording

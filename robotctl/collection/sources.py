@@ -23,8 +23,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.printable import printable
 from robotctl.recording.disk.access import reason_of
 from robotctl.recording.disk.storage import is_locked
-from robotctl.recording.format.derived_files import INDEX_FILE
-from robotctl.recording.format.natural_order import natural_order
+from robotctl.recording.format.names import INDEX_FILE, natural_order
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.keep.catalog import CLIPS_FOLDER, is_own

@@ -19,7 +19,7 @@ from robotctl.kernel.fence import corners_of
 from robotctl.kernel.parameters import Leaf, conflict, leaves, value_at, with_value
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.ranges import Change, Range, bounded, setting
-from robotctl.recording.format.compression import Compression
+from robotctl.recording.format.names import Compression
 from robotctl.sim.robot import SimParams
 
 

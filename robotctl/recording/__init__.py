@@ -10,9 +10,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from robotctl.recording.format.compression import Compression
-    from robotctl.recording.format.event_kind import EventKind
     from robotctl.recording.format.journal import EntryKind, JournalEntry
+    from robotctl.recording.format.names import Compression, EventKind
     from robotctl.recording.format.recorded_events import RecordedEvent
     from robotctl.recording.format.topics import Topic, TopicStats
     from robotctl.recording.keep.clip import Clip, Moment, cut_clip
@@ -60,9 +59,8 @@ __all__ = [
 ]
 
 _NAMES_OF_MODULE = {
-    "format.compression": ("Compression",),
-    "format.event_kind": ("EventKind",),
     "format.journal": ("EntryKind", "JournalEntry"),
+    "format.names": ("Compression", "EventKind"),
     "format.recorded_events": ("RecordedEvent",),
     "format.topics": ("Topic", "TopicStats"),
     "keep.clip": ("Clip", "Moment", "cut_clip"),

@@ -12,7 +12,7 @@ from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
-from robotctl.recording.format.metadata_names import INFO_RECORD, OWN_LIBRARY
+from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY
 from robotctl.recording.read.files import recording_files
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic, journal_topics
 from robotctl.recording.read.messages import Message

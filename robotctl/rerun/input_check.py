@@ -22,7 +22,7 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.recording import RecordingInfo
-from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message

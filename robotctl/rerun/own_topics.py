@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.journal import TOPIC
-from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.read.messages import Message
 from robotctl.recording.write.recorder_options import TopicFilter
 

@@ -8,7 +8,7 @@ from dataclasses import fields
 from robotctl.config import Config, check_together, with_text
 from robotctl.errors import ConfigError, UsageError
 from robotctl.recording import RecordingInfo
-from robotctl.recording.format.metadata_names import INFO_RECORD, PARAMETER_PREFIX
+from robotctl.recording.format.names import INFO_RECORD, PARAMETER_PREFIX
 
 """The prefix of configuration keys in the metadata of a recording."""
 

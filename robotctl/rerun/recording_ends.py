@@ -16,10 +16,9 @@ from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.kernel.types import Cause
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
-from robotctl.recording.format.ledger_record import read_ledger
-from robotctl.recording.format.metadata_names import CLIP_RECORD, INFO_RECORD
-from robotctl.recording.format.natural_order import natural_order
-from robotctl.recording.format.type_names import type_name_of
+from robotctl.recording.format.names import CLIP_RECORD, INFO_RECORD, natural_order
+from robotctl.recording.format.records import type_name_of
+from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.read.journal_reader import own_journal_topic
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report

@@ -17,7 +17,7 @@ from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import Decision, Effect, Event
 from robotctl.recording.format.journal import JournalEntry
-from robotctl.recording.format.metadata_names import MADE_BY
+from robotctl.recording.format.names import MADE_BY
 from robotctl.rerun.check_report import Divergence
 from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import (

@@ -19,7 +19,7 @@ from robotctl.kernel.safety_inputs import REPEATS_PER_TIMEOUT, SafetyInput, Safe
 from robotctl.kernel.types import Event, SafetyInputReceived
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import RecordingInfo
-from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message

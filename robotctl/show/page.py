@@ -16,8 +16,8 @@ from typing import Final
 from robotctl import __version__
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import TopicInfo
-from robotctl.recording.format.ledger_record import read_ledger
-from robotctl.recording.format.metadata_names import INFO_RECORD, PARAMETER_PREFIX
+from robotctl.recording.format.names import INFO_RECORD, PARAMETER_PREFIX
+from robotctl.recording.format.topics import read_ledger
 from robotctl.show.page_plots import cursor_data, path_plot, time_plots
 from robotctl.show.svg import Content, Markup, joined, plain, tag
 from robotctl.show.traces import (

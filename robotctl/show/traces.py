@@ -35,11 +35,10 @@ from robotctl.kernel.types import (
 )
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo, TopicInfo
-from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.journal import EntryKind, JournalEntry
-from robotctl.recording.format.ledger_record import read_ledger
-from robotctl.recording.format.metadata_names import OWN_LIBRARY
-from robotctl.recording.format.noted_events import NOTED_MODES
+from robotctl.recording.format.names import OWN_LIBRARY, EventKind
+from robotctl.recording.format.recorded_events import NOTED_MODES
+from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
 from robotctl.recording.read.messages import Message

@@ -12,7 +12,7 @@ import pytest
 
 from robotctl.paths import recordings_note_path
 from robotctl.recording import Recorder, read_info
-from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.testing.drives import START_NS, TWIST
 from tests.support.recordings import number_of, read_strictly, write_numbered

@@ -25,7 +25,7 @@ from robotctl.decisions.log import DecisionLog
 from robotctl.kernel.units import DAY_S, NS_PER_S
 from robotctl.paths import make_private, seal_folder
 from robotctl.recording import Recorder, RecorderOptions, Topic, read_info
-from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.seal.keyring import Keyring
 
 Cli = Callable[..., Any]

@@ -12,7 +12,7 @@ import pytest
 from robotctl.cli.terminal import text
 from robotctl.paths import recordings_note_path
 from robotctl.recording import Recorder, Topic
-from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import ERRORS, RecordedEvent
 from robotctl.testing.drives import START_NS, TWIST
 from tests.support.recordings import read_strictly, write_numbered

@@ -17,7 +17,7 @@ from robotctl.daemon.recording.black_box import DEFAULT_LIMITS, BlackBox, ClipLi
 from robotctl.kernel.units import NS_PER_S
 from robotctl.processes import start
 from robotctl.recording import Recorder
-from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob

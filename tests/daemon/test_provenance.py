@@ -16,7 +16,7 @@ from robotctl.daemon.recording.provenance import provenance, revision, revision_
 from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.daemon.recording.software import CONTROL_PATH, DIGEST, software
 from robotctl.recording import read_info
-from robotctl.recording.format.metadata_names import FOXGLOVE_RECORD, SOFTWARE_RECORD
+from robotctl.recording.format.names import FOXGLOVE_RECORD, SOFTWARE_RECORD
 
 
 def git(folder: Path, *arguments: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from robotctl.recording import Recording
-from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.names import INFO_RECORD
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
 from tests.support.world import Peer, new_world

@@ -13,8 +13,7 @@ from robotctl.daemon.recording import topic_rows
 from robotctl.daemon.recording.topic_rows import TopicRows
 from robotctl.ipc.answers import TopicAnswer
 from robotctl.recording import Recorder, Topic
-from robotctl.recording.format.message_counts import COUNTERS
-from robotctl.recording.format.topics import LATCHED_QOS, TopicStats, total
+from robotctl.recording.format.topics import COUNTERS, LATCHED_QOS, TopicStats, total
 from robotctl.recording.write.bag_writer import repeats
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.recorder import CountsOfTopics

@@ -24,7 +24,7 @@ from robotctl.daemon.recording.indexer import INDEX
 from robotctl.errors import Refused
 from robotctl.processes import start
 from robotctl.processes.jobs import job_command
-from robotctl.recording.format.derived_files import derived_files
+from robotctl.recording.format.names import derived_files
 from robotctl.testing.drives import drive, record
 
 pytest.importorskip("duckdb", reason="indexes are an extra: robotctl[parquet]")

@@ -14,9 +14,9 @@ from robotctl.cli import app
 from robotctl.config import Config
 from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.recording import Recording, read_info, read_messages
-from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.ledger_record import read_ledger
+from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import events_in
+from robotctl.recording.format.topics import read_ledger
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.invariants import unbalanced
 from robotctl.rerun.snapshot_proofs import NOT_COMPARED

@@ -38,7 +38,7 @@ from robotctl.recording.format.journal import (
     decode,
     encode,
 )
-from robotctl.recording.format.metadata_names import LIBRARY
+from robotctl.recording.format.names import LIBRARY
 from robotctl.recording.format.records import MAGIC, MESSAGE_HEAD, record_bytes
 from robotctl.recording.read.damage import BeyondLimit
 from robotctl.recording.read.read_limits import (

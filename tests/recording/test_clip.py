@@ -15,8 +15,8 @@ from robotctl.errors import Refused
 from robotctl.kernel.types import Twist
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic, read_info, read_messages
 from robotctl.recording.disk.storage import DiskFile
-from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
+from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep.clip import Clip, Moment, cut_clip
 from robotctl.rerun.check import check_recording

@@ -10,7 +10,7 @@ import pytest
 
 from robotctl.errors import Refused
 from robotctl.recording import Recorder, read_info
-from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.names import EventKind
 from robotctl.recording.keep import clip_job
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip, remaining_s

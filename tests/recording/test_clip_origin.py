@@ -15,12 +15,12 @@ from robotctl.kernel.types import Twist
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recorder, RecorderOptions, Recording
 from robotctl.recording.format import rosbag2
-from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.metadata_names import (
+from robotctl.recording.format.names import (
     CLIP_RECORD,
     EVENT_RECORD,
     INFO_RECORD,
     SOFTWARE_RECORD,
+    EventKind,
 )
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep.clip import Moment, cut_clip

@@ -8,8 +8,7 @@ import pytest
 from mcap.records import Metadata
 
 from robotctl.recording import Recorder, read_info
-from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.metadata_names import EVENT_RECORD
+from robotctl.recording.format.names import EVENT_RECORD, EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.write import bag_writer
 from robotctl.testing.drives import START_NS, TWIST

@@ -8,10 +8,16 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.recording.format.ledger_record import ledger_values, read_ledger
-from robotctl.recording.format.message_counts import COUNTERS
-from robotctl.recording.format.metadata_names import LEDGER_RECORD
-from robotctl.recording.format.topics import Topic, TopicStats, by_topic, total
+from robotctl.recording.format.names import LEDGER_RECORD
+from robotctl.recording.format.topics import (
+    COUNTERS,
+    Topic,
+    TopicStats,
+    by_topic,
+    ledger_values,
+    read_ledger,
+    total,
+)
 from robotctl.recording.write.channel_state import MAX_PUBLISHERS, ChannelState, SequenceGaps
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.recording import Recorder
-from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep.catalog import set_kept
 from robotctl.recording.keep.listing import ListedRecording, list_recordings

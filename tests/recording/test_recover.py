@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 
 from robotctl.errors import Refused, UnreadableFile
 from robotctl.recording import Recorder, RecorderOptions, read_info, read_messages
-from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep.recover import recover
 from robotctl.testing.drives import START_NS, TWIST

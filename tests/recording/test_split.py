@@ -24,7 +24,7 @@ from robotctl.recording import (
     read_messages,
 )
 from robotctl.recording.disk.storage import DiskFile, is_being_written
-from robotctl.recording.format.ledger_record import read_ledger
+from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.write import bag_writer
 from robotctl.testing.drives import GID, ODOMETRY, QOS, START_NS, TWIST
 from robotctl.testing.faults import FailingFile, GatedFile

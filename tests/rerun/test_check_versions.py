@@ -22,7 +22,7 @@ from robotctl.kernel.types import DriveRequested, Event, ModeRequested
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recorder, RecorderOptions
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
-from robotctl.recording.format.metadata_names import MADE_BY, SHADOW_RECORD
+from robotctl.recording.format.names import MADE_BY, SHADOW_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.incident import find_incident

@@ -15,7 +15,7 @@ import pytest
 from robotctl.kernel.types import LoopStalled, Tick
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import JournalEntry
-from robotctl.recording.format.metadata_names import INFO_RECORD, LEDGER_RECORD
+from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.clock_changes import ClockChanges

@@ -25,7 +25,7 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.recording.format.journal import EntryKind, decode
-from robotctl.recording.format.metadata_names import LEDGER_RECORD
+from robotctl.recording.format.names import LEDGER_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.command_pairs import is_zero, numbers_of

@@ -16,7 +16,7 @@ from random import Random
 import pytest
 
 from robotctl.recording.format.journal import EntryKind, decode
-from robotctl.recording.format.metadata_names import LEDGER_RECORD
+from robotctl.recording.format.names import LEDGER_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.own_topics import MAX_TEXT

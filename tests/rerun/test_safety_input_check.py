@@ -24,7 +24,7 @@ from robotctl.kernel.safety_inputs import (
 )
 from robotctl.kernel.types import Event, SafetyInputReceived
 from robotctl.recording.format.journal import decode
-from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.names import INFO_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.testing.drives import BEGIN_NS, drive_requested

@@ -9,7 +9,7 @@ import pytest
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import ModeRequested, Reply
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording.format.metadata_names import LEDGER_RECORD
+from robotctl.recording.format.names import LEDGER_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.rerun.clock_changes import ClockChanges

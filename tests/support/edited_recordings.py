@@ -12,8 +12,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Schema
 
 from robotctl.recording.disk.storage import new_file
-from robotctl.recording.format.compression import Compression
-from robotctl.recording.format.metadata_names import LEDGER_RECORD
+from robotctl.recording.format.names import LEDGER_RECORD, Compression
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
 from robotctl.recording.format.topics import Topic
 from robotctl.recording.write.buffer import ChunkEncoder, pack

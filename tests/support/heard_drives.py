@@ -24,7 +24,7 @@ from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.convert.installed_definition import installed_definition
 from robotctl.recording.format.journal import decode
-from robotctl.recording.format.metadata_names import INFO_RECORD, LEDGER_RECORD
+from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.testing.drives import BEGIN_NS, QOS, drive_requested, journaled, record
 from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, WANTED, HearingKernel

@@ -31,7 +31,7 @@ from robotctl.ipc.client import call
 from robotctl.ipc.method_names import STATUS
 from robotctl.recording import Recording, read_journal
 from robotctl.recording.format.journal import JournalEntry, decode
-from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.keep.catalog import CLIPS_FOLDER
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict

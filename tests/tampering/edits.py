@@ -11,7 +11,7 @@ from random import Random
 
 from robotctl.cdr.motion import decode_twist, encode_twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, decode, encode
-from robotctl.recording.format.metadata_names import LEDGER_RECORD
+from robotctl.recording.format.names import LEDGER_RECORD
 from tests.support.edited_recordings import Contents, Stored, edit
 from tests.support.heard_drives import JOURNAL
 

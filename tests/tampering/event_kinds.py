@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping
 from random import Random
 
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.metadata_names import EVENT_RECORD
+from robotctl.recording.format.names import EVENT_RECORD, EventKind
 from tests.support.edited_recordings import Contents
 from tests.tampering.edits import Kind
 

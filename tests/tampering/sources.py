@@ -15,7 +15,7 @@ from robotctl.kernel.types import (
     ResetRequested,
     SafetyInputReceived,
 )
-from robotctl.recording.format.metadata_names import LEDGER_RECORD
+from robotctl.recording.format.names import LEDGER_RECORD
 from robotctl.testing.drives import BEGIN_NS, drive_requested
 from tests.support.edited_recordings import Contents
 from tests.support.heard_drives import heard_drive

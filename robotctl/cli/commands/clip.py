@@ -24,7 +24,7 @@ from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import duration, moment, printable, short_path
 from robotctl.errors import IN_PARENTHESES, RecoveredWithLoss, Refused, UnreadableFile, UsageError
 from robotctl.kernel.units import DAY_S, NS_PER_S
-from robotctl.recording.format.event_kind import CLIP_KINDS, EventKind
+from robotctl.recording.format.names import CLIP_KINDS, EventKind
 
 if TYPE_CHECKING:
     from robotctl.recording.keep.clip import Clip, Moment

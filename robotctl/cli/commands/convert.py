@@ -17,7 +17,7 @@ from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import printable, short_path
 from robotctl.errors import RecoveredWithLoss, UsageError
-from robotctl.recording.format.compression import Compression
+from robotctl.recording.format.names import Compression
 
 if TYPE_CHECKING:
     from robotctl.recording.convert.converter import Converted

@@ -141,7 +141,7 @@ def _heads(recording: Path, robot: str = "") -> Iterator[tuple[str | None, int]]
     A file of an earlier version notes None. Those of other robots than `robot` are left out.
     """
     from robotctl.recording import read_info
-    from robotctl.recording.format.metadata_names import INFO_RECORD
+    from robotctl.recording.format.names import INFO_RECORD
     from robotctl.recording.read.files import recording_files
 
     with suppress(UnreadableFile):  # its verdict tells why

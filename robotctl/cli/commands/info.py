@@ -78,10 +78,9 @@ def info(
 
 def as_object(found: RecordingInfo) -> dict[str, Any]:
     """Return the object of `info --json`; times in nanoseconds since the epoch, or seconds."""
-    from robotctl.recording.format.event_kind import EventKind
-    from robotctl.recording.format.ledger_record import read_ledger
-    from robotctl.recording.format.metadata_names import EVENT_RECORD, LEDGER_RECORD
+    from robotctl.recording.format.names import EVENT_RECORD, LEDGER_RECORD, EventKind
     from robotctl.recording.format.rosbag2 import METADATA_RECORD
+    from robotctl.recording.format.topics import read_ledger
 
     shown_elsewhere = (METADATA_RECORD, LEDGER_RECORD, EVENT_RECORD)
     return {

@@ -11,7 +11,7 @@ from robotctl.cli.terminal.text import number, printable
 from robotctl.errors import RobotctlError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import PATH, STATUS
-from robotctl.recording.format.derived_files import PICTURE_FILE
+from robotctl.recording.format.names import PICTURE_FILE
 from robotctl.show.figure import Path2D, path_figure
 from robotctl.show.png import write_path_png
 

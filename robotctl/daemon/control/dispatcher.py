@@ -24,7 +24,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, encode
-from robotctl.recording.format.metadata_names import MADE_BY
+from robotctl.recording.format.names import MADE_BY
 
 
 class Journal:

@@ -26,8 +26,7 @@ from robotctl.kernel.types import (
     Reply,
     Twist,
 )
-from robotctl.recording.format.noted_events import noted_event
-from robotctl.recording.format.recorded_events import RecordedEvent
+from robotctl.recording.format.recorded_events import RecordedEvent, noted_event
 
 _log = logging.getLogger(__name__)
 

@@ -14,7 +14,7 @@ from typing import Final
 from robotctl.config import RecordingParams
 from robotctl.kernel.units import NS_PER_S
 from robotctl.processes.jobs import JobFailed, job_command, run_job
-from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import PATIENCE_S, ClipJob

@@ -29,7 +29,7 @@ from robotctl.ipc.advice import for_robot
 from robotctl.paths import log_path
 from robotctl.recording import RecorderStats, Topic
 from robotctl.recording.format import foxglove
-from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.write.recorder_options import TopicFilter
 from robotctl.ros.executor import UNKNOWN_GID

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from robotctl.recording import RecorderState, RecorderStats
-from robotctl.recording.format.message_counts import COUNTERS
-from robotctl.recording.format.topics import by_topic
+from robotctl.recording.format.topics import COUNTERS, by_topic
 from robotctl.ros.nodes.publishers import Diagnosis, DiagnosticLevel
 
 MAX_TOPICS = 100

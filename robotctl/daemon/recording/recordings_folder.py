@@ -15,7 +15,7 @@ from robotctl.errors import RobotctlError
 from robotctl.kernel.units import DAY_S
 from robotctl.paths import make_private, recordings_note_path
 from robotctl.recording import Recorder, RecorderOptions
-from robotctl.recording.format.metadata_names import (
+from robotctl.recording.format.names import (
     FOXGLOVE_RECORD,
     PARAMETER_PREFIX,
     SOFTWARE_RECORD,

@@ -13,13 +13,13 @@ from mcap.records import Metadata
 from robotctl.recording.convert.channel_table import ChannelTable
 from robotctl.recording.convert.convertible import ConvertibleFile
 from robotctl.recording.convert.output import OutputFile
-from robotctl.recording.format.compression import Compression
-from robotctl.recording.format.metadata_names import (
+from robotctl.recording.format.names import (
     CONVERSION_RECORD,
     FOXGLOVE_RECORD,
     INFO_RECORD,
     LEDGER_RECORD,
     SOFTWARE_RECORD,
+    Compression,
 )
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, write_metadata

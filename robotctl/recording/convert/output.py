@@ -9,8 +9,7 @@ from mcap.records import Attachment, Metadata
 
 from robotctl.recording.convert.channel_table import ChannelTable
 from robotctl.recording.disk.storage import DiskFile
-from robotctl.recording.format.compression import Compression
-from robotctl.recording.format.metadata_names import LIBRARY
+from robotctl.recording.format.names import LIBRARY, Compression
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
 from robotctl.recording.write.buffer import ChunkEncoder, pack

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from robotctl.recording.convert.convertible import ConvertibleFile
 from robotctl.recording.convert.mcap_source import McapSource
 from robotctl.recording.convert.sqlite_source import SqliteSource
-from robotctl.recording.format.natural_order import natural_order
+from robotctl.recording.format.names import natural_order
 from robotctl.recording.format.rosbag2 import metadata_text, total_count_in
 from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged

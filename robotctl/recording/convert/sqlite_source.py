@@ -11,7 +11,7 @@ from urllib.parse import quote
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from robotctl.recording.convert.installed_definition import installed_definition
-from robotctl.recording.format.metadata_names import PROFILE
+from robotctl.recording.format.names import PROFILE
 from robotctl.recording.format.records import MAX_TIME_NS, PlainMessage
 from robotctl.recording.read.compressed_messages import (
     ZSTD,

@@ -6,6 +6,7 @@ per message or per chunk (message, message index, head of a chunk).
 
 from __future__ import annotations
 
+import re
 import struct
 from array import array
 from collections.abc import Mapping, Sequence
@@ -14,9 +15,24 @@ from typing import Final, NamedTuple
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex, McapRecord
+from mcap.records import Channel, ChunkIndex, McapRecord, Schema
 
 from robotctl.recording.disk.storage import Buffer
+
+_TWO_PARTS = re.compile(r"([a-z][a-z0-9_]*)/([A-Z][A-Za-z0-9]*)")
+
+
+def type_name_of(channel: Channel, schema: Schema | None) -> str:
+    """Return the type of a channel, "" if it has none.
+
+    `pkg/T`, which some tools write for ROS 2 messages, becomes `pkg/msg/T`.
+    """
+    name = schema.name if schema else ""
+    if channel.message_encoding != "cdr":
+        return name
+    match = _TWO_PARTS.fullmatch(name)
+    return f"{match[1]}/msg/{match[2]}" if match else name
+
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 PlainMessage = tuple[int, bytes, int, int, int]

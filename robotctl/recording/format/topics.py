@@ -2,12 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
 from itertools import islice
-from typing import NamedTuple, cast
+from typing import Final, NamedTuple, cast
 
-from robotctl.recording.format.message_counts import COUNTERS
+from robotctl.recording.format.names import LEDGER_RECORD
+
+
+@dataclass(slots=True)
+class MessageCounts:
+    """What happened to messages: received = written + queued + dropped."""
+
+    received: int = 0
+    written: int = 0
+    queued: int = 0
+    dropped: int = 0
+    lost: int = 0
+    """Sent between two messages that were received: gaps in a publisher's sequence numbers."""
+
+    unseen: int = 0
+    """Sent by a publisher before its first message that was received."""
+
+    not_repeated: int = 0
+    """Latched messages that later files do not repeat, for lack of memory or room in the file."""
+
+    throttled: int = 0
+    """Left out before the recorder received them: throttled, or because the disk is full soon."""
+
+
+COUNTERS: Final = tuple(field.name for field in fields(MessageCounts))
+
 
 LATCHED_QOS = "durability: transient_local"
 """In the offered QoS of a topic with a latched publisher."""
@@ -74,3 +100,28 @@ def by_topic(channels: Iterable[TopicStats]) -> list[TopicStats]:
         )
         for (name, type_name), group in groups.items()
     ]
+
+
+_COUNTS = (*COUNTERS, "bytes")
+
+
+def ledger_values(topics: Iterable[TopicStats]) -> dict[str, str]:
+    """Return the ledger as the values of a metadata record."""
+    ledger: dict[str, str] = {}
+    for stats in by_topic(topics):
+        # A topic has a second type if a node publishes one.
+        name = f"{stats.name} ({stats.type_name})" if stats.name in ledger else stats.name
+        ledger[name] = json.dumps({count: getattr(stats, count) for count in _COUNTS})
+    return ledger
+
+
+def read_ledger(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, int]]:
+    """Return the counts of each topic; empty for a file that was not closed."""
+    ledger = {}
+    for topic, text in metadata.get(LEDGER_RECORD, {}).items():
+        try:
+            counts = json.loads(text)
+            ledger[topic] = {count: int(counts[count]) for count in _COUNTS if count in counts}
+        except (ValueError, TypeError, OverflowError, RecursionError):  # not written by robotctl
+            continue
+    return ledger

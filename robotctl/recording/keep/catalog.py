@@ -11,7 +11,7 @@ from pathlib import Path
 
 from robotctl.recording.disk.access import open_private, share_like
 from robotctl.recording.disk.storage import is_being_written
-from robotctl.recording.format.metadata_names import OWN_LIBRARY
+from robotctl.recording.format.names import OWN_LIBRARY
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import read_header
 from robotctl.recording.read.mcap_input import InputFile

@@ -15,9 +15,7 @@ from mcap.records import Channel, Schema
 from robotctl.errors import Refused
 from robotctl.recording.disk.access import share_like
 from robotctl.recording.disk.storage import new_file
-from robotctl.recording.format.compression import Compression
-from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.metadata_names import CLIP_RECORD, LIBRARY
+from robotctl.recording.format.names import CLIP_RECORD, LIBRARY, Compression, EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata

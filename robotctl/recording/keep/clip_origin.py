@@ -12,20 +12,20 @@ from typing import Final
 from mcap.records import Channel, Schema
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.format.metadata_names import (
+from robotctl.recording.format.names import (
     CLIP_RECORD,
     CONVERSION_RECORD,
     LIBRARY,
     RECOVERY_RECORD,
 )
 from robotctl.recording.format.recorded_events import events_in
+from robotctl.recording.format.records import type_name_of
 from robotctl.recording.format.rosbag2 import (
     METADATA_RECORD,
     BagFile,
     files_in,
     serialized_metadata,
 )
-from robotctl.recording.format.type_names import type_name_of
 from robotctl.recording.keep.clip import clip_messages, topic_of
 from robotctl.recording.keep.clip_records import records_of_clip
 from robotctl.recording.read.info import metadata_in

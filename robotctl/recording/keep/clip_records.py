@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from mcap.records import Metadata
 
-from robotctl.recording.format.metadata_names import (
+from robotctl.recording.format.names import (
     CLIP_RECORD,
     EVENT_RECORD,
     FOXGLOVE_RECORD,

@@ -10,9 +10,7 @@ from errno import ENOENT
 from pathlib import Path
 
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.metadata_names import INFO_RECORD
-from robotctl.recording.format.natural_order import natural_order
+from robotctl.recording.format.names import INFO_RECORD, EventKind, natural_order
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.rosbag2 import entries_of, metadata_text
 from robotctl.recording.keep.catalog import CLIPS_FOLDER, KEEP_FILE

@@ -9,8 +9,7 @@ from pathlib import Path
 from robotctl.errors import UnreadableFile
 from robotctl.recording.disk.access import share_like
 from robotctl.recording.disk.storage import DiskFile, Storage, new_file
-from robotctl.recording.format.compression import Compression
-from robotctl.recording.format.metadata_names import LIBRARY, RECOVERY_RECORD
+from robotctl.recording.format.names import LIBRARY, RECOVERY_RECORD, Compression
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, metadata_text
 from robotctl.recording.keep.repaired_seal import seal_of_copy
 from robotctl.recording.read.compressed_messages import without_compression

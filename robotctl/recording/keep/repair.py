@@ -16,8 +16,7 @@ from isal.isal_zlib import crc32
 from robotctl.errors import RobotctlError
 from robotctl.recording.disk.access import reason_of
 from robotctl.recording.disk.storage import DiskFile
-from robotctl.recording.format.compression import Compression
-from robotctl.recording.format.metadata_names import LEDGER_RECORD, RECOVERY_RECORD
+from robotctl.recording.format.names import LEDGER_RECORD, RECOVERY_RECORD, Compression
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.format.trailer import WrittenFile

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robotctl.kernel.units import DAY_S
-from robotctl.recording.format.derived_files import derived_files
+from robotctl.recording.format.names import derived_files
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.keep.bag_metadata import rewrite_metadata
 from robotctl.recording.keep.catalog import (

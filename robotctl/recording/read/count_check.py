@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from robotctl.recording.format.ledger_record import read_ledger
-from robotctl.recording.format.metadata_names import (
+from robotctl.recording.format.names import (
     CLIP_RECORD,
     LEDGER_RECORD,
     OWN_LIBRARY,
     RECOVERY_RECORD,
 )
 from robotctl.recording.format.rosbag2 import message_counts_in, total_count_in
+from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.read.messages import OpenFile
 
 

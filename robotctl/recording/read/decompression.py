@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 from lz4.frame import LZ4FrameDecompressor
 from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
-from robotctl.recording.format.compression import Compression
+from robotctl.recording.format.names import Compression
 from robotctl.recording.read.damage import Damaged
 
 _PIECE_BYTES = 8 << 20

@@ -7,7 +7,7 @@ from shlex import quote
 from stat import S_ISDIR, S_ISREG
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.format.natural_order import natural_order
+from robotctl.recording.format.names import natural_order
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE, entries_of, files_in, read_metadata
 from robotctl.recording.read.zstd_file import SUFFIX

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from robotctl.recording.format.metadata_names import OWN_LIBRARY
+from robotctl.recording.format.names import OWN_LIBRARY
 from robotctl.recording.read.compressed_messages import ZSTD, message_compression
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import FileIndex

@@ -10,7 +10,7 @@ from mcap.records import Metadata
 
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
-from robotctl.recording.format.type_names import type_name_of
+from robotctl.recording.format.records import type_name_of
 from robotctl.recording.read.file_index import FileIndex
 from robotctl.recording.read.messages import OpenFile
 

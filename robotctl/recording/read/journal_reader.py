@@ -17,7 +17,7 @@ from robotctl.recording.format.journal import (
     JournalEntry,
     decode,
 )
-from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.read.info import RecordingInfo
 from robotctl.recording.read.messages import Message
 from robotctl.recording.read.read_limits import CURE

@@ -9,8 +9,7 @@ from typing import Final, NamedTuple
 
 from mcap.opcode import Opcode
 
-from robotctl.recording.format.records import PlainMessage
-from robotctl.recording.format.type_names import type_name_of
+from robotctl.recording.format.records import PlainMessage, type_name_of
 from robotctl.recording.read.compressed_messages import MessageDecompressor
 from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.file_index import FileIndex, Place, PlaceKind

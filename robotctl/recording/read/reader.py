@@ -14,8 +14,8 @@ from typing import Self
 from mcap.records import Channel, Metadata, Schema
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.format.metadata_names import CLIP_RECORD, LEDGER_RECORD
-from robotctl.recording.format.type_names import type_name_of
+from robotctl.recording.format.names import CLIP_RECORD, LEDGER_RECORD
+from robotctl.recording.format.records import type_name_of
 from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import note_missing

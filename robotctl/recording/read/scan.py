@@ -9,7 +9,7 @@ from dataclasses import replace
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema, Statistics
 
-from robotctl.recording.format.metadata_names import OWN_LIBRARY
+from robotctl.recording.format.names import OWN_LIBRARY
 from robotctl.recording.format.records import FIRST_PRIVATE_OPCODE, MAGIC
 from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.file_index import (

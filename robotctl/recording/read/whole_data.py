@@ -15,7 +15,7 @@ from mcap.records import (
     Schema,
 )
 
-from robotctl.recording.format.metadata_names import OWN_LIBRARY
+from robotctl.recording.format.names import OWN_LIBRARY
 from robotctl.recording.read.flaws import Flaws
 from robotctl.recording.read.mcap_input import parse
 

@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Footer
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.format.metadata_names import (
+from robotctl.recording.format.names import (
     CLIP_RECORD,
     CONVERSION_RECORD,
     LEDGER_RECORD,

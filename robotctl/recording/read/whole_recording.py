@@ -10,15 +10,14 @@ from pathlib import Path
 from mcap.records import Channel
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.format.ledger_record import read_ledger
-from robotctl.recording.format.metadata_names import LEDGER_RECORD
+from robotctl.recording.format.names import LEDGER_RECORD
 from robotctl.recording.format.rosbag2 import (
     METADATA_RECORD,
     message_counts_in,
     topic_counts_in,
     total_count_in,
 )
-from robotctl.recording.format.topics import LATCHED_QOS
+from robotctl.recording.format.topics import LATCHED_QOS, read_ledger
 from robotctl.recording.read.files import absent_files, metadata_of_folder, recording_files
 from robotctl.recording.read.whole_data import WholeData
 from robotctl.recording.read.whole_file import (

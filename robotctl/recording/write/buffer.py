@@ -19,7 +19,7 @@ from mcap.opcode import Opcode
 from zstandard import ZstdCompressionParameters, ZstdCompressor, ZstdError
 
 from robotctl.recording.disk.storage import Buffer
-from robotctl.recording.format.compression import Compression
+from robotctl.recording.format.names import Compression
 from robotctl.recording.format.records import (
     MESSAGE_FIELDS_BYTES,
     MESSAGE_HEAD,

@@ -20,7 +20,6 @@ from mcap.opcode import Opcode
 from robotctl.errors import Refused
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.disk.storage import Buffer
-from robotctl.recording.format.message_counts import COUNTERS, MessageCounts
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.records import (
     MAX_SEQUENCE,
@@ -28,7 +27,7 @@ from robotctl.recording.format.records import (
     MESSAGE_FIELDS_BYTES,
     MESSAGE_HEAD,
 )
-from robotctl.recording.format.topics import Topic, TopicStats, total
+from robotctl.recording.format.topics import COUNTERS, MessageCounts, Topic, TopicStats, total
 from robotctl.recording.write.bag_writer import begin_bag
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer
 from robotctl.recording.write.channel_state import MAX_PACKERS, ChannelState, Packer

@@ -10,7 +10,7 @@ from fnmatch import translate
 from pathlib import Path
 
 from robotctl.recording.disk.storage import DiskFile, Storage
-from robotctl.recording.format.compression import Compression
+from robotctl.recording.format.names import Compression
 from robotctl.recording.write.file_seal import Sealer
 
 TYPE_PREFIX = "type:"

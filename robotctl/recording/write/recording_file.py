@@ -9,8 +9,7 @@ from pathlib import Path
 from mcap.records import Channel, Schema
 
 from robotctl.recording.disk.access import share_with_group
-from robotctl.recording.format.ledger_record import ledger_values
-from robotctl.recording.format.metadata_names import (
+from robotctl.recording.format.names import (
     EVENT_RECORD,
     INFO_RECORD,
     LEDGER_RECORD,
@@ -19,6 +18,7 @@ from robotctl.recording.format.metadata_names import (
 )
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
+from robotctl.recording.format.topics import ledger_values
 from robotctl.recording.write.buffer import ChunkEncoder, PackedMessages
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.file_seal import FileSeal

@@ -18,7 +18,7 @@ from robotctl.cli.support.recording_paths import (
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import row, short_path, size
 from robotctl.errors import Refused, UnreadableFile, UsageError
-from robotctl.recording.format.derived_files import PAGE_FILE
+from robotctl.recording.format.names import PAGE_FILE
 
 if TYPE_CHECKING:
     from robotctl.show.traces import KeyFigure, Recorded

@@ -12,7 +12,7 @@ from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import duration, size
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.names import EventKind
 from robotctl.rerun import find_incident
 from robotctl.rerun.check_many import check_recordings
 from robotctl.rerun.check_report import Verdict

@@ -1,0 +1,107 @@
+"""The names in recordings: of records, events, compressions and files. Imports nothing slow."""
+
+from __future__ import annotations
+
+import platform
+import re
+from collections.abc import Iterator
+from enum import Enum, StrEnum
+from pathlib import Path
+from typing import Final
+
+import robotctl
+
+PROFILE = "ros2"
+OWN_LIBRARY = "robotctl "
+"""The beginning of the library name in the header of each file that robotctl writes."""
+
+LIBRARY = OWN_LIBRARY + robotctl.__version__
+INFO_RECORD = "robotctl"
+"""The robot, and what made the recording; written when a file begins."""
+
+PARAMETER_PREFIX = "parameter."
+"""The beginning of the keys in INFO_RECORD that are parameters."""
+
+SOFTWARE_RECORD = "robotctl.software"
+"""The content hashes of the modules that decide and command; written when a file begins."""
+
+SHADOW_RECORD = "robotctl.shadow"
+"""In files of 0.1 and 0.2: the parameters of a second kernel that decided and drove nothing."""
+
+FOXGLOVE_RECORD = "foxglove"
+"""The name of the device, where Foxglove looks for it; written when a file begins."""
+
+EVENT_RECORD = "robotctl.event"
+"""One event of the recording, written as it happens: see `recorded_events`."""
+
+LEDGER_RECORD = "robotctl.ledger"
+"""The loss ledger since the recording began, one JSON object per topic. It is the last record of a
+finished file. Its queued messages arrived while the file was being finished."""
+
+CLIP_RECORD = "robotctl.clip"
+"""In a clip: the recording it was cut from, the event, and what is missing."""
+
+RECOVERY_RECORD = "robotctl.recovery"
+"""In a recovered file: the file it was made from, and what is lost."""
+
+CONVERSION_RECORD = "robotctl.conversion"
+"""In a converted file: the files it was made from, and what is missing."""
+
+MADE_BY = f"Python {platform.python_version()}, {' '.join(platform.libc_ver())}".rstrip()
+"""Python and libc: the last bit of sin and cos depends on them."""
+
+
+class EventKind(StrEnum):
+    """The kind of an event."""
+
+    EMERGENCY_STOP = "estop"
+    ERROR = "error"
+    MARK = "mark"
+    DRIVE_ENDED = "drive ended"
+
+
+CLIP_KINDS = tuple(kind for kind in EventKind if kind is not EventKind.DRIVE_ENDED)
+"""The kinds that a clip can be about."""
+
+
+class Compression(Enum):
+    """How the recorder stores chunks; the values are those of `recording.compression`."""
+
+    ZSTD = "zstd"
+    LZ4 = "lz4"
+    NONE = "none"
+
+    @property
+    def mcap_name(self) -> str:
+        """The name in a chunk record (https://mcap.dev/spec/registry)."""
+        return "" if self is Compression.NONE else self.value
+
+
+def natural_order(path: Path) -> list[tuple[int, int, str]]:
+    """Return a sort key that puts `run_10` after `run_9`."""
+    parts = re.split(r"(\d+)", path.name)
+    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
+
+
+PICTURE_FILE: Final = "path.png"
+"""The path of the last drive that a command waited for."""
+
+PAGE_FILE: Final = "report.html"
+
+INDEX_FILE: Final = "index.parquet"
+"""What `robotctl index` makes."""
+
+_COMPARISONS: Final = "compared_with_*.html"
+"""Pages that earlier versions made of two recordings."""
+
+
+def derived_files(folder: Path) -> Iterator[Path]:
+    """Yield the files in a recording's folder that robotctl made from it.
+
+    Raises:
+        OSError: The folder cannot be read.
+    """
+    unfinished_index = f".{INDEX_FILE}.*.tmp"  # of a process that was killed
+    made = (PICTURE_FILE, PAGE_FILE, INDEX_FILE, unfinished_index, _COMPARISONS)
+    for pattern in made:
+        yield from folder.glob(pattern)
