@@ -29,8 +29,13 @@ from robotctl.errors import RobotctlError, UnreadableFile
 from robotctl.printable import printable
 from robotctl.recording.disk.access import reason_of
 from robotctl.recording.keep.catalog import CLIPS_FOLDER, CatalogFile, CatalogFolder
-from robotctl.recording.keep.removal_notes import note_removal, withdraw_note
-from robotctl.recording.keep.retention import Removed, RetentionPolicy, enforce_retention
+from robotctl.recording.keep.retention import (
+    Removed,
+    RetentionPolicy,
+    enforce_retention,
+    note_removal,
+    withdraw_note,
+)
 from robotctl.store import ObjectStore, Stamp, StoredObject, StoreError, without_hashes
 
 GIVE_UP_AFTER: Final = 3

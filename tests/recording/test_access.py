@@ -16,8 +16,7 @@ from robotctl.recording import Recorder
 from robotctl.recording.keep.catalog import set_kept
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip
-from robotctl.recording.keep.recover import recover
-from robotctl.recording.keep.recover_folder import recover_folder
+from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.keep.repair import repair
 from robotctl.show.figure import path_figure
 from robotctl.show.png import write_path_png

@@ -21,7 +21,7 @@ from zstandard import ZstdDecompressor
 from robotctl.recording import Recorder, RecorderOptions, read_info
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.keep import repair as repairing
-from robotctl.recording.keep.unfinished_commit import find_unfinished_commit
+from robotctl.recording.keep.repair import find_unfinished_commit
 from robotctl.recording.read.file_index import FileIndex, read_record_head
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile

@@ -14,8 +14,12 @@ from robotctl.kernel.units import DAY_S
 from robotctl.recording import Recorder, RecorderOptions, read_info
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip
-from robotctl.recording.keep.removal_notes import NOTES_FILE, note_removal
-from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
+from robotctl.recording.keep.retention import (
+    NOTES_FILE,
+    RetentionPolicy,
+    enforce_retention,
+    note_removal,
+)
 from robotctl.recording.keep.tidy_job import TidyJob, tidy
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import read_strictly, write_numbered
@@ -188,7 +192,7 @@ def test_a_file_system_without_such_locks_is_tidied_all_the_same(
     def no_lock(fd: int, operation: int) -> None:
         raise OSError(errno.EBADF, os.strerror(errno.EBADF))
 
-    monkeypatch.setattr("robotctl.recording.keep.removal_notes.flock", no_lock)
+    monkeypatch.setattr("robotctl.recording.keep.retention.flock", no_lock)
     (done,) = tidy(TidyJob(tmp_path, RetentionPolicy(max_bytes=0), repairs=False))
     assert done.text.startswith("removed for its age or to free space: ")
     assert names(tmp_path) == []

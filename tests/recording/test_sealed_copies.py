@@ -8,8 +8,7 @@ import pytest
 
 from robotctl.recording import Recorder
 from robotctl.recording.format.seal_records import LINK_OPCODE, Link, LinkKind
-from robotctl.recording.keep.recover import recover
-from robotctl.recording.keep.recover_folder import recover_folder
+from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile
 from robotctl.recording.read.seal_chain import SealedFile, check_chain

@@ -13,8 +13,7 @@ from mcap.writer import CompressionType
 from robotctl.errors import UnreadableFile
 from robotctl.recording import Compression, Recording, read_info, read_messages
 from robotctl.recording.keep.clip import Moment, cut_clip
-from robotctl.recording.keep.recover import recover
-from robotctl.recording.keep.recover_folder import recover_folder
+from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.read.messages import ALWAYS
 from robotctl.testing.faults import PAGE, chunks_of, zero
 from tests.support.recordings import (

@@ -37,7 +37,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
-    from robotctl.recording.keep.listing import ListedRecording
+    from robotctl.recording.keep.catalog import ListedRecording
 
 
 def remove(path: Path, *, without_asking: bool) -> int:
@@ -121,7 +121,7 @@ def recordings(
     if context.invoked_subcommand is not None:
         _refuse_options_before(context, context.invoked_subcommand)
         return
-    from robotctl.recording.keep.listing import list_recordings
+    from robotctl.recording.keep.catalog import list_recordings
 
     place = recordings_folder(robot, folder)
     found: list[ListedRecording] = []

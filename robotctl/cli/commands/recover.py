@@ -47,7 +47,7 @@ def recover(
       robotctl recover recordings/robot_20260101_120000 -o saved
     """
     from robotctl.recording.keep.recover import recover as recover_file
-    from robotctl.recording.keep.recover_folder import recover_folder
+    from robotctl.recording.keep.recover import recover_folder
 
     source = find_recording(file, robot, folder)
     target = output or _beside(source)

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Final
 
 from robotctl.processes.jobs import JobFailed, job_command, job_reports
-from robotctl.recording.keep.retention import RetentionPolicy
+from robotctl.recording.keep.retention import RetentionPolicy, TidyNote
 from robotctl.recording.keep.tidy_job import TidyJob
-from robotctl.recording.keep.tidy_note import TidyNote
 
 _log = logging.getLogger(__name__)
 

@@ -4,17 +4,26 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from errno import ENOENT
 from pathlib import Path
 
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.disk.access import open_private, share_like
 from robotctl.recording.disk.storage import is_being_written
-from robotctl.recording.format.names import OWN_LIBRARY
+from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY, EventKind, natural_order
+from robotctl.recording.format.recorded_events import RecordedEvent, events_in
+from robotctl.recording.format.rosbag2 import entries_of, metadata_text
+from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import read_header
+from robotctl.recording.read.files import files_of_bag, may_not_be_listed, reason_of
+from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
+from robotctl.recording.read.messages import OpenFile
+from robotctl.recording.read.zstd_file import is_zstd_file
 
 KEEP_FILE = "keep"
 """A recording with a file of this name in its folder is never removed."""
@@ -122,3 +131,161 @@ def is_own(path: Path) -> bool:
     except Damaged:
         return False
     return header.library.startswith(OWN_LIBRARY)
+
+
+GRAVEST_FIRST = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
+
+
+@dataclass(frozen=True, slots=True)
+class ListedRecording:
+    """A recording: a folder of files, or a single file.
+
+    Times are in nanoseconds since the epoch, 0 without messages. `damage` says in sentences what
+    cannot be read. `readable` is False if nothing can be read.
+    """
+
+    path: Path
+    robot: str
+    start_ns: int
+    end_ns: int
+    modified_s: float
+    size_bytes: int
+    files: int
+    clips: tuple[Path, ...]
+    events: tuple[RecordedEvent, ...]
+    readable: bool
+    damage: tuple[str, ...]
+    live: bool
+    kept: bool
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first message to the last."""
+        return (self.end_ns - self.start_ns) / NS_PER_S
+
+    @property
+    def laps(self) -> int:
+        """Completed laps of the drives that have ended."""
+        return sum(event.laps for event in self.events)
+
+    @property
+    def driven_s(self) -> float | None:
+        """Seconds of all its drives that have ended; None if no duration is known."""
+        known = [event.drive_s for event in self.events if event.drive_s is not None]
+        return sum(known) if known else None
+
+    def largest(self, error: str) -> float | None:
+        """Return the largest of an error of its drives, None if that is not known.
+
+        `error` is one of recording.format.recorded_events.ERRORS.
+        """
+        known: list[float | None] = [getattr(event, error) for event in self.events]
+        return max((each for each in known if each is not None), default=None)
+
+    @property
+    def worst(self) -> EventKind | None:
+        """The gravest event; None without an emergency stop or error."""
+        kinds = {event.kind for event in self.events}
+        return next((kind for kind in GRAVEST_FIRST if kind in kinds), None)
+
+
+def list_recordings(
+    folder: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
+) -> Iterator[ListedRecording]:
+    """Yield the recordings directly below `folder`, ordered by name.
+
+    `on_progress` gets recordings done and in total. Symbolic links are not followed.
+
+    Raises:
+        OSError: `folder` cannot be listed.
+    """
+    found = recordings_in(folder)
+    for done, path in enumerate(found):
+        on_progress(done, len(found))
+        with suppress(OSError):  # it was removed meanwhile
+            yield list_recording(path)
+    on_progress(len(found), len(found))
+
+
+def recordings_in(folder: Path) -> list[Path]:
+    """Return the recordings directly below `folder`, ordered by name; links are not followed.
+
+    Raises:
+        OSError: `folder` cannot be listed.
+    """
+    return [
+        path for path in sorted(folder.iterdir()) if _mcap_files(path) or _is_closed_to_us(path)
+    ]
+
+
+def _is_closed_to_us(path: Path) -> bool:
+    return not (path.is_symlink() or path.name.startswith(".")) and may_not_be_listed(path)
+
+
+def _mcap_files(path: Path) -> list[Path]:
+    if path.is_symlink():
+        return []
+    if path.suffix == ".mcap" and path.is_file():
+        return [path]
+    try:
+        entries = entries_of(path) if path.is_dir() else []
+        return sorted((e for e in entries if e.suffix == ".mcap"), key=natural_order)
+    except OSError:
+        return []
+
+
+def _packed_files(path: Path) -> list[Path]:
+    """Return files that must be decompressed; they are listed only if requested by name."""
+    if is_zstd_file(path) and path.is_file():
+        return [path]
+    return files_of_bag(path) if path.is_dir() else []
+
+
+def list_recording(path: Path) -> ListedRecording:
+    """Return the recording `path`, a folder or a file.
+
+    Raises:
+        OSError: It does not exist.
+    """
+    text = metadata_text(path)
+    files, damage = _mcap_files(path), []
+    try:
+        files = files or _packed_files(path)
+    except PermissionError as error:
+        damage.append(reason_of(error))
+    if not (files or damage):
+        raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(path))
+    opened: list[OpenFile] = []
+    live = False
+    for each in files:
+        prefix = "" if each == path else f"{each.name}: "
+        try:
+            with InputFile(each) as file:
+                live = live or file.is_changing()
+                opened.append(OpenFile(each, file, index_of(file, places=False)))
+            damage += (prefix + sentence for sentence in opened[-1].index.missing)
+        except (Damaged, OSError) as error:
+            damage.append(f"{prefix}{error}")
+    if opened:
+        damage += find_shortfalls(text, opened, all_files=files != [path])
+    indexes = [each.index for each in opened]
+    with_messages = [index for index in indexes if index.message_count]
+    metadata = [record for index in indexes for record in index.metadata]
+    info = next((record.metadata for record in metadata if record.name == INFO_RECORD), {})
+    stats = [each.stat() for each in files or [path]]
+    is_open = bool(files) and path.is_dir()
+    return ListedRecording(
+        path=path,
+        robot=info.get("robot", ""),
+        start_ns=min((index.start_ns for index in with_messages), default=0),
+        end_ns=max((index.end_ns for index in with_messages), default=0),
+        modified_s=max(stat.st_mtime for stat in stats),
+        size_bytes=sum(stat.st_size for stat in stats),
+        files=len(files),
+        clips=tuple(sorted((path / CLIPS_FOLDER).glob("*.mcap"))) if is_open else (),
+        events=tuple(events_in(metadata)),
+        readable=bool(indexes),
+        damage=tuple(damage),
+        live=live,
+        kept=is_open and (path / KEEP_FILE).exists(),
+    )

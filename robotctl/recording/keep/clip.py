@@ -6,21 +6,31 @@ that a fresh kernel can decide everything in the clip again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mcap.records import Channel, Schema
+from mcap.records import Channel, Metadata, Schema
 
 from robotctl.errors import Refused
 from robotctl.recording.disk.access import share_like
 from robotctl.recording.disk.storage import new_file
-from robotctl.recording.format.names import CLIP_RECORD, LIBRARY, Compression, EventKind
-from robotctl.recording.format.recorded_events import RecordedEvent
+from robotctl.recording.format.names import (
+    CLIP_RECORD,
+    EVENT_RECORD,
+    FOXGLOVE_RECORD,
+    INFO_RECORD,
+    LEDGER_RECORD,
+    LIBRARY,
+    RECOVERY_RECORD,
+    SOFTWARE_RECORD,
+    Compression,
+    EventKind,
+)
+from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
 from robotctl.recording.format.topics import Topic
-from robotctl.recording.keep.clip_records import records_of_clip
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import since_snapshot
 from robotctl.recording.read.messages import Message, Window
@@ -28,6 +38,33 @@ from robotctl.recording.read.reader import Recording
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.channel_state import MAX_LATCHED
 from robotctl.recording.write.mcap_writer import McapFile
+
+_OF_THE_WHOLE = (METADATA_RECORD, LEDGER_RECORD, RECOVERY_RECORD, EVENT_RECORD, CLIP_RECORD)
+"""Metadata that is not true for a part of the recording."""
+
+_OF_EACH_FILE = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
+"""Metadata that each file of the recording repeats."""
+
+
+def records_of_clip(
+    recorded: Iterable[Metadata], window: Window
+) -> Iterator[tuple[str, Mapping[str, str]]]:
+    """Yield name and values of each record that a clip of `window` holds, beside its own.
+
+    What made the recording is there once, without the mode, which is that of its start.
+    """
+    records = list(recorded)
+    for record in records:
+        if record.name not in (*_OF_THE_WHOLE, *_OF_EACH_FILE):
+            yield record.name, record.metadata
+    last = {record.name: record.metadata for record in records}
+    for name in _OF_EACH_FILE:
+        if name in last:
+            yield name, {key: value for key, value in last[name].items() if key != "mode"}
+    for event in events_in(records):
+        if window[0] <= event.log_ns <= window[1]:
+            yield EVENT_RECORD, event.values()
+
 
 CHUNK_BYTES = 1 << 20
 

@@ -26,8 +26,7 @@ from robotctl.recording.format.rosbag2 import (
     files_in,
     serialized_metadata,
 )
-from robotctl.recording.keep.clip import clip_messages, topic_of
-from robotctl.recording.keep.clip_records import records_of_clip
+from robotctl.recording.keep.clip import clip_messages, records_of_clip, topic_of
 from robotctl.recording.read.info import metadata_in
 from robotctl.recording.read.messages import Message, OpenFile
 from robotctl.recording.read.reader import Recording

@@ -2,26 +2,95 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import accumulate
 from pathlib import Path
+from shutil import rmtree
 
-from robotctl.errors import UnreadableFile
-from robotctl.recording.disk.access import share_like
+from mcap.opcode import Opcode
+
+from robotctl.errors import Refused, UnreadableFile
+from robotctl.recording.disk.access import is_shared, make_folder, share_like
 from robotctl.recording.disk.storage import DiskFile, Storage, new_file
 from robotctl.recording.format.names import LIBRARY, RECOVERY_RECORD, Compression
-from robotctl.recording.format.rosbag2 import METADATA_RECORD, metadata_text
-from robotctl.recording.keep.repaired_seal import seal_of_copy
+from robotctl.recording.format.records import MAGIC, RECORD_HEAD_BYTES
+from robotctl.recording.format.rosbag2 import METADATA_RECORD, metadata_text, total_count_in
+from robotctl.recording.format.seal_records import (
+    LINK_OPCODE,
+    MAX_OPENING_BYTES,
+    NO_DIGEST,
+    OPENING_OPCODE,
+    Link,
+    LinkKind,
+    Opening,
+)
+from robotctl.recording.format.trailer import WrittenFile
+from robotctl.recording.keep.retention import rewrite_metadata
 from robotctl.recording.read.compressed_messages import without_compression
 from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged, Unreadable
-from robotctl.recording.read.file_index import FileIndex
+from robotctl.recording.read.file_index import FileIndex, read_content, read_record_head
+from robotctl.recording.read.files import absent_files, recording_files
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
 from robotctl.recording.read.messages import OpenFile
 from robotctl.recording.read.readable_file import ReadableFile
+from robotctl.recording.read.zstd_file import SUFFIX
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
+
+
+def seal_of_repair(written: WrittenFile) -> Iterator[bytes]:
+    """Yield the records to add to a sealed file before a repair writes: its newest head, and an
+    unsigned link that says "repaired". None for a file without a seal.
+    """
+    if not written.seal:
+        return
+    try:
+        head = Link.read(written.seal[RECORD_HEAD_BYTES:])
+    except ValueError:  # not written by robotctl
+        return
+    yield head.record()
+    yield Link(
+        LinkKind.REPAIRED, head.number, written.data_end, time.time_ns(), head.digest
+    ).record()
+
+
+def seal_of_copy(file: InputFile) -> Iterator[bytes]:
+    """Yield the records to add to the copy of a sealed file: the opening of the original, and an
+    unsigned link that says "repaired". It covers no byte, and names the newest digest that was
+    read of the original. None for a file without a seal.
+    """
+    opening: Opening | None = None
+    newest = Link(LinkKind.REPAIRED, number=1, covered=0, time_ns=0, digest=NO_DIGEST)
+    for opcode, content in _seal_records(file):
+        with suppress(ValueError):  # not written by robotctl
+            if opcode == LINK_OPCODE:
+                newest = Link.read(content)
+            elif opening is None:
+                opening = Opening.read(content)
+    if opening is None:
+        return
+    yield opening.record()
+    yield Link(LinkKind.REPAIRED, newest.number, 0, time.time_ns(), newest.digest).record()
+
+
+def _seal_records(file: InputFile) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of each record of a seal, up to the first damage."""
+    offset = len(MAGIC)
+    with suppress(Damaged):
+        for _ in range(file.limits.records):
+            opcode, length = read_record_head(file, offset)
+            if opcode == Opcode.FOOTER:
+                return
+            if opcode in (OPENING_OPCODE, LINK_OPCODE) and length <= MAX_OPENING_BYTES:
+                yield opcode, read_content(file, offset, length)
+            offset += RECORD_HEAD_BYTES + length
+
 
 Progress = Callable[[int, int], None]
 """Gets bytes done, and in total."""
@@ -138,3 +207,57 @@ class _RecoveryWriter:
 
 def _reason(error: Exception) -> str:
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
+
+
+def recover_folder(
+    source: Path, target: Path, *, on_progress: Progress = lambda done, total: None
+) -> RecoveryReport:
+    """Write all that can be read of the recording `source` into the new folder `target`.
+
+    Raises:
+        UnreadableFile: Nothing can be read.
+        Refused: `target` exists or cannot be written.
+
+    After an error no new folder remains.
+    """
+    text = metadata_text(source)
+    paths = recording_files(source)
+    sizes = [2 * path.stat().st_size if path.exists() else 0 for path in paths]
+    try:
+        make_folder(target, shared=is_shared(source))
+    except OSError as error:
+        raise Refused(f"cannot write {target}: {error.strerror}") from error
+    lost = absent_files(text, paths)
+    saved: list[RecoveryReport] = []
+    try:
+        for path, before in zip(paths, accumulate(sizes[:-1], initial=0), strict=True):
+            tell = partial(_tell, on_progress, before, sum(sizes))
+            try:
+                report = recover(path, target / path.name.removesuffix(SUFFIX), on_progress=tell)
+            except UnreadableFile as error:
+                lost.append(str(error))
+            else:
+                saved.append(report)
+                lost += (f"{path.name}: {sentence}" for sentence in report.lost)
+        told, count = total_count_in(text), sum(report.message_count for report in saved)
+        if not lost and told > count:
+            lost.append(f"metadata.yaml counts {told} messages, and {count} are there")
+        if not saved:
+            raise UnreadableFile("; ".join(lost))
+        rewrite_metadata(target, [report.target for report in saved])
+    except BaseException as error:
+        with suppress(OSError):
+            rmtree(target)
+        if isinstance(error, OSError):
+            raise Refused(f"cannot write {target}: {error.strerror}") from error
+        raise
+    return RecoveryReport(
+        target,
+        count,
+        sum(report.attachment_count for report in saved),
+        tuple(lost),
+    )
+
+
+def _tell(on_progress: Progress, before: int, total: int, done: int, _: int) -> None:
+    on_progress(before + done, total)

@@ -9,10 +9,14 @@ from pathlib import Path
 from typing import Any, Self
 
 from robotctl.processes.pipes import Report
-from robotctl.recording.keep.removal_notes import noted_removals, only_one_in
 from robotctl.recording.keep.repair import repair
-from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
-from robotctl.recording.keep.tidy_note import TidyNote
+from robotctl.recording.keep.retention import (
+    RetentionPolicy,
+    TidyNote,
+    enforce_retention,
+    noted_removals,
+    only_one_in,
+)
 
 
 @dataclass(frozen=True, slots=True)
