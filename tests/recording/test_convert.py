@@ -31,9 +31,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from robotctl.errors import Refused, UnreadableFile
 from robotctl.recording import Compression, Recorder, RecorderOptions, read_info, read_messages
-from robotctl.recording.convert.channel_table import ChannelTable
-from robotctl.recording.convert.conversion import convert
-from robotctl.recording.convert.converter import Form
+from robotctl.recording.convert.conversion import ChannelTable, Form, convert
 from robotctl.recording.read.verified import RecordingProof, verify_recording
 from robotctl.rerun import Verdict, check_recording
 from robotctl.testing.drives import TWIST, drive, record
@@ -330,7 +328,7 @@ def test_nothing_is_overwritten_and_a_full_disk_leaves_nothing(tmp_path: Path) -
     program = (
         "import sys\nfrom pathlib import Path\n"
         "from robotctl.recording.convert.conversion import convert\n"
-        "from robotctl.recording.convert.converter import Form\n"
+        "from robotctl.recording.convert.conversion import Form\n"
         "convert(Path(sys.argv[1]), Path(sys.argv[2]), Form())\n"
     )
     ran = subprocess.run(

@@ -21,8 +21,7 @@ from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.verified import RecordingProof, verify_recording
 from robotctl.recording.read.whole_file import read_whole_file
 from robotctl.recording.seal.heads import read_heads
-from robotctl.recording.seal.keyring import KEY_FILE, Keyring
-from robotctl.recording.seal.signatures import SigningKey, is_signed
+from robotctl.recording.seal.keyring import KEY_FILE, Keyring, SigningKey, is_signed
 from robotctl.recording.write import file_seal
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import keyring, read_strictly, record_sealed, write_numbered

@@ -93,8 +93,7 @@ def export(
       robotctl export last --topic /robot_status --json | head
     """
     from robotctl.recording import Recording
-    from robotctl.recording.table.topic_choice import choose_topic
-    from robotctl.recording.table.topic_table import TopicTable
+    from robotctl.recording.table.topic_table import TopicTable, choose_topic
 
     chosen = [
         each

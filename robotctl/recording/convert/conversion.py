@@ -2,13 +2,329 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, Final
+
+import yaml
+from mcap.records import Attachment, Channel, Metadata, Schema
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.convert.converter import Converted, Converter, Form
-from robotctl.recording.convert.sources import Progress, Sources
+from robotctl.recording.convert.sources import ConvertibleFile, Progress, Sources
 from robotctl.recording.disk.atomic_output import atomic_output
+from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.format.names import (
+    CONVERSION_RECORD,
+    FOXGLOVE_RECORD,
+    INFO_RECORD,
+    LEDGER_RECORD,
+    LIBRARY,
+    SOFTWARE_RECORD,
+    Compression,
+)
+from robotctl.recording.format.records import PlainMessage
+from robotctl.recording.format.rosbag2 import (
+    METADATA_RECORD,
+    BagFile,
+    serialized_metadata,
+    write_metadata,
+)
+from robotctl.recording.format.topics import Topic
 from robotctl.recording.read.file_index import note_missing
+from robotctl.recording.write.buffer import ChunkEncoder, pack
+from robotctl.recording.write.mcap_writer import McapFile
+
+_NAMES: Final[Mapping[str, Mapping[int, str]]] = {
+    "history": {0: "system_default", 1: "keep_last", 2: "keep_all"},
+    "reliability": {0: "system_default", 1: "reliable", 2: "best_effort"},
+    "durability": {0: "system_default", 1: "transient_local", 2: "volatile"},
+    "liveliness": {0: "system_default", 1: "automatic", 3: "manual_by_topic"},
+}
+"""The numbers of rmw_qos_*_policy_e in rmw/types.h; all others are unknown."""
+
+_MAX_CHARACTERS: Final = 1 << 16
+"""More than 100 publishers of a topic; a YAML parser is slow."""
+
+
+def named_policies(profiles: str) -> str:
+    """Return a YAML list of QoS profiles with names in place of the numbers of policies.
+
+    Text that is no such list, or has no numbers of policies, is returned as it is.
+    """
+    if len(profiles) > _MAX_CHARACTERS:
+        return profiles
+    try:
+        found = yaml.safe_load(profiles)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return profiles
+    if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
+        return profiles
+    if not any(isinstance(each.get(policy), int) for each in found for policy in _NAMES):
+        return profiles
+    return yaml.safe_dump([_named(each) for each in found], sort_keys=False)
+
+
+def _named(profile: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: _NAMES[key].get(value, "unknown")
+        if key in _NAMES and isinstance(value, int)
+        else value
+        for key, value in profile.items()
+    }
+
+
+_MAX_CHANNELS: Final = 1 << 16
+"""A channel id of MCAP has 16 bits."""
+
+_QOS = "offered_qos_profiles"
+
+
+class ChannelTable:
+    """Collects the channels of all source files; equal ones become one."""
+
+    def __init__(self) -> None:
+        self.channels: list[Channel] = []
+        self.schemas: list[Schema] = []
+        self.topics: list[Topic] = []
+        """What `metadata.yaml` says about each channel, by its id."""
+
+        self._ids: dict[tuple[object, ...], int] = {}
+        self._schema_ids: dict[tuple[object, ...], int] = {}
+
+    def add(self, channel: Channel, schema: Schema | None) -> int:
+        """Return the id that the converted recording has for a channel of a source file."""
+        metadata = dict(channel.metadata)
+        if _QOS in metadata:
+            metadata[_QOS] = named_policies(metadata[_QOS])
+        schema_id = 0 if schema is None else self._add_schema(schema)
+        key = (channel.topic, channel.message_encoding, schema_id, tuple(sorted(metadata.items())))
+        if key not in self._ids:
+            number = self._ids[key] = len(self.channels)
+            if number >= _MAX_CHANNELS:
+                raise UnreadableFile(
+                    f"its files have more than {_MAX_CHANNELS} topics", "convert them one by one"
+                )
+            self.channels.append(
+                replace(channel, id=number, schema_id=schema_id, metadata=metadata)
+            )
+            self.topics.append(
+                Topic(
+                    name=channel.topic,
+                    type_name="" if schema is None else schema.name,
+                    type_hash=metadata.get("topic_type_hash", ""),
+                    offered_qos=metadata.get(_QOS, ""),
+                    encoding=channel.message_encoding,
+                )
+            )
+        return self._ids[key]
+
+    def _add_schema(self, schema: Schema) -> int:
+        key = (schema.name, schema.encoding, schema.data)
+        if key not in self._schema_ids:
+            self._schema_ids[key] = len(self.schemas) + 1
+            self.schemas.append(replace(schema, id=self._schema_ids[key]))
+        return self._schema_ids[key]
+
+
+class OutputFile:
+    """One file of the converted recording. Every method may raise OSError."""
+
+    def __init__(
+        self, path: Path, table: ChannelTable, compression: Compression, profile: str, origin: str
+    ) -> None:
+        """Create the file; `origin` is the program that wrote the source."""
+        self._path = path
+        self._table = table
+        self._storage = DiskFile(path)
+        library = f"{LIBRARY}, converted from {origin}"
+        self._mcap = McapFile(self._storage, profile=profile, library=library)
+        self._encoder = ChunkEncoder(compression, 1)
+        self._schemas = 0
+        self._channels = 0
+
+    @property
+    def size(self) -> int:
+        """Bytes so far."""
+        return self._mcap.size
+
+    @property
+    def has_messages(self) -> bool:
+        """Whether it holds any."""
+        return bool(self._mcap.summary.counts)
+
+    def write(self, messages: Sequence[PlainMessage]) -> None:
+        """Write messages as one chunk."""
+        self._announce()
+        self._mcap.commit(self._encoder.encode(pack(messages)), finished=False)
+
+    def add_metadata(self, records: Sequence[Metadata]) -> None:
+        """Add records."""
+        for record in records:
+            self._mcap.add_metadata(record.name, record.metadata)
+
+    def add_attachment(self, attachment: Attachment) -> None:
+        """Write an attachment."""
+        self._mcap.add_attachment(attachment)
+        self._mcap.commit(finished=False)  # one at a time in memory
+
+    def finish(self, ledger: Sequence[Metadata]) -> BagFile:
+        """Write the end of the file, with the ledger last; return its entry in `metadata.yaml`."""
+        self._announce()
+        summary = self._mcap.summary
+        described = BagFile(self._path.name, summary.start_ns, summary.end_ns, dict(summary.counts))
+        text = serialized_metadata(self._table.topics, [described])
+        self._mcap.add_metadata(METADATA_RECORD, {"serialized_metadata": text})
+        self.add_metadata(ledger)
+        self._mcap.commit()
+        self.close()
+        return described
+
+    def close(self) -> None:
+        """Close the file; closing twice is harmless."""
+        self._storage.close()
+
+    def _announce(self) -> None:
+        """Add the schemas and channels that are new to the file."""
+        for schema in self._table.schemas[self._schemas :]:
+            self._mcap.add_schema(schema)
+        for channel in self._table.channels[self._channels :]:
+            self._mcap.add_channel(channel)
+        self._schemas, self._channels = len(self._table.schemas), len(self._table.channels)
+
+
+_OF_EACH_FILE: Final = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
+"""What made the recording; each file begins with it."""
+
+_REWRITTEN: Final = (METADATA_RECORD, LEDGER_RECORD, CONVERSION_RECORD)
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """The form of the result.
+
+    With `split_bytes` a new file begins when one has that size, with `one_file` there is only one;
+    with neither, each file of the source becomes one.
+    """
+
+    compression: Compression = Compression.ZSTD
+    split_bytes: int | None = None
+    one_file: bool = False
+
+
+@dataclass(slots=True)
+class Converted:
+    """What was converted; `lost` says in sentences what could not be read."""
+
+    files: list[BagFile] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+    attachment_count: int = 0
+    is_live: bool = False
+    """Whether the source was still being recorded: later messages are missing."""
+
+    @property
+    def message_count(self) -> int:
+        """Messages in all files."""
+        return sum(file.message_count for file in self.files)
+
+
+class Converter:
+    """Writes the files of a new recording, one source file after the other."""
+
+    def __init__(self, name_of: Callable[[int], Path], form: Form) -> None:
+        """`name_of` gives the path of each new file, from 0 on."""
+        self._name_of = name_of
+        self._form = form
+        self._table = ChannelTable()
+        self._output: OutputFile | None = None
+        self._ledger: list[Metadata] = []
+        self._begun = 0
+        self._sources: list[str] = []
+        self.done = Converted()
+
+    def run(self, sources: Iterable[ConvertibleFile]) -> Converted:
+        """Convert the files in their order.
+
+        Raises:
+            OSError: The disk is full or fails.
+        """
+        try:
+            for source in sources:
+                self._convert(source)
+            self._finish()
+        finally:
+            if self._output is not None:
+                with suppress(OSError):
+                    self._output.close()
+        return self.done
+
+    def write_list(self, folder: Path) -> None:
+        """Write `metadata.yaml` into the folder of the files.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        write_metadata(folder, self._table.topics, self.done.files)
+
+    def _convert(self, source: ConvertibleFile) -> None:
+        ids = {
+            channel.id: self._table.add(channel, schema) for channel, schema in source.channels()
+        }
+        output = self._file_for(source)
+        self._ledger = []
+        for messages in source.batches():
+            if self._is_full(output):
+                self._finish()
+                output = self._begin(source)
+            output.write(_renumbered(messages, ids))
+        for attachment in source.attachments():
+            output.add_attachment(attachment)
+            self.done.attachment_count += 1
+        kept = [each for each in source.metadata() if each.name not in _REWRITTEN]
+        output.add_metadata([each for each in kept if each.name not in _OF_EACH_FILE])
+        self._ledger = [each for each in source.metadata() if each.name == LEDGER_RECORD][-1:]
+        prefix = f"{source.name}: "
+        self.done.lost += (prefix + sentence for sentence in source.lost)
+
+    def _file_for(self, source: ConvertibleFile) -> OutputFile:
+        """Return the file into which a source file goes first."""
+        output = self._output
+        if output is None:
+            return self._begin(source)
+        if self._form.one_file or (self._form.split_bytes and not self._is_full(output)):
+            self._sources.append(source.name)
+            return output
+        self._finish()
+        return self._begin(source)
+
+    def _begin(self, source: ConvertibleFile) -> OutputFile:
+        path = self._name_of(self._begun)
+        self._begun += 1
+        self._output = OutputFile(
+            path, self._table, self._form.compression, source.profile, source.library
+        )
+        self._sources = [source.name]
+        latest = {each.name: each for each in source.metadata() if each.name in _OF_EACH_FILE}
+        self._output.add_metadata(list(latest.values()))
+        return self._output
+
+    def _finish(self) -> None:
+        if self._output is None:
+            return
+        about = {"of": ", ".join(self._sources), "lost": "\n".join(self.done.lost)}
+        self._output.add_metadata([Metadata(name=CONVERSION_RECORD, metadata=about)])
+        self.done.files.append(self._output.finish(self._ledger))
+        self._output, self._ledger = None, []
+
+    def _is_full(self, output: OutputFile) -> bool:
+        limit = self._form.split_bytes
+        return limit is not None and output.has_messages and output.size >= limit
+
+
+def _renumbered(messages: Sequence[PlainMessage], ids: dict[int, int]) -> list[PlainMessage]:
+    return [(ids[channel], *rest) for channel, *rest in messages]  # type: ignore[misc]
+
 
 MCAP_SUFFIX = ".mcap"
 

@@ -22,7 +22,7 @@ from robotctl.recording.format.seal_records import (
 from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile
 from robotctl.recording.read.whole_data import WholeData
 from robotctl.recording.read.whole_file import FileState, WholeFile
-from robotctl.recording.seal.signatures import is_signed
+from robotctl.recording.seal.keyring import is_signed
 
 _PIECE_BYTES = 1 << 20
 

@@ -16,8 +16,7 @@ from robotctl.cdr.given import WrongValue
 from robotctl.errors import UnreadableFile, UsageError
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.reader import Recording
-from robotctl.recording.table.topic_choice import choose_topic
-from robotctl.recording.table.topic_table import TIME_COLUMNS, TopicTable
+from robotctl.recording.table.topic_table import TIME_COLUMNS, TopicTable, choose_topic
 
 Array = np.ndarray[Any, Any]
 

@@ -16,7 +16,7 @@ from robotctl.cli.terminal.text import json_text
 from robotctl.errors import UnreadableFile, UsageError
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Message, read_info, read_messages
-from robotctl.recording.table.topic_choice import choose_topic
+from robotctl.recording.table.topic_table import choose_topic
 
 
 class RecordedTopic:
