@@ -30,7 +30,7 @@ from robotctl.rerun.snapshot_proofs import JournalChain, SnapshotProofs
 from robotctl.store.remote_file import RemoteFile
 
 ALL_BYTES_BELOW: Final = 100_000_000
-"""A recording below this size [bytes] is always read completely; that takes a second."""
+"""A recording below this size [bytes] is always read completely; that lasts a second."""
 
 _KEY_DIGITS = 16
 
@@ -182,7 +182,7 @@ class CheckReading:
             last_ns = message.log_ns
             if entry.kind is not EntryKind.EFFECT:
                 self._log_ns = self._log_ns[1], last_ns
-            for item in order.take(entry):
+            for item in order.accept(entry):
                 yield from self._grouped(item)
         self._log_ns = self._log_ns[1], max(self._log_ns[1], last_ns)  # of the last step
         for item in order.rest():
@@ -288,7 +288,7 @@ class _Check:
         """
         report, info = self._report, self._info
         for sentence in self._recording.missing:
-            report.miss(sentence, is_beside=not self._recording.lacks_parts)
+            report.miss(sentence, is_outside=not self._recording.lacks_parts)
         topic = journal_topic(info)
         if topic is None:
             raise UnreadableFile("it holds no journal of robotctl: there are no decisions to check")
@@ -328,7 +328,7 @@ class _Check:
             self._interrupt_at(error)
             return
         self._note(divergence)
-        self._proofs.take(entry, snapshot.proof, self._ends.snapshot(entry, snapshot))
+        self._proofs.check(entry, snapshot.proof, self._ends.snapshot(entry, snapshot))
         self._compared.snapshot(snapshot, entry.t_ns, self._log_ns[1])
 
     def _step(self, step: Step) -> None:

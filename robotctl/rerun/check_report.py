@@ -147,13 +147,13 @@ class Report:
         self.divergences += 1
         self.divergences_crc = crc32(rounded(found.sentence()).encode(), self.divergences_crc)
 
-    def miss(self, sentence: str, *, is_beside: bool = False) -> None:
+    def miss(self, sentence: str, *, is_outside: bool = False) -> None:
         """Note what could not be checked.
 
-        What lies beside that which was checked explains no difference in it.
+        What `is_outside` of what was checked explains no difference in it.
         """
         note_missing(self.missing, sentence)
-        self.has_gaps |= not is_beside
+        self.has_gaps |= not is_outside
 
     def miss_other_rules(self, difference: str) -> None:
         """Note a decision by the rules of another version; the first note names both versions."""

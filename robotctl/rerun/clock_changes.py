@@ -15,7 +15,7 @@ EXCUSES_NS = 2 * NS_PER_S
 
 
 class _ClockStep(NamedTuple):
-    """A change of the wall clock by `by_ns`, of the moment that was taken with this number."""
+    """A change of the wall clock by `by_ns`, at the moment with this number."""
 
     moment: int
     by_ns: int
@@ -59,12 +59,12 @@ class ClockChanges:
         )
 
     def begin(self, steady_ns: int, wall_ns: int) -> None:
-        """Take the moment of a snapshot; that of the first one counts."""
+        """Note the moment of a snapshot; that of the first one counts."""
         if self._begun_ns is None:
             self._begun_ns = wall_ns - steady_ns
 
     def look(self, steady_ns: int, wall_ns: int) -> None:
-        """Take one moment by both clocks."""
+        """Compare both clocks at one moment."""
         offset_ns = wall_ns - steady_ns
         before_ns, self.offset_ns = self.offset_ns, offset_ns
         self._moments += 1
@@ -106,7 +106,7 @@ class RecordedStalls:
         """When each ended, and how long it was."""
 
     def step(self, event: Event) -> None:
-        """Take an event of the journal."""
+        """Note a stall; other events change nothing."""
         if isinstance(event, LoopStalled):
             stalled_ns = round(event.stalled_s * NS_PER_S)
             self.longest_ns = max(self.longest_ns, stalled_ns)

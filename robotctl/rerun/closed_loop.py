@@ -41,8 +41,8 @@ def closed_loop(
 ) -> Iterator[tuple[Event, tuple[Effect, ...]]]:
     """Yield every event with its effects from `begin_ns` (steady) on, without end.
 
-    `requests` are ordered by time, and each is taken at its `t_ns`. The robot begins with pose,
-    velocity and battery level as the kernel knows them, or else with those of `start`.
+    `requests` are ordered by time, and each reaches the kernel at its `t_ns`. The robot begins with
+    pose, velocity and battery level as the kernel knows them, or else with those of `start`.
 
     Raises:
         UnreadableFile: The kernel cannot continue from its state.

@@ -27,7 +27,7 @@ class CommandCheck:
         self._seen = 0
 
     def message(self, message: Message) -> None:
-        """Take a message of the command topic."""
+        """Read a message of the command topic."""
         self._seen += 1
         if self._by_number:
             self._pairs.message(message.sequence, message.data, message.publish_ns)
@@ -44,7 +44,7 @@ class CommandCheck:
         self._pairs.stop()
 
     def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Take an event with its effects, and when it was handled."""
+        """Compare an event with its effects, and when it was handled."""
         if self._by_number:
             self._clock.look(event.t_ns, moments[1])
             self._pairs.step(event, effects, moments)

@@ -211,7 +211,7 @@ class OtherCommands:
         self._publish = others
 
     def doubt(self, t_ns: int, numbers: bytes) -> None:
-        """Take a command that was not decided."""
+        """Note a command that was not decided."""
         heard = self._publish or (self._heard_ns is not None and t_ns - self._heard_ns <= NEAR_NS)
         if heard:
             self._note_foreign(numbers)
@@ -377,7 +377,7 @@ class CommandPairs:
     # The wire
 
     def message(self, sequence: int, data: bytes, publish_ns: int) -> None:
-        """Take a message of the command topic."""
+        """Pair a message of the command topic with its decision."""
         if not self.is_counting:
             return
         numbers = numbers_of(data)
@@ -473,7 +473,7 @@ class CommandPairs:
             self.counts.lack(number, numbers)
 
     def _decide_late(self, number: int, decided: Decided, early: list[Early]) -> None:
-        """Take a decision after the messages with its number."""
+        """Pair a decision that comes after the messages with its number."""
         numbers, moments = decided
         own = next((each for each in early if each[0] == numbers), None)
         if own is not None:

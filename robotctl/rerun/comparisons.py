@@ -1,4 +1,4 @@
-"""All that a check compares with the decisions of a journal, taken step by step."""
+"""All that a check compares with the decisions of a journal, step by step."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class MeasurementOrder:
         self._newest_ns: int | None = None
 
     def step(self, event: Event, seq: int) -> None:
-        """Take an event, with the number of its entry."""
+        """Compare the time of an event, with the number of its entry."""
         if type(event) not in MEASUREMENTS:
             return
         if self._newest_ns is not None and event.t_ns < self._newest_ns - SLACK_NS:
@@ -110,11 +110,11 @@ class TickSchedule:
         self._windows: list[_Window] = []
 
     def begin(self, rate_hz: float) -> None:
-        """Take the rate of the ticks; it never changes in a recording."""
+        """Note the rate of the ticks; it never changes in a recording."""
         self._period_ns = round(NS_PER_S / rate_hz)
 
     def step(self, event: Event, seq: int) -> None:
-        """Take an event, with the number of its entry."""
+        """Note how late a tick is; `seq` is the number of its entry."""
         if not isinstance(event, Tick) or not self._period_ns:
             return
         self._due_ns += (event.missed + 1) * self._period_ns
@@ -128,7 +128,7 @@ class TickSchedule:
             self._least = least._replace(late_ns=late_ns)
 
     def stop(self) -> None:
-        """Judge what was taken, and begin again: events are missing, or the journal ends.
+        """Judge the ticks until here, and begin again: events are missing, or the journal ends.
 
         The last window is too short to judge it alone.
         """
@@ -163,7 +163,7 @@ class Comparisons:
         self._status = StatusCheck(report, info, journal_topic, clock)
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return for each compared topic what takes its messages."""
+        """Return for each compared topic what reads its messages."""
         readers = self._inputs.readers() | self._services.readers()
         readers |= self._safety_inputs.readers()
         if self._command_topic is not None:
@@ -173,7 +173,7 @@ class Comparisons:
         return readers
 
     def step_before_snapshot(self, event: Event, effects: tuple[Effect, ...]) -> None:
-        """Take a step of a kernel that is not known."""
+        """Note a step of a kernel that is not known."""
         self._commands.step(event, effects, (0, 0, 0))
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
@@ -189,7 +189,7 @@ class Comparisons:
         self._status.snapshot(snapshot, t_ns, log_ns)
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Take an event with its effects, the number of its entry, and when it was handled."""
+        """Compare an event with its effects, the number of its entry, and when it was handled."""
         self._order.step(event, seq)
         self._stalls.step(event)
         self._inputs.step(event, seq)

@@ -26,7 +26,7 @@ SPACING_M = 0.03
 """Places nearer to each other than this are one: a robot that stops may roll a little too far."""
 
 TOLERANCE_M = 0.005
-"""How far a place may be beside the waypoints."""
+"""How far a place may be from the path between the waypoints."""
 
 
 def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> tuple[Point, ...]:

@@ -93,14 +93,14 @@ class InputCheck:
         self._pairs = InputPairs()
 
     def message(self, message: Message) -> None:
-        """Take a message; a file begins with the last latched one of the file before."""
-        if self._is_latched and self._repeats.take(message):
+        """Read a message; a file begins with the last latched one of the file before."""
+        if self._is_latched and self._repeats.observe(message):
             return
         if self.is_on:
             self._pairs.message(message.sequence, self._read(message.data), message.log_ns)
 
     def received(self, event: Event, seq: int) -> None:
-        """Take an input; `seq` is the number of its entry."""
+        """Compare an input; `seq` is the number of its entry."""
         if self.is_on:
             kind = self.kind
             found = Input(event.t_ns, kind.source(event), kind.value(event), seq)
@@ -140,7 +140,7 @@ def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> Rec
     battery = topics.of("battery.topic", "battery_state", "sensor_msgs/msg/BatteryState")
     scan = InputTopic()
     if info.metadata.get(INFO_RECORD, {}).get("parameter.scan.use", _OFF) != _OFF:
-        scan = topics.of("scan.topic", "scan", "sensor_msgs/msg/LaserScan")  # it takes time
+        scan = topics.of("scan.topic", "scan", "sensor_msgs/msg/LaserScan")  # slow
     wanted = topics.of("guard_topic", "cmd_vel_nav", *COMMAND_TYPES)
     is_stamped = wanted.type_name == TWIST_STAMPED
     return RecordedInputs(
@@ -166,17 +166,17 @@ class RecordedInputs:
         self._by_event = {each.kind.event: each for each in checks}
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return for each recorded topic what takes its messages."""
+        """Return for each recorded topic what reads its messages."""
         return {each.topic: each.message for each in self._all if each.topic is not None}
 
     def step(self, event: Event, seq: int) -> None:
-        """Take an event of the journal, with the number of its entry."""
+        """Compare an event of the journal, with the number of its entry."""
         check = self._by_event.get(type(event))
         if check is not None:
             check.received(event, seq)
 
     def snapshot(self, has_proof: bool) -> None:
-        """Take a snapshot."""
+        """Compare from this snapshot on, if it has a proof."""
         for each in self._all:
             each.snapshot(has_proof)
 

@@ -21,8 +21,8 @@ PATIENCE_NS = 30 * NS_PER_S
 EDGE_NS = NS_PER_S // 2
 """Inputs this close to the end of a journal may lack a message, which was still under way.
 
-Near to the begin of a file, messages may be in the file before: the recorder takes them, and the
-new file begins, before the control loop takes them.
+Near to the begin of a file, messages may be in the file before: the recorder receives them, and the
+new file begins, before the control loop receives them.
 """
 
 UNFOUND_NS = 2 * NS_PER_S
@@ -111,7 +111,7 @@ class InputPairs:
         return (last - first) * NS_PER_S / (self._last_ns - self._first_ns)
 
     def message(self, sequence: int, value: Any, log_ns: int) -> None:
-        """Take a message of the topic; number 0 is none."""
+        """Pair a message of the topic with its input; number 0 is none."""
         self.repeated += sequence <= self._newest
         self._newest = sequence
         inputs = self._inputs.get(sequence)
@@ -129,7 +129,7 @@ class InputPairs:
             self._unheard += [(oldest, each.log_ns) for each in self._messages.pop(oldest)]
 
     def received(self, sequence: int, found: Input) -> None:
-        """Take an input of the journal."""
+        """Pair an input of the journal with its message."""
         self._t_ns = found.t_ns
         if not sequence:
             return

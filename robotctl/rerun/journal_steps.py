@@ -26,35 +26,26 @@ class Gap:
 
 
 class EntryOrder:
-    """The entries that are held back, and the number of the next one.
+    """The entries that are held back, and the number of the next one."""
 
-    An entry with the number `following` is next if nothing `is_waiting`. It need not be taken here:
-    then `following` is to be set to the number after it.
-    """
-
-    __slots__ = ("_first", "_held", "_taken", "following")
+    __slots__ = ("_accepted", "_first", "_following", "_held")
 
     def __init__(self) -> None:
-        self.following = 0
+        self._following = 0
         self._first: int | None = None
         self._held: list[tuple[int, int, JournalEntry]] = []
-        self._taken = 0
+        self._accepted = 0
 
-    @property
-    def is_waiting(self) -> bool:
-        """Whether the first entry was not taken, or entries are held back."""
-        return self._first is None or bool(self._held)
-
-    def take(self, entry: JournalEntry) -> Iterator[JournalEntry | Gap]:
-        """Take the next entry of the file, and yield those whose turn it is."""
+    def accept(self, entry: JournalEntry) -> Iterator[JournalEntry | Gap]:
+        """Accept the next entry of the file, and yield those whose turn it is."""
         if self._first is None:
-            self._first = self.following = entry.seq
+            self._first = self._following = entry.seq
         elif entry.seq < self._first:
             yield Gap(f"the journal is not in order: entry {entry.seq} follows {self._first}")
             self._first = entry.seq
             return
-        self._taken += 1
-        heappush(self._held, (entry.seq, self._taken, entry))
+        self._accepted += 1
+        heappush(self._held, (entry.seq, self._accepted, entry))
         yield from self._released(MAX_DISORDER)
 
     def rest(self) -> Iterator[JournalEntry | Gap]:
@@ -63,26 +54,22 @@ class EntryOrder:
 
     def _released(self, at_most: int) -> Iterator[JournalEntry | Gap]:
         held = self._held
-        while held and (held[0][0] <= self.following or len(held) > at_most):
+        while held and (held[0][0] <= self._following or len(held) > at_most):
             seq, _, entry = heappop(held)
-            if seq < self.following:
+            if seq < self._following:
                 yield Gap(f"the journal repeats entry {seq}")
                 continue
-            if seq > self.following:
-                yield _missing(self.following, seq - 1)
+            if seq > self._following:
+                yield _missing(self._following, seq - 1)
             yield entry
-            self.following = seq + 1
+            self._following = seq + 1
 
 
 def in_sequence(entries: Iterable[JournalEntry]) -> Iterator[JournalEntry | Gap]:
     """Yield the entries ordered by `seq`, and the gaps and repetitions among them."""
     order = EntryOrder()
     for entry in entries:
-        if entry.seq == order.following and not order.is_waiting:
-            order.following += 1
-            yield entry
-        else:
-            yield from order.take(entry)
+        yield from order.accept(entry)
     yield from order.rest()
 
 

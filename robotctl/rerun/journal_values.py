@@ -98,7 +98,7 @@ def _wrong_in(params: KernelParams) -> str:
 
 
 def decide(kernel: Kernel, event: Event) -> tuple[Effect, ...]:
-    """Take a step of a kernel whose state came from a file.
+    """Step a kernel whose state came from a file.
 
     Raises:
         UnreadableFile: The kernel cannot continue from its state.

@@ -99,8 +99,8 @@ class RepeatedLatched:
         self._last: Message | None = None
         self._count = 0
 
-    def take(self, message: Message) -> bool:
-        """Take a message; return whether it is the one before it again."""
+    def observe(self, message: Message) -> bool:
+        """Observe a message; return whether it is the one before it again."""
         last, self._last = self._last, message
         is_again = last is not None and last._replace(log_ns=message.log_ns) == message
         self._count += is_again
@@ -111,7 +111,7 @@ class RepeatedLatched:
         self._count += 1
 
     def snapshot(self) -> None:
-        """Take a snapshot."""
+        """Count a snapshot."""
         self._snapshots += 1
 
     @property

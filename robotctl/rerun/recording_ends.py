@@ -107,7 +107,7 @@ class JournalOrigin:
         return not self._was_received or (self._has_own_name and not self._observes)
 
     def first(self, message: Message) -> None:
-        """Take the first message of the journal."""
+        """Note from the first message of the journal who wrote it."""
         self._was_received = message.log_ns != message.publish_ns
 
     def check(self, report: Report) -> None:
@@ -116,7 +116,7 @@ class JournalOrigin:
             return
         report.notes.append(NOT_COMPARED)
         if not self._observes:
-            report.miss("the journal of the robot that recorded is not there", is_beside=True)
+            report.miss("the journal of the robot that recorded is not there", is_outside=True)
 
 
 def differing_parameters(noted: Mapping[str, str], params: KernelParams) -> Iterator[str]:
@@ -223,10 +223,10 @@ class RecordingEnds:
             report.miss("its journal begins later than its kernel: the first are missing")
         noted = self._recording.metadata_of_file(0).get(INFO_RECORD, {})
         for sentence in differing_parameters(noted, snapshot.params):
-            report.miss(sentence, is_beside=True)
+            report.miss(sentence, is_outside=True)
 
     def snapshot(self, entry: JournalEntry, snapshot: Snapshot) -> int:
-        """Take a snapshot; return the number of the one before it, 0 if there is none."""
+        """Note a snapshot; return the number of the one before it, 0 if there is none."""
         before = max(self._last_snapshot, 0)
         self._last_snapshot = entry.seq if snapshot.proof is not None else -1
         reported = snapshot.state.health.reported
@@ -270,7 +270,7 @@ class RecordingEnds:
             return
         why = "messages were still to be written" if is_queued else "its journal ends before"
         self._report.miss(
-            f"the file with which it was closed is not here, or not whole: {why}", is_beside=True
+            f"the file with which it was closed is not here, or not whole: {why}", is_outside=True
         )
 
     def _check_ledger(

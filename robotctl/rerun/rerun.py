@@ -126,7 +126,7 @@ class Decided(NamedTuple):
 
 
 class Rerun:
-    """A new kernel that takes the recorded events from the first snapshot on.
+    """A new kernel that decides on the recorded events from the first snapshot on.
 
     After a divergence and after `stop` it waits for the next snapshot; `kernel` is None meanwhile.
     """

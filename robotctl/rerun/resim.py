@@ -72,8 +72,8 @@ class Run:
     drives: dict[int, dict[str, Any]] = field(default_factory=dict)
     start: Start = field(default_factory=Start)
 
-    def take(self, entry: JournalEntry, scale: BatteryScale) -> None:
-        """Take an entry of the journal.
+    def read(self, entry: JournalEntry, scale: BatteryScale) -> None:
+        """Read an entry of the journal.
 
         Raises:
             UnreadableFile: The entry is not one of this version.
@@ -103,7 +103,7 @@ class Run:
             self.requests[event.request_id] = event
 
     def effect(self, effect: Effect, t_ns: int) -> None:
-        """Take an effect; a drive that began before the recording has no duration."""
+        """Note an effect; a drive that began before the recording has no duration."""
         if isinstance(effect, Reply) and not effect.ok and effect.request_id in self.requests:
             self.refused[effect.request_id] = effect.message
         elif isinstance(effect, DriveEnded):
@@ -174,7 +174,7 @@ def resimulate(
             if entry.kind is EntryKind.SNAPSHOT and snapshot is None:
                 snapshot, recorded.begin_ns = read_snapshot(entry), entry.t_ns
             elif snapshot is not None:
-                recorded.take(entry, snapshot.params.battery.scale)
+                recorded.read(entry, snapshot.params.battery.scale)
     if snapshot is None:
         raise UnreadableFile(f"{path}: its journal holds no snapshot of the kernel to begin from")
     if not 0 <= recorded.end_ns - recorded.begin_ns <= MAX_SPAN_NS:

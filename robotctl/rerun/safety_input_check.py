@@ -70,11 +70,11 @@ class UnheardChange:
         self._before_ns = self._unheard_ns = 0
 
     def message(self, shown: ShownValue) -> None:
-        """Take a message."""
+        """Note a message, which may be heard later."""
         self._waiting.append(shown)
 
     def heard(self, sequence: int) -> None:
-        """Take an input of the journal, with the number of its message."""
+        """Note which message an input of the journal came from."""
         self._heard.add(sequence)
 
     def forget(self) -> None:
@@ -155,8 +155,8 @@ class SafetyInputCheck:
         self._repeats = RepeatedLatched(info)
 
     def message(self, message: Message) -> None:
-        """Take a message; a file begins with the last latched one of the file before."""
-        is_repeat = self._is_latched and self._repeats.take(message)
+        """Read a message; a file begins with the last latched one of the file before."""
+        is_repeat = self._is_latched and self._repeats.observe(message)
         if is_repeat or not self._is_on:
             return
         if self._is_diagnosis:
@@ -167,7 +167,7 @@ class SafetyInputCheck:
         self._unheard.message(ShownValue(message.sequence, str(value), message.log_ns))
 
     def received(self, event: SafetyInputReceived, seq: int) -> None:
-        """Take an input; `seq` is the number of its entry."""
+        """Compare an input; `seq` is the number of its entry."""
         if not self._is_on:
             return
         sequence = event.sequence & MAX_SEQUENCE
@@ -217,7 +217,7 @@ class SafetyInputChecks:
     def __init__(
         self, report: Report, info: RecordingInfo, journal_topic: str, stalls: RecordedStalls
     ) -> None:
-        """Take the configuration from the metadata; `stalls` are those of the journal."""
+        """Read the configuration from the metadata; `stalls` are those of the journal."""
         self._stalls = stalls
         topics = InputTopics(info, journal_topic)
         self._checks = {
@@ -227,7 +227,7 @@ class SafetyInputChecks:
         }
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return for each recorded topic what takes its messages; inputs may share one."""
+        """Return for each recorded topic what reads its messages; inputs may share one."""
         topics = {each.topic for each in self._checks.values() if each.topic is not None}
         return {topic: partial(self._message, topic) for topic in topics}
 
@@ -237,14 +237,14 @@ class SafetyInputChecks:
                 each.message(message)
 
     def step(self, event: Event, seq: int) -> None:
-        """Take an event of the journal, with the number of its entry."""
+        """Compare an event of the journal, with the number of its entry."""
         if isinstance(event, SafetyInputReceived):
             check = self._checks.get(event.kind)
             if check is not None and event.sequence:  # 0: before it was told
                 check.received(event, seq)
 
     def snapshot(self, has_proof: bool) -> None:
-        """Take a snapshot."""
+        """Compare from this snapshot on, if it has a proof."""
         for each in self._checks.values():
             each.snapshot(has_proof, self._stalls.longest_ns)
 

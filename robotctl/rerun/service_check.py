@@ -120,7 +120,7 @@ ANSWER_NS: Final = NS_PER_S
 """How long before the end a request may lack its response: it waits for the disk."""
 
 MANY_IN_WORK: Final = 128
-"""With fewer open calls no call is refused as busy: robotctl takes 256 at a time."""
+"""With fewer open calls no call is refused as busy: robotctl accepts 256 at a time."""
 
 _BUSY = re.compile(r"busy: \d+ requests wait for their reply; try again")
 
@@ -189,7 +189,7 @@ class ServicePairs:
         return max(len(self.calls), len(self.asked)) >= MAX_CALLS
 
     def event(self, event: ServiceEvent, publish_ns: int) -> None:
-        """Take an event of the service."""
+        """Note a call, or a response to one."""
         if event.requested is not None:
             if not self.is_full:
                 call = Call(event.requested, publish_ns, len(self._open_calls))
@@ -203,14 +203,14 @@ class ServicePairs:
             answered.answer = event.answer
 
     def request(self, event: ModeRequested, seq: int, moments: Moments) -> None:
-        """Take a request of the journal, with the number of its entry."""
+        """Note a request of the journal, with the number of its entry."""
         if event.source == self.source and not self.is_full:
             asked = Asked(seq, event.requested, moments)
             self._open_requests[event.request_id] = asked
             self.asked.append(asked)
 
     def reply(self, reply: Reply) -> None:
-        """Take a reply of the journal."""
+        """Note a reply of the journal."""
         asked = self._open_requests.pop(reply.request_id, None)
         if asked is not None:
             asked.reply = reply
@@ -273,7 +273,7 @@ class ServiceChecks:
         self._is_on = False
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return for each recorded topic what takes its messages."""
+        """Return for each recorded topic what reads its messages."""
         return {each.topic: each.message for each in self._all if each.is_recorded}
 
     def snapshot(self, has_proof: bool, log_ns: int) -> None:
@@ -288,7 +288,7 @@ class ServiceChecks:
         self._is_on = False
 
     def step(self, event: Event, seq: int, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Take an event with its effects; `seq` is the number of its entry."""
+        """Compare an event with its effects; `seq` is the number of its entry."""
         if not self._is_on:
             return
         if isinstance(event, ModeRequested):
@@ -358,7 +358,7 @@ class _ServiceCheck:
         self._begin_ns = log_ns
 
     def message(self, message: Message) -> None:
-        """Take a message of the topic."""
+        """Read a message of the topic."""
         if self._begin_ns is None:
             return
         self._has_one_publisher &= message.sequence > self._newest

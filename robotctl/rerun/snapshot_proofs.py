@@ -25,7 +25,7 @@ class JournalChain:
         """The CRC of all entries before these, None after a gap."""
 
     def add(self, seq: int, *serialized: bytes) -> None:
-        """Take the next entries as they are recorded; they are numbered from `seq` on."""
+        """Add the next entries as they are recorded; they are numbered from `seq` on."""
         if seq != self._seq + 1:
             self._crc = None
             self._entries.clear()
@@ -77,7 +77,7 @@ class SnapshotProofs:
 
         self._is_told = False
 
-    def take(self, entry: JournalEntry, proof: Proof | None, before: int) -> None:
+    def check(self, entry: JournalEntry, proof: Proof | None, before: int) -> None:
         """Check the next snapshot; `before` is the number of the one before it."""
         if not self._chain.is_whole(entry, proof):
             self._invariants.violate(

@@ -137,14 +137,14 @@ class StatusCheck:
         self._begin_ns = 0
 
     def message(self, message: Message) -> None:
-        """Take a status; the last one is repeated at the beginning of each file and clip.
+        """Read a status; the last one is repeated at the beginning of each file and clip.
 
         Where the recorder lags, the one it repeats is sent later, and comes again in the file.
         """
         if message.log_ns < message.publish_ns:
             self._repeats.count()
             return
-        if self._repeats.take(message):
+        if self._repeats.observe(message):
             return
         try:
             reader = CdrReader(message.data)

@@ -79,7 +79,7 @@ class DrivesOfKernel:
     def add(
         self, before: State, after: State, effects: Iterable[Effect], t_ns: int, elapsed_ns: int
     ) -> None:
-        """Take a step at `t_ns` from one state to another, `elapsed_ns` after the one before."""
+        """Add a step at `t_ns` from one state to another, `elapsed_ns` after the one before."""
         drive, following = before.drive, after.drive
         if drive is not None:
             self._add_time(self._of(drive.request_id, t_ns - elapsed_ns), before, elapsed_ns)
@@ -111,7 +111,7 @@ class DrivesOfKernel:
 def drives_of_both(
     recorded: Mapping[int, DriveCommands], other: Mapping[int, DriveCommands], begin_ns: int
 ) -> list[dict[str, Any]]:
-    """Return the drives of two kernels beside each other, as JSON values, in their order.
+    """Return the drives of two kernels, side by side, as JSON values, in their order.
 
     A drive is `None` on the side that did not begin it. `measured` is what the robot did under the
     recorded commands: how it would have followed others is not known.
@@ -232,7 +232,7 @@ class _Side:
 
 
 class _TwoKernels:
-    """Two kernels that take the same events: one with the recorded parameters, one with others."""
+    """Two kernels that decide on the same events: with the recorded parameters, and with others."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings

@@ -1,4 +1,4 @@
-"""Edits of the events that the metadata of a recording holds beside the journal."""
+"""Edits of the events that the metadata of a recording holds in addition to the journal."""
 
 from __future__ import annotations
 
