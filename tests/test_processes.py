@@ -1,7 +1,11 @@
-"""Child processes report through their own pipe, independent of what libraries print."""
+"""Child processes report through their own pipe, independent of what libraries print.
+
+The reports of a child are heard without ever blocking the loop.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import signal
@@ -10,6 +14,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 import pytest
@@ -18,7 +23,7 @@ import robotctl
 from robotctl.config import RecordingParams
 from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.processes import Child, LineSplitter, program, readable_within, start
-from robotctl.processes.jobs import job_command
+from robotctl.processes.jobs import job_command, reports_of
 from robotctl.recording import read_info
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
@@ -305,3 +310,25 @@ def test_every_child_is_started_in_one_way() -> None:
             assert "import subprocess" not in text, path
             assert "posix_spawn" not in text, path
             assert "os.fork" not in text, path
+
+
+async def test_a_child_that_lives_on_after_a_report_does_not_hold_up_the_loop() -> None:
+    reading, writing = os.pipe()
+    closed_by: list[str] = []
+
+    def close(by: str) -> None:
+        if not closed_by:
+            closed_by.append(by)
+            os.close(writing)
+
+    guard = Timer(5.0, close, ["the guard"])  # ends a read that blocks
+    guard.start()
+    asyncio.get_running_loop().call_later(0.1, close, "the loop")
+    os.write(writing, b'{"text": "first"}\n')
+    child = Child(os.getpid(), reading, None)
+    try:
+        assert [said async for said in reports_of(child)] == [{"text": "first"}]
+    finally:
+        guard.cancel()
+        child.detach()
+    assert closed_by == ["the loop"]

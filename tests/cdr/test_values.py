@@ -1,17 +1,24 @@
-"""Any message is read and written by its definition, as rclpy reads and writes it."""
+"""Any message is read and written by its definition, as rclpy reads and writes it.
+
+A row holds the values that decoding the whole message finds, at the paths of its columns.
+The leaf fields of a type are the paths under which its values are found.
+"""
 
 from __future__ import annotations
 
 import struct
+from itertools import islice
 from typing import Any
 
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
 import tests.support.rosidl_parser  # noqa: F401
-from robotctl.cdr.definition import UnreadableType, parse_definition
+from robotctl.cdr.definition import Definition, UnreadableType, parse_definition
 from robotctl.cdr.field_path import parse_path, value_at
+from robotctl.cdr.flat import MAX_COLUMNS, ColumnKind, FlatDecoder
 from robotctl.cdr.given import WrongValue, filled
+from robotctl.cdr.leaf_fields import leaf_fields
 from robotctl.cdr.values import decode, encode, zero
 from robotctl.ros.messages.type_definition import definition_of
 
@@ -176,3 +183,164 @@ def test_a_value_beyond_its_type_is_refused(field: str, value: object, said: str
     described = parse_definition("a/msg/T", f"{field}\n{'=' * 80}\nMSG: a/E\n")
     with pytest.raises(WrongValue, match=said):
         filled(described, zero(described, described.root), {"x": value})
+
+
+EVERYTHING = """\
+bool flag
+string name
+float64 x
+uint8 small
+float32[3] triple
+Inner inner
+Nothing nothing
+int16 after_nothing
+wstring wide
+Inner[2] pair
+uint8[] image
+uint8[4] key
+float64[] ranges
+string[] names
+Inner[] many
+float64[65] long
+int64 last
+================================================================================
+MSG: p/Inner
+int8 a
+float64 b
+================================================================================
+MSG: p/Nothing
+"""
+
+
+def values(name: str) -> dict[str, Any]:
+    def inner(a: int) -> dict[str, Any]:
+        return {"a": a, "b": a / 3}
+
+    return {
+        "flag": True,
+        "name": name,
+        "x": 0.1,
+        "small": 7,
+        "triple": [1.0, 2.0, 3.0],
+        "inner": inner(1),
+        "nothing": {},
+        "after_nothing": -5,
+        "wide": "größer",
+        "pair": [inner(2), inner(3)],
+        "image": b"\x00\xff\x80",
+        "key": b"abcd",
+        "ranges": [1.5, 2.5],
+        "names": ["", "b"],
+        "many": [inner(4)],
+        "long": [float(number) for number in range(65)],
+        "last": 1 << 40,
+    }
+
+
+@pytest.mark.parametrize("name", ["", "a", "ab", "abc", "abcd", "abcdefgh"])
+def test_a_row_holds_what_the_whole_message_holds_at_any_alignment(name: str) -> None:
+    definition = parse_definition("p/msg/All", EVERYTHING)
+    data = encode(definition, values(name))
+    whole = decode(definition, data)
+    decoder = FlatDecoder(definition)
+    row = decoder.row(data)
+    assert len(row) == len(decoder.columns)
+    for column, value in zip(decoder.columns, row, strict=True):
+        assert value == value_at(whole, parse_path(definition, column.name)), column.name
+
+
+def test_short_arrays_are_spread_and_lists_keep_one_column() -> None:
+    columns = {each.name: each.kind for each in decoder_of(EVERYTHING).columns}
+    assert columns["triple[2]"] is ColumnKind.NUMBER
+    assert columns["pair[1].b"] is ColumnKind.NUMBER
+    assert columns["long"] is columns["ranges"] is columns["names"] is ColumnKind.LIST
+    assert columns["image"] is columns["key"] is ColumnKind.BYTES
+    assert columns["many"] is ColumnKind.NESTED
+    assert columns["wide"] is columns["name"] is ColumnKind.TEXT
+
+
+def test_an_empty_sequence_of_bytes_is_bytes() -> None:
+    definition = parse_definition("p/msg/Image", "uint8[] data\n")
+    assert FlatDecoder(definition).row(encode(definition, {"data": b""})) == [b""]
+
+
+def test_big_endian_messages_are_read() -> None:
+    definition = parse_definition("p/msg/Pair", "int16 a\nfloat64 b\n")
+    data = b"\0\0\0\0" + struct.pack(">h6xd", 3, 0.5)
+    assert FlatDecoder(definition).row(data) == [3, 0.5]
+
+
+@pytest.mark.parametrize("cut", [3, 5, 40])
+def test_a_message_that_is_cut_short_is_refused_of_flat(cut: int) -> None:
+    definition = parse_definition("p/msg/All", EVERYTHING)
+    data = encode(definition, values("abc"))
+    with pytest.raises(struct.error):
+        FlatDecoder(definition).row(data[:-cut])
+
+
+@pytest.mark.parametrize("leaf", ["int8 x\n", ""])
+def test_a_type_that_grows_with_each_level_is_refused_at_once(leaf: str) -> None:
+    levels = [f"MSG: p/T{level}\nT{level + 1} a\nT{level + 1} b\n" for level in range(1, 60)]
+    text = f"\n{'=' * 80}\n".join(["T1 a\nT1 b\n", *levels, f"MSG: p/T60\n{leaf}"])
+    with pytest.raises(UnreadableType, match=f"at most {MAX_COLUMNS}"):
+        decoder_of(text)
+
+
+def decoder_of(text: str) -> FlatDecoder:
+    definition: Definition = parse_definition("p/msg/All", text)
+    return FlatDecoder(definition)
+
+
+TEXT = """\
+Point place
+Point[2] corners
+Point[] route
+float32[] ranges
+float64[3] rates
+string name
+bool is_on
+uint8 UNUSED=7
+================
+MSG: a/Point
+float64 x
+float64 y
+"""
+
+
+def definition_of_leaves(text: str = TEXT) -> Definition:
+    return parse_definition("a/msg/T", text)
+
+
+def test_every_value_of_a_type_is_one_leaf_in_the_order_of_its_definition() -> None:
+    paths = [leaf.path for leaf in leaf_fields(definition_of_leaves())]
+    corners = [f"corners[{index}].{name}" for index in (0, 1) for name in "xy"]
+    lists = ["route", "ranges", "rates"]
+    assert paths == ["place.x", "place.y", *corners, *lists, "name", "is_on"]
+
+
+def test_a_leaf_says_whether_it_is_a_number_or_a_list_of_numbers() -> None:
+    leaves = list(leaf_fields(definition_of_leaves()))
+    numbers = {leaf.path for leaf in leaves if leaf.is_number}
+    assert {"place.x", "corners[1].y", "is_on"} <= numbers
+    assert not numbers & {"name", "route", "ranges", "rates"}
+    assert [leaf.path for leaf in leaves if leaf.is_number_list] == ["ranges", "rates"]
+
+
+def test_the_steps_of_a_leaf_are_those_of_its_path_and_lead_to_its_value() -> None:
+    described = definition_of_leaves()
+    values = zero(described, described.root)
+    for leaf in leaf_fields(described):
+        assert parse_path(described, leaf.path) == leaf.steps
+        value_at(values, leaf.steps)
+
+
+def test_the_first_leaves_of_a_huge_type_come_at_once() -> None:
+    huge = definition_of_leaves("Point[999999999] points\n=====\nMSG: a/Point\nfloat64 x\n")
+    assert [leaf.path for leaf in islice(leaf_fields(huge), 2)] == ["points[0].x", "points[1].x"]
+
+
+def test_a_huge_type_without_values_has_no_leaves() -> None:
+    parts = ["T1[999999999] a\nT1[999999999] b\nint32 x\n"]
+    parts += [f"MSG: a/T{n}\nT{n + 1}[999999999] a\nT{n + 1} b\n" for n in range(1, 50)]
+    huge = definition_of_leaves("=====\n".join([*parts, "MSG: a/T50\nuint8 UNUSED=1\n"]))
+    assert [leaf.path for leaf in leaf_fields(huge)] == ["x"]
