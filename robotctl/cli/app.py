@@ -45,13 +45,13 @@ def run(arguments: list[str]) -> int:
             _parse_and_run(arguments or ["--help"])
         sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output has closed it
-        from robotctl.cli.support.failure import drop_output
+        from robotctl.cli.ui.output import drop_output
 
         drop_output(sys.stdout)
     except (Exception, KeyboardInterrupt) as error:  # a traceback only with --debug
         if debug and not isinstance(error, KeyboardInterrupt):
             raise
-        from robotctl.cli.support.failure import report
+        from robotctl.cli.ui.output import report
 
         return report(error, as_json=as_json)
     return 0

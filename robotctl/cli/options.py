@@ -47,6 +47,12 @@ Reason = Annotated[
 
 Json = Annotated[bool, typer.Option("--json", help="Print one line of JSON, for machines.")]
 
+Types = Annotated[bool, typer.Option("-t", "--show-types", help="Print the type beside each name.")]
+
+All = Annotated[
+    bool, typer.Option("-a", "--all", help="Also those whose name has a part that begins with _.")
+]
+
 
 def new_app(group: type[TyperGroup] = TyperGroup) -> typer.Typer:
     """Return a typer app without rich, which would add 60 ms to every help screen."""

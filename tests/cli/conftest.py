@@ -17,7 +17,7 @@ import pytest
 import robotctl
 from robotctl.cli import app
 from robotctl.cli.support import launch
-from robotctl.cli.terminal import text
+from robotctl.cli.ui import text
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import Client
 from robotctl.processes import Child, start
@@ -96,7 +96,7 @@ PROGRAM = """
 import sys
 from robotctl.cli import app
 from robotctl.cli.support import launch
-from robotctl.cli.terminal import text
+from robotctl.cli.ui import text
 launch.DAEMON = (sys.executable, sys.argv.pop(1))
 app.main()
 """

@@ -14,7 +14,7 @@ import pytest
 
 from robotctl.cli.commands import demo
 from robotctl.cli.commands.demo import CONFIG
-from robotctl.cli.terminal import text
+from robotctl.cli.ui import text
 from robotctl.config import Config, load
 from robotctl.ipc.client import call
 from robotctl.recording import read_info

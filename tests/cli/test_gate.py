@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.terminal import text
+from robotctl.cli.ui import text
 from robotctl.collection import judging
 from robotctl.testing.drives import drive, drive_requested, record
 from tests.support.checked_drives import here

@@ -15,7 +15,7 @@ from robotctl.cli.commands.teleop.controls import (
     Wish,
     typed,
 )
-from robotctl.cli.terminal.key_events import ANSWER, MAX_STRING, Key, KeyEvent, KeyParser
+from robotctl.cli.ui.keys import ANSWER, MAX_STRING, Key, KeyEvent, KeyParser
 
 PRESSED, REPEATED, RELEASED = KeyEvent.PRESSED, KeyEvent.REPEATED, KeyEvent.RELEASED
 FORWARD = STEERING["w"]

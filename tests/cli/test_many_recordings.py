@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.terminal import text
+from robotctl.cli.ui import text
 from robotctl.collection.indexing import index_recording
 from robotctl.testing.drives import drive, drive_requested, record
 

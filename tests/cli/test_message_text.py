@@ -10,7 +10,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robotctl.cli.terminal.message_text import as_json, message_lines
+from robotctl.cli.ui.ros_text import message_lines, plain_json
 
 SCALARS = st.one_of(
     st.booleans(), st.integers(-(2**63), 2**64 - 1), st.floats(allow_nan=False), st.text()
@@ -82,4 +82,4 @@ def test_no_text_reaches_the_terminal_as_it_is_or_becomes_something_else(text: s
 
 
 def test_json_holds_no_number_that_json_does_not_know() -> None:
-    assert as_json({"a": [nan, inf, 1.5], "b": b"\x01"}) == {"a": [None, None, 1.5], "b": [1]}
+    assert plain_json({"a": [nan, inf, 1.5], "b": b"\x01"}) == {"a": [None, None, 1.5], "b": [1]}

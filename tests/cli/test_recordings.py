@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.terminal import text
+from robotctl.cli.ui import text
 from robotctl.paths import recordings_note_path
 from robotctl.recording import Recorder, Topic
 from robotctl.recording.format.names import EventKind

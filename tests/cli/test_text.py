@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.cli.terminal.text import (
+from robotctl.cli.ui.text import (
     UNLIMITED,
     columns,
     duration,

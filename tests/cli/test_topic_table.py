@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.cli.terminal import topic_lines
-from robotctl.cli.terminal.topic_lines import TopicLines
+from robotctl.cli.ui import status
+from robotctl.cli.ui.status import TopicLines
 
 SERVICE_EVENT = "/set_mode/_service_event"
 SERVICE_EVENT_TYPE = "robot_controller/srv/SetMode_Event"
@@ -39,7 +39,7 @@ def test_every_line_has_80_columns_and_the_same_ones(name: str, type_name: str) 
 
 
 def test_a_narrow_terminal_gets_narrow_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(topic_lines, "columns", lambda: 60)
+    monkeypatch.setattr(status, "columns", lambda: 60)
     table = TopicLines([(SERVICE_EVENT, "")])
     row = table.row(SERVICE_EVENT, SERVICE_EVENT_TYPE, 3, 0.5)
     assert len(row) == len(table.header) == 60

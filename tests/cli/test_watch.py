@@ -18,9 +18,8 @@ from rich.console import Console
 
 from robotctl.cli.commands import watch
 from robotctl.cli.support.background import Background
-from robotctl.cli.terminal.drive_map import History, drive_map, sparkline
-from robotctl.cli.terminal.status_line import HEADER, status_line
-from robotctl.cli.terminal.status_panel import live_view
+from robotctl.cli.ui.panels import History, drive_map, live_view, sparkline
+from robotctl.cli.ui.status import HEADER, status_line
 from robotctl.errors import Refused
 from robotctl.ipc.answers import DrivenPath
 from robotctl.ipc.client import call

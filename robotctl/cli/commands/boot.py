@@ -16,8 +16,8 @@ from typing import Annotated, Any, Final
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support.answer import print_answer
-from robotctl.cli.terminal.text import printable
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import printable
 from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.paths import (
     DEFAULT_ROBOT,

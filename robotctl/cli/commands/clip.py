@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import (
     RecordedBy,
     RecordingsFolder,
@@ -20,8 +19,8 @@ from robotctl.cli.support.recording_paths import (
     recordings_of,
 )
 from robotctl.cli.support.time_argument import parse_moment
-from robotctl.cli.terminal.progress import progress_bar
-from robotctl.cli.terminal.text import duration, moment, printable, short_path
+from robotctl.cli.ui.output import print_answer, progress_bar
+from robotctl.cli.ui.text import duration, moment, printable, short_path
 from robotctl.errors import IN_PARENTHESES, RecoveredWithLoss, Refused, UnreadableFile, UsageError
 from robotctl.kernel.units import DAY_S, NS_PER_S
 from robotctl.recording.format.names import CLIP_KINDS, EventKind

@@ -16,7 +16,6 @@ from typing import Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.background import Background
 from robotctl.cli.support.held_lease import HeldLease
 from robotctl.cli.support.interrupted_drive import (
@@ -26,7 +25,8 @@ from robotctl.cli.support.interrupted_drive import (
 )
 from robotctl.cli.support.quick_actions import asked_by, lease_of_shell
 from robotctl.cli.support.signals import interrupted_by
-from robotctl.cli.terminal.text import printable, short_path
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import printable, short_path
 from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.answers import DriveAnswer
 from robotctl.ipc.client import call

@@ -11,9 +11,9 @@ from typing import Annotated, Any, Final
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.words_of_other_tools import PATTERN_WORDS
-from robotctl.cli.terminal.text import short_path
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import short_path
 from robotctl.errors import Refused
 from robotctl.mode_names import MODES
 

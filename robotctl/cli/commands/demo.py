@@ -23,7 +23,8 @@ from robotctl.cli.support.drive_picture import write_picture
 from robotctl.cli.support.launch import INTERRUPTIONS, StartOptions, launch
 from robotctl.cli.support.quick_actions import request_source, stop_daemon
 from robotctl.cli.support.signals import ignoring, interrupted_by
-from robotctl.cli.terminal.text import (
+from robotctl.cli.ui.status import TopicLines
+from robotctl.cli.ui.text import (
     can_show_braille,
     is_terminal,
     json_text,
@@ -32,7 +33,6 @@ from robotctl.cli.terminal.text import (
     size,
     terminal_lines,
 )
-from robotctl.cli.terminal.topic_lines import TopicLines
 from robotctl.domains import reserved_domain
 from robotctl.errors import NoDaemon, RobotctlError
 from robotctl.ipc.answers import DriveAnswer, Status

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from robotctl.cli.options import ConfigFile, DomainId, Json, Robot, new_app
-from robotctl.cli.support.answer import print_answer
-from robotctl.cli.terminal.text import printable
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import printable
 from robotctl.doctor.machine import Finding, Level
 from robotctl.errors import Refused
 from robotctl.paths import DEFAULT_ROBOT

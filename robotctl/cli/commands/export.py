@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from robotctl.cli.options import new_app
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.support.time_argument import parse_moment
-from robotctl.cli.terminal.progress import Progress, progress_bar
-from robotctl.cli.terminal.text import printable, short_path
+from robotctl.cli.ui.output import Progress, print_answer, progress_bar
+from robotctl.cli.ui.text import printable, short_path
 from robotctl.errors import RecoveredWithLoss, UsageError
 
 if TYPE_CHECKING:

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import (
     RecordedBy,
     RecordingsFolder,
     cure_of_damage,
     find_recording,
 )
-from robotctl.cli.terminal.text import duration, moment, printable, short_path, size
-from robotctl.cli.terminal.topic_lines import TopicLines
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.status import TopicLines
+from robotctl.cli.ui.text import duration, moment, printable, short_path, size
 from robotctl.errors import UnreadableFile
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support.answer import print_answer
-from robotctl.cli.terminal.text import moment, printable, short_path
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import moment, printable, short_path
 from robotctl.errors import Refused
 from robotctl.paths import DEFAULT_ROBOT, chain_to, make_private, seal_folder
 

@@ -18,7 +18,7 @@ import typer
 
 from robotctl.cli.options import Robot, new_app
 from robotctl.cli.support.time_argument import parse_since
-from robotctl.cli.terminal.text import printable
+from robotctl.cli.ui.text import printable
 from robotctl.errors import NoDaemon
 from robotctl.kernel.units import NS_PER_S
 from robotctl.paths import DEFAULT_ROBOT, chain_to, log_path

@@ -7,9 +7,9 @@ from typing import Annotated
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.quick_actions import request_source
-from robotctl.cli.terminal.text import moment, printable
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import moment, printable
 from robotctl.errors import UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import MARK

@@ -12,8 +12,8 @@ import typer
 
 from robotctl.cli.options import new_app
 from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
-from robotctl.cli.terminal.progress import progress_bar
-from robotctl.cli.terminal.text import can_show_braille, elided, is_terminal, printable, short_path
+from robotctl.cli.ui.output import progress_bar
+from robotctl.cli.ui.text import can_show_braille, elided, is_terminal, printable, short_path
 from robotctl.errors import RecoveredWithLoss, Refused, UsageError
 
 if TYPE_CHECKING:

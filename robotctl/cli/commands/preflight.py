@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support.answer import print_answer
-from robotctl.cli.terminal.text import printable
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import printable
 from robotctl.errors import Refused
 from robotctl.ipc.answers import Preflight
 from robotctl.ipc.client import call

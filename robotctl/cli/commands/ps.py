@@ -7,9 +7,9 @@ from typing import Any
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support import robots
-from robotctl.cli.support.answer import print_answer
-from robotctl.cli.terminal.status_screen import mode_text
-from robotctl.cli.terminal.text import printable, short_path
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.status import mode_text
+from robotctl.cli.ui.text import printable, short_path
 
 app = new_app()
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support.answer import print_answer
-from robotctl.cli.terminal.text import (
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import (
     column_width,
     columns,
     elided,

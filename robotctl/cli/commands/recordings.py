@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.given_options import given_options
 from robotctl.cli.support.recording_paths import (
     RecordedBy,
@@ -19,8 +18,8 @@ from robotctl.cli.support.recording_paths import (
     recordings_folder,
     robot_of,
 )
-from robotctl.cli.terminal.progress import progress_bar
-from robotctl.cli.terminal.text import (
+from robotctl.cli.ui.output import print_answer, progress_bar
+from robotctl.cli.ui.text import (
     column_width,
     columns,
     duration,

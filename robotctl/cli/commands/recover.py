@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
-from robotctl.cli.terminal.progress import progress_bar
-from robotctl.cli.terminal.text import short_path
+from robotctl.cli.ui.output import print_answer, progress_bar
+from robotctl.cli.ui.text import short_path
 from robotctl.errors import RecoveredWithLoss
 
 if TYPE_CHECKING:

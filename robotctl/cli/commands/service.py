@@ -8,12 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from robotctl.cli.options import DomainId, Json, Robot, new_app
-from robotctl.cli.support.answer import print_answer
-from robotctl.cli.support.names import All, Types, left_out_lines, name_lines, shown
+from robotctl.cli.options import All, DomainId, Json, Robot, Types, new_app
 from robotctl.cli.support.ros_view import ros_view
-from robotctl.cli.terminal.message_text import as_json as plain
-from robotctl.cli.terminal.message_text import message_lines
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.ros_text import left_out_lines, message_lines, name_lines, plain_json, shown
 from robotctl.errors import UsageError
 from robotctl.paths import DEFAULT_ROBOT
 
@@ -63,7 +61,7 @@ def call_service(
 
     definition = parse_definition(answer["type"], answer["definition"])
     response = decode(definition, base64.b64decode(answer["data"]))
-    told = {"type": answer["type"], "response": plain(response)}
+    told = {"type": answer["type"], "response": plain_json(response)}
     print_answer(told, message_lines(response, None), as_json=as_json)
 
 

@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 
 from robotctl.cli.options import ConfigFile, DomainId, Json, Namespace, Robot, new_app
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.quick_actions import request_source
-from robotctl.cli.terminal.text import printable
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import printable
 from robotctl.errors import UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import SIM_FAULT, SIM_SET

@@ -11,13 +11,13 @@ import typer
 
 from robotctl import __version__, ros_arguments
 from robotctl.cli.options import ConfigFile, DomainId, Json, Namespace, Robot, RosWords, new_app
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.launch import INTERRUPTIONS, StartOptions, launch
 from robotctl.cli.support.profile_option import ProfileName
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.support.view_process import check_view_installed, start_view_of
-from robotctl.cli.terminal.status_screen import mode_text
-from robotctl.cli.terminal.text import printable, short_path
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.status import mode_text
+from robotctl.cli.ui.text import printable, short_path
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.client import command_for

@@ -11,9 +11,9 @@ from typing import Any, Final
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.support.background import Background
 from robotctl.cli.support.quick_actions import asked_by, lease_of_shell, mode_number
-from robotctl.cli.terminal.keyboard import Keyboard
-from robotctl.cli.terminal.status_line import HEADER, status_line
-from robotctl.cli.terminal.text import is_terminal
+from robotctl.cli.ui.keys import Keyboard
+from robotctl.cli.ui.status import HEADER, status_line
+from robotctl.cli.ui.text import is_terminal
 from robotctl.errors import Refused, RobotctlError
 from robotctl.ipc.answers import DrivenPath, Status
 from robotctl.ipc.client import Client, call
@@ -53,7 +53,7 @@ def show(statuses: Iterator[Status]) -> None:
         return
     from rich.live import Live
 
-    from robotctl.cli.terminal.status_panel import live_view
+    from robotctl.cli.ui.panels import live_view
 
     with Live(auto_refresh=False) as live:
         for status in statuses:
@@ -76,8 +76,7 @@ def watch_on_screen(robot: str) -> None:
     from rich.live import Live
     from rich.text import Text
 
-    from robotctl.cli.terminal.drive_map import History, drive_map
-    from robotctl.cli.terminal.status_panel import live_view
+    from robotctl.cli.ui.panels import History, drive_map, live_view
 
     history = History()
     note = ""

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.last_recordings import committed_recording, with_earlier
 from robotctl.cli.support.recording_paths import (
     LAST,
@@ -22,8 +21,8 @@ from robotctl.cli.support.recording_paths import (
     robot_of,
 )
 from robotctl.cli.support.time_argument import is_offset, parse_moment
-from robotctl.cli.terminal.progress import Progress, progress_bar
-from robotctl.cli.terminal.text import row, short_path
+from robotctl.cli.ui.output import Progress, print_answer, progress_bar
+from robotctl.cli.ui.text import row, short_path
 from robotctl.errors import Refused, UnreadableFile
 from robotctl.ipc.advice import advice, cure_of, for_robot
 from robotctl.kernel.units import NS_PER_S

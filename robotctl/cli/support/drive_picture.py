@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from robotctl.cli.terminal.text import number, printable
+from robotctl.cli.ui.text import number, printable
 from robotctl.errors import RobotctlError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import PATH, STATUS

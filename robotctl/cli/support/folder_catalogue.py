@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robotctl.cli.support.recording_paths import recording_path, recordings_folder
-from robotctl.cli.terminal.progress import progress_bar
+from robotctl.cli.ui.output import progress_bar
 from robotctl.errors import Refused, UsageError
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ import re
 from typing import TYPE_CHECKING
 
 from robotctl.cli.support.lease_token import own_token
-from robotctl.cli.terminal.status_screen import status_screen_lines
-from robotctl.cli.terminal.text import json_text, printable
+from robotctl.cli.ui.status import status_screen_lines
+from robotctl.cli.ui.text import json_text, printable
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import Client, call, command_for
 from robotctl.ipc.method_names import RESET, SET_MODE, STATUS, STOP
@@ -90,8 +90,8 @@ def _show_others(others: dict[str, list[str]]) -> None:
 
 
 def _estop_all(as_json: bool, reason: str) -> None:
-    from robotctl.cli.support.answer import print_answer
     from robotctl.cli.support.estop_all import stop_all
+    from robotctl.cli.ui.output import print_answer
 
     params, problem = _asked_by_or_why_not("estop --all", reason)
     stopped, failure = stop_all(params)

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from robotctl.cli.terminal.text import short_path
+from robotctl.cli.ui.text import short_path
 from robotctl.errors import IN_PARENTHESES, Refused, UsageError
 from robotctl.ipc.client import command_for
 from robotctl.paths import (

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from robotctl.cli.support.signals import interrupted_by
-from robotctl.cli.terminal.text import json_text, printable
+from robotctl.cli.ui.text import json_text, printable
 from robotctl.environment import RANGE
 from robotctl.errors import Interrupted, NoDaemon, Refused, RobotctlError, error_for_exit_code
 from robotctl.ipc.client import call

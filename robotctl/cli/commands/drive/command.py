@@ -10,9 +10,9 @@ import typer
 
 from robotctl.cli.commands.drive.running import drive_and_wait, tracking_lines
 from robotctl.cli.options import Json, Reason, Robot, new_app
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.quick_actions import asked_by, lease_of_shell
-from robotctl.cli.terminal.text import number, printable
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import number, printable
 from robotctl.errors import UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import DRIVE, DRIVE_PATH, DRIVE_VELOCITY

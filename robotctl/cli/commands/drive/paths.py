@@ -19,7 +19,7 @@ from robotctl.cdr.values import decode
 from robotctl.cli.support.last_recordings import committed_recording, with_earlier
 from robotctl.cli.support.recording_paths import LAST, find_recording
 from robotctl.cli.support.ros_view import ros_view
-from robotctl.cli.terminal.text import printable, short_path
+from robotctl.cli.ui.text import printable, short_path
 from robotctl.errors import Refused, UnreadableFile, UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import PARAM_LIST

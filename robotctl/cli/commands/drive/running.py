@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 from robotctl.cli.commands.watch import polled_until, show
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.background import Background
 from robotctl.cli.support.drive_picture import leave_picture
 from robotctl.cli.support.interrupted_drive import (
@@ -16,7 +15,8 @@ from robotctl.cli.support.interrupted_drive import (
     wait_while_stdout_open,
 )
 from robotctl.cli.support.signals import interrupted_by
-from robotctl.cli.terminal.text import is_terminal, number, short_path
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import is_terminal, number, short_path
 from robotctl.errors import RobotctlError
 from robotctl.ipc.answers import DriveAnswer
 from robotctl.ipc.client import call

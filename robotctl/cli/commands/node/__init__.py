@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from robotctl.cli.options import DomainId, Json, Robot, new_app
-from robotctl.cli.support.answer import print_answer
-from robotctl.cli.support.names import All, is_hidden, left_out_lines
+from robotctl.cli.options import All, DomainId, Json, Robot, new_app
 from robotctl.cli.support.ros_view import ros_view
-from robotctl.cli.terminal.text import printable
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.ros_text import is_hidden, left_out_lines
+from robotctl.cli.ui.text import printable
 from robotctl.ipc.answers import GraphNode
 from robotctl.paths import DEFAULT_ROBOT
 

@@ -11,9 +11,8 @@ from robotctl.cli.commands.replay.select_recordings import (
     select_recordings,
     skipped_lines,
 )
-from robotctl.cli.support.answer import print_answer
-from robotctl.cli.terminal.progress import Progress, progress_bar
-from robotctl.cli.terminal.text import duration, number, printable, row, short_path
+from robotctl.cli.ui.output import Progress, print_answer, progress_bar
+from robotctl.cli.ui.text import duration, number, printable, row, short_path
 from robotctl.errors import Divergence, RobotctlError, UnreadableFile, UsageError
 from robotctl.kernel.modes import Mode
 from robotctl.rerun.check_many import check_recordings

@@ -13,7 +13,7 @@ from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.given_options import given_options
 from robotctl.cli.support.recording_paths import RecordedBy, file_path, find_recording
 from robotctl.cli.support.signals import interrupted_by
-from robotctl.cli.terminal.text import short_path
+from robotctl.cli.ui.text import short_path
 from robotctl.domains import requested_domain
 from robotctl.errors import UsageError
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name

@@ -9,10 +9,9 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from robotctl.cli.support.answer import print_answer
-from robotctl.cli.terminal.keyboard import Keyboard
-from robotctl.cli.terminal.replay_screen import Screen, screen
-from robotctl.cli.terminal.replay_summary import summary_lines
+from robotctl.cli.commands.replay.screen import Screen, screen, summary_lines
+from robotctl.cli.ui.keys import Keyboard
+from robotctl.cli.ui.output import print_answer
 from robotctl.errors import Interrupted, RobotctlError, UsageError, error_for_exit_code
 from robotctl.kernel.units import NS_PER_S
 from robotctl.processes import Child, program, start

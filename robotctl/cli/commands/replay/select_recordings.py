@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from robotctl.cli.support.recording_paths import find_recording
-from robotctl.cli.terminal.text import short_path
+from robotctl.cli.ui.text import short_path
 from robotctl.recording.read.files import is_bag, is_recording
 
 LABEL_WIDTH = 12

@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import (
     RecordedBy,
     RecordingsFolder,
     cure_of_damage,
     find_recording,
 )
-from robotctl.cli.terminal.progress import progress_bar
-from robotctl.cli.terminal.text import row, short_path, size
+from robotctl.cli.ui.output import print_answer, progress_bar
+from robotctl.cli.ui.text import row, short_path, size
 from robotctl.errors import Refused, UnreadableFile, UsageError
 from robotctl.recording.format.names import PAGE_FILE
 

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 from robotctl.cli.commands.verify.report import verified
 from robotctl.cli.commands.why import FoundIncident, as_object
-from robotctl.cli.terminal.progress import progress_bar
-from robotctl.cli.terminal.text import duration, size
+from robotctl.cli.ui.output import progress_bar
+from robotctl.cli.ui.text import duration, size
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.names import EventKind

@@ -35,11 +35,16 @@ from robotctl.cli.support.interrupted_drive import CLOSING_SIGNALS
 from robotctl.cli.support.quick_actions import asked_by, lease_of_shell
 from robotctl.cli.support.ros_view import ros_view
 from robotctl.cli.support.signals import interrupted_by
-from robotctl.cli.terminal.key_events import Key, KeyEvent, KeyParser
-from robotctl.cli.terminal.keyboard import Keyboard
-from robotctl.cli.terminal.release_events import ReleaseEvents
-from robotctl.cli.terminal.terminal_answers import ASK_EACH_S, TerminalAnswers
-from robotctl.cli.terminal.text import is_terminal, printable
+from robotctl.cli.ui.keys import (
+    ASK_EACH_S,
+    Key,
+    Keyboard,
+    KeyEvent,
+    KeyParser,
+    ReleaseEvents,
+    TerminalAnswers,
+)
+from robotctl.cli.ui.text import is_terminal, printable
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import Client, command_for
 from robotctl.ipc.method_names import SET_MODE, STATUS
@@ -119,7 +124,7 @@ def view_below(lines: list[str], status: Status) -> RenderableType:
     from rich.console import Group
     from rich.text import Text
 
-    from robotctl.cli.terminal.status_panel import live_view
+    from robotctl.cli.ui.panels import live_view
 
     few: dict[str, Any] = {**status, "topics": status["topics"][:MAX_TOPICS]}
     return Group(*map(Text, lines), live_view(cast("Status", few)))

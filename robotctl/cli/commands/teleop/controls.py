@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple, Protocol
 from robotctl.cdr.definition import Definition, parse_definition
 from robotctl.cdr.values import decode
 from robotctl.cli.support.ros_view import MessageListener
-from robotctl.cli.terminal.key_events import ANSWER, Key, KeyEvent
+from robotctl.cli.ui.keys import ANSWER, Key, KeyEvent
 from robotctl.errors import Refused, UsageError
 from robotctl.ipc.client import Client
 from robotctl.ipc.method_names import HOLD, PARAM_LIST

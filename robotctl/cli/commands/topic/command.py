@@ -12,12 +12,12 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from robotctl.cli.options import DomainId, Json, Robot
-from robotctl.cli.support.answer import print_answer
-from robotctl.cli.support.names import All, Types, is_hidden, left_out_lines, name_lines, shown
+from robotctl.cli.options import All, DomainId, Json, Robot, Types
 from robotctl.cli.support.recording_paths import find_recording
 from robotctl.cli.support.ros_view import ros_view
-from robotctl.cli.terminal.text import json_text, moment, printable
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.ros_text import is_hidden, left_out_lines, name_lines, shown
+from robotctl.cli.ui.text import json_text, moment, printable
 from robotctl.errors import Refused, UsageError
 from robotctl.ipc.answers import GraphEndpoint, GraphTopic
 from robotctl.kernel.units import NS_PER_S
@@ -205,7 +205,7 @@ def list_topics(
 
 
 def _list_recorded(file: str, *, every: bool, as_json: bool) -> None:
-    from robotctl.cli.terminal.topic_lines import TopicLines
+    from robotctl.cli.ui.status import TopicLines
     from robotctl.recording import read_info
 
     found = read_info(find_recording(file, None))

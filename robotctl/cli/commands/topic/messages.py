@@ -11,8 +11,8 @@ from robotctl.cdr.field_path import parse_path, value_at
 from robotctl.cdr.given import WrongValue
 from robotctl.cdr.values import decode
 from robotctl.cli.support.recording_paths import find_recording
-from robotctl.cli.terminal.message_text import SHOWN_LENGTH, as_json, message_lines
-from robotctl.cli.terminal.text import json_text
+from robotctl.cli.ui.ros_text import SHOWN_LENGTH, message_lines, plain_json
+from robotctl.cli.ui.text import json_text
 from robotctl.errors import UnreadableFile, UsageError
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Message, read_info, read_messages
@@ -77,7 +77,7 @@ class Printer:
             "type": self._type_name,
             "time_ns": time_ns,
             "publish_ns": publish_ns,
-            key: as_json(self._value(data)),
+            key: plain_json(self._value(data)),
         }
         print(json_text(told), flush=True)
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from robotctl.cli.support.answer import print_answer
-from robotctl.cli.terminal.progress import progress_bar
-from robotctl.cli.terminal.text import moment, row, short_path, size
+from robotctl.cli.ui.output import print_answer, progress_bar
+from robotctl.cli.ui.text import moment, row, short_path, size
 from robotctl.errors import Divergence, NotSealed, RobotctlError, UnreadableFile
 from robotctl.recording.read.known_heads import KnownHeads
 from robotctl.recording.read.seal_chain import Chain, SealedFile, check_chain, find_head

@@ -1,4 +1,4 @@
-"""The screen of a replay: notes and a bar while it plays, and the robot with --draw."""
+"""The screen of a replay: notes and a bar, the robot with --draw, and the summary."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol
 
-from robotctl.cli.terminal.text import duration, is_terminal, printable
+from robotctl.cli.ui.text import duration, is_terminal, printable
 from robotctl.kernel.units import NS_PER_S
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from robotctl.replay.recorded_robot import RecordedRobot
+
 
 KEYS = "space pause   n next message   + - rate   q quit"
 _BAR_WIDTH = 78
@@ -75,7 +76,7 @@ class _Notes(_Nothing):
             self._print_robot(self._robot, report["progress"]["position_s"])
 
     def _print_robot(self, robot: RecordedRobot, position_s: float) -> None:
-        from robotctl.cli.terminal.recorded_robot_view import recorded_line
+        from robotctl.cli.ui.panels import recorded_line
 
         robot.advance(round(position_s * NS_PER_S))
         if time.monotonic() >= self._line_at:
@@ -118,7 +119,7 @@ class _Bar:
 
         parts = [line]
         if self._robot is not None:
-            from robotctl.cli.terminal.recorded_robot_view import recorded_view
+            from robotctl.cli.ui.panels import recorded_view
 
             self._robot.advance(round(position_s * NS_PER_S))
             parts.insert(0, recorded_view(self._robot))
@@ -153,3 +154,24 @@ def bar_text(progress: dict[str, Any], position_s: float, length_s: float) -> st
     if progress.get("behind"):
         parts.append(f"{progress['behind']} behind schedule")
     return "   ".join(parts)
+
+
+def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
+    """Yield the summary of a replay, from its object in `--json`."""
+    domain, names = summary["domain_id"], summary["prefix"]
+    where = f"with the prefix {names}" if names else "under the original names"
+    yield f"  sent        {summary['sent']} messages in ROS domain {domain}, {where}"
+    if summary["failed"]:
+        yield f"  not sent    {summary['failed']} messages, refused by the middleware"
+    for topic, count in summary["withheld"].items():
+        yield f"  withheld    {printable(topic)}, {count} messages"
+    for topic, reason in summary["skipped"].items():
+        yield f"  skipped     {printable(topic)}: {printable(reason)}"
+    timing = summary["timing_error_us"]
+    if timing is not None:
+        p50, p99, worst = (_microseconds(timing[key]) for key in ("p50", "p99", "max"))
+        yield f"  timing      {p50} late p50, {p99} p99, {worst} at most"
+
+
+def _microseconds(value: float) -> str:
+    return f"{value:.0f} us" if value < 10_000 else f"{value / 1000:.0f} ms"

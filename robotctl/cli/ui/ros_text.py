@@ -1,14 +1,39 @@
-"""A message as lines of YAML, in the form of `ros2 topic echo`, and as JSON."""
+"""Names and messages of ROS as text, as `ros2` prints them."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import isfinite
 from typing import Any, Final
 
-from robotctl.cli.terminal.text import printable
+from robotctl.cli.ui.text import printable
+from robotctl.ipc.answers import NameAndTypes
+
+
+def is_hidden(name: str) -> bool:
+    """Return whether ROS tools leave a name out of their lists."""
+    return "/_" in name
+
+
+def shown(names: Sequence[NameAndTypes], every: bool) -> list[NameAndTypes]:
+    """Return the names that are listed: all with `every`, else those that are not hidden."""
+    return [each for each in names if every or not is_hidden(each["name"])]
+
+
+def name_lines(names: Iterable[NameAndTypes], types: bool) -> Iterator[str]:
+    """Yield a line for each name, with its types in brackets if wanted."""
+    for each in names:
+        kinds = f" [{', '.join(map(printable, each['types']))}]" if types else ""
+        yield f"{printable(each['name'])}{kinds}"
+
+
+def left_out_lines(count: int) -> Iterator[str]:
+    """Yield a line that says how many names the daemon has left out, if any."""
+    if count:
+        yield f"and {count} more"
+
 
 SHOWN_LENGTH: Final = 128
 """How much of a list or a text is shown, as in `ros2 topic echo`."""
@@ -88,10 +113,10 @@ def _text(text: str) -> str:
     return "".join(each if each.isprintable() else printable(each) for each in escaped)
 
 
-def as_json(value: Any) -> Any:
+def plain_json(value: Any) -> Any:
     """Return a message with what JSON can hold: NaN and infinity become null, bytes a list."""
     if isinstance(value, float):
         return value if isfinite(value) else None
     if isinstance(value, Mapping):
-        return {name: as_json(inner) for name, inner in value.items()}
-    return [as_json(inner) for inner in value] if _is_list(value) else value
+        return {name: plain_json(inner) for name, inner in value.items()}
+    return [plain_json(inner) for inner in value] if _is_list(value) else value

@@ -1,13 +1,16 @@
-"""Report why a command failed: one sentence, one JSON object, one exit code."""
+"""What a command prints: its answer, why it failed, and a bar while it works."""
 
 from __future__ import annotations
 
 import errno
 import os
 import sys
-from typing import TextIO
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Final, TextIO
 
-from robotctl.cli.terminal.text import json_text, printable
+from robotctl.cli.ui.text import is_terminal, json_text, printable
 from robotctl.errors import IN_PARENTHESES, Interrupted, RobotctlError, UsageError
 
 
@@ -69,3 +72,62 @@ def _is_working_folder_gone() -> bool:
     except FileNotFoundError:
         return True
     return False
+
+
+def print_answer(
+    answer: Mapping[str, Any],
+    lines: Iterable[str],
+    *,
+    as_json: bool,
+    error: RobotctlError | None = None,
+) -> None:
+    """Print the answer, as one line of JSON or as lines of text, then raise `error` if given.
+
+    With `as_json`, the error carries the answer, so that stdout gets a single object. The error is
+    raised even if the reader of stdout has closed it, because it determines the exit code.
+    """
+    if error is not None and as_json:
+        error.answer = answer
+        raise error
+    try:
+        print(json_text(answer) if as_json else "\n".join(lines), flush=True)
+    except BrokenPipeError:
+        drop_output(sys.stdout)
+    if error is not None:
+        raise error
+
+
+Progress = Callable[[int, int], None]
+"""Receives how much is done, and the total."""
+
+REDRAW_S: Final = 0.1
+"""How often the bar is drawn again, at most."""
+
+
+@contextmanager
+def progress_bar(label: str, *, quiet: bool) -> Iterator[Progress]:
+    """Yield a function that draws the progress on a terminal; remove the bar at the end."""
+    if quiet or not is_terminal():
+        yield lambda done, total: None
+        return
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=None),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+    )
+    # It draws without a thread: a check may copy a process with one thread only.
+    with Bar(*columns, transient=True, auto_refresh=False) as bar:
+        task = bar.add_task(label, total=None)
+        drawn_s = 0.0
+
+        def draw(done: int, total: int) -> None:
+            nonlocal drawn_s
+            if time.monotonic() - drawn_s >= REDRAW_S:
+                drawn_s = time.monotonic()
+                bar.update(task, completed=done, total=total, refresh=True)
+
+        yield draw

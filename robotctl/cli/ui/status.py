@@ -1,15 +1,65 @@
-"""The status of a daemon as one screen of plain text, 80 columns wide."""
+"""The status of a daemon as text: one screen 80 columns wide, or one row of a table."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
-from robotctl.cli.terminal.text import duration, number, printable, row, short_path, size
-from robotctl.cli.terminal.topic_lines import TopicLines
+from robotctl.cli.ui.text import (
+    UNLIMITED,
+    column_width,
+    columns,
+    duration,
+    elided,
+    number,
+    printable,
+    row,
+    short_path,
+    size,
+)
+from robotctl.ipc.answers import Status
 
-if TYPE_CHECKING:
-    from robotctl.ipc.answers import Status
+_MIN_NAME_WIDTH, _COUNT_WIDTH, _RATE_WIDTH = 24, 8, 7
+_INDENT_AND_GAPS = 5
+
+
+class TopicLines:
+    """A table whose columns fit its topics; on a terminal, types get the rest."""
+
+    def __init__(self, topics: Iterable[tuple[object, object]]) -> None:
+        """Fit the columns to `topics`, the names and types of the rows."""
+        shown = [(name, _short_type(type_name)) for name, type_name in topics]
+        both = columns() - _INDENT_AND_GAPS - _COUNT_WIDTH - _RATE_WIDTH
+        names, types = ([each[part] for each in shown] for part in (0, 1))
+        self._name_width = column_width(names, at_least=_MIN_NAME_WIDTH, at_most=both * 2 // 3)
+        self._type_width = both - self._name_width
+        if columns() == UNLIMITED:
+            self._type_width = column_width(types, at_least=len("type"), at_most=self._type_width)
+
+    @property
+    def header(self) -> str:
+        """The header line."""
+        return self._line("topic", "type", "count", "Hz")
+
+    def row(self, name: object, type_name: object, count: object, rate_hz: object) -> str:
+        """Return the line of one topic."""
+        rate = number(rate_hz, ".1f")
+        if len(rate) > _RATE_WIDTH:
+            rate = number(rate_hz, ".1e")
+        return self._line(name, _short_type(type_name), count, rate)
+
+    def _line(self, name: object, type_name: object, count: object, rate: str) -> str:
+        return (
+            f"  {elided(name, self._name_width):{self._name_width}} "
+            f"{elided(type_name, self._type_width):{self._type_width}} "
+            f"{count!s:>{_COUNT_WIDTH}} {rate:>{_RATE_WIDTH}}"
+        )
+
+
+def _short_type(type_name: object) -> str:
+    """Return the type without `/msg`."""
+    return str(type_name).replace("/msg/", "/")
+
 
 _LABEL_WIDTH = 10
 
@@ -124,3 +174,30 @@ def battery_text(status: Status) -> str:
     """Return the battery level in percent."""
     battery = status.get("battery")
     return "unknown" if battery is None else f"{number(battery, '.0%')}".replace("%", " %")
+
+
+_ROW = "{:>8} {:<14} {:>8} {:>8} {:>7} {:>7} {:>7} {:>8} {:>5}"
+HEADER = _ROW.format(
+    "up [s]", "mode", "x [m]", "y [m]", "theta", "v [m/s]", "battery", "written", "lost"
+)
+
+
+def status_line(status: Status) -> str:
+    """Return mode, pose, speed, battery and recorder in the columns of HEADER; `-` is unknown."""
+    pose: Mapping[str, Any] = status["pose"] or {}
+    velocity: Mapping[str, Any] = status["velocity"] or {}
+    recorder = status["recorder"]
+    cells = (
+        _cell(status.get("uptime_s"), ".1f"),
+        "observing" if is_observer(status) else printable(status.get("mode")),
+        *(_cell(pose.get(key), ".3f") for key in ("x", "y", "theta")),
+        _cell(velocity.get("linear"), ".3f"),
+        _cell(status.get("battery"), ".0%"),
+        _cell(recorder.get("written"), "d"),
+        _cell(recorder.get("lost"), "d"),
+    )
+    return _ROW.format(*cells)
+
+
+def _cell(value: Any, form: str) -> str:
+    return "-" if value is None else number(value, form)

@@ -1,0 +1,1 @@
+"""What is drawn and printed in a terminal, and the keys that it sends."""

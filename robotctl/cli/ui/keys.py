@@ -1,0 +1,336 @@
+"""The keys of a terminal: pressed, released and pasted, and whether it still answers."""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import signal
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from enum import Enum
+from types import FrameType
+from typing import Any, Final, NamedTuple, Self
+
+from robotctl.cli.ui.text import is_terminal
+
+_LOCAL_FLAGS = 3
+"""The index of the local flags in the list that tcgetattr returns."""
+
+
+class Keyboard:
+    """A context in which keys arrive one by one and without echo; Ctrl-C and Ctrl-Z still work.
+
+    Ctrl-Z takes effect in `read`, never while something is drawn: `suspend` is called before the
+    process stops, and `resume` when it continues. Without a terminal, and in the background of a
+    shell, there are no keys.
+    """
+
+    def __init__(self, suspend: Callable[[], object], resume: Callable[[], object]) -> None:
+        self._suspend = suspend
+        self._resume = resume
+        self._stop_asked = -1
+        self._file = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else -1
+        self._saved: list[Any] | None = None
+        self._previous: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        """Turn off echo and line mode, and handle Ctrl-Z."""
+        if self._file >= 0 and is_terminal():
+            self._stop_asked = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+            self._previous = {
+                signal.SIGTSTP: signal.signal(signal.SIGTSTP, self._ask_to_stop),
+                signal.SIGCONT: signal.signal(signal.SIGCONT, self._go_on),
+            }
+            self._take()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Restore the settings and the signal handlers."""
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+        self._give_back()
+        if self._stop_asked >= 0:
+            os.close(self._stop_asked)
+            self._stop_asked = -1
+
+    @property
+    def sources(self) -> list[int]:
+        """The descriptors to wait for: keys and Ctrl-Z; empty without a terminal."""
+        keys = [] if self._saved is None else [self._file]
+        return keys if self._stop_asked < 0 else [*keys, self._stop_asked]
+
+    @property
+    def keys_from(self) -> int:
+        """The descriptor of the keys alone, -1 without a terminal."""
+        return -1 if self._saved is None else self._file
+
+    def read(self) -> str:
+        """Return the keys that were pressed; call it when one of `sources` is readable."""
+        ready, _, _ = select.select(self.sources, [], [], 0.0)
+        if self._stop_asked in ready:
+            os.eventfd_read(self._stop_asked)
+            self._stop()
+        return os.read(self._file, 64).decode(errors="ignore") if self._file in ready else ""
+
+    def has_ended(self, ready: Sequence[object]) -> bool:
+        """Return whether the terminal was readable without a key, so that none will come."""
+        return self._saved is not None and self._file in ready and self._stop_asked not in ready
+
+    def flush(self) -> None:
+        """Drop the keys that were pressed and not read."""
+        if self._saved is not None:
+            termios.tcflush(self._file, termios.TCIFLUSH)
+
+    def _take(self) -> None:
+        if self._saved is None and self._is_in_foreground():
+            self._saved = termios.tcgetattr(self._file)
+            unseen = termios.tcgetattr(self._file)
+            unseen[_LOCAL_FLAGS] &= ~(termios.ICANON | termios.ECHO)
+            termios.tcsetattr(self._file, termios.TCSADRAIN, unseen)
+
+    def _is_in_foreground(self) -> bool:
+        try:
+            return os.tcgetpgrp(self._file) == os.getpgrp()
+        except OSError:  # it is not the controlling terminal
+            return False
+
+    def _give_back(self) -> None:
+        if self._saved is not None:
+            termios.tcsetattr(self._file, termios.TCSADRAIN, self._saved)
+            self._saved = None
+
+    def _ask_to_stop(self, number: int, frame: FrameType | None) -> None:
+        os.eventfd_write(self._stop_asked, 1)
+
+    def _stop(self) -> None:
+        self._suspend()
+        self._give_back()
+        signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGTSTP)  # returns when the shell continues the process
+        signal.signal(signal.SIGTSTP, self._ask_to_stop)
+        self._take()
+        self._resume()
+
+    def _go_on(self, number: int, frame: FrameType | None) -> None:
+        self._take()  # it may have run in the background until now
+
+
+MAX_SEQUENCE: Final = 40
+"""A longer escape sequence is not waited for."""
+
+MAX_STRING: Final = 4096
+MAX_STRING_S: Final = 0.1
+"""What is longer, or takes longer, is no string of the terminal: Alt-] may have been pressed."""
+
+ANSWER: Final = "answer"
+"""The name of the key that stands for an answer to `CSI ? u`."""
+
+_SEQUENCE = re.compile(r"\x1b(?:\[([?<>=]?)([\d:;]*)|(O))([@-~])")
+_BEGUN = re.compile(r"\x1b(?:\[[?<>=]?[\d:;]*|O)?")
+_STRING = re.compile(r"\x1b[\]PX^_][^\x07\x1b]*(?:\x07|\x1b\\)")
+_STRING_BEGUN = re.compile(r"\x1b[\]PX^_][^\x07\x1b]*\x1b?")
+_PASTE, _PASTE_END = "\x1b[200~", "\x1b[201~"
+_ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
+_CONTROL_BIT = 4
+_SURROGATES_AND_ABOVE = 0xD800
+"""No key that is used here has a code this high."""
+
+
+class KeyEvent(Enum):
+    """What happened to a key; a terminal that tells no releases tells repeats as presses."""
+
+    PRESSED = 1
+    REPEATED = 2
+    RELEASED = 3
+
+
+class Key(NamedTuple):
+    """A key by its character, or `up`, `down`, `left`, `right`, or ANSWER.
+
+    `is_text`: it came in a form for which a terminal tells no release, as pasted text does.
+    """
+
+    name: str
+    event: KeyEvent = KeyEvent.PRESSED
+    with_control: bool = False
+    is_text: bool = False
+
+
+class KeyParser:
+    """Turns what is read from a terminal into keys.
+
+    The forms are those of xterm and of the kitty keyboard protocol. What is neither, the strings of
+    a terminal (OSC, DCS), and what stands between the marks of a paste, is skipped.
+    """
+
+    def __init__(self) -> None:
+        self._rest = ""
+        self._rest_s = 0.0
+        self._is_pasted = False
+
+    def feed(self, text: str, now_s: float) -> Iterator[Key]:
+        """Yield the keys of the text, which was read at `now_s`; a sequence may come in parts."""
+        if not self._rest:
+            self._rest_s = now_s
+        text, self._rest = self._rest + text, ""
+        at = 0
+        while at < len(text):
+            if self._is_pasted:
+                end = text.find(_PASTE_END, at)
+                if end < 0:
+                    self._rest = text[max(at, len(text) - len(_PASTE_END) + 1) :]
+                    return
+                self._is_pasted, at = False, end + len(_PASTE_END)
+            elif text[at] != "\x1b":
+                yield Key(text[at].lower(), is_text=True)
+                at += 1
+            elif text.startswith(_PASTE, at):
+                self._is_pasted, at = True, at + len(_PASTE)
+            elif string := _STRING.match(text, at):
+                at = string.end()
+            elif found := _SEQUENCE.match(text, at):
+                yield from _key(*found.groups(default=""))
+                at = found.end()
+            elif _BEGUN.fullmatch(text, at):
+                self._rest = text[at:] if len(text) - at <= MAX_SEQUENCE else ""
+                return
+            elif _STRING_BEGUN.fullmatch(text, at) and self._may_end(len(text) - at, now_s):
+                self._rest = text[at:]
+                return
+            else:
+                at += 1
+
+    def _may_end(self, length: int, now_s: float) -> bool:
+        return length <= MAX_STRING and now_s - self._rest_s <= MAX_STRING_S
+
+
+def _key(private: str, numbers: str, is_single_shift: str, final: str) -> Iterator[Key]:
+    """Yield the key of a sequence, nothing for one that is no key."""
+    codes = [part.split(":") for part in numbers.split(";")]
+    modifiers, event = 1, KeyEvent.PRESSED
+    if len(codes) > 1:
+        modifiers = _number(codes[1][0]) or 1
+        number = _number(codes[1][1]) if len(codes[1]) > 1 else 1
+        event = KeyEvent(number) if number in (2, 3) else event
+    with_control = bool((modifiers - 1) & _CONTROL_BIT)
+    code = _number(codes[0][0])
+    if private:
+        if (private, final) == ("?", "u"):
+            yield Key(ANSWER)
+    elif final in _ARROWS:
+        yield Key(_ARROWS[final], event, with_control, is_text=bool(is_single_shift))
+    elif final == "u" and 0 < code < _SURROGATES_AND_ABOVE:
+        yield Key(chr(code).lower(), event, with_control)
+
+
+def _number(text: str) -> int:
+    return int(text) if text else 0
+
+
+ANSWER_S: Final = 0.3
+"""How long a terminal may take to answer; one that answers later tells no releases here."""
+
+_ASK: Final = b"\x1b[?u\x1b[c"
+"""Which keyboard flags are set, then which terminal it is: every terminal answers the latter."""
+
+_BEGIN: Final = b"\x1b[>11u"
+"""Push flags: unambiguous codes (1), events (2), for all keys (8)."""
+
+_END: Final = b"\x1b[<u"
+
+_MARK_PASTES: Final = b"\x1b[?2004h"
+_MARK_NO_PASTES: Final = b"\x1b[?2004l"
+"""A terminal that cannot mark them ignores both."""
+
+_IS_KNOWN: Final = re.compile(rb"\x1b\[\?\d+u")
+_IS_ANSWERED: Final = re.compile(rb"\x1b\[\?[\d;]*c")
+
+
+class ReleaseEvents:
+    """A context in which the terminal tells releases of keys, if it can: then `told` is true.
+
+    It also marks what is pasted, if it can. Keys must arrive one by one (`Keyboard`). `suspend` and
+    `resume` enclose the time in which another program uses the terminal.
+    """
+
+    def __init__(self, keys_from: int, drawn_on: int) -> None:
+        """Take the descriptors of the terminal's input and output; -1 for none."""
+        self._keys_from = keys_from
+        self._drawn_on = drawn_on
+        self.told = False
+
+    def __enter__(self) -> Self:
+        """Ask the terminal, and begin if it can."""
+        if self._keys_from >= 0:
+            self.told = self._can_tell()
+            self.resume()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        self.suspend()
+
+    def suspend(self) -> None:
+        """Let the terminal send keys and pastes as before."""
+        if self._keys_from >= 0:
+            self._write((_END if self.told else b"") + _MARK_NO_PASTES)
+
+    def resume(self) -> None:
+        """Let the terminal tell releases and mark pastes again."""
+        if self._keys_from >= 0:
+            self._write((_BEGIN if self.told else b"") + _MARK_PASTES)
+
+    def _can_tell(self) -> bool:
+        self._write(_ASK)
+        answer, end = b"", time.monotonic() + ANSWER_S
+        while not _IS_ANSWERED.search(answer) and (left_s := end - time.monotonic()) > 0.0:
+            if select.select([self._keys_from], [], [], left_s)[0]:
+                data = os.read(self._keys_from, 256)
+                if not data:
+                    break
+                answer += data
+        return _IS_KNOWN.search(answer) is not None
+
+    def _write(self, data: bytes) -> None:
+        with suppress(OSError):  # the terminal may be gone
+            os.write(self._drawn_on, data)
+
+
+ASK_EACH_S: Final = 0.025
+"""Five times in the longest silence of one who drives by hand."""
+
+_ASK_FLAGS: Final = b"\x1b[?u"
+"""Which keyboard flags are set: only a terminal that can tell releases answers."""
+
+
+class TerminalAnswers:
+    """A context in which a terminal can be asked; `KeyParser` yields its answers as ANSWER.
+
+    The question goes through a descriptor of its own that does not block, so that a terminal that
+    takes nothing delays no key.
+    """
+
+    def __init__(self) -> None:
+        self._file = -1
+        self._asked_s = float("-inf")
+
+    def __enter__(self) -> Self:
+        """Open the controlling terminal."""
+        self._file = os.open("/dev/tty", os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        os.close(self._file)
+
+    def ask(self) -> None:
+        """Ask, if the last question is ASK_EACH_S old."""
+        now_s = time.monotonic()
+        if now_s - self._asked_s >= ASK_EACH_S:
+            self._asked_s = now_s
+            with suppress(OSError):  # it takes nothing now, or is gone: then no answer comes
+                os.write(self._file, _ASK_FLAGS)
