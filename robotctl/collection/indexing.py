@@ -43,7 +43,7 @@ from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY, SOFTWARE_RECORD
 from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.read.journal_reader import read_journal
-from robotctl.recording.read.verified import verify_recording
+from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import decide, read_effect, read_event, read_snapshot

@@ -15,7 +15,7 @@ import msgspec
 from robotctl import __version__
 from robotctl.collection.content import Content, read_content, software_hash
 from robotctl.errors import ConfigError, UnreadableFile
-from robotctl.recording.read.read_failures import noted_read_failures
+from robotctl.recording.read.damage import noted_read_failures
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Divergence, Report, rounded
 from robotctl.rerun.whatif import what_if

@@ -18,7 +18,7 @@ from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic, 
 from robotctl.recording.read.messages import Message
 from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.source import Source
-from robotctl.recording.read.verified import VerifiedRecording, verify_recording
+from robotctl.recording.read.whole_recording import VerifiedRecording, verify_recording
 from robotctl.rerun.check_report import Divergence, Report
 from robotctl.rerun.comparisons import Comparisons
 from robotctl.rerun.journal_format import JournalFormat, without_retired_fields

@@ -8,7 +8,7 @@ from robotctl.config import Config, with_setting
 from robotctl.errors import ConfigError
 from robotctl.recording import Compression
 from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.decompression import decompressor_of
+from robotctl.recording.read.stored_chunk import decompressor_of
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 
 

@@ -32,7 +32,7 @@ from rosbags.typesys import Stores, get_typestore
 from robotctl.errors import Refused, UnreadableFile
 from robotctl.recording import Compression, Recorder, RecorderOptions, read_info, read_messages
 from robotctl.recording.convert.conversion import ChannelTable, Form, convert
-from robotctl.recording.read.verified import RecordingProof, verify_recording
+from robotctl.recording.read.whole_recording import RecordingProof, verify_recording
 from robotctl.rerun import Verdict, check_recording
 from robotctl.testing.drives import TWIST, drive, record
 from tests.support.recordings import keyring, read_strictly, record_sealed, write_numbered

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.recording.read.reader import read_info
-from robotctl.recording.read.verified import verify_recording
+from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import drive, record

@@ -26,7 +26,7 @@ from robotctl.recording.read.file_index import FileIndex, read_record_head
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
 from robotctl.recording.read.summary_section import index_from_summary
-from robotctl.recording.read.verified import verify_recording
+from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import numbered, read_strictly, write_numbered
 from tests.support.waiting import until
@@ -235,7 +235,7 @@ def test_what_there_is_no_memory_for_is_left_for_the_next_start(
                 raise MemoryError
             return ZstdDecompressor().decompress(data, max_output_size=max_output_size)
 
-    monkeypatch.setattr("robotctl.recording.read.decompression.ZstdDecompressor", OnceNoMemory)
+    monkeypatch.setattr("robotctl.recording.read.stored_chunk.ZstdDecompressor", OnceNoMemory)
     (sentence,) = repair(tmp_path)
     assert "run_0.mcap could not be repaired: no memory for a chunk of" in sentence
     assert file.read_bytes() == before

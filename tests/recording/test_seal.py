@@ -18,8 +18,8 @@ from robotctl.recording.format.seal_records import Link, Opening, SealOfFile
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.seal_chain import SealedFile, check_chain, find_head
 from robotctl.recording.read.seal_check import SealState
-from robotctl.recording.read.verified import RecordingProof, verify_recording
 from robotctl.recording.read.whole_file import read_whole_file
+from robotctl.recording.read.whole_recording import RecordingProof, verify_recording
 from robotctl.recording.seal.heads import read_heads
 from robotctl.recording.seal.keyring import KEY_FILE, Keyring, SigningKey, is_signed
 from robotctl.recording.write import file_seal

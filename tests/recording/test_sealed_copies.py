@@ -13,8 +13,8 @@ from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile
 from robotctl.recording.read.seal_chain import SealedFile, check_chain
 from robotctl.recording.read.seal_check import SealState
-from robotctl.recording.read.verified import RecordingProof, verify_recording
 from robotctl.recording.read.whole_file import read_whole_file
+from robotctl.recording.read.whole_recording import RecordingProof, verify_recording
 from robotctl.recording.seal.keyring import Keyring
 from robotctl.recording.write import file_seal
 from robotctl.testing.drives import TWIST

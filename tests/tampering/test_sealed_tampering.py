@@ -13,7 +13,7 @@ from shutil import rmtree
 import pytest
 
 from robotctl.recording.format.seal_records import Opening
-from robotctl.recording.read.verified import RecordingProof, verify_recording
+from robotctl.recording.read.whole_recording import RecordingProof, verify_recording
 from robotctl.recording.write import file_seal
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.recordings import Forger, keyring

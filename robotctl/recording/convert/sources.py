@@ -23,7 +23,6 @@ from robotctl.recording.read.compressed_messages import (
     MessageDecompressor,
     message_compression,
 )
-from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import FileIndex
 from robotctl.recording.read.files import (
@@ -33,11 +32,10 @@ from robotctl.recording.read.files import (
 )
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
-from robotctl.recording.read.messages import OpenFile
-from robotctl.recording.read.read_limits import ReadLimits
-from robotctl.recording.read.read_tally import ReadTally
+from robotctl.recording.read.messages import OpenFile, find_shortfalls
+from robotctl.recording.read.read_limits import ReadLimits, ReadTally
 from robotctl.recording.read.readable_file import ReadableFile
-from robotctl.recording.read.zstd_file import SUFFIX, unpack_zstd_file
+from robotctl.recording.read.source import SUFFIX, unpack_zstd_file
 from robotctl.regular_file import open_regular
 
 

@@ -31,15 +31,14 @@ from robotctl.recording.format.seal_records import (
 from robotctl.recording.format.trailer import WrittenFile
 from robotctl.recording.keep.retention import rewrite_metadata
 from robotctl.recording.read.compressed_messages import without_compression
-from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged, Unreadable
 from robotctl.recording.read.file_index import FileIndex, read_content, read_record_head
 from robotctl.recording.read.files import absent_files, recording_files
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
-from robotctl.recording.read.messages import OpenFile
+from robotctl.recording.read.messages import OpenFile, find_shortfalls
 from robotctl.recording.read.readable_file import ReadableFile
-from robotctl.recording.read.zstd_file import SUFFIX
+from robotctl.recording.read.source import SUFFIX
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
 

@@ -12,8 +12,7 @@ from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, files_in, metadata_text
 from robotctl.recording.read.damage import BeyondLimit, Damaged
-from robotctl.recording.read.read_limits import ReadLimits, unpacking_cost
-from robotctl.recording.read.read_tally import ReadTally
+from robotctl.recording.read.read_limits import ReadLimits, ReadTally, unpacking_cost
 
 SERIALIZED_METADATA: Final = "serialized_metadata"
 

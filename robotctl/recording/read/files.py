@@ -10,7 +10,7 @@ from robotctl.errors import UnreadableFile
 from robotctl.recording.format.names import natural_order
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE, entries_of, files_in, read_metadata
-from robotctl.recording.read.zstd_file import SUFFIX
+from robotctl.recording.read.source import SUFFIX
 from robotctl.regular_file import open_regular
 
 SQLITE_SUFFIX = ".db3"

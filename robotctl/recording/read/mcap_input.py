@@ -19,8 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import McapRecord
 
 from robotctl.recording.format.records import RECORD_HEAD as RECORD_HEAD
-from robotctl.recording.read.damage import BeyondLimit, Damaged, Unreadable
-from robotctl.recording.read.read_failures import note_read_failure
+from robotctl.recording.read.damage import BeyondLimit, Damaged, Unreadable, note_read_failure
 from robotctl.recording.read.read_limits import BYTES_PER_RECORD, RECORDS, ReadLimits
 from robotctl.recording.read.source import Source, open_source
 

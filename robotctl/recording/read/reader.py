@@ -7,6 +7,7 @@ A file without a valid summary is scanned. Parts that cannot be read are always 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from heapq import heapify, heappop, heappush
 from itertools import chain
 from pathlib import Path
 from typing import Self
@@ -16,8 +17,7 @@ from mcap.records import Channel, Metadata, Schema
 from robotctl.errors import UnreadableFile
 from robotctl.recording.format.names import CLIP_RECORD, LEDGER_RECORD
 from robotctl.recording.format.records import type_name_of
-from robotctl.recording.read.count_check import find_shortfalls
-from robotctl.recording.read.damage import Damaged
+from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.files import (
     absent_files,
@@ -28,12 +28,150 @@ from robotctl.recording.read.files import (
 )
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.info import RecordingInfo, describe, metadata_in
-from robotctl.recording.read.lookback import last_before
 from robotctl.recording.read.mcap_input import InputFile
-from robotctl.recording.read.merge import in_order_written, merge
-from robotctl.recording.read.messages import ALWAYS, Message, OpenFile, Window
+from robotctl.recording.read.messages import (
+    ALWAYS,
+    Message,
+    OpenFile,
+    PlaceReader,
+    Window,
+    find_shortfalls,
+    place_readers,
+)
 from robotctl.recording.read.read_limits import ReadLimits
 from robotctl.recording.read.source import Source
+
+_Placed = tuple[int, int, int, Message]
+"""Log time, rank of the place, number in it (the order of `merge`), and the message."""
+
+
+def last_before(
+    files: Sequence[OpenFile],
+    wanted: Mapping[str, int],
+    moment_ns: int,
+    on_missing: Callable[[str], None],
+) -> list[Message]:
+    """Return the last messages before `moment_ns` in order, as many of each topic as `wanted` says.
+
+    Only places that may hold them are read. `on_missing` gets a sentence about each lost part.
+    """
+    found = list(enumerate(place_readers(files, wanted, (0, moment_ns - 1))))
+    found.sort(key=lambda ranked: ranked[1].place.end_ns, reverse=True)
+    held: dict[str, list[_Placed]] = {topic: [] for topic in wanted}
+    for rank, source in found:
+        end_ns = source.place.end_ns
+        unsettled = {
+            topic
+            for topic, count in wanted.items()
+            if len(held[topic]) < count or held[topic][0][0] <= end_ns
+        }
+        if not unsettled:
+            break
+        if source.may_hold(unsettled):
+            placed: dict[str, list[_Placed]] = {topic: [] for topic in unsettled}
+            for number, message in enumerate(_messages(source, on_missing)):
+                if message.topic in placed:
+                    placed[message.topic].append((message.log_ns, rank, number, message))
+            for topic, mine in placed.items():
+                held[topic] = sorted(mine + held[topic])[-wanted[topic] :]
+    return [each[-1] for each in sorted(each for topic in held.values() for each in topic)]
+
+
+def _messages(source: PlaceReader, on_missing: Callable[[str], None]) -> list[Message]:
+    try:
+        source.load()
+    except Damaged as damage:
+        on_missing(source.loss(damage))
+    messages = []
+    while source.next < len(source.entries):
+        try:
+            messages.append(source.take())
+        except Damaged as damage:
+            on_missing(source.loss(damage))
+    source.unload()
+    return messages
+
+
+_AFTER_ALL = (1 << 64, 0)
+
+
+def merge(
+    files: Sequence[OpenFile],
+    topics: Collection[str] | None,
+    on_missing: Callable[[str], None],
+    window: Window = ALWAYS,
+) -> Iterator[Message]:
+    """Yield the messages of `topics` (None: all) in the window; places outside of it are not read.
+
+    `on_missing` gets a sentence about each lost part.
+    """
+    found = list(place_readers(files, topics, window))
+    heap = [(source.place.start_ns, rank) for rank, source in enumerate(found)]
+    heapify(heap)
+    held = 0
+    most = max((file.file.limits.open_bytes for file in files), default=0)
+    while heap:
+        _, rank = heappop(heap)
+        source = found[rank]
+        if not source.loaded:
+            _load(source, most - held if held else None, on_missing)
+            held += source.size
+        entries = source.entries
+        ahead = heap[0] if heap else _AFTER_ALL
+        while source.next < len(entries) and (entries[source.next][0], rank) < ahead:
+            try:
+                message = source.take()
+            except Damaged as damage:
+                on_missing(source.loss(damage))
+                continue
+            yield message
+        if source.next < len(entries):
+            heappush(heap, (entries[source.next][0], rank))
+        else:
+            held -= source.size
+            source.unload()
+    _tell_unaccounted(files, on_missing)
+
+
+def in_order_written(
+    files: Sequence[OpenFile],
+    topics: Collection[str] | None,
+    on_missing: Callable[[str], None],
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Iterator[list[Message]]:
+    """Yield messages as `merge` does, but in file order, many at once; `on_progress` gets bytes
+    done and in total.
+    """
+    done, total = 0, sum(file.file.size for file in files)
+    for file in files:
+        for source in place_readers([file], topics, ALWAYS):
+            try:
+                yield from source.as_written()
+            except Damaged as damage:
+                on_missing(source.loss(damage))
+            on_progress(done + source.place.offset + source.place.length, total)
+        done += file.file.size
+        on_progress(done, total)
+    _tell_unaccounted(files, on_missing)
+
+
+def _tell_unaccounted(files: Sequence[OpenFile], on_missing: Callable[[str], None]) -> None:
+    """Compare what was read with the counts in the summaries."""
+    for file in files:
+        sentence = file.index.unaccounted()
+        if sentence:
+            on_missing(f"{file.path.name}: {sentence}")
+
+
+def _load(source: PlaceReader, room: int | None, on_missing: Callable[[str], None]) -> None:
+    """Load a place if it fits into `room` [bytes]; None means no limit."""
+    try:
+        if room is not None and source.place.size_in_memory(source.file.file) > room:
+            source.loaded = True
+            raise BeyondLimit("too many chunks overlap in time")
+        source.load()
+    except Damaged as damage:
+        on_missing(source.loss(damage))
 
 
 def read_info(path: Path) -> RecordingInfo:

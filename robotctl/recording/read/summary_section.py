@@ -18,13 +18,14 @@ from mcap.records import (
 from robotctl.recording.format.records import DATA_END_BYTES, FOOTER_CONTENT_BYTES, MAGIC
 from robotctl.recording.format.seal_records import LINK_OPCODE
 from robotctl.recording.format.trailer import WrittenFile
-from robotctl.recording.read.chunk_index import ChunkEntry, read_chunk_index
 from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.file_index import (
     LOST_HEADER,
+    ChunkEntry,
     FileIndex,
     Place,
     ZeroedHeader,
+    read_chunk_index,
     read_content,
     read_header,
     read_record_head,

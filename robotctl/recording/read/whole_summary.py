@@ -17,9 +17,8 @@ from mcap.records import (
 from robotctl.recording.format.records import FIRST_PRIVATE_OPCODE
 from robotctl.recording.format.seal_records import LINK_OPCODE
 from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.flaws import Flaws
 from robotctl.recording.read.mcap_input import RECORD_HEAD, parse, walk_records
-from robotctl.recording.read.whole_data import WholeData
+from robotctl.recording.read.whole_data import Flaws, WholeData
 
 
 def compare_summary(summary: bytes, start: int, data: WholeData, flaws: Flaws) -> None:

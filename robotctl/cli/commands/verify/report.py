@@ -10,12 +10,15 @@ from typing import Any
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import moment, row, short_path, size
 from robotctl.errors import Divergence, NotSealed, RobotctlError, UnreadableFile
-from robotctl.recording.read.known_heads import KnownHeads
-from robotctl.recording.read.seal_chain import Chain, SealedFile, check_chain, find_head
+from robotctl.recording.read.seal_chain import Chain, KnownHeads, SealedFile, check_chain, find_head
 from robotctl.recording.read.seal_check import SealState
-from robotctl.recording.read.verified import RecordingProof, VerifiedRecording, verify_recording
+from robotctl.recording.read.source import SUFFIX
 from robotctl.recording.read.whole_file import WholeFile
-from robotctl.recording.read.zstd_file import SUFFIX
+from robotctl.recording.read.whole_recording import (
+    RecordingProof,
+    VerifiedRecording,
+    verify_recording,
+)
 
 
 def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
