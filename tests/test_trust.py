@@ -22,7 +22,7 @@ from robotctl.errors import Refused, UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.protocol import Peer
 from robotctl.paths import chain_to, latch_path, make_private, runtime_folder, socket_path
-from robotctl.replay.other_daemons import running_daemons
+from robotctl.replay.replay_guard import running_daemons
 from tests.support.waiting import DEADLINE_S
 
 STRANGER = 65533

@@ -2,7 +2,7 @@
 
 Each report is one line of JSON: {"note"}, {"waiting"}, {"start"}, {"progress"}, {"summary"}, and
 {"error", "exit_code"} with details of the error. Further lines on stdin control the replay
-(robotctl.replay.commands). The end of stdin stops it, so a replay never outlives its parent.
+(robotctl.replay.playback_control). The end of stdin stops it, so a replay never outlives its parent.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
 def _play(job: str, membership: Membership, lines: Iterator[bytes], emit: Emit) -> None:
     """Play a job, a line of `Job.to_json`, under the control of `lines`."""
     # Discovery goes on during these imports.
-    from robotctl.replay.commands import command_of
     from robotctl.replay.job import Job
+    from robotctl.replay.playback_control import command_of
     from robotctl.replay.run import Replay
     from robotctl.ros.playback.playback import ReplaySession
 

@@ -2,16 +2,125 @@
 
 from __future__ import annotations
 
+import ctypes
+import errno
+import os
+import time
+from array import array
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import Final
+from typing import Final, Protocol
 
-from robotctl.replay.clock import Clock
-from robotctl.replay.lateness import Lateness
-from robotctl.replay.playback_control import PlaybackControl
-from robotctl.replay.schedule import Schedule
+from robotctl.kernel.units import NS_PER_S
+from robotctl.replay.playback_control import PlaybackControl, Schedule
 from robotctl.replay.timeline import Entry
+
+SPIN_NS: Final = 40_000
+"""How long the end of a wait polls the clock, because the scheduler may wake us up this late."""
+
+_PR_SET_TIMERSLACK: Final = 29
+_NO_SLACK_NS: Final = 1
+"""Otherwise Linux wakes a thread up to 50 us late, to wake it together with others."""
+
+_TIMER_ABSTIME: Final = 1
+
+
+class Clock(Protocol):
+    """A monotonic clock in nanoseconds."""
+
+    def now_ns(self) -> int:
+        """Return the time."""
+
+    def sleep_until(self, moment_ns: int) -> None:
+        """Return at `moment_ns`, or at once if it has passed."""
+
+
+class _Timespec(ctypes.Structure):
+    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
+
+
+class SteadyClock:
+    """CLOCK_MONOTONIC, for use by one thread."""
+
+    def __init__(self) -> None:
+        libc = ctypes.CDLL(None, use_errno=False)  # releases the GIL while it sleeps
+        self._sleep = libc.clock_nanosleep
+        self._sleep.argtypes = [ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
+        self._prctl = libc.prctl
+        self._has_slack = True
+        self._until = _Timespec()
+        self._pointer = ctypes.addressof(self._until)
+
+    def now_ns(self) -> int:
+        """Return the time."""
+        return time.monotonic_ns()
+
+    def sleep_until(self, moment_ns: int) -> None:
+        """Return at `moment_ns`, within a few microseconds.
+
+        Raises:
+            OSError: The system call fails.
+        """
+        if self._has_slack:
+            self._has_slack = False
+            self._prctl(_PR_SET_TIMERSLACK, _NO_SLACK_NS, 0, 0, 0)  # of the calling thread
+        until = self._until
+        until.seconds, until.nanoseconds = divmod(max(moment_ns - SPIN_NS, 0), NS_PER_S)
+        failure = errno.EINTR
+        while failure == errno.EINTR:
+            failure = self._sleep(time.CLOCK_MONOTONIC, _TIMER_ABSTIME, self._pointer, None)
+        if failure:
+            raise OSError(failure, os.strerror(failure))
+        while time.monotonic_ns() < moment_ns:
+            pass
+
+
+_SUB_BITS: Final = 5
+"""32 steps per power of two: a quantile is at most 3 % too high."""
+
+_LARGEST: Final = (1 << 62) - 1
+
+
+class Lateness:
+    """A histogram of nanoseconds; its steps grow with the value."""
+
+    __slots__ = ("_counts", "count", "max_ns")
+
+    def __init__(self) -> None:
+        self._counts = array("Q", bytes(8 * (_step(_LARGEST) + 1)))
+        self.count = 0
+        self.max_ns = 0
+
+    def add(self, late_ns: int) -> None:
+        """Add one value; a negative one counts as 0."""
+        late_ns = min(max(late_ns, 0), _LARGEST)
+        self._counts[_step(late_ns)] += 1
+        self.count += 1
+        if late_ns > self.max_ns:
+            self.max_ns = late_ns
+
+    def quantile_us(self, share: float) -> float:
+        """Return the quantile for `share` (0..1) [us]; 0 without values."""
+        rank = share * self.count
+        seen = 0
+        for step, count in enumerate(self._counts):
+            seen += count
+            if count and seen >= rank:
+                return min(_highest(step), self.max_ns) / 1e3
+        return 0.0
+
+
+def _step(value: int) -> int:
+    shift = max(value.bit_length() - _SUB_BITS - 1, 0)
+    return (shift << _SUB_BITS) + (value >> shift)
+
+
+def _highest(step: int) -> int:
+    """Return the largest value of a step."""
+    shift = max((step >> _SUB_BITS) - 1, 0)
+    return ((step - (shift << _SUB_BITS) + 1) << shift) - 1
+
 
 Send = Callable[[bytes], bool | None]
 """Sends a serialized message: False if the middleware did not accept it, None if it held nothing to

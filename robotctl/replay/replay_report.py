@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from robotctl.kernel.units import NS_PER_S
 from robotctl.replay.plan import Route
+from robotctl.replay.player import Lateness, Player
 from robotctl.replay.replay_guard import withheld_note
+from robotctl.replay.timeline import ReadAhead
 
 Emit = Callable[[dict[str, Any]], None]
 """Sends a message: {"note"}, {"waiting"}, {"start"}, {"progress"} or {"summary"}."""
@@ -48,3 +51,65 @@ class ReplayReport:
             if sentence not in self.missing:
                 self.missing.append(sentence)
                 self.note(f"missing: {sentence}")
+
+
+BEHIND_S = 0.05
+"""A shorter delay is not visible, and the next message may still be on time."""
+
+
+def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:
+    """Return where a replay is; `behind` counts messages that are overdue."""
+    schedule, position_ns = player.control.schedule, player.position_ns
+    behind = 0
+    if schedule.rate is not None:
+        overdue_ns = round(BEHIND_S * NS_PER_S * schedule.rate)
+        due_ns = schedule.position_ns(now_ns)
+        if due_ns - position_ns > overdue_ns:
+            behind = ahead.count(position_ns, due_ns - overdue_ns)
+        position_ns = max(position_ns, due_ns) if not behind else position_ns
+    return {
+        "position_s": position_ns / NS_PER_S,
+        "sent": player.sent,
+        "behind": behind,
+        "rate": schedule.rate,
+        "paused": schedule.paused,
+    }
+
+
+def summary(
+    report: ReplayReport, player: Player, routes: Iterable[Route], *, interrupted: bool
+) -> dict[str, Any]:
+    """Return the summary of a replay."""
+    topics = player.topics
+    return {
+        "sent": player.sent,
+        "failed": sum(topic.failed for topic in topics.values()),
+        "topics": [
+            {
+                "name": route.topic.name,
+                "published": route.name,
+                "type": route.topic.type_name,
+                "requests": route.requests,
+                "sent": topics[route.topic.name].sent,
+                "failed": topics[route.topic.name].failed,
+            }
+            for route in routes
+        ],
+        "withheld": report.withheld,
+        "skipped": report.skipped,
+        "timing_error_us": _timing(player.lateness),
+        "played_s": player.position_ns / NS_PER_S,
+        "interrupted": interrupted,
+        "missing": report.missing,
+        "notes": report.notes,
+    }
+
+
+def _timing(lateness: Lateness) -> dict[str, float] | None:
+    if not lateness.count:
+        return None
+    return {
+        "p50": lateness.quantile_us(0.5),
+        "p99": lateness.quantile_us(0.99),
+        "max": lateness.max_ns / 1e3,
+    }

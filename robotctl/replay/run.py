@@ -5,30 +5,120 @@ from __future__ import annotations
 import gc
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Final
 
-from robotctl.errors import UnreadableFile
+from robotctl.errors import IN_PARENTHESES, Refused, UnreadableFile
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording import Recording
+from robotctl.recording import Recording, TopicInfo
 from robotctl.replay import plan
-from robotctl.replay.clock import SteadyClock
-from robotctl.replay.commands import Command, carry_out
 from robotctl.replay.job import Job
-from robotctl.replay.other_daemons import daemons_in
 from robotctl.replay.plan import Route
-from robotctl.replay.player import ClockPublisher, Player, Send
-from robotctl.replay.progress_messages import progress, summary
-from robotctl.replay.read_ahead import AHEAD_ENTRIES, ReadAhead
-from robotctl.replay.replay_guard import ReplayGuard, check_still, is_command
-from robotctl.replay.replay_publishers import open_clock, open_routes, playable
-from robotctl.replay.replay_report import Emit, ReplayReport
-from robotctl.replay.timeline import Span, recorded, span_of
+from robotctl.replay.playback_control import Command, carry_out
+from robotctl.replay.player import ClockPublisher, Player, Send, SteadyClock
+from robotctl.replay.replay_guard import ReplayGuard, check_still, daemons_in, is_command
+from robotctl.replay.replay_report import Emit, ReplayReport, progress, summary
+from robotctl.replay.timeline import AHEAD_ENTRIES, ReadAhead, Span, recorded, span_of
 from robotctl.ros.executor.loop_thread import FifoScheduling
-from robotctl.ros.playback.playback import QUIET_S, ReplaySession
+from robotctl.ros.playback.playback import QUIET_S, ReplaySession, Unpublishable
 from robotctl.ros.playback.recorded_qos import latched_depth
 from robotctl.ros.playback.senders import BLOCKED_S
+
+CLOCK: Final = "/clock"
+
+
+def playable(
+    routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
+) -> list[Route]:
+    """Return the routes whose types are installed; report the others as skipped.
+
+    Raises:
+        Refused: A type has another definition than in the recording, without --force-types.
+    """
+    reasons = plan.unplayable(route.topic for route in routes)
+    if job.clock_hz is not None:
+        reasons[CLOCK] = "is published by --clock instead"
+    found = []
+    for route in routes:
+        topic = route.topic
+        try:
+            if topic.name not in reasons:
+                ros.check_type(topic.type_name)
+                found.append(route)
+        except Unpublishable as error:
+            reasons[topic.name] = str(error)
+    for name in sorted(reasons.keys() & {route.topic.name for route in routes}):
+        report.skip(name, reasons[name])
+    _check_definitions([route.topic for route in found], ros, job, report)
+    return found
+
+
+def open_routes(
+    routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
+) -> tuple[list[Route], dict[str, Send]]:
+    """Return the routes that could be opened, and the `Send` of each topic; report others as
+    skipped.
+    """
+    opened: list[Route] = []
+    sends: dict[str, Send] = {}
+    for route in routes:
+        topic = route.topic
+        try:
+            if route.requests:
+                sends[topic.name] = ros.open_requests(route.name, topic.type_name)
+            else:
+                sends[topic.name] = ros.open(
+                    route.name, topic.type_name, topic.offered_qos, patient=job.rate is None
+                )
+            opened.append(route)
+        except Unpublishable as error:
+            report.skip(topic.name, str(error))
+    return opened, sends
+
+
+def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> ClockPublisher | None:
+    """Return the publisher of the recorded time, or None without --clock. A loop turns time back.
+
+    Raises:
+        Refused: The domain has another clock.
+    """
+    if job.clock_hz is None:
+        return None
+    name = f"{prefix}{CLOCK}"
+    others = ros.publishers_of(name)
+    if others:
+        raise Refused(
+            f"--clock is refused: {', '.join(others)} publishes {name} already, and time would "
+            "jump back and forth (end it, or use another domain: --domain-id)"
+        )
+    send = ros.open_clock(name)
+
+    def send_time(position_ns: int) -> None:
+        send(span.start_ns + (position_ns % span.pass_ns if job.loop else position_ns))
+
+    return ClockPublisher(round(NS_PER_S / job.clock_hz), send_time)
+
+
+def _check_definitions(
+    topics: Iterable[TopicInfo], ros: ReplaySession, job: Job, report: ReplayReport
+) -> None:
+    others = [
+        f"{topic.name} ({topic.type_name})"
+        for topic in topics
+        if topic.message_count and not ros.is_same_type(topic.type_name, topic.type_hash)
+    ]
+    if not others:
+        return
+    what = f"recorded with another definition than the installed one: {', '.join(others)}"
+    if not job.changed_types:
+        raise Refused(
+            f"{what}; subscribers would misread it",
+            "leave it out: --exclude NAME; play it anyway: --force-types",
+            sentence=IN_PARENTHESES,
+        )
+    report.note(f"{what}; --force-types plays it anyway")
+
 
 PROGRESS_S: Final = 0.1
 """Interval of progress messages."""

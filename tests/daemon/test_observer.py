@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from robotctl.ipc.answers import Status
-from robotctl.replay.other_daemons import daemons_in, running_daemons
+from robotctl.replay.replay_guard import daemons_in, running_daemons
 from tests.support.waiting import until
 from tests.support.world import Peer, Ran, World, new_world, read_back
 

@@ -9,11 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.replay.commands import Command, carry_out, command_of
 from robotctl.replay.job import MAX_RATE, MIN_RATE
-from robotctl.replay.playback_control import PlaybackControl
+from robotctl.replay.playback_control import (
+    RATES,
+    Command,
+    PlaybackControl,
+    Schedule,
+    carry_out,
+    command_of,
+    faster,
+    slower,
+)
 from robotctl.replay.player import LEAD_NS, ClockPublisher, Player
-from robotctl.replay.schedule import RATES, Schedule, faster, slower
 from robotctl.replay.timeline import Entry
 
 MS = 1_000_000

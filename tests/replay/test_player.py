@@ -10,11 +10,16 @@ from collections.abc import Iterator
 import pytest
 
 from robotctl.recording import Message
-from robotctl.replay.clock import SteadyClock
-from robotctl.replay.lateness import Lateness
-from robotctl.replay.player import LEAD_NS, Player
-from robotctl.replay.read_ahead import AHEAD_ENTRIES, BATCH_ENTRIES, ReadAhead
-from robotctl.replay.timeline import MIN_PASS_NS, Entry, Span, entries
+from robotctl.replay.player import LEAD_NS, Lateness, Player, SteadyClock
+from robotctl.replay.timeline import (
+    AHEAD_ENTRIES,
+    BATCH_ENTRIES,
+    MIN_PASS_NS,
+    Entry,
+    ReadAhead,
+    Span,
+    entries,
+)
 
 MS = 1_000_000
 

@@ -13,9 +13,8 @@ import pytest
 
 from robotctl.cli.commands.replay.play import PLAYER
 from robotctl.processes import program, start
-from robotctl.replay.commands import Command
 from robotctl.replay.job import Job
-from robotctl.replay.schedule import RATES
+from robotctl.replay.playback_control import RATES, Command
 from tests.support.bags import STRING, Line, text, write_bag
 from tests.support.waiting import DEADLINE_S
 

@@ -165,7 +165,7 @@ def replay(
         parse_rate,
         parse_remap,
     )
-    from robotctl.replay.other_daemons import domain_to_play_in
+    from robotctl.replay.replay_guard import domain_to_play_in
 
     domain = requested_domain(domain_id)
     name = _only(files)

@@ -16,9 +16,8 @@ from robotctl.errors import Interrupted, RobotctlError, UsageError, error_for_ex
 from robotctl.kernel.units import NS_PER_S
 from robotctl.processes import Child, program, start
 from robotctl.recording import Recording
-from robotctl.replay.commands import Command, carry_out
 from robotctl.replay.job import Job
-from robotctl.replay.playback_control import PlaybackControl
+from robotctl.replay.playback_control import Command, PlaybackControl, carry_out
 from robotctl.replay.recorded_robot import RecordedRobot
 from robotctl.replay.timeline import Span, span_of
 
