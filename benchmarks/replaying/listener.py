@@ -25,7 +25,7 @@ def listen(topics: list[list[str]], *, urgent: bool) -> None:
 
     from robotctl.ros import AsyncioExecutor, RawTap
     from robotctl.ros.messages.classes import message_class
-    from robotctl.ros.playback.recorded_qos import replay_qos
+    from robotctl.ros.playback.playback import replay_qos
 
     heard: list[tuple[int, int]] = []
 

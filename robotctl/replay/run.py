@@ -21,8 +21,7 @@ from robotctl.replay.replay_guard import ReplayGuard, check_still, daemons_in, i
 from robotctl.replay.replay_report import Emit, ReplayReport, progress, summary
 from robotctl.replay.timeline import AHEAD_ENTRIES, ReadAhead, Span, recorded, span_of
 from robotctl.ros.executor.loop_thread import FifoScheduling
-from robotctl.ros.playback.playback import QUIET_S, ReplaySession, Unpublishable
-from robotctl.ros.playback.recorded_qos import latched_depth
+from robotctl.ros.playback.playback import QUIET_S, ReplaySession, Unpublishable, latched_depth
 from robotctl.ros.playback.senders import BLOCKED_S
 
 CLOCK: Final = "/clock"

@@ -13,7 +13,7 @@ from robotctl.config import RecordingParams
 from robotctl.daemon.recording.topic_sinks import TopicSinks
 from robotctl.recording import Recorder
 from robotctl.recording.write.recorder import MessageGate
-from robotctl.ros.messages.topic_description import TopicDescription
+from robotctl.ros.messages.type_definition import TopicDescription
 
 LATCHED = "- durability: transient_local"
 GID = bytes(16)

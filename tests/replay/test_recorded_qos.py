@@ -12,7 +12,7 @@ from rclpy.qos import (
 )
 
 from robotctl.ros.messages.qos import LATCHED, SENSOR, to_yaml
-from robotctl.ros.playback.recorded_qos import (
+from robotctl.ros.playback.playback import (
     MAX_DEPTH,
     VOLATILE_DEPTH,
     latched_depth,

@@ -16,7 +16,7 @@ from robotctl.daemon.remote_requests import HOST
 from robotctl.ros import AsyncioExecutor
 from robotctl.ros.executor import requester
 from robotctl.ros.executor.sources.services import ServiceSource
-from robotctl.ros.graph.publishers import gid_of
+from robotctl.ros.graph.endpoints import gid_of
 from tests.support.waiting import DEADLINE_S
 
 Peer = Callable[..., Awaitable[Any]]

@@ -9,7 +9,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from robotctl.ros.graph.publishers import PROCESS_BYTES, gid_of, node_of
+from robotctl.ros.graph.endpoints import PROCESS_BYTES, gid_of, node_of
 
 TOPIC = "/told"
 

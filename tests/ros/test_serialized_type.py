@@ -9,7 +9,7 @@ import pytest
 from ament_index_python.resources import get_resource
 
 from robotctl.ros.messages.classes import UnusableType, message_class
-from robotctl.ros.messages.serialized_type import serialized_type
+from robotctl.ros.playback.playback import serialized_type
 
 OF_RCLPY = (
     *("_TYPE_SUPPORT", "_CREATE_ROS_MESSAGE", "_DESTROY_ROS_MESSAGE"),
@@ -33,7 +33,7 @@ def test_every_message_has_the_type_support_of_its_class(package: str) -> None:
 
 def test_it_imports_no_numpy() -> None:
     program = (
-        "import sys; from robotctl.ros.messages.serialized_type import serialized_type; "
+        "import sys; from robotctl.ros.playback.playback import serialized_type; "
         "serialized_type('nav_msgs/msg/Odometry'); print('numpy' in sys.modules)"
     )
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.own_topic import OwnTopic
+from robotctl.ros.messages.classes import OwnTopic
 from robotctl.ros.messages.type_definition import definition_of, holds_bytes, type_hash_of
 from robotctl.ros.session import Session
 from robotctl.ros.tap import type_loader

@@ -14,8 +14,7 @@ from ament_index_python.packages import get_package_share_directory, get_package
 from rosbags.typesys import get_types_from_msg
 
 from robotctl.ros.messages.classes import message_class
-from robotctl.ros.messages.type_definition import definition_of, type_hash_of
-from robotctl.ros.messages.type_description import texts_of
+from robotctl.ros.messages.type_definition import definition_of, texts_of, type_hash_of
 
 FIELDS = [
     ("flag", {"type_id": 15}, "bool flag"),

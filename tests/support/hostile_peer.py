@@ -14,7 +14,7 @@ from std_msgs.msg import String
 
 from robotctl.ros.executor.rcutils import SerializedMessage
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.rmw_structs import Qos
+from robotctl.ros.graph.rcl_graph import Qos
 from robotctl.ros.messages.classes import message_class
 from tests.support.lines import obey
 

@@ -13,7 +13,7 @@ from robotctl.recording import Recorder, Topic
 from robotctl.recording.write.recorder import MessageGate
 from robotctl.recording.write.recorder_options import RateByTopic, is_plain_name
 from robotctl.ros.executor import ViewSink
-from robotctl.ros.messages.topic_description import TopicDescription
+from robotctl.ros.messages.type_definition import TopicDescription
 
 
 class TopicSinks:

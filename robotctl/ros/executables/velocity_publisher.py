@@ -20,7 +20,7 @@ from robotctl.kernel.types import Twist as Velocity
 from robotctl.printable import short_name
 from robotctl.ros.executables.process import LOGGER_SERVICES, run_node
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.publishers import TOOL_NODES, full_name, gid_of
+from robotctl.ros.graph.endpoints import TOOL_NODES, full_name, gid_of
 from robotctl.ros.messages.command_type import PLAIN
 from robotctl.ros.nodes.velocity_publisher import (
     MONITORS,

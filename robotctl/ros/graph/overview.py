@@ -10,8 +10,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.endpoints import Endpoint
-from robotctl.ros.graph.publishers import LOOK_NODE, full_name
+from robotctl.ros.graph.endpoints import LOOK_NODE, Endpoint, full_name
 from robotctl.ros.messages import qos
 
 MAX_NAMES = 5000

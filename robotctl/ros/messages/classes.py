@@ -2,17 +2,24 @@
 
 Other processes and files choose type names: they must not choose what Python imports. So only
 names that the ament index lists are imported.
+
+Each event handler also takes a file descriptor, and the graph shows what it would report.
 """
 
 from __future__ import annotations
 
 import re
 import threading
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from typing import Any, NamedTuple
 
 from ament_index_python.resources import get_resource
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 
 MAX_TYPE_NAME = 255
 """Characters; a longer name does not fit into an announcement of Fast DDS."""
@@ -98,3 +105,29 @@ def is_installed(name: TypeName) -> bool:
 def _is_ctrl_c() -> bool:
     """Return whether this is the main thread: Python raises a Ctrl-C in no other."""
     return threading.current_thread() is threading.main_thread()
+
+
+NO_PUBLISHER_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
+NO_SUBSCRIPTION_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
+
+
+@dataclass(frozen=True, slots=True)
+class OwnTopic:
+    """Name, message class and offered QoS; the name is relative to the robot's namespace."""
+
+    name: str
+    message_class: Any
+    qos: QoSProfile
+
+    @property
+    def type_name(self) -> str:
+        """The type as `package/msg/Name`."""
+        return type_name_of(self.message_class)
+
+    def create_publisher(
+        self, node: Node, events: PublisherEventCallbacks = NO_PUBLISHER_EVENTS
+    ) -> Publisher:
+        """Create the node's publisher of the topic."""
+        return node.create_publisher(
+            self.message_class, self.name, self.qos, event_callbacks=events
+        )

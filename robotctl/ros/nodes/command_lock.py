@@ -7,7 +7,7 @@ from std_msgs.msg import Bool
 
 from robotctl.kernel.modes import Mode
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.own_topic import OwnTopic
+from robotctl.ros.messages.classes import OwnTopic
 
 LOCKING = frozenset({Mode.ERROR, Mode.EMERGENCY_STOP})
 """The modes in which no node may command the robot."""

@@ -27,8 +27,8 @@ from robotctl.kernel.types import Twist
 from robotctl.kernel.units import NS_PER_S
 from robotctl.ros.executor import RawTap
 from robotctl.ros.messages import qos
+from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.messages.command_type import CommandType
-from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.session import Session
 
 T = TypeVar("T")

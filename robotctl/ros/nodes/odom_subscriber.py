@@ -13,9 +13,9 @@ from robotctl.cdr.motion import FRAME_AT, frame_bytes, frame_id_of, read_odometr
 from robotctl.kernel.types import Odometry
 from robotctl.printable import short_name
 from robotctl.ros.executor import RawTap
-from robotctl.ros.graph.publishers import publisher_names
+from robotctl.ros.graph.endpoints import publisher_names
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
+from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.session import Session
 
 MAX_SOURCES = 256

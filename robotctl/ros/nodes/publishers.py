@@ -20,7 +20,7 @@ from std_msgs.msg import String
 from robotctl.kernel.units import NS_PER_S
 from robotctl.printable import printable
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.own_topic import OwnTopic
+from robotctl.ros.messages.classes import OwnTopic
 from robotctl.ros.session import Session
 
 DIAGNOSTICS_TOPIC = OwnTopic("/diagnostics", DiagnosticArray, qos.DIAGNOSTICS)

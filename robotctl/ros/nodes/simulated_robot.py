@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from math import nan
 from typing import Any
 
 from nav_msgs.msg import Odometry as OdometryMessage
@@ -15,12 +16,23 @@ from robotctl.kernel.types import ZERO
 from robotctl.kernel.units import NS_PER_S
 from robotctl.ros.executor import RawTap, Tick, Ticker
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.battery_state import battery_message
+from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, OwnTopic
 from robotctl.ros.messages.command_type import PLAIN, CommandType
-from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
-from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import Session
 from robotctl.sim.robot import Robot, SimFault, SimParams
+
+
+def battery_message(level: float, stamp_ns: int) -> BatteryState:
+    """Return a BatteryState of this level; what is not measured is NaN."""
+    message = BatteryState()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS_PER_S)
+    message.percentage = level
+    message.voltage = message.current = message.charge = nan
+    message.capacity = message.design_capacity = message.temperature = nan
+    message.present = True
+    message.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
+    return message
+
 
 MAX_STEP_S = 0.1
 """The longest step of the motion. The rest of a longer pause of the process is ignored, so that the

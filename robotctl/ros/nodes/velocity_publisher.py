@@ -13,11 +13,10 @@ from robotctl.kernel.types import ZERO, Twist
 from robotctl.printable import short_name
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.publishers import TOOL_NODES, full_name, gid_of, node_of
+from robotctl.ros.graph.endpoints import TOOL_NODES, full_name, gid_of, node_of
 from robotctl.ros.messages import qos
+from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, OwnTopic
 from robotctl.ros.messages.command_type import PLAIN, CommandType
-from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
-from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import RECORDER_NODE, Session
 
 NODE_NAME = "velocity_publisher"

@@ -1,28 +1,195 @@
-"""Publishers and clients of a replay, and what it must know of the graph."""
+"""Publishers and clients of a replay, and what it must know of the graph.
+
+The class of a type brings all modules of its package, and numpy: 80 ms of CPU for an Odometry.
+"""
 
 from __future__ import annotations
 
+import re
 import threading
 import time
-from collections.abc import Callable
-from typing import Any, Final
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from importlib import import_module
+from typing import Any, Final, Self
 
+import yaml
 from rclpy.client import Client
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from robotctl.cdr.known_types import JOURNAL_ENTRY
+from robotctl.domains import is_certainly_empty
+from robotctl.kernel.units import NS_PER_S
 from robotctl.printable import short_name
+from robotctl.ros.context import close_context, open_context
 from robotctl.ros.graph import endpoints
-from robotctl.ros.messages.classes import UnusableType, message_class
-from robotctl.ros.messages.serialized_type import serialized_type
+from robotctl.ros.messages.classes import UnusableType, is_installed, message_class, parse_type_name
 from robotctl.ros.messages.type_definition import holds_bytes, type_hash_of
-from robotctl.ros.playback.membership import NODE_NAME, Membership
-from robotctl.ros.playback.recorded_qos import MAX_DEPTH, replay_qos
 from robotctl.ros.playback.senders import PatientSender, RequestSender, clock_sender, sender
+
+_WORD: Final = re.compile(r"(?<=.)(?=[A-Z][a-z])|(?<=[a-z0-9])(?=[A-Z])")
+"""Where rosidl puts an underscore into the name of a type."""
+
+_OF_RCLPY: Final = (
+    *("type_support", "create_ros_message", "destroy_ros_message"),
+    *("convert_from_py", "convert_to_py"),
+)
+"""What rclpy looks for in the metaclass of a type, in capitals and after an underscore."""
+
+
+@lru_cache(maxsize=1024)
+def serialized_type(type_name: str) -> Any:
+    """Return a class of `pkg/msg/T` for publishers of serialized messages; it has no fields.
+
+    Of another kind, such as `pkg/srv/T_Event`, the whole class.
+
+    Raises:
+        UnusableType: The ament index does not list the type, or loading it failed.
+    """
+    name = parse_type_name(type_name)
+    if name.kind != "msg":
+        return message_class(type_name)
+    if not is_installed(name):
+        raise UnusableType("is not installed")
+    suffix = f"msg__msg__{_WORD.sub('_', name.short).lower()}"
+    try:
+        module = import_module(f"{name.package}.{name.package}_s__rosidl_typesupport_c")
+        found = {f"_{each.upper()}": getattr(module, f"{each}_{suffix}") for each in _OF_RCLPY}
+    except Exception as error:
+        raise UnusableType(f"cannot be loaded ({type(error).__name__}: {error})") from error
+    return type(f"Metaclass_{name.short}", (type,), found)(name.short, (), {})
+
+
+NODE_NAME: Final = "robotctl_replay"
+
+
+class Membership:
+    """A node in a ROS domain during a `with` block; the middleware's threads discover others.
+
+    It imports no message modules, which bring numpy: these can be imported during discovery.
+    """
+
+    def __init__(self, domain_id: int) -> None:
+        self.domain_id = domain_id
+        self.was_certainly_empty = is_certainly_empty(domain_id)
+        """Whether the domain certainly had no other process when this one joined."""
+
+        self.since_s = time.monotonic()
+        self._context = open_context(domain_id)
+        self.node = Node(
+            NODE_NAME,
+            context=self._context,
+            start_parameter_services=False,
+            enable_rosout=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+        # Here, because the middleware discovers others during this import.
+        from robotctl.ros.graph.discovery import Discovery
+
+        self.discovery = Discovery(self.node, domain_id)
+
+    def __enter__(self) -> Self:
+        """Return the membership itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leave the domain, with everything that was made of the node."""
+        close_context(self._context, [self.node], [self.discovery.close])
+
+
+MAX_TEXT: Final = 1 << 20
+MAX_DEPTH: Final = 10_000
+VOLATILE_DEPTH: Final = 1000
+"""The least depth of a volatile topic: subscribers do not see it; a shallow queue loses bursts."""
+
+_INFINITE_SEC: Final = 2_147_483_647
+"""What recorders before Jazzy wrote for an infinite time; later ones write a larger number."""
+
+_RELIABILITY = {"1": ReliabilityPolicy.RELIABLE, "2": ReliabilityPolicy.BEST_EFFORT}
+_DURABILITY = {"1": DurabilityPolicy.TRANSIENT_LOCAL, "2": DurabilityPolicy.VOLATILE}
+_RELIABILITY |= {policy.short_key: policy for policy in _RELIABILITY.values()}
+_DURABILITY |= {policy.short_key: policy for policy in _DURABILITY.values()}
+"""Policies by name, and by the numbers of rmw/types.h that rosbag2 wrote before version 9 of its
+metadata."""
+
+
+def replay_qos(offered: str, *, most: int = MAX_DEPTH) -> QoSProfile:
+    """Return a profile that matches every subscriber of the recorded publishers.
+
+    `offered` is the `offered_qos_profiles` of a recording. The strongest of several profiles
+    counts; text that cannot be read means reliable and volatile. The publisher of a
+    volatile topic keeps at most `most` messages.
+    """
+    profiles = _profiles(offered)
+    reliable = ReliabilityPolicy.RELIABLE in [_reliability(each) for each in profiles]
+    latched = DurabilityPolicy.TRANSIENT_LOCAL in [_durability(each) for each in profiles]
+    reliable = reliable or not profiles
+    # DDS does not announce the depth: of a latched topic 1 is assumed, the most common one.
+    depth = sum(max(_depth(each), 1) for each in profiles)
+    if not latched:
+        depth = min(max(depth, VOLATILE_DEPTH), most)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=min(depth, MAX_DEPTH),
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        deadline=_common(profiles, "deadline"),
+        lifespan=_common(profiles, "lifespan"),
+    )
+
+
+def latched_depth(offered: str) -> int:
+    """Return how many latched messages a late subscriber gets, 0 where the topic is volatile."""
+    qos = replay_qos(offered)
+    return int(qos.depth) if qos.durability is DurabilityPolicy.TRANSIENT_LOCAL else 0
+
+
+def _profiles(offered: str) -> Sequence[Mapping[str, Any]]:
+    if len(offered) > MAX_TEXT:
+        return []
+    try:
+        found = yaml.safe_load(offered)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return []
+    return [each for each in found if isinstance(each, dict)] if isinstance(found, list) else []
+
+
+def _reliability(profile: Mapping[str, Any]) -> ReliabilityPolicy:
+    value = str(profile.get("reliability"))
+    return _RELIABILITY.get(value, ReliabilityPolicy.RELIABLE)
+
+
+def _durability(profile: Mapping[str, Any]) -> DurabilityPolicy:
+    return _DURABILITY.get(str(profile.get("durability")), DurabilityPolicy.VOLATILE)
+
+
+def _depth(profile: Mapping[str, Any]) -> int:
+    depth = profile.get("depth")
+    return min(depth, MAX_DEPTH) if isinstance(depth, int) else 0
+
+
+def _common(profiles: Sequence[Mapping[str, Any]], policy: str) -> Duration:
+    """Return the duration that all profiles have in common, else 0 (unspecified)."""
+    spans = {_span_ns(each.get(policy)) for each in profiles}
+    return Duration(nanoseconds=spans.pop() if len(spans) == 1 else 0)
+
+
+def _span_ns(value: object) -> int:
+    if not isinstance(value, dict):
+        return 0
+    sec, nsec = value.get("sec"), value.get("nsec")
+    if not isinstance(sec, int) or not isinstance(nsec, int):
+        return 0
+    if not 0 <= sec < _INFINITE_SEC or not 0 <= nsec < NS_PER_S:
+        return 0
+    return sec * NS_PER_S + nsec
+
 
 SETTLE_S: Final = 3.5
 """How long discovery may take: an announcement that was lost is repeated after 3 s."""

@@ -10,8 +10,7 @@ from robotctl.errors import Refused, UsageError
 from robotctl.ros.executor import AsyncioExecutor, RawTap
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.classes import UnusableType, message_class
-from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
+from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, UnusableType, message_class
 from robotctl.ros.messages.type_definition import definition_of, holds_bytes
 from robotctl.ros.queries.visitor import Send, Visitor
 from robotctl.unknown_name import only_type, unknown_name

@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from robotctl.processes import readable_within
 from robotctl.ros.context import close_context, open_context
 from robotctl.ros.graph.discovery import Discovery
-from robotctl.ros.graph.publishers import LOOK_NODE
+from robotctl.ros.graph.endpoints import LOOK_NODE
 
 Send = Callable[[dict[str, Any]], None]
 """Sends a report."""

@@ -10,8 +10,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from robotctl.ros.executor import RawTap, ViewSink
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.classes import message_class
-from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
+from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, message_class
 from robotctl.ros.messages.type_definition import holds_bytes
 from robotctl.ros.tap.latched import LatchedMerge
 

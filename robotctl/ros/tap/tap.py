@@ -15,8 +15,8 @@ from robotctl.printable import printable, short_name
 from robotctl.ros.executor import ViewSink, announcements
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.changes import GraphChanges
-from robotctl.ros.messages.own_topic import OwnTopic
-from robotctl.ros.messages.topic_description import TopicDescription, describe
+from robotctl.ros.messages.classes import OwnTopic
+from robotctl.ros.messages.type_definition import TopicDescription, describe
 from robotctl.ros.session import Session
 from robotctl.ros.tap.qos_mismatches import QosMismatches
 from robotctl.ros.tap.subscription import TappedSubscription
