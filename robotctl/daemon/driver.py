@@ -47,11 +47,10 @@ from robotctl.kernel.types import Odometry, Reply
 from robotctl.paths import latch_path
 from robotctl.ros.messages.command_type import CommandType
 from robotctl.ros.messages.qos import ODOMETRY
-from robotctl.ros.nodes.command_lock import CommandLock
 from robotctl.ros.nodes.drive_action import DriveAction
 from robotctl.ros.nodes.mode_service import CALLS, STATUS, ModeService
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
-from robotctl.ros.nodes.publishers import JournalPublisher
+from robotctl.ros.nodes.publishers import CommandLock, JournalPublisher
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher, command_topic
 

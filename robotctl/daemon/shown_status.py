@@ -9,8 +9,8 @@ from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.kernel.battery import is_level
 from robotctl.kernel.modes import Mode
-from robotctl.ros.nodes.command_lock import CommandLock
 from robotctl.ros.nodes.mode_service import ModeService, Shown
+from robotctl.ros.nodes.publishers import CommandLock
 
 SHOW_PERIOD_S = 1.0
 

@@ -2,7 +2,8 @@
 
 Each report is one line of JSON: {"note"}, {"waiting"}, {"start"}, {"progress"}, {"summary"}, and
 {"error", "exit_code"} with details of the error. Further lines on stdin control the replay
-(robotctl.replay.playback_control). The end of stdin stops it, so a replay never outlives its parent.
+(robotctl.replay.playback_control). The end of stdin stops it, so a replay never outlives its
+parent.
 """
 
 from __future__ import annotations

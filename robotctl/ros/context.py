@@ -8,7 +8,16 @@ from contextlib import ExitStack
 from typing import Final
 
 from rclpy.context import Context
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
+
+BAD_ARGUMENTS = (
+    *(_rclpy.RCLError, _rclpy.RCLInvalidROSArgsError, _rclpy.UnknownROSArgsError),
+    *(NameValidationException, ParameterException),
+)
+"""What rclpy raises for wrong `--ros-args`."""
+
 
 _NO_LOG_FILE: Final = ("--ros-args", "--disable-external-lib-logs")
 """robotctl does not log through rcl: rcl would create an empty file in the user's home at every

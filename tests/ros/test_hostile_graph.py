@@ -19,10 +19,9 @@ from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.discovery import _discovered
 from robotctl.ros.graph.endpoints import Endpoint
 from robotctl.ros.messages import qos
-from robotctl.ros.tap import tap, type_loader, unrecorded
-from robotctl.ros.tap.tap import Tap
+from robotctl.ros.tap import tap, type_loader
+from robotctl.ros.tap.tap import MAX_WARNINGS, Tap
 from robotctl.ros.tap.type_loader import TypeLoader
-from robotctl.ros.tap.unrecorded import MAX_WARNINGS
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S
 
@@ -199,7 +198,7 @@ async def test_a_thread_that_cannot_be_started_is_a_reason(monkeypatch: pytest.M
 async def test_of_many_topics_that_are_not_recorded_the_number_is_told(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(unrecorded, "MAX_SAID", 7)
+    monkeypatch.setattr(tap, "MAX_SAID", 7)
     names = [f"/bad-{number}" for number in range(MAX_WARNINGS + 3)]
     looking = Tap(FakeSession(), lambda topic: print)  # type: ignore[arg-type]
     show(monkeypatch, {name: [publisher("std_msgs/msg/String")] for name in names})

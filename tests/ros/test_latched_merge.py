@@ -7,7 +7,7 @@ from random import Random
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.ros.tap.latched import MAX_PUBLISHERS, LatchedMerge
+from robotctl.ros.tap.subscription import MAX_PUBLISHERS, LatchedMerge
 
 
 class Got:

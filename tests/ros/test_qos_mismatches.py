@@ -9,7 +9,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from robotctl.ros.graph.endpoints import Endpoint
-from robotctl.ros.tap.qos_mismatches import MAX_ENDPOINTS, mismatch
+from robotctl.ros.tap.tap import MAX_ENDPOINTS, mismatch
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 

@@ -15,8 +15,7 @@ from robotctl.config.ros_settings import check_parameter_files
 from robotctl.domains import requested_domain
 from robotctl.end_signals import end_signals
 from robotctl.errors import UsageError
-from robotctl.ros.arguments import BAD_ARGUMENTS
-from robotctl.ros.context import close_context
+from robotctl.ros.context import BAD_ARGUMENTS, close_context
 from robotctl.ros.executor import AsyncioExecutor, run
 
 LOGGER_SERVICES: Final = {"enable_logger_service": True}

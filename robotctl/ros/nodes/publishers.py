@@ -13,15 +13,34 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import Log
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from robot_controller.msg import JournalEntry
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
+from robotctl.kernel.modes import Mode
 from robotctl.kernel.units import NS_PER_S
 from robotctl.printable import printable
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import OwnTopic
 from robotctl.ros.session import Session
+
+LOCKING = frozenset({Mode.ERROR, Mode.EMERGENCY_STOP})
+"""The modes in which no node may command the robot."""
+
+
+class CommandLock:
+    """Publishes on the lock topic, as a part of `node`; nothing where the topic is ""."""
+
+    def __init__(self, node: Node, topic: str) -> None:
+        own = OwnTopic(topic, Bool, qos.LATCHED)
+        self._publisher = own.create_publisher(node) if topic else None
+
+    def show(self, mode: Mode) -> None:
+        """Tell whether the mode locks."""
+        if self._publisher is not None:
+            self._publisher.publish(Bool(data=mode in LOCKING))
+
 
 DIAGNOSTICS_TOPIC = OwnTopic("/diagnostics", DiagnosticArray, qos.DIAGNOSTICS)
 """One topic for all robots, outside their namespaces, as aggregators expect."""

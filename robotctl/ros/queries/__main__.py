@@ -27,7 +27,7 @@ def main(arguments: list[str]) -> int:
     with suppress(BrokenPipeError, asyncio.CancelledError):  # nothing waits for the answer any more
         try:
             # After environment.prepare(), because it imports rclpy; before the wait for the line.
-            from robotctl.ros.queries.by_name import look
+            from robotctl.ros.queries.queries import look
 
             line = _first_line()
             if not line:

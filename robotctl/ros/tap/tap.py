@@ -3,25 +3,160 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import resource
 import time
-from collections.abc import Callable
-from itertools import count
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import count, islice, product
+from typing import Final
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from robotctl.printable import printable, short_name
 from robotctl.ros.executor import ViewSink, announcements
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.changes import GraphChanges
+from robotctl.ros.graph.endpoints import Endpoint
 from robotctl.ros.messages.classes import OwnTopic
 from robotctl.ros.messages.type_definition import TopicDescription, describe
 from robotctl.ros.session import Session
-from robotctl.ros.tap.qos_mismatches import QosMismatches
 from robotctl.ros.tap.subscription import TappedSubscription
 from robotctl.ros.tap.type_loader import SLOW_LOAD_S, TypeLoader
-from robotctl.ros.tap.unrecorded import Unrecorded
+
+_log = logging.getLogger(__name__)
+
+MAX_ENDPOINTS: Final = 20
+"""Limit on the publishers and on the subscriptions of a topic that are compared."""
+
+MAX_NAMED: Final = 20
+MAX_LOGGED: Final = 1_000
+
+
+class QosMismatches:
+    """The mismatches on topics that `look` is called for; one is named for each topic.
+
+    Hidden nodes are left out: a recorder may ask for latched messages of some publishers only.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._counts: dict[str, tuple[int, int]] = {}
+        self._sentences: dict[str, str] = {}
+        self._logged = 0
+
+    def look(self, topic: str, publishers: int) -> None:
+        """Compare the profiles if publishers or subscriptions came or went."""
+        counts = publishers, endpoints.subscription_count(self._node, topic)
+        if counts == self._counts.get(topic):
+            return
+        self._counts[topic] = counts
+        sentence = mismatch(
+            topic,
+            endpoints.publishers(self._node, topic),
+            endpoints.subscriptions(self._node, topic),
+        )
+        if sentence and sentence != self._sentences.get(topic) and self._logged < MAX_LOGGED:
+            self._logged += 1
+            _log.warning("%s", sentence)
+        if sentence:
+            self._sentences[topic] = sentence
+        else:
+            self._sentences.pop(topic, None)
+
+    def forget(self, topic: str) -> None:
+        """Forget a topic that is not recorded any more."""
+        self._counts.pop(topic, None)
+        self._sentences.pop(topic, None)
+
+    def warnings(self) -> Iterator[str]:
+        """Yield a sentence for each topic with a mismatch, up to MAX_NAMED."""
+        yield from islice(self._sentences.values(), MAX_NAMED)
+        if len(self._sentences) > MAX_NAMED:
+            yield f"{len(self._sentences) - MAX_NAMED} more topics have a QoS mismatch"
+
+
+def mismatch(topic: str, publishers: Sequence[Endpoint], subscriptions: Sequence[Endpoint]) -> str:
+    """Return a sentence about the first pair that does not match, "" if all do."""
+    offers, requests = (
+        [each for each in side if not each.node_name.startswith("_")][:MAX_ENDPOINTS]
+        for side in (publishers, subscriptions)
+    )
+    for offer, request in product(offers, requests):
+        if reason := _reason(offer.qos_profile, request.qos_profile):
+            return (
+                f"{_name(request)} hears nothing of {_name(offer)} on {printable(topic)}: {reason}"
+            )
+    return ""
+
+
+def _reason(offered: QoSProfile, asked: QoSProfile) -> str:
+    if (offered.reliability, asked.reliability) == (
+        ReliabilityPolicy.BEST_EFFORT,
+        ReliabilityPolicy.RELIABLE,
+    ):
+        return "reliability best_effort is offered, reliable asked for"
+    if (offered.durability, asked.durability) == (
+        DurabilityPolicy.VOLATILE,
+        DurabilityPolicy.TRANSIENT_LOCAL,
+    ):
+        return "durability volatile is offered, transient_local asked for"
+    return ""
+
+
+def _name(endpoint: Endpoint) -> str:
+    return printable(f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}")
+
+
+MAX_WARNINGS = 50
+"""Limit on the topics that `warnings` names; the others are counted."""
+
+MAX_SAID = 1_000
+"""Limit on the logged sentences: another process may create new topics without end."""
+
+
+class Unrecorded:
+    """Collects the sentences; each goes to the log once."""
+
+    def __init__(self) -> None:
+        self.problems: dict[str, str] = {}
+        """Topic -> the sentence that says what of it is not recorded."""
+
+        self._said: set[str] = set()
+        self._missed = 0
+        self._last_missed = ""
+
+    def note(self, topic: str, sentence: str) -> None:
+        """Set the sentence of a topic, until `clear`."""
+        self.problems[topic] = sentence
+        self._say(sentence)
+
+    def clear(self, topics: Iterable[str]) -> None:
+        """Forget the sentences of topics that are recorded now, or gone."""
+        for topic in topics:
+            self.problems.pop(topic, None)
+
+    def miss(self, topic: str, type_name: str) -> None:
+        """Count a topic that ended before its type was loaded."""
+        self._missed += 1
+        self._last_missed = f"{topic} ({type_name}) came and went before it could be recorded"
+        self._say(self._last_missed)
+
+    def warnings(self) -> Iterator[str]:
+        """Yield a sentence for each topic that is not recorded, up to MAX_WARNINGS."""
+        yield from islice(self.problems.values(), MAX_WARNINGS)
+        more = len(self.problems) - MAX_WARNINGS
+        if more > 0:
+            yield f"{more} more topics are not recorded, or not whole"
+        if self._missed:
+            others = f" (and {self._missed - 1} other topics)" if self._missed > 1 else ""
+            yield f"{self._last_missed}{others}"
+
+    def _say(self, sentence: str) -> None:
+        if sentence not in self._said and len(self._said) < MAX_SAID:
+            self._said.add(sentence)
+            _log.warning("%s", sentence)
+
 
 POLL_S = 0.05
 """The time between two looks while the graph changes; a foreign topic is found within twice it."""

@@ -1,0 +1,300 @@
+"""Short questions to the graph: who is there, call a service, listen to a topic."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import os
+import time
+from collections.abc import Callable, Coroutine
+from typing import Any, Final, Self
+
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message, serialize_message
+
+from robotctl.cdr.definition import Definition, UnreadableType, parse_definition
+from robotctl.cdr.given import WrongValue, filled
+from robotctl.cdr.values import decode, encode
+from robotctl.errors import NoDaemon, Refused, UsageError
+from robotctl.processes import readable_within
+from robotctl.ros.context import close_context, open_context
+from robotctl.ros.executor import AsyncioExecutor, RawTap
+from robotctl.ros.graph import endpoints
+from robotctl.ros.graph.discovery import Discovery
+from robotctl.ros.graph.endpoints import LOOK_NODE
+from robotctl.ros.graph.overview import node_facts, overview, services, topic_facts
+from robotctl.ros.messages import qos
+from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, UnusableType, message_class
+from robotctl.ros.messages.type_definition import definition_of, holds_bytes
+from robotctl.unknown_name import only_type, unknown_name
+
+Send = Callable[[dict[str, Any]], None]
+"""Sends a report."""
+
+STDIN: Final = 0
+"""Readable only when the command has closed it: after the first line it sends nothing."""
+
+SETTLE_S: Final = 3.5
+"""How long discovery may take: an announcement that was lost is repeated after 3 s."""
+
+EXPECTED_S: Final = 20.0
+"""How long discovery may take of what the daemon has already discovered."""
+
+QUIET_S: Final = 0.1
+"""How long the graph must not change until it counts as discovered."""
+
+_POLL_S: Final = 0.01
+
+
+class Visitor:
+    """A node in a ROS domain during a `with` block."""
+
+    def __init__(self, domain_id: int) -> None:
+        self._since_s = time.monotonic()
+        self._context = open_context(domain_id)
+        self.node = Node(
+            f"{LOOK_NODE}{os.getpid()}",
+            context=self._context,
+            start_parameter_services=False,
+            enable_rosout=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+        self._discovery = Discovery(self.node, domain_id)
+
+    def __enter__(self) -> Self:
+        """Return the visitor itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leave the domain, with everything that was made of the node."""
+        close_context(self._context, [self.node], [self._discovery.close])
+
+    @property
+    def context(self) -> Context:
+        """The context of its node."""
+        return self._context
+
+    def settle(self) -> None:
+        """Wait until every process in the domain is discovered."""
+        self.discover(lambda: False)
+
+    def discover(self, is_known: Callable[[], bool], *, expected: bool = False) -> bool:
+        """Wait until something is known, and return whether it is.
+
+        The wait ends when all processes are discovered; of what is `expected` only after 20 s.
+
+        Raises:
+            asyncio.CancelledError: The command that asked has closed stdin: it has ended.
+        """
+        until_s = self._since_s + (EXPECTED_S if expected else SETTLE_S)
+        while not is_known():
+            if time.monotonic() > until_s:
+                return False
+            if not expected and (
+                self._discovery.is_alone() or self._discovery.is_complete(QUIET_S)
+            ):
+                return is_known()
+            if readable_within(STDIN, _POLL_S):
+                raise asyncio.CancelledError
+        return True
+
+    def run(self, work: Coroutine[Any, Any, None]) -> None:
+        """Run `work` in a loop to its end.
+
+        Raises:
+            asyncio.CancelledError: The command that asked has closed stdin: it has ended.
+        """
+        asyncio.run(_until_stdin_ends(work))
+
+
+async def _until_stdin_ends(work: Coroutine[Any, Any, None]) -> None:
+    loop, task = asyncio.get_running_loop(), asyncio.ensure_future(work)
+
+    def end() -> None:
+        loop.remove_reader(STDIN)
+        task.cancel()
+
+    loop.add_reader(STDIN, end)
+    try:
+        await task
+    finally:
+        loop.remove_reader(STDIN)
+
+
+async def call(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
+    """Report {"type", "definition", "data"} of the response, the data in base64.
+
+    Raises:
+        NoDaemon: No such service appears in time, or it does not answer.
+        UsageError: It has another type, or a value does not fit the type.
+        Refused: Its type is not installed here.
+    """
+    node, name = visitor.node, request["name"]
+    visitor.discover(lambda: name in services(node), expected=request["expected"])
+    known = services(node)
+    if name not in known and not request["type"]:
+        raise NoDaemon(*unknown_name("service", name, known))
+    type_name = _type_of(name, request["type"], sorted(known.get(name, ())))
+    kind, request_class = _classes(type_name)
+    message = _message(f"{type_name}_Request", request_class, request["values"])
+    client = node.create_client(kind, name)
+    async with AsyncioExecutor(visitor.context) as executor:
+        executor.add_node(node)
+        try:
+            await executor.wait_for_service(client, timeout_s=request["wait_s"])
+        except TimeoutError:
+            raise NoDaemon(
+                f"no process serves {name} as {type_name} within {request['wait_s']:g} s",
+                "see: robotctl service list",
+            ) from None
+        try:
+            response = await executor.call(client, message, timeout_s=request["answer_s"])
+        except TimeoutError:
+            raise NoDaemon(
+                f"{name} did not answer within {request['answer_s']:g} s",
+                "wait longer with --timeout",
+            ) from None
+    response_type = f"{type_name}_Response"
+    send(
+        {
+            "type": response_type,
+            "definition": definition_of(response_type),
+            "data": base64.b64encode(serialize_message(response)).decode(),
+        }
+    )
+
+
+def _type_of(name: str, wanted: str, types: list[str]) -> str:
+    """Return the type to call the service with.
+
+    Raises:
+        UsageError: It is not the wanted one, or there are several.
+    """
+    if wanted and types and wanted not in types:
+        raise UsageError(f"{name} has type {', '.join(types)}, not {wanted}", "leave the type out")
+    if wanted or len(types) == 1:
+        return wanted or types[0]
+    raise UsageError(f"{name} has several types: {', '.join(types)}", "name one before the values")
+
+
+def _classes(type_name: str) -> tuple[Any, Any]:
+    """Return the classes of the service and of its request.
+
+    Raises:
+        Refused: The package of the type is not installed.
+    """
+    try:
+        return message_class(type_name), message_class(f"{type_name}_Request")
+    except UnusableType as error:
+        raise Refused(f"the service's type {type_name} {error}", "install its package") from None
+
+
+def _message(type_name: str, kind: Any, values: Any) -> Any:
+    """Return a request with the given values.
+
+    Raises:
+        UsageError: A value does not fit.
+    """
+    definition = _definition(type_name)
+    defaults = decode(definition, serialize_message(kind()))
+    try:
+        return deserialize_message(encode(definition, filled(definition, defaults, values)), kind)
+    except WrongValue as error:
+        raise UsageError(str(error)) from None
+
+
+def _definition(type_name: str) -> Definition:
+    try:
+        return parse_definition(type_name, definition_of(type_name))
+    except UnreadableType as error:
+        raise Refused(f"{type_name} cannot be read: {error}") from None
+
+
+async def listen(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
+    """Report type and definition of a topic, then each message, until cancelled.
+
+    The first report is {"type", "definition", "publishers"}; then {"received_ns", "source_ns",
+    "size", "publisher"}, and "data" in base64 if the request wants it.
+
+    Raises:
+        UsageError: The name cannot be a topic's; or the topic is unknown, or has several types, of
+            which the request names none.
+        Refused: Its type is not installed here.
+    """
+    node, topic = visitor.node, request["name"]
+    if not endpoints.is_topic_name(topic):
+        cure = "use letters, digits, _ and /, and no digit after a /"
+        raise UsageError(f"{topic!r} is no name of a topic in ROS", cure)
+    known = visitor.discover(
+        lambda: bool(endpoints.publishers(node, topic)), expected=request["expected"]
+    )
+    offered = endpoints.publishers(node, topic)
+    subscribed = endpoints.subscriptions(node, topic)
+    if not known and not subscribed and not request["type"]:
+        names = [name for name in endpoints.topics(node) if endpoints.publishers(node, name)]
+        raise UsageError(*unknown_name("topic", topic, names))
+    known_types = {each.topic_type for each in (*offered, *subscribed)}
+    type_name = request["type"] or only_type(topic, known_types)
+    try:
+        kind = message_class(type_name)
+    except UnusableType as error:
+        raise Refused(
+            f"{topic} has type {type_name}, which {error}", "install its package"
+        ) from None
+    definition = definition_of(type_name)
+    send({"type": type_name, "definition": definition, "publishers": len(offered)})
+
+    def report(data: bytes, received_ns: int, source_ns: int, _: int, gid: bytes) -> None:
+        told: dict[str, Any] = {
+            "received_ns": received_ns,
+            "source_ns": source_ns,
+            "size": len(data),
+            "publisher": gid.hex(),
+        }
+        if request["data"]:
+            told["data"] = base64.b64encode(data).decode()
+        send(told)
+
+    failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def fail(error: BaseException, _: str) -> None:
+        if not failed.done():
+            failed.set_exception(error)
+
+    callback: Any = RawTap(report, latency_s=0.0)
+    profiles = [each.qos_profile for each in offered if each.topic_type == type_name]
+    wanted = qos.recording(profiles, bulky=holds_bytes(type_name)) if profiles else qos.MONITOR
+    node.create_subscription(
+        kind, topic, callback, wanted, event_callbacks=NO_SUBSCRIPTION_EVENTS, raw=True
+    )
+    async with AsyncioExecutor(visitor.context, on_exception=fail) as executor:
+        executor.add_node(node)
+        await failed
+
+
+def look(request: dict[str, Any], send: Send) -> None:
+    """Join the domain, look, and leave it.
+
+    Raises:
+        RobotctlError: The look is refused; the text says why.
+    """
+    with Visitor(request["domain_id"]) as visitor:
+        match request["look"]:
+            case "names":
+                visitor.settle()
+                send(overview(visitor.node))
+            case "topic":
+                visitor.settle()
+                send(topic_facts(visitor.node, request["name"]))
+            case "node":
+                visitor.settle()
+                found = node_facts(visitor.node, request["name"])
+                if found is None:
+                    raise UsageError(f"no node {request['name']!r}")
+                send(found)
+            case "listen":
+                visitor.run(listen(visitor, request, send))
+            case "call":
+                visitor.run(call(visitor, request, send))
