@@ -25,8 +25,8 @@ from robotctl.testing.hearing import BATTERY, ODOMETRY
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS, heard_drive
 from tests.tampering.edits import MOTION, Kind, changed, metadata, moves, removed, still
-from tests.tampering.end_kinds import appended, repeated_at_the_end
-from tests.tampering.pretended_kinds import OBSERVED, UNNAMED
+from tests.tampering.kinds import OBSERVED, UNNAMED
+from tests.tampering.topic_kinds import appended, repeated_at_the_end
 
 
 def halves(contents: Contents, *, queued: int = 0) -> tuple[Contents, Contents]:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from random import Random
 
 from robotctl.cdr.motion import decode_twist, encode_twist
+from robotctl.kernel.modes import Mode
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, decode, encode
 from robotctl.recording.format.names import LEDGER_RECORD
 from tests.support.edited_recordings import Contents, Stored, edit
@@ -328,3 +329,157 @@ def cut(share: float) -> Kind:
         return edited
 
     return make
+
+
+AT_MODE = 4 + 4 + len(b"robot\0")
+"""The place of the mode in a status."""
+
+AT_REQUESTED, AT_SUCCESS = 48, 52
+"""The places of the mode in a call and of the success in a response of a service."""
+
+
+def late(message: Stored) -> Stored:
+    """Send a message 2 s later."""
+    return replace(message, publish_ns=message.publish_ns + 2 * 10**9)
+
+
+def early(message: Stored) -> Stored:
+    """Send a message 2 s earlier."""
+    return replace(message, publish_ns=message.publish_ns - 2 * 10**9)
+
+
+def moved(message: Stored, random: Random) -> Stored:
+    """Change the position, by one bit of any weight."""
+    data = bytearray(message.data)
+    at = len(data) - 8 * (36 + 6 + 36 + 7) + random.randrange(6)
+    data[at] ^= 1 << random.randrange(8)
+    return replace(message, data=bytes(data))
+
+
+def level(message: Stored, random: Random) -> Stored:
+    """Change the battery level."""
+    data = bytearray(message.data)
+    data[-4] ^= 1 << random.randrange(8)
+    return replace(message, data=bytes(data))
+
+
+def last_number(contents: Contents, topic: str) -> int:
+    """Return the number of the last message of a topic."""
+    return max(each.sequence for each in contents.messages if each.topic == topic)
+
+
+def not_first(message: Stored) -> bool:
+    """Accept any message but the first."""
+    return message.sequence > 1
+
+
+def not_last(message: Stored) -> bool:
+    """Accept the messages that were not under way at the end: a recording has 180 of odometry."""
+    return message.sequence < 150
+
+
+def mode(message: Stored, random: Random) -> Stored:
+    """Show a mode that the robot never had."""
+    data = bytearray(message.data)
+    data[AT_MODE] = Mode.ERROR
+    return replace(message, data=bytes(data))
+
+
+def with_mode(message: Stored, shown: Mode) -> Stored:
+    """Show a mode."""
+    data = bytearray(message.data)
+    data[AT_MODE] = shown.value
+    return replace(message, data=bytes(data))
+
+
+def shown_level(message: Stored, random: Random) -> Stored:
+    """Show another battery level."""
+    data = bytearray(message.data)
+    data[-9] ^= 1 << random.randrange(8)
+    return replace(message, data=bytes(data))
+
+
+def robot(message: Stored, random: Random) -> Stored:
+    """Show the status of another robot."""
+    return replace(message, data=message.data.replace(b"robot", b"rabot"))
+
+
+def numbered(message: Stored, random: Random) -> Stored:
+    """Give a message another number."""
+    return replace(message, sequence=message.sequence + 5_000)
+
+
+def requested(message: Stored, random: Random) -> Stored:
+    """Request another mode."""
+    data = bytearray(message.data)
+    data[AT_REQUESTED] ^= 1
+    return replace(message, data=bytes(data))
+
+
+def granted(message: Stored, random: Random) -> Stored:
+    """Answer the opposite."""
+    data = bytearray(message.data)
+    data[AT_SUCCESS] ^= 1
+    return replace(message, data=bytes(data))
+
+
+FREQUENT = ("Tick", "OdomReceived", "SafetyInputReceived")
+
+
+def first_snapshot_dropped(
+    entries: list[JournalEntry], random: Random
+) -> list[JournalEntry | None]:
+    return [None, *entries[1:]]
+
+
+def first_part_dropped(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
+    snapshots = [at for at, each in enumerate(entries) if each.kind is EntryKind.SNAPSHOT]
+    first = random.choice(snapshots[1:])
+    return [*[None] * first, *entries[first:]]
+
+
+def rare_dropped(entries: list[JournalEntry], random: Random) -> Sequence[JournalEntry | None]:
+    rare = {
+        each.name for each in entries if each.kind is EntryKind.EVENT and each.name not in FREQUENT
+    }
+    return without(random.choice(sorted(rare)))(entries, random)
+
+
+def last_dropped(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
+    count = random.choice((1, 2, 5, 40))
+    return [*entries[:-count], *[None] * count]
+
+
+def two_swapped(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
+    """Swap two neighbours, but no two events of the same nanosecond: those have no order."""
+    pairs = [
+        at
+        for at in range(1, len(entries) - 2)
+        if entries[at].t_ns != entries[at + 1].t_ns
+        or {entries[at].kind, entries[at + 1].kind} != {EntryKind.EVENT}
+    ]
+    at = random.choice(pairs)
+    one, other = entries[at], entries[at + 1]
+    entries[at] = other._replace(seq=one.seq)
+    entries[at + 1] = one._replace(seq=other.seq)
+    return list(entries)
+
+
+def later(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
+    events = [at for at, each in enumerate(entries) if each.kind is EntryKind.EVENT]
+    at = random.choice(events)
+    entries[at] = entries[at]._replace(t_ns=entries[at].t_ns + 1)
+    return list(entries)
+
+
+def decided_without_event(contents: Contents, random: Random) -> Contents:
+    """Drop the entry of one effect, and number the others anew."""
+    effects = [
+        decode(each.data).seq
+        for each in contents.messages
+        if each.topic == JOURNAL and decode(each.data).kind is EntryKind.EFFECT
+    ]
+    gone = random.choice(effects)
+    return journal(
+        lambda entries, _: [None if each.seq == gone else each for each in entries], careful=True
+    )(contents, random)

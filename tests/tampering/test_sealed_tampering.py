@@ -17,8 +17,7 @@ from robotctl.recording.read.whole_recording import RecordingProof, verify_recor
 from robotctl.recording.write import file_seal
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.recordings import Forger, keyring
-from tests.tampering.honest_looks import ACCEPTED
-from tests.tampering.kinds import FORGED
+from tests.tampering.kinds import ACCEPTED, FORGED
 from tests.tampering.sources import recording_for, sources
 from tests.tampering.test_tampering import edits
 

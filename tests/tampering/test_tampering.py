@@ -18,8 +18,7 @@ from robotctl.rerun.check_report import Report, Verdict
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.heard_drives import COMMANDS
 from tests.tampering.edits import Kind
-from tests.tampering.honest_looks import ACCEPTED
-from tests.tampering.kinds import FORGED, FOUND, ON_A_BUTTON, ONLY_IF_CLOSED
+from tests.tampering.kinds import ACCEPTED, FORGED, FOUND, ON_A_BUTTON, ONLY_IF_CLOSED
 from tests.tampering.sources import recording_for, sources
 
 ATTEMPTS = 200

@@ -1,13 +1,21 @@
-"""Edits of the recorded topics that a check finds."""
+"""Edits of the recorded topics: of their messages, schemas and times, and after their ends."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from random import Random
 
+from mcap.records import Channel, Schema
+
+from robotctl.cdr.definition import parse_definition
+from robotctl.cdr.type_hash import rihs01_hash
 from robotctl.kernel.modes import Mode
-from robotctl.testing.hearing import BATTERY, ODOMETRY
-from tests.support.heard_drives import COMMANDS, ESTOP, SET_MODE, STATUS, received
+from robotctl.kernel.safety_inputs import SafetyInput
+from robotctl.kernel.units import NS_PER_S
+from robotctl.testing.hearing import BATTERY, ODOMETRY, TOPICS
+from tests.support.edited_recordings import Contents, Stored, edit
+from tests.support.heard_drives import COMMANDS, ESTOP, JOURNAL, SET_MODE, STATUS, received
 from tests.tampering.edits import (
     MOTION,
     Kind,
@@ -18,32 +26,254 @@ from tests.tampering.edits import (
     changed,
     dropped,
     dropped_and_renumbered,
-    journal,
-    last_second_dropped,
-    moves,
-    removed,
-    renamed,
-    repeated,
-    rewritten,
-    still,
-    swapped,
-)
-from tests.tampering.message_changes import (
     early,
     granted,
+    journal,
+    last_second_dropped,
     late,
     level,
     mode,
     moved,
+    moves,
     not_first,
     not_last,
     numbered,
+    removed,
+    renamed,
+    repeated,
     requested,
+    rewritten,
     robot,
     shown_level,
+    still,
+    swapped,
     with_mode,
 )
-from tests.tampering.schema_kinds import IN_SCHEMAS
+
+BUTTON = TOPICS[SafetyInput.ESTOP]
+"""The topic of the emergency stop button."""
+
+Change = Callable[[Stored], Stored]
+"""Makes of the last message what is added."""
+
+THOUSANDS = 2_000, 5_000
+
+
+def appended(
+    topic: str,
+    counts: tuple[int, int],
+    change: Change = lambda message: message,
+    *,
+    step: int = 1,
+    first: int = 1,
+    every_s: float = 0.0,
+    after_s: float = 0.0,
+) -> Kind:
+    """Add messages after the last one of a topic, so many at least and at most.
+
+    They are numbered in steps of `step`, `first` for the first one; they follow the end of the
+    recording `after_s` later, and each other in `every_s`.
+    """
+
+    def make(contents: Contents, random: Random) -> Contents:
+        last = [each for each in contents.messages if each.topic == topic][-1]
+        end_ns = max(each.log_ns for each in contents.messages)
+        begin_ns = end_ns + round(after_s * NS_PER_S)
+        edited = contents.copy()
+        for number in range(random.randint(*counts)):
+            at_ns = begin_ns + round(number * every_s * NS_PER_S)
+            sequence = last.sequence + (first + number) * step
+            message = replace(last, log_ns=at_ns, publish_ns=at_ns, sequence=sequence)
+            edited.messages.append(change(message))
+        return edited
+
+    return make
+
+
+def repeated_at_the_end(topic: str, counts: tuple[int, int], change: Change) -> Kind:
+    """Repeat the last message of a topic, so often at least and at most."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        last = [each for each in contents.messages if each.topic == topic][-1]
+        edited = contents.copy()
+        edited.messages += [change(last)] * random.randint(*counts)
+        return edited
+
+    return make
+
+
+def call(message: Stored) -> Stored:
+    """Make a call of a service, each of another client's."""
+    return replace(message, data=received(message.sequence, None))
+
+
+AT_THE_END: Mapping[str, Kind] = {
+    "commands: zeros with numbers beyond all decisions added at the end": appended(
+        COMMANDS, (1, 3_000), still, first=5_000
+    ),
+    "commands: zeros added at the end, at once": appended(COMMANDS, THOUSANDS, still),
+    "commands: some zeros added at the end, at once": appended(COMMANDS, (5, 20), still),
+    "commands: zeros added at the end, for a minute": appended(
+        COMMANDS, (1_200, 1_200), still, every_s=0.05
+    ),
+    "commands: zeros with one number added at the end": appended(
+        COMMANDS, THOUSANDS, still, step=0
+    ),
+    "commands: motion added at the end": appended(
+        COMMANDS, (1, 100), lambda message: replace(message, data=MOTION)
+    ),
+    "odometry: thousands added at the end": appended(ODOMETRY, THOUSANDS),
+    "odometry: some added later": appended(ODOMETRY, (1, 20), every_s=0.02, after_s=3.0),
+    "battery: thousands added at the end": appended(BATTERY, THOUSANDS),
+    "battery: some added later": appended(BATTERY, (3, 60), every_s=1.0, after_s=1.0),
+    "status: the last one repeated at the end": repeated_at_the_end(
+        STATUS, THOUSANDS, lambda message: message
+    ),
+    "status: the last one repeated at the end, with another mode": repeated_at_the_end(
+        STATUS, (1, 1), lambda message: with_mode(message, Mode.ERROR)
+    ),
+    "status: the last one repeated before it was sent": repeated_at_the_end(
+        STATUS, THOUSANDS, lambda message: replace(message, log_ns=message.publish_ns - 1)
+    ),
+    "service: responses added at the end": appended(ESTOP, (1, 3_000)),
+    "service: thousands of calls added at the end": appended(ESTOP, THOUSANDS, call),
+    "service: some calls added later": appended(ESTOP, (1, 20), call, every_s=0.1, after_s=3.0),
+}
+"""Edits that a check finds."""
+
+THOUSANDS_OF_THE_BUTTON: Kind = appended(BUTTON, THOUSANDS)
+
+
+Described = tuple[Channel, Schema]
+
+READ = (COMMANDS, ODOMETRY, BATTERY, STATUS, JOURNAL, SET_MODE, ESTOP)
+"""The topics whose messages a check reads."""
+
+
+def described(change: Callable[[Channel, Schema], Described], *topics: str) -> Kind:
+    """Change what the file tells of one of these topics."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        chosen = random.choice(topics)
+        edited = contents.copy()
+        edited.types = [
+            change(channel, schema) if channel.topic == chosen else (channel, schema)
+            for channel, schema in contents.types
+        ]
+        return edited
+
+    return make
+
+
+def exchanged(one: str, other: str) -> Callable[[Channel, Schema], Described]:
+    """Exchange two names in the text of a type."""
+
+    def change(channel: Channel, schema: Schema) -> Described:
+        text = schema.data.decode()
+        assert one in text
+        text = text.replace(one, "\0").replace(other, one).replace("\0", other)
+        return channel, replace(schema, data=text.encode())
+
+    return change
+
+
+def told(key: str, value: str) -> Callable[[Channel, Schema], Described]:
+    """Change the metadata of a channel."""
+    return lambda channel, schema: (
+        replace(channel, metadata={**channel.metadata, key: value}),
+        schema,
+    )
+
+
+def of_another_version(channel: Channel, schema: Schema) -> Described:
+    """Add a field to a type, with the hash that it then has."""
+    text = b"uint8 another\n" + schema.data
+    type_hash = rihs01_hash(schema.name, parse_definition(schema.name, text.decode()))
+    return told("topic_type_hash", type_hash)(channel, replace(schema, data=text))
+
+
+def commented(channel: Channel, schema: Schema) -> Described:
+    """Change the comments of a type."""
+    return channel, replace(schema, data=b"# in furlongs per fortnight\n" + schema.data)
+
+
+IN_SCHEMAS: Mapping[str, Kind] = {
+    "schema: of another version, with its hash": described(of_another_version, *READ),
+    "channel: another type hash": described(told("topic_type_hash", f"RIHS01_{0:064}"), *READ),
+    "channel: no type hash": described(told("topic_type_hash", ""), *READ),
+    "channel: another encoding": described(
+        lambda channel, schema: (replace(channel, message_encoding="json"), schema),
+        *(COMMANDS, ODOMETRY, BATTERY, STATUS),
+    ),
+}
+"""Edits that a check finds."""
+
+FORGED_SCHEMAS: Mapping[str, Kind] = {
+    "schema: linear and angular exchanged": described(exchanged(" linear", " angular"), COMMANDS),
+    "schema: x and y exchanged": described(exchanged("float64 x\n", "float64 y\n"), ODOMETRY),
+    "schema: another type of a field": described(exchanged("float64", "int64"), ODOMETRY),
+    "schema: its text removed": described(
+        lambda channel, schema: (channel, replace(schema, data=b"")), *READ
+    ),
+    "schema: another encoding": described(
+        lambda channel, schema: (channel, replace(schema, encoding="jsonschema")), *READ
+    ),
+    "channel: no quality of service": described(told("offered_qos_profiles", ""), STATUS, JOURNAL),
+}
+"""Edits that only the seal shows."""
+
+
+HOUR_S = 3600.0
+
+
+def recorded_later(message: Stored, by_s: float) -> Stored:
+    """Move the time at which a message was recorded."""
+    return replace(message, log_ns=message.log_ns + round(by_s * NS_PER_S))
+
+
+def all_later(by_s: Callable[[int], float], *topics: str) -> Kind:
+    """Move the times of all messages of one of these topics, each by its position."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        chosen = random.choice(topics)
+        return edit(contents, chosen, lambda at, each: recorded_later(each, by_s(at)))
+
+    return make
+
+
+def another_ahead(contents: Contents, random: Random) -> Contents:
+    """Add a status of another mode, recorded before the one with its number was sent."""
+    places = [at for at, each in enumerate(contents.messages) if each.topic == STATUS]
+    at = random.choice(places)
+    real = contents.messages[at]
+    mode = random.choice([each for each in Mode if with_mode(real, each) != real])
+    edited = contents.copy()
+    early = replace(with_mode(real, mode), log_ns=real.publish_ns - 1)
+    edited.messages.insert(at, early)
+    return edited
+
+
+OTHERS = (COMMANDS, ODOMETRY, BATTERY, STATUS)
+
+FORGED_TIMES: Mapping[str, Kind] = {
+    "journal: each second entry recorded later": all_later(lambda at: at % 2 * 0.3, JOURNAL),
+    "journal: some entries recorded later": all_later(lambda at: at // 50 % 2 * 0.3, JOURNAL),
+    "journal: recorded ever later": all_later(float, JOURNAL),
+    "journal: one entry recorded an hour later": changed(
+        JOURNAL, lambda each, _: recorded_later(each, HOUR_S), lambda each: each.sequence < 400
+    ),
+    "journal: one of its first entries recorded an hour later": changed(
+        JOURNAL, lambda each, _: recorded_later(each, HOUR_S), lambda each: each.sequence < 4
+    ),
+    "a topic: recorded an hour later": all_later(lambda at: HOUR_S, *OTHERS),
+    "a topic: recorded an hour earlier": all_later(lambda at: -HOUR_S, *OTHERS),
+    "status: another one recorded before it was sent": another_ahead,
+    "odometry: one recorded a minute earlier": changed(
+        ODOMETRY, lambda each, _: recorded_later(each, -60.0), anywhere
+    ),
+}
+"""Edits that only the seal shows."""
+
 
 IN_TOPICS: Mapping[str, Kind] = {
     **IN_SCHEMAS,
