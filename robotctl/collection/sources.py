@@ -26,7 +26,7 @@ from robotctl.recording.disk.storage import is_locked
 from robotctl.recording.format.names import INDEX_FILE, natural_order
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE
-from robotctl.recording.keep.catalog import CLIPS_FOLDER, is_own
+from robotctl.recording.keep.listing import CLIPS_FOLDER, is_own
 from robotctl.store import ObjectStore, StoredObject, hash_in, open_store, without_hashes
 
 SUFFIX: Final = ".mcap"

@@ -28,7 +28,7 @@ from robotctl.collection.sources import (
 from robotctl.errors import RobotctlError, UnreadableFile
 from robotctl.printable import printable
 from robotctl.recording.disk.access import reason_of
-from robotctl.recording.keep.catalog import CLIPS_FOLDER, CatalogFile, CatalogFolder
+from robotctl.recording.keep.listing import CLIPS_FOLDER, CatalogFile, CatalogFolder
 from robotctl.recording.keep.retention import (
     Removed,
     RetentionPolicy,

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from robotctl.recording.format.names import Compression, EventKind
     from robotctl.recording.format.recorded_events import RecordedEvent
     from robotctl.recording.format.topics import Topic, TopicStats
-    from robotctl.recording.keep.catalog import ListedRecording, list_recordings
     from robotctl.recording.keep.clip import Clip, Moment, cut_clip
+    from robotctl.recording.keep.listing import ListedRecording, list_recordings
     from robotctl.recording.keep.recover import RecoveryReport, recover, recover_folder
     from robotctl.recording.read.info import RecordingInfo, TopicInfo
     from robotctl.recording.read.journal_reader import RecordedEntry, read_journal
@@ -62,7 +62,7 @@ _NAMES_OF_MODULE = {
     "format.names": ("Compression", "EventKind"),
     "format.recorded_events": ("RecordedEvent",),
     "format.topics": ("Topic", "TopicStats"),
-    "keep.catalog": ("ListedRecording", "list_recordings"),
+    "keep.listing": ("ListedRecording", "list_recordings"),
     "keep.clip": ("Clip", "Moment", "cut_clip"),
     "keep.recover": ("RecoveryReport", "recover", "recover_folder"),
     "read.info": ("RecordingInfo", "TopicInfo"),

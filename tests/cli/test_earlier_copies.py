@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.recording.keep.catalog import recordings_in
+from robotctl.recording.keep.listing import recordings_in
 from robotctl.store import has_hash_folders, hash_in, without_hashes
 
 Cli = Callable[..., Any]

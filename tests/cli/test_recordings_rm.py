@@ -14,7 +14,7 @@ import pytest
 from robotctl.cli.commands.recordings import remove
 from robotctl.errors import Interrupted, Refused
 from robotctl.recording import Recorder
-from robotctl.recording.keep.catalog import CLIPS_FOLDER, set_kept
+from robotctl.recording.keep.listing import CLIPS_FOLDER, set_kept
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import write_numbered
 

@@ -12,7 +12,7 @@ from robotctl.collection import sync
 from robotctl.collection.sources import Pace
 from robotctl.collection.sync import GIVE_UP_AFTER, Pruned
 from robotctl.recording.disk.storage import DiskFile
-from robotctl.recording.keep.catalog import set_kept
+from robotctl.recording.keep.listing import set_kept
 from robotctl.recording.keep.retention import NOTES_FILE, RetentionPolicy
 from robotctl.recording.keep.tidy_job import TidyJob, tidy
 from robotctl.store import StoreFailed

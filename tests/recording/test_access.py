@@ -13,9 +13,9 @@ from PIL import Image
 from robotctl.config import Config, with_setting
 from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.recording import Recorder
-from robotctl.recording.keep.catalog import set_kept
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip
+from robotctl.recording.keep.listing import set_kept
 from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.keep.repair import repair
 from robotctl.show.figure import path_figure

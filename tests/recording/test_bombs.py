@@ -276,7 +276,7 @@ PROGRAM = """
 import json, sys, time
 from pathlib import Path
 from robotctl.errors import RobotctlError
-from robotctl.recording.keep.catalog import list_recording
+from robotctl.recording.keep.listing import list_recording
 from robotctl.recording import read_info
 from robotctl.recording.keep.recover import recover
 from robotctl.rerun.check import check_recording

@@ -12,9 +12,9 @@ from robotctl.errors import Refused
 from robotctl.recording import Recorder, read_info
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.keep import clip_job
-from robotctl.recording.keep.catalog import list_recording
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip, remaining_s
+from robotctl.recording.keep.listing import list_recording
 from robotctl.testing.drives import GID, TWIST
 from tests.support.recordings import numbered, read_strictly
 

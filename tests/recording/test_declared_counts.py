@@ -10,7 +10,7 @@ import pytest
 
 from robotctl.recording import Recorder, RecorderOptions, Recording, read_info
 from robotctl.recording.disk.storage import Storage
-from robotctl.recording.keep.catalog import list_recording
+from robotctl.recording.keep.listing import list_recording
 from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.read.journal_reader import read_journal
 from robotctl.testing.drives import TWIST, drive, record

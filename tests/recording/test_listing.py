@@ -10,7 +10,7 @@ import pytest
 from robotctl.recording import Recorder
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
-from robotctl.recording.keep.catalog import ListedRecording, list_recordings, set_kept
+from robotctl.recording.keep.listing import ListedRecording, list_recordings, set_kept
 from robotctl.testing.drives import START_NS, TWIST
 from tests.support.bags import TWIST as TWIST_TYPE
 from tests.support.bags import Line, twist, write_bag

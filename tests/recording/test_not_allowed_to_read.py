@@ -53,7 +53,7 @@ IMPORTS_OF_A_FOLDER = """
 from pathlib import Path
 from robotctl.cli.commands.replay.select_recordings import select_recordings
 from robotctl.collection.catalogue import _stamps
-from robotctl.recording.keep.catalog import list_recordings
+from robotctl.recording.keep.listing import list_recordings
 """
 
 LISTED = """

@@ -14,8 +14,8 @@ from zstandard import ZstdCompressor, ZstdDecompressor
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording import Recording, read_info, read_messages
-from robotctl.recording.keep.catalog import list_recording
 from robotctl.recording.keep.clip import Moment, cut_clip
+from robotctl.recording.keep.listing import list_recording
 from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.read.messages import ALWAYS
 from tests.support.bags import START_NS, data, talk, write_bag

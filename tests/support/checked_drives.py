@@ -34,7 +34,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, encode
-from robotctl.recording.keep.catalog import recordings_in
+from robotctl.recording.keep.listing import recordings_in
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report
 from robotctl.testing.drives import (

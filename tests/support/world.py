@@ -32,7 +32,7 @@ from robotctl.ipc.method_names import STATUS
 from robotctl.recording import Recording, read_journal
 from robotctl.recording.format.journal import JournalEntry, decode
 from robotctl.recording.format.names import INFO_RECORD
-from robotctl.recording.keep.catalog import CLIPS_FOLDER
+from robotctl.recording.keep.listing import CLIPS_FOLDER
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from tests.support.lines import Told, peer_command

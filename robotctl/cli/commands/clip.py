@@ -26,8 +26,8 @@ from robotctl.kernel.units import DAY_S, NS_PER_S
 from robotctl.recording.format.names import CLIP_KINDS, EventKind
 
 if TYPE_CHECKING:
-    from robotctl.recording.keep.catalog import ListedRecording
     from robotctl.recording.keep.clip import Clip, Moment
+    from robotctl.recording.keep.listing import ListedRecording
 
 app = new_app()
 
@@ -130,7 +130,7 @@ def _find(
     Raises:
         Refused: There is none.
     """
-    from robotctl.recording.keep.catalog import list_recording
+    from robotctl.recording.keep.listing import list_recording
     from robotctl.recording.read.files import recording_files
 
     if file is None:

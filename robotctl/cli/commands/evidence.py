@@ -122,7 +122,7 @@ def _recordings(
 
 def _looked_at(path: Path) -> dict[str, Any]:
     """Return what a recording is, as an object of `--json`, without its verdicts."""
-    from robotctl.recording.keep.catalog import list_recording
+    from robotctl.recording.keep.listing import list_recording
 
     item = {"path": str(path), "state": _MISSING, "named": True}
     item |= {"verify": None, "check": None, "wrong": [], "unproved": []}

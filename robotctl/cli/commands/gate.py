@@ -133,7 +133,7 @@ def gate(
 
 
 def _recordings(place: Path) -> list[Path]:
-    from robotctl.recording.keep.catalog import recordings_in
+    from robotctl.recording.keep.listing import recordings_in
 
     try:
         found = recordings_in(place)

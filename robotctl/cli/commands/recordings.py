@@ -36,7 +36,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
-    from robotctl.recording.keep.catalog import ListedRecording
+    from robotctl.recording.keep.listing import ListedRecording
 
 
 def remove(path: Path, *, without_asking: bool) -> int:
@@ -47,7 +47,7 @@ def remove(path: Path, *, without_asking: bool) -> int:
         UsageError: There is no terminal to ask on.
         Interrupted: The user said no.
     """
-    from robotctl.recording.keep.catalog import own_recording
+    from robotctl.recording.keep.listing import own_recording
     from robotctl.recording.keep.retention import remove_recording
 
     try:
@@ -120,7 +120,7 @@ def recordings(
     if context.invoked_subcommand is not None:
         _refuse_options_before(context, context.invoked_subcommand)
         return
-    from robotctl.recording.keep.catalog import list_recordings
+    from robotctl.recording.keep.listing import list_recordings
 
     place = recordings_folder(robot, folder)
     found: list[ListedRecording] = []
@@ -206,7 +206,7 @@ def _refuse_options_before(context: typer.Context, command: str) -> None:
 
 
 def _set_kept(name: str, folder: Path | None, robot: str | None, *, kept: bool) -> Path:
-    from robotctl.recording.keep.catalog import set_kept
+    from robotctl.recording.keep.listing import set_kept
 
     path = find_recording(name, robot, folder)
     if not path.is_dir():

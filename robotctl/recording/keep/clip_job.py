@@ -13,8 +13,8 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.processes.pipes import Report
 from robotctl.recording.disk.access import is_shared, make_folder
 from robotctl.recording.format.names import EventKind
-from robotctl.recording.keep.catalog import CLIPS_FOLDER, ListedRecording, list_recording
 from robotctl.recording.keep.clip import Clip, Moment, Progress, cut_clip
+from robotctl.recording.keep.listing import CLIPS_FOLDER, ListedRecording, list_recording
 from robotctl.recording.read.reader import Recording
 from robotctl.store.remote_file import RemoteFile
 

@@ -22,7 +22,7 @@ from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.format.seal_records import LINK_OPCODE, OPENING_OPCODE
 from robotctl.recording.format.trailer import WrittenFile
-from robotctl.recording.keep.catalog import CatalogFolder, own_recordings
+from robotctl.recording.keep.listing import CatalogFolder, own_recordings
 from robotctl.recording.keep.recover import recover, seal_of_repair
 from robotctl.recording.keep.retention import TidyNote, rewrite_metadata
 from robotctl.recording.read.damage import Damaged
