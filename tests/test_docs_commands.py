@@ -13,7 +13,7 @@ import typer
 from PIL import Image
 
 from robotctl.cli import registry
-from robotctl.cli.support.leading_options import behind_the_command
+from robotctl.cli.app import behind_the_command
 from robotctl.show.figure import path_figure
 from robotctl.show.png import write_path_png
 

@@ -295,7 +295,7 @@ def test_lines_come_out_of_pieces() -> None:
 
 def test_every_child_is_started_in_one_way() -> None:
     from robotctl.cli.commands.replay import play
-    from robotctl.cli.support import launch
+    from robotctl.cli.targets import launch
     from robotctl.rerun import check_many as checking
 
     player = program(play.PLAYER)

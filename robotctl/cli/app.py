@@ -33,8 +33,6 @@ def run(arguments: list[str]) -> int:
             stream.reconfigure(errors="backslashreplace")
     try:
         if arguments[:1] and arguments[0].startswith("--"):
-            from robotctl.cli.support.leading_options import behind_the_command
-
             arguments = behind_the_command(arguments)
         from robotctl.cli import quick
 
@@ -70,3 +68,28 @@ def _wants_json(arguments: list[str]) -> bool:
     """Return whether --json was given, even if the rest of the line cannot be parsed."""
     options = arguments[: arguments.index("--")] if "--" in arguments else arguments
     return "--json" in options
+
+
+ENDS_OF_OPTIONS = ("--", "--ros-args")
+"""Words after which no option of the command may stand."""
+
+
+def behind_the_command(arguments: list[str]) -> list[str]:
+    """Move --robot and --json from before the command to the end of its options.
+
+    `--robot r2 topic list` becomes `topic list --robot r2`. Another option before the command
+    stays where it is, with everything after it.
+    """
+    at = 0
+    while at < len(arguments):
+        if arguments[at] == "--json" or arguments[at].startswith("--robot="):
+            at += 1
+        elif arguments[at] == "--robot":
+            at += 2
+        else:
+            break
+    leading, rest = arguments[:at], arguments[at:]
+    if not rest or rest[0].startswith("-"):
+        return arguments
+    end = min((rest.index(word) for word in ENDS_OF_OPTIONS if word in rest), default=len(rest))
+    return rest[:end] + leading + rest[end:]

@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from robotctl.paths import ROBOT_VARIABLE
+from robotctl.profiles import Profile
 
 Robot = Annotated[
     str,
@@ -63,3 +64,22 @@ def new_app(group: type[TyperGroup] = TyperGroup) -> typer.Typer:
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 80},
     )
+
+
+_NAMES = ", ".join(profile.value for profile in Profile)
+
+ProfileName = Annotated[
+    Profile | None,
+    typer.Option("--profile", metavar="ROBOT", help=f"Parameters of a known robot: {_NAMES}."),
+]
+
+
+def given_options(context: typer.Context) -> dict[str, str]:
+    """Return how each parameter that the user typed is spelt, by its name: `{"rate": "--rate"}`."""
+    given = {}
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            given[name] = parameter.opts[0]
+    return given

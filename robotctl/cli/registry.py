@@ -50,6 +50,43 @@ SECTIONS = {
 
 COMMANDS = tuple(name for names in SECTIONS.values() for name in names)
 
+OTHER_WORDS = {
+    "list": "`robotctl ps` lists robots, `robotctl recordings` recordings, "
+    "`robotctl topic list` topics",
+    "kill": "`robotctl estop` stops the robot at once, `robotctl stop` ends the daemon",
+    "run": "`robotctl start` starts the daemon, `robotctl drive` drives",
+    "launch": "`robotctl start` starts the daemon",
+    "bag": "`robotctl start` records everything; see `robotctl recordings`, `robotctl replay`",
+    "play": "`robotctl replay FILE` plays a recording to ROS",
+    "csv": "`robotctl export FILE --topic TOPIC` writes a topic as CSV",
+    "rm": "`robotctl recordings rm NAME` removes a recording",
+    "delete": "`robotctl recordings rm NAME` removes a recording",
+    "ls": "`robotctl recordings` lists recordings, `robotctl ps` robots",
+    "echo": "`robotctl topic echo TOPIC` prints messages",
+    "hz": "`robotctl topic hz TOPIC` measures the rate",
+    "call": "`robotctl service call NAME` calls a service",
+    "move": "`robotctl drive` drives",
+    "go": "`robotctl drive` drives",
+    "forward": "`robotctl drive line` drives straight ahead",
+    "halt": "`robotctl set-mode idle` ramps the robot down, `robotctl estop` stops it at once",
+    "pause": "`robotctl set-mode idle` ramps the robot down",
+    "shutdown": "`robotctl stop` ends the daemon",
+    "restart": "`robotctl stop`, then `robotctl start`",
+    "mode": "`robotctl status` shows the mode, `robotctl set-mode` asks for one",
+    "log": "`robotctl logs` prints the log of the daemon",
+    "params": "`robotctl param list` lists the parameters",
+    "check": "`robotctl replay FILE --check` checks a recording",
+    "figure8": "`robotctl drive figure-eight`",
+}
+"""The words that people bring from ros2 and other tools, with the command that does it here."""
+
+
+def other_words() -> dict[str, str]:
+    """Return OTHER_WORDS, and those of `robotctl drive`."""
+    from robotctl.cli.commands.drive import MOTIONS
+
+    return OTHER_WORDS | {word: f"`robotctl drive {word}`" for word in MOTIONS}
+
 
 class LazyGroup(TyperGroup):
     """A group that imports only the command that is called."""
@@ -78,12 +115,10 @@ class LazyGroup(TyperGroup):
             UsageError: The word is one of ros2 or of another tool; the error names ours.
         """
         if cmd_name not in COMMANDS:
-            from robotctl.cli.support.words_of_other_tools import OTHER_WORDS
-
             if cmd_name in retired.COMMANDS:
                 raise UsageError(f"{cmd_name!r} is retired", retired.COMMANDS[cmd_name])
-            if cmd_name in OTHER_WORDS:
-                raise UsageError(f"No such command {cmd_name!r}", OTHER_WORDS[cmd_name])
+            if cure := other_words().get(cmd_name):
+                raise UsageError(f"No such command {cmd_name!r}", cure)
             self.commands = {name: self.get_command(ctx, name) for name in COMMANDS}
             return None
         module = importlib.import_module(f"robotctl.cli.commands.{cmd_name.replace('-', '_')}")

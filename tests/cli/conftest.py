@@ -16,7 +16,7 @@ import pytest
 
 import robotctl
 from robotctl.cli import app
-from robotctl.cli.support import launch
+from robotctl.cli.targets import launch
 from robotctl.cli.ui import text
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import Client
@@ -95,7 +95,7 @@ def daemon(cli: Callable[..., Ran]) -> None:
 PROGRAM = """
 import sys
 from robotctl.cli import app
-from robotctl.cli.support import launch
+from robotctl.cli.targets import launch
 from robotctl.cli.ui import text
 launch.DAEMON = (sys.executable, sys.argv.pop(1))
 app.main()

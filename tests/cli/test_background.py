@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.support.background import Background
+from robotctl.cli.targets.interrupts import Background
 from tests.support.waiting import DEADLINE_S, until
 
 

@@ -16,9 +16,10 @@ import pytest
 from PIL import Image
 
 from robotctl import processes
+from robotctl.cli import quick
 from robotctl.cli.commands.drive import tracking_lines
-from robotctl.cli.support import interrupted_drive, quick_actions
-from robotctl.cli.support.background import Background
+from robotctl.cli.targets.driving import stop_drive
+from robotctl.cli.targets.interrupts import Background
 from robotctl.ipc.answers import DriveAnswer, Status
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
@@ -26,6 +27,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.mode_names import MODES
 from tests.support.waiting import until
 
+DRIVING = "robotctl.cli.targets.driving"
 PICTURE = Path("recordings/robot_20260101_120000/path.png")
 
 
@@ -80,7 +82,7 @@ def test_status_json_is_one_line_with_the_stable_keys(
 def test_a_mode_is_taken_in_any_case_with_dash_or_underscore_or_as_a_number(
     text: str, number: int
 ) -> None:
-    assert quick_actions.mode_number(text) == number
+    assert quick.mode_number(text) == number
 
 
 def test_set_mode_answers_as_the_service_does(daemon: None, cli: Callable[..., Any]) -> None:
@@ -278,9 +280,11 @@ def test_a_second_ctrl_c_straight_after_the_first_is_the_emergency_stop_and_a_th
     ended: DriveAnswer = {"message": "", "mode": "IDLE"}
     driving = Background(lambda: ended)
     driving.start()
-    monkeypatch.setattr(interrupted_drive, "_say", lambda _: signal.raise_signal(signal.SIGINT))
-    monkeypatch.setattr(interrupted_drive, "call", interrupted_call)
-    assert "EMERGENCY_STOP" in str(interrupted_drive.stop_drive("robot", driving))
+    monkeypatch.setattr(
+        "robotctl.cli.targets.driving._say", lambda _: signal.raise_signal(signal.SIGINT)
+    )
+    monkeypatch.setattr(f"{DRIVING}.call", interrupted_call)
+    assert "EMERGENCY_STOP" in str(stop_drive("robot", driving))
     assert mode() == "EMERGENCY_STOP"
 
 

@@ -17,9 +17,8 @@ import pytest
 from typer.main import get_command
 
 import robotctl
-from robotctl.cli import registry
+from robotctl.cli import quick, registry
 from robotctl.cli.registry import COMMANDS as OURS
-from robotctl.cli.support import quick_actions
 from robotctl.recording import Recorder
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import write_numbered
@@ -61,8 +60,8 @@ def test_without_a_daemon_every_command_says_how_to_start_one(
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ("set-mode flying", f"no mode 'flying': use {quick_actions.VALID_MODES}"),
-        ("set-mode 255", f"no mode '255': use {quick_actions.VALID_MODES}"),
+        ("set-mode flying", f"no mode 'flying': use {quick.VALID_MODES}"),
+        ("set-mode 255", f"no mode '255': use {quick.VALID_MODES}"),
         ("status --robot ../etc", "robot name '../etc': use a letter"),
         ("stat", "No such command 'stat'. Did you mean 'start', 'status'?"),
         ("drive", "Missing argument 'PATTERN'. Choose from: square, circle, figure-eight"),
@@ -194,7 +193,7 @@ def test_a_bug_and_ctrl_c_are_answered_in_json_too(
         def fail(*_: object, raised: BaseException = raised) -> None:
             raise raised
 
-        monkeypatch.setattr(quick_actions, "call", fail)
+        monkeypatch.setattr(quick, "call", fail)
         ran = cli("status", "--json")
         assert ran.exit_code == exit_code
         error = json.loads(ran.out)["error"]
@@ -228,7 +227,7 @@ def test_an_error_of_the_file_system_names_the_path(
     def fail(*_: object) -> None:
         raise PermissionError(errno.EACCES, "Permission denied", "/root/x")
 
-    monkeypatch.setattr(quick_actions, "call", fail)
+    monkeypatch.setattr(quick, "call", fail)
     assert cli("status").err == "robotctl: /root/x: Permission denied\n"
 
 
@@ -246,7 +245,7 @@ def test_a_bug_is_one_sentence_that_says_how_to_see_more(
     def fail(*_: object) -> None:
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(quick_actions, "call", fail)
+    monkeypatch.setattr(quick, "call", fail)
     ran = cli("status")
     assert ran.exit_code == 1
     assert ran.err == (

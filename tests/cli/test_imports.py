@@ -51,7 +51,7 @@ assert app.run(sys.argv[1:]) == 0
 
 
 def test_a_path_of_this_computer_needs_no_store() -> None:
-    program = "import sys; from robotctl.cli.support.recording_paths import recording_path as path"
+    program = "import sys; from robotctl.cli.targets.recordings import recording_path as path"
     program += "; path('run.mcap'); print(*sys.modules)"
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
     assert b"robotctl.store.remote_file" in ran.stdout

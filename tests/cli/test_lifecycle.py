@@ -15,7 +15,7 @@ import pytest
 
 from robotctl import __version__
 from robotctl.cli.commands import logs, start
-from robotctl.cli.support import launch
+from robotctl.cli.targets import launch
 from robotctl.daemon.lock import owned
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import call

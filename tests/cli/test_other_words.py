@@ -10,9 +10,8 @@ import pytest
 import typer
 
 from robotctl.cli import quick
-from robotctl.cli.registry import COMMANDS, app
-from robotctl.cli.support.leading_options import behind_the_command
-from robotctl.cli.support.words_of_other_tools import OTHER_WORDS
+from robotctl.cli.app import behind_the_command
+from robotctl.cli.registry import COMMANDS, app, other_words
 from robotctl.kernel.patterns import PatternKind
 
 
@@ -22,17 +21,17 @@ def test_a_word_of_another_tool_is_answered_with_the_command(
 ) -> None:
     ran = cli(word)
     assert (ran.exit_code, ran.out) == (2, "")
-    assert ran.err == f"robotctl: No such command '{word}': {OTHER_WORDS[word]}\n"
+    assert ran.err == f"robotctl: No such command '{word}': {other_words()[word]}\n"
 
 
 def test_every_pattern_is_such_a_word() -> None:
-    assert {kind.value.replace("_", "-") for kind in PatternKind} <= set(OTHER_WORDS)
+    assert {kind.value.replace("_", "-") for kind in PatternKind} <= set(other_words())
 
 
 def test_the_words_are_no_commands_and_lead_to_commands_that_exist() -> None:
-    assert not set(OTHER_WORDS) & set(COMMANDS)
+    assert not set(other_words()) & set(COMMANDS)
     root: Any = typer.main.get_command(app)
-    for text in OTHER_WORDS.values():
+    for text in other_words().values():
         for line in re.findall(r"`robotctl ([^`]+)`", text):
             words = line.split()
             command = root.get_command(None, words[0])

@@ -9,7 +9,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from robotctl.cli import quick, registry
-from robotctl.cli.support import quick_actions
 from robotctl.errors import UsageError
 
 NAMES = ["status", "set_mode", "estop", "reset", "stop"]
@@ -53,7 +52,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         def record(*arguments: Any, name: str = name) -> None:
             seen.append((name, *arguments))
 
-        monkeypatch.setattr(quick_actions, name, record)
+        monkeypatch.setattr(quick, name, record)
         if name in quick._WITHOUT_ARGUMENT:
             monkeypatch.setitem(quick._WITHOUT_ARGUMENT, name, record)
     return seen

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from robotctl.cli.support import view_process
+from robotctl.cli.targets import launch
 from tests.cli.conftest import Ran
 
 
@@ -19,7 +19,7 @@ def test_wrong_options_are_refused_at_once(cli: Callable[..., Ran]) -> None:
 def test_without_the_extra_the_cure_is_told(
     cli: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(view_process, "find_spec", lambda name: None)
+    monkeypatch.setattr(launch, "find_spec", lambda name: None)
     ran = cli("view")
     assert ran.exit_code == 4
     assert "pip install 'robotctl[view]'" in ran.err

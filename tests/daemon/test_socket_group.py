@@ -11,8 +11,8 @@ from tests.support.world import World
 MEMBER = 65502
 
 IMPORTS = """
-from robotctl.cli import app
-from robotctl.cli.support import estop_all, quick_actions
+from robotctl.cli import app, quick
+from robotctl.cli.targets import robots
 """
 
 

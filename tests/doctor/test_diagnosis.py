@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.cli.support import diagnosis
+from robotctl.cli.commands.doctor import diagnosis
 from robotctl.doctor.machine import Finding, Level
 from robotctl.errors import UsageError
 from robotctl.paths import runtime_folder

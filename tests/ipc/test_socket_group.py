@@ -252,8 +252,8 @@ print(names(), killed(), [each.level.value for each in check_folders(runtime_fol
 SEEN_IMPORTS = """
 import robotctl.trust
 from pathlib import Path
-from robotctl.cli.support.dead_daemons import killed
-from robotctl.cli.support.robots import names
+from robotctl.cli.targets.robots import killed
+from robotctl.cli.targets.robots import names
 from robotctl.doctor.machine import check_folders
 from robotctl.errors import Refused
 from robotctl.paths import runtime_folder

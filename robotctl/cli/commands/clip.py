@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.recording_paths import (
+from robotctl.cli.targets.recordings import (
     RecordedBy,
     RecordingsFolder,
     find_recording,
+    parse_moment,
     recordings_folder,
     recordings_of,
 )
-from robotctl.cli.support.time_argument import parse_moment
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import duration, moment, printable, short_path
 from robotctl.errors import IN_PARENTHESES, RecoveredWithLoss, Refused, UnreadableFile, UsageError

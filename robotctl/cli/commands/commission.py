@@ -16,15 +16,14 @@ from typing import Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support.background import Background
-from robotctl.cli.support.held_lease import HeldLease
-from robotctl.cli.support.interrupted_drive import (
+from robotctl.cli.targets.driving import (
     CLOSING_SIGNALS,
+    HeldLease,
     stop_drive,
     wait_while_stdout_open,
 )
-from robotctl.cli.support.quick_actions import asked_by, lease_of_shell
-from robotctl.cli.support.signals import interrupted_by
+from robotctl.cli.targets.interrupts import Background, interrupted_by
+from robotctl.cli.targets.requests import asked_by, lease_of_shell
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import printable, short_path
 from robotctl.errors import Refused, RobotctlError, UsageError

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Final
 
 import typer
 
+from robotctl.cli.commands.drive import MOTIONS
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.words_of_other_tools import PATTERN_WORDS
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import short_path
 from robotctl.errors import Refused
@@ -44,7 +44,7 @@ START_FILES: Final = MappingProxyType(
 BEGIN, END = "# robotctl completion: begin\n", "# robotctl completion: end\n"
 """The script stands between these lines of the start file."""
 
-VALUES: Final = MappingProxyType({"MODE": tuple(MODES), "PATTERN": PATTERN_WORDS})
+VALUES: Final = MappingProxyType({"MODE": tuple(MODES), "PATTERN": MOTIONS})
 """What an argument with this metavar may be."""
 
 _BASH: Final = """\

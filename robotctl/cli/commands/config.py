@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from robotctl.cli.options import ConfigFile, Json, new_app
-from robotctl.cli.support.profile_option import ProfileName
+from robotctl.cli.options import ConfigFile, Json, ProfileName, new_app
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import json_text, short_path
 from robotctl.config import Config, Declaration, declarations, flat, load

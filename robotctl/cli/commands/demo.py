@@ -16,13 +16,13 @@ from typing import Annotated, Any
 import typer
 
 from robotctl.cli.commands.drive import tracking_lines
+from robotctl.cli.commands.drive.running import write_picture
 from robotctl.cli.commands.watch import POLL_S, polled_until, show
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.background import Background
-from robotctl.cli.support.drive_picture import write_picture
-from robotctl.cli.support.launch import INTERRUPTIONS, StartOptions, launch
-from robotctl.cli.support.quick_actions import request_source, stop_daemon
-from robotctl.cli.support.signals import ignoring, interrupted_by
+from robotctl.cli.quick import stop_daemon
+from robotctl.cli.targets.interrupts import Background, ignoring, interrupted_by
+from robotctl.cli.targets.launch import INTERRUPTIONS, StartOptions, launch
+from robotctl.cli.targets.requests import request_source
 from robotctl.cli.ui.status import TopicLines
 from robotctl.cli.ui.text import (
     can_show_braille,

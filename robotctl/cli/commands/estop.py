@@ -1,4 +1,4 @@
-"""estop: options and help; `quick_actions.estop` implements it."""
+"""estop: options and help; `cli.quick.estop` implements it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
+from robotctl.cli import quick
 from robotctl.cli.options import Json, Reason, Robot, new_app
-from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -31,4 +31,4 @@ def estop(
       robotctl estop --robot r2 --reason "a child ran in"
       robotctl estop --all
     """
-    quick_actions.estop(robot, as_json, reason, every)
+    quick.estop(robot, as_json, reason, every)

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support.recording_paths import noted_folders
-from robotctl.cli.support.time_argument import parse_since
+from robotctl.cli.targets.recordings import noted_folders, parse_since
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import moment, printable, row, short_path, size
 from robotctl.errors import Divergence, Refused, RobotctlError, UnreadableFile

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.recording_paths import recording_path, recordings_folder
+from robotctl.cli.targets.recordings import recording_path, recordings_folder
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import elided, row, short_path
 from robotctl.errors import Divergence, Refused, RobotctlError, UnreadableFile, UsageError

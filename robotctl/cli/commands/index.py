@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.folder_catalogue import open_catalogue
+from robotctl.cli.targets.recordings import open_catalogue
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import short_path, size
 from robotctl.errors import UnreadableFile

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.recording_paths import (
+from robotctl.cli.targets.recordings import (
     RecordedBy,
     RecordingsFolder,
     cure_of_damage,

@@ -13,11 +13,9 @@ from typing import Annotated
 import typer
 
 from robotctl.cli.options import Json, Reason, Robot, new_app
-from robotctl.cli.support.held_lease import HeldLease
-from robotctl.cli.support.interrupted_drive import CLOSING_SIGNALS, POLL_S
-from robotctl.cli.support.lease_token import own_token
-from robotctl.cli.support.quick_actions import checked_reason, request_source
-from robotctl.cli.support.signals import ignoring, interrupted_by
+from robotctl.cli.targets.driving import CLOSING_SIGNALS, POLL_S, HeldLease
+from robotctl.cli.targets.interrupts import ignoring, interrupted_by
+from robotctl.cli.targets.requests import checked_reason, own_token, request_source
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import printable
 from robotctl.errors import UsageError

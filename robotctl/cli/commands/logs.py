@@ -17,7 +17,7 @@ from typing import Annotated, TextIO
 import typer
 
 from robotctl.cli.options import Robot, new_app
-from robotctl.cli.support.time_argument import parse_since
+from robotctl.cli.targets.recordings import parse_since
 from robotctl.cli.ui.text import printable
 from robotctl.errors import NoDaemon
 from robotctl.kernel.units import NS_PER_S

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support.quick_actions import request_source
+from robotctl.cli.targets.requests import request_source
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import moment, printable
 from robotctl.errors import UsageError

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support import robots
+from robotctl.cli.targets import robots
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.status import mode_text
 from robotctl.cli.ui.text import printable, short_path

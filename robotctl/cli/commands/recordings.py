@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.given_options import given_options
-from robotctl.cli.support.recording_paths import (
+from robotctl.cli.options import Json, given_options, new_app
+from robotctl.cli.targets.recordings import (
     RecordedBy,
     RecordingsFolder,
     find_recording,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
+from robotctl.cli.targets.recordings import RecordedBy, RecordingsFolder, find_recording
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import short_path
 from robotctl.errors import RecoveredWithLoss

@@ -1,9 +1,9 @@
-"""reset: options and help; `quick_actions.reset` implements it."""
+"""reset: options and help; `cli.quick.reset` implements it."""
 
 from __future__ import annotations
 
+from robotctl.cli import quick
 from robotctl.cli.options import Json, Reason, Robot, new_app
-from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -19,4 +19,4 @@ def reset(reason: Reason = "", robot: Robot = DEFAULT_ROBOT, as_json: Json = Fal
     Examples:
       robotctl reset
     """
-    quick_actions.reset(robot, as_json, reason)
+    quick.reset(robot, as_json, reason)

@@ -1,4 +1,4 @@
-"""set-mode: options and help; `quick_actions.set_mode` implements it."""
+"""set-mode: options and help; `cli.quick.set_mode` implements it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
+from robotctl.cli import quick
 from robotctl.cli.options import Json, Reason, Robot, new_app
-from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -17,7 +17,7 @@ app = new_app()
 def set_mode(
     mode: Annotated[
         str,
-        typer.Argument(metavar="MODE", help=f"{quick_actions.VALID_MODES}; names in any case."),
+        typer.Argument(metavar="MODE", help=f"{quick.VALID_MODES}; names in any case."),
     ],
     reason: Reason = "",
     robot: Robot = DEFAULT_ROBOT,
@@ -33,4 +33,4 @@ def set_mode(
       robotctl set-mode EMERGENCY_STOP
       robotctl set-mode 0
     """
-    quick_actions.set_mode(mode, robot, as_json, reason)
+    quick.set_mode(mode, robot, as_json, reason)

@@ -10,11 +10,24 @@ from typing import Annotated, Any
 import typer
 
 from robotctl import __version__, ros_arguments
-from robotctl.cli.options import ConfigFile, DomainId, Json, Namespace, Robot, RosWords, new_app
-from robotctl.cli.support.launch import INTERRUPTIONS, StartOptions, launch
-from robotctl.cli.support.profile_option import ProfileName
-from robotctl.cli.support.signals import interrupted_by
-from robotctl.cli.support.view_process import check_view_installed, start_view_of
+from robotctl.cli.options import (
+    ConfigFile,
+    DomainId,
+    Json,
+    Namespace,
+    ProfileName,
+    Robot,
+    RosWords,
+    new_app,
+)
+from robotctl.cli.targets.interrupts import interrupted_by
+from robotctl.cli.targets.launch import (
+    INTERRUPTIONS,
+    StartOptions,
+    check_view_installed,
+    launch,
+    start_view_of,
+)
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.status import mode_text
 from robotctl.cli.ui.text import printable, short_path

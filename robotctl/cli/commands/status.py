@@ -1,9 +1,9 @@
-"""status: options and help; `quick_actions.status` implements it."""
+"""status: options and help; `cli.quick.status` implements it."""
 
 from __future__ import annotations
 
+from robotctl.cli import quick
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -18,4 +18,4 @@ def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
       robotctl status
       robotctl status --json | jq .mode
     """
-    quick_actions.status(robot, as_json)
+    quick.status(robot, as_json)

@@ -1,9 +1,9 @@
-"""stop: options and help; `quick_actions.stop` implements it."""
+"""stop: options and help; `cli.quick.stop` implements it."""
 
 from __future__ import annotations
 
+from robotctl.cli import quick
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -19,4 +19,4 @@ def stop(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
     Examples:
       robotctl stop
     """
-    quick_actions.stop(robot, as_json)
+    quick.stop(robot, as_json)

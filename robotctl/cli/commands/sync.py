@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Self
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support.recording_paths import RecordingsFolder, recordings_folder
+from robotctl.cli.targets.recordings import RecordingsFolder, recordings_folder
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import row, short_path, size
 from robotctl.errors import (

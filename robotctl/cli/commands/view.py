@@ -64,8 +64,8 @@ def view(
             f"--origin {wrong[0]} is no origin",
             "use a scheme and a host without a path, such as https://lichtblick.example.org",
         )
-    from robotctl.cli.support.lease_token import own_token
-    from robotctl.cli.support.view_process import check_view_installed, live_target, show_view
+    from robotctl.cli.targets.launch import check_view_installed, live_target, show_view
+    from robotctl.cli.targets.requests import own_token
 
     check_view_installed()
     job = ViewJob(

@@ -9,8 +9,9 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support.background import Background
-from robotctl.cli.support.quick_actions import asked_by, lease_of_shell, mode_number
+from robotctl.cli.quick import mode_number
+from robotctl.cli.targets.interrupts import Background
+from robotctl.cli.targets.requests import asked_by, lease_of_shell
 from robotctl.cli.ui.keys import Keyboard
 from robotctl.cli.ui.status import HEADER, status_line
 from robotctl.cli.ui.text import is_terminal

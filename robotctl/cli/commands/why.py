@@ -11,16 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.last_recordings import committed_recording, with_earlier
-from robotctl.cli.support.recording_paths import (
+from robotctl.cli.targets.recordings import (
     LAST,
     RecordedBy,
     RecordingsFolder,
+    committed_recording,
     find_recording,
+    is_offset,
+    parse_moment,
     recording_path,
     robot_of,
+    with_earlier,
 )
-from robotctl.cli.support.time_argument import is_offset, parse_moment
 from robotctl.cli.ui.output import Progress, print_answer, progress_bar
 from robotctl.cli.ui.text import row, short_path
 from robotctl.errors import Refused, UnreadableFile

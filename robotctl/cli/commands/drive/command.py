@@ -10,7 +10,7 @@ import typer
 
 from robotctl.cli.commands.drive.running import drive_and_wait, tracking_lines
 from robotctl.cli.options import Json, Reason, Robot, new_app
-from robotctl.cli.support.quick_actions import asked_by, lease_of_shell
+from robotctl.cli.targets.requests import asked_by, lease_of_shell
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import number, printable
 from robotctl.errors import UsageError
@@ -40,7 +40,7 @@ from robotctl.paths import DEFAULT_ROBOT
 
 PATTERNS = ", ".join(kind.value for kind in PatternKind)
 PATH, VELOCITY = "path", "velocity"
-MOTIONS = [*(kind.value for kind in PatternKind), PATH, VELOCITY]
+MOTIONS = (*(kind.value for kind in PatternKind), PATH, VELOCITY)
 
 FOLLOWED = frozenset({"laps", "speed", "reverse", "open-loop"})
 """The options of every motion that follows a path."""

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from robotctl.cdr.definition import Definition, parse_definition
 from robotctl.cdr.values import decode
-from robotctl.cli.support.last_recordings import committed_recording, with_earlier
-from robotctl.cli.support.recording_paths import LAST, find_recording
-from robotctl.cli.support.ros_view import ros_view
+from robotctl.cli.targets.recordings import LAST, committed_recording, find_recording, with_earlier
+from robotctl.cli.targets.ros_view import ros_view
 from robotctl.cli.ui.text import printable, short_path
 from robotctl.errors import Refused, UnreadableFile, UsageError
 from robotctl.ipc.client import call

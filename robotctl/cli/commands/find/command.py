@@ -10,7 +10,7 @@ import typer
 
 from robotctl.cli.commands.find.opening import OpenAs, open_as, shown_row
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.folder_catalogue import open_catalogue
+from robotctl.cli.targets.recordings import open_catalogue
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import columns, elided, moment, printable, row
 from robotctl.errors import UsageError

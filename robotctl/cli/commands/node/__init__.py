@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from robotctl.cli.options import All, DomainId, Json, Robot, new_app
-from robotctl.cli.support.ros_view import ros_view
+from robotctl.cli.targets.ros_view import ros_view
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.ros_text import is_hidden, left_out_lines
 from robotctl.cli.ui.text import printable

@@ -9,10 +9,9 @@ from typing import Annotated
 
 import typer
 
-from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.given_options import given_options
-from robotctl.cli.support.recording_paths import RecordedBy, file_path, find_recording
-from robotctl.cli.support.signals import interrupted_by
+from robotctl.cli.options import Json, given_options, new_app
+from robotctl.cli.targets.interrupts import interrupted_by
+from robotctl.cli.targets.recordings import RecordedBy, file_path, find_recording
 from robotctl.cli.ui.text import short_path
 from robotctl.domains import requested_domain
 from robotctl.errors import UsageError

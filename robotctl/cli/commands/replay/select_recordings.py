@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from robotctl.cli.support.recording_paths import find_recording
+from robotctl.cli.targets.recordings import find_recording
 from robotctl.cli.ui.text import short_path
 from robotctl.recording.read.files import is_bag, is_recording
 

@@ -29,12 +29,10 @@ from robotctl.cli.commands.teleop.controls import (
 )
 from robotctl.cli.commands.watch import POLL_S
 from robotctl.cli.options import Reason, Robot, new_app
-from robotctl.cli.support.background import Background
-from robotctl.cli.support.held_lease import HeldLease
-from robotctl.cli.support.interrupted_drive import CLOSING_SIGNALS
-from robotctl.cli.support.quick_actions import asked_by, lease_of_shell
-from robotctl.cli.support.ros_view import ros_view
-from robotctl.cli.support.signals import interrupted_by
+from robotctl.cli.targets.driving import CLOSING_SIGNALS, HeldLease
+from robotctl.cli.targets.interrupts import Background, interrupted_by
+from robotctl.cli.targets.requests import asked_by, lease_of_shell
+from robotctl.cli.targets.ros_view import ros_view
 from robotctl.cli.ui.keys import (
     ASK_EACH_S,
     Key,

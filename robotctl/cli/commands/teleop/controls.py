@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from robotctl.cdr.definition import Definition, parse_definition
 from robotctl.cdr.values import decode
-from robotctl.cli.support.ros_view import MessageListener
+from robotctl.cli.targets.ros_view import MessageListener
 from robotctl.cli.ui.keys import ANSWER, Key, KeyEvent
 from robotctl.errors import Refused, UsageError
 from robotctl.ipc.client import Client

@@ -13,8 +13,8 @@ from typing import Annotated, Any, Final
 import typer
 
 from robotctl.cli.options import All, DomainId, Json, Robot, Types
-from robotctl.cli.support.recording_paths import find_recording
-from robotctl.cli.support.ros_view import ros_view
+from robotctl.cli.targets.recordings import find_recording
+from robotctl.cli.targets.ros_view import ros_view
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.ros_text import is_hidden, left_out_lines, name_lines, shown
 from robotctl.cli.ui.text import json_text, moment, printable

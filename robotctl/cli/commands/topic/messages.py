@@ -10,7 +10,7 @@ from robotctl.cdr.definition import UnreadableType, parse_definition
 from robotctl.cdr.field_path import parse_path, value_at
 from robotctl.cdr.given import WrongValue
 from robotctl.cdr.values import decode
-from robotctl.cli.support.recording_paths import find_recording
+from robotctl.cli.targets.recordings import find_recording
 from robotctl.cli.ui.ros_text import SHOWN_LENGTH, message_lines, plain_json
 from robotctl.cli.ui.text import json_text
 from robotctl.errors import UnreadableFile, UsageError

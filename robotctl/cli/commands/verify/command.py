@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.recording_paths import RecordedBy, file_path
+from robotctl.cli.targets.recordings import RecordedBy, file_path
 from robotctl.cli.ui.output import print_answer
 from robotctl.errors import Divergence, NotSealed, RobotctlError, UnreadableFile, UsageError
 

@@ -38,7 +38,7 @@ def doctor(
       robotctl doctor --clean
       robotctl doctor --json
     """
-    from robotctl.cli.support.diagnosis import diagnose
+    from robotctl.cli.commands.doctor.diagnosis import diagnose
 
     removed, found = diagnose(robot, config, domain_id, clean=clean)
     faults = [each for each in found if each.level is Level.FAULT]

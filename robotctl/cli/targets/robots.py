@@ -1,17 +1,18 @@
-"""Every daemon of this user, by the sockets in its runtime folder."""
+"""Every daemon of this user, by the sockets in its runtime folder, and the stop of all."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypedDict, TypeVar
 
-from robotctl.cli.support.background import Background
+from robotctl.cli.targets.interrupts import Background
 from robotctl.errors import NoDaemon, Refused, RobotctlError
 from robotctl.ipc.answers import Status
-from robotctl.ipc.client import Client
-from robotctl.ipc.method_names import STATUS
+from robotctl.ipc.client import Client, call
+from robotctl.ipc.method_names import SET_MODE, STATUS
+from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.paths import runtime_folder
 
 SUFFIX = ".sock"
@@ -75,3 +76,46 @@ def _look(robot: str) -> RobotDaemon | None:
         return None
     except RobotctlError as error:
         return RobotDaemon(robot, None, str(error))
+
+
+class StoppedRobot(TypedDict):
+    """What became of the stop of one robot; `message` is why it failed if it did."""
+
+    robot: str
+    ok: bool
+    message: str
+
+
+def stop_all(params: dict[str, str]) -> tuple[list[StoppedRobot], RobotctlError | None]:
+    """Stop every robot at the same time; return what became of it, and the first failure.
+
+    Raises:
+        NoDaemon: There is no daemon.
+    """
+    failures: list[RobotctlError] = []
+
+    def stop(robot: str) -> StoppedRobot | None:
+        try:
+            answer = call(robot, SET_MODE, {"mode": EMERGENCY_STOP_MODE, **params})
+        except NoDaemon as error:
+            if not any(each.robot == robot for each in find([robot])):
+                return None
+            return _failed(robot, error)
+        except RobotctlError as error:
+            return _failed(robot, error)
+        return {"robot": robot, "ok": True, "message": answer["message"]}
+
+    def _failed(robot: str, error: RobotctlError) -> StoppedRobot:
+        failures.append(error)
+        return {"robot": robot, "ok": False, "message": str(error)}
+
+    stopped = [each for each in at_once(stop, names()) if each is not None]
+    if not stopped:
+        raise NoDaemon("no daemon runs: nothing was stopped")
+    return stopped, failures[0] if failures else None
+
+
+def others_than(robot: str) -> list[RobotDaemon]:
+    """Return the other robots that move, or do not say whether they do."""
+    others = [name for name in names() if name != robot]
+    return [found for found in find(others) if found.moves or found.problem]

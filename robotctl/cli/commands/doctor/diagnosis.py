@@ -10,19 +10,21 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from robotctl.cli.support import dead_daemons, robots
-from robotctl.cli.support.robots import RobotDaemon
-from robotctl.cli.support.ros_view import RosView, ros_view
+from robotctl.cli.targets import robots
+from robotctl.cli.targets.robots import RobotDaemon
+from robotctl.cli.targets.ros_view import RosView, ros_view
 from robotctl.config import Config, load
+from robotctl.daemon.lock import is_owned, owned
 from robotctl.doctor import graph_checks, machine
 from robotctl.doctor.machine import Finding, Level, fault, ok, warning
 from robotctl.domains import discovery_range, requested_domain, wider_discovery
 from robotctl.environment import RANGE, limit_discovery
-from robotctl.errors import RobotctlError, UsageError
+from robotctl.errors import AlreadyRunning, RobotctlError, UsageError
 from robotctl.ipc.answers import GraphTopic, Status
 from robotctl.ipc.client import call
+from robotctl.ipc.listener import remove_stale
 from robotctl.ipc.method_names import STATUS
-from robotctl.paths import check_robot_name, runtime_folder, socket_path, state_folder
+from robotctl.paths import check_robot_name, lock_path, runtime_folder, socket_path, state_folder
 
 DEFINITIONS = {"msg": ("msg", "idl"), "srv": ("srv", "idl"), "action": ("action", "idl")}
 """The files that define a type, by its kind."""
@@ -42,7 +44,7 @@ def diagnose(
     usable = all(each.level is not Level.FAULT for each in sockets)
     removed = machine.clean() if clean else []
     if clean and usable:
-        removed += dead_daemons.remove_sockets()
+        removed += _remove_sockets()
     daemons = _daemons() if usable else []
     wrong = [*_killed(), *(_hangs(each) for each in daemons if each.problem)] if usable else []
     ours = next((each for each in daemons if each.robot == robot), None)
@@ -89,10 +91,30 @@ def _disk(status: Status | None) -> Iterator[Finding]:
 
 
 def _killed() -> Iterator[Finding]:
-    for robot in dead_daemons.killed():
+    for robot in _dead_robots():
         text = f"the daemon of robot {robot} was killed, and its socket is left"
         cure = f"robotctl start --robot {robot} cleans up, and repairs the recording"
         yield warning("dead processes", text, cure)
+
+
+def _dead_robots() -> list[str]:
+    """Return the robots whose socket is there, and whose lock no daemon holds."""
+    found = []
+    for robot in robots.names():
+        with suppress(UsageError):  # the name of no robot
+            if not is_owned(lock_path(robot)):
+                found.append(robot)
+    return found
+
+
+def _remove_sockets() -> list[Path]:
+    """Remove the sockets of killed daemons, each while its lock is held, and return them."""
+    removed = []
+    for robot in _dead_robots():
+        with suppress(AlreadyRunning, UsageError), owned(lock_path(robot), robot):
+            remove_stale(socket_path(robot))
+            removed.append(socket_path(robot))
+    return removed
 
 
 def _computer(robot: str, config: Config) -> Iterator[Finding]:

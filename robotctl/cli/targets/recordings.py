@@ -1,19 +1,26 @@
-"""Find recordings: in a given folder, in ./recordings, or where a daemon records."""
+"""Which recordings a command means, and which times in them."""
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from shlex import quote
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from robotctl.cli.ui.output import progress_bar
 from robotctl.cli.ui.text import short_path
-from robotctl.errors import IN_PARENTHESES, Refused, UsageError
-from robotctl.ipc.client import command_for
+from robotctl.errors import IN_PARENTHESES, NoDaemon, Refused, RobotctlError, UsageError
+from robotctl.ipc.answers import Committed
+from robotctl.ipc.client import Client, command_for
+from robotctl.ipc.method_names import RECORD_COMMIT
+from robotctl.kernel.units import DAY_S, NS_PER_S
 from robotctl.paths import (
     DEFAULT_ROBOT,
     ROBOT_VARIABLE,
@@ -22,6 +29,10 @@ from robotctl.paths import (
     state_folder,
 )
 from robotctl.regular_file import open_regular
+
+if TYPE_CHECKING:
+    from robotctl.collection.catalogue import Catalogue
+
 
 LAST = "last"
 
@@ -187,3 +198,131 @@ def _changed_s(path: Path) -> float:
         return path.stat().st_mtime
     except OSError:
         return 0.0
+
+
+MAX_RECORDINGS = 20
+"""How many recordings are searched; reading a journal takes seconds per recorded hour."""
+
+COMMIT_DEADLINE_S = 8.0
+"""Longer than the daemon's own deadline, so that its answer names what was not written."""
+
+
+def committed_recording(robot: str, missing: list[str]) -> Path | None:
+    """Let the robot's daemon commit its recording, and return the folder; None without a daemon.
+
+    `missing` gets a sentence about messages that the daemon did not write.
+    """
+    try:
+        with Client(robot) as client:
+            answer = _commit(client, missing)
+    except (NoDaemon, Refused, UsageError):  # no daemon, or not a valid robot name
+        return None
+    return None if answer is None else Path(answer["file"]).parent
+
+
+def with_earlier(newest: Path) -> list[Path]:
+    """Return a recording and the earlier ones of its robot beside it, newest first."""
+    paths = recordings_of(robot_of(newest), newest.parent)
+    if newest not in paths:
+        return [newest]
+    return paths[paths.index(newest) :][:MAX_RECORDINGS]
+
+
+def _commit(client: Client, missing: list[str]) -> Committed | None:
+    try:
+        answer = client.call(RECORD_COMMIT, deadline_s=COMMIT_DEADLINE_S)
+    except RobotctlError as error:  # busy, stuck, ending, or of another version
+        missing.append(f"the messages that the daemon has not written yet: {error}")
+        return None
+    if answer["uncommitted"]:
+        reason = answer["failure"] or "the disk is too slow"
+        missing.append(f"{answer['uncommitted']} messages that are not written yet: {reason}")
+    return answer
+
+
+@contextmanager
+def open_catalogue(given: str | None, *, quiet: bool) -> Iterator[tuple[Path, Catalogue]]:
+    """Yield a folder and its catalogue; recordings without an index are indexed first.
+
+    Raises:
+        UsageError: There is no such folder, or what is needed is not installed.
+        Refused: It cannot be listed.
+    """
+    from robotctl.collection.catalogue import catalogue_of
+
+    place = recordings_folder(None, None) if given is None else recording_path(given)
+    if given is not None and not place.is_dir():
+        raise UsageError(f"{place}: no such folder")
+    try:
+        with ExitStack() as stack:
+            with progress_bar("indexing", quiet=quiet) as on_progress:
+                catalogue = stack.enter_context(catalogue_of(place, on_progress))
+            yield place, catalogue
+    except OSError as error:
+        raise Refused(f"{place} cannot be read: {error.strerror or error}") from error
+
+
+MAX_SECONDS = 366 * DAY_S
+
+
+def is_offset(text: str) -> bool:
+    """Return whether a time is given as seconds into a recording."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def parse_moment(text: str, start_ns: int, end_ns: int, option: str = "--at") -> int:
+    """Return a time in a recording from `start_ns` to `end_ns`, as nanoseconds since the epoch.
+
+    A time of day belongs to the day on which the recording begins, or to the next day if only that
+    lies within the recording.
+
+    Raises:
+        UsageError: The text is not a time.
+    """
+    if is_offset(text):
+        seconds = float(text)
+        if math.isfinite(seconds) and 0 <= seconds <= MAX_SECONDS:
+            return start_ns + round(seconds * NS_PER_S)
+    else:
+        first_day = datetime.fromtimestamp(start_ns // NS_PER_S, UTC).astimezone()
+        same, next_ = (f"{first_day + timedelta(days=days):%Y-%m-%d}T{text}" for days in (0, 1))
+        date_ns, same_ns, next_ns = map(_date_ns, (text, same, next_))
+        if date_ns is not None:
+            return date_ns
+        if next_ns is not None and same_ns is not None:
+            return next_ns if same_ns < start_ns and next_ns <= end_ns else same_ns
+    raise UsageError(
+        f"{option} {text} is not a time",
+        "give seconds into the recording, a time such as 12:03:04, "
+        "or a date such as 2026-01-01T12:03:04",
+    )
+
+
+def _date_ns(text: str) -> int | None:
+    try:
+        return round(datetime.fromisoformat(text).astimezone().timestamp() * NS_PER_S)
+    except (ValueError, OverflowError, OSError):
+        return None
+
+
+def parse_since(text: str, now_ns: int) -> int:
+    """Return the moment that `--since` means, as nanoseconds since the epoch.
+
+    Raises:
+        UsageError: The text is neither a time span such as 30d, 12h or 15m, nor a date.
+    """
+    units_s = {"d": DAY_S, "h": 3_600.0, "m": 60.0, "s": 1.0}
+    if text[-1:] in units_s and is_offset(text[:-1]):
+        span_s = float(text[:-1]) * units_s[text[-1]]
+        if math.isfinite(span_s) and span_s >= 0:
+            return max(now_ns - round(span_s * NS_PER_S), 0)
+    date_ns = None if is_offset(text) else _date_ns(text)
+    if date_ns is None:
+        raise UsageError(
+            f"--since {text} is not a time", "give a span such as 30d, 12h or 15m, or 2026-01-31"
+        )
+    return date_ns

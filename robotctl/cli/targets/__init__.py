@@ -1,0 +1,1 @@
+"""What commands work on: robots and their daemons, recordings, and the ROS graph."""

@@ -1,0 +1,175 @@
+"""End a drive with the command that waits for it, and hold the lease of a robot meanwhile.
+
+The command ends by Ctrl-C, by a signal, or when the reader of its output has gone.
+"""
+
+from __future__ import annotations
+
+import secrets
+import select
+import signal
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import partial
+from math import inf
+from types import TracebackType
+from typing import Any, Final, Self
+
+from robotctl.cli.targets.interrupts import Background, ignoring
+from robotctl.cli.targets.requests import request_source
+from robotctl.errors import Interrupted, RobotctlError
+from robotctl.ipc.answers import DriveAnswer, LeaseAnswer
+from robotctl.ipc.client import Client, call, command_for
+from robotctl.ipc.method_names import END_DRIVE, LEASE_KEEP, LEASE_RELEASE, LEASE_TAKE, SET_MODE
+from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
+
+CLOSING_SIGNALS: Final = (signal.SIGHUP, signal.SIGTERM)
+"""The signals of a terminal that closes and of a session that ends."""
+
+POLL_S: Final = 0.05
+"""How often the end of the drive is checked."""
+
+REPORT_DEADLINE_S: Final = 2.0
+"""How long the daemon may take to report a drive after its end."""
+
+_STDOUT: Final = 1
+
+
+def wait_while_stdout_open(driving: Background[DriveAnswer], at_most_s: float = inf) -> None:
+    """Wait for the end of the drive, or for a time.
+
+    Raises:
+        KeyboardInterrupt: The reader of stdout has closed it. This is how an ssh connection
+            without a terminal ends: no signal arrives.
+    """
+    poll = select.poll()
+    poll.register(_STDOUT, 0)
+    end = time.monotonic() + at_most_s
+    while (
+        not driving.is_done and time.monotonic() < end
+    ):  # an interrupted join would take the thread for ended
+        if any(found & (select.POLLERR | select.POLLHUP) for _, found in poll.poll(POLL_S * 1000)):
+            raise KeyboardInterrupt
+
+
+def stop_drive(robot: str, driving: Background[DriveAnswer]) -> Interrupted:
+    """Ramp the robot down, or stop it at once at a second Ctrl-C, and return the error to raise.
+
+    A terminal that closes sends several signals, so only Ctrl-C counts as the second one.
+
+    Raises:
+        RobotctlError: The robot could not be stopped this way.
+    """
+    try:
+        with ignoring(CLOSING_SIGNALS):
+            _say("stopping the robot (Ctrl-C again: emergency stop)")
+            params = {"source": request_source("drive")}
+            message = call(robot, END_DRIVE, params, deadline_s=None)["message"]
+    except KeyboardInterrupt:
+        with ignoring((signal.SIGINT, *CLOSING_SIGNALS)):
+            message = _emergency_stop(robot)
+    return Interrupted(message, answer=_drive_report(driving))
+
+
+def _emergency_stop(robot: str) -> str:
+    params = {"source": request_source("drive"), "mode": EMERGENCY_STOP_MODE}
+    message = call(robot, SET_MODE, params)["message"]
+    return f"{message} (release it with: {command_for(robot, 'reset')})"
+
+
+def _drive_report(driving: Background[DriveAnswer]) -> Mapping[str, Any]:
+    """Return the numbers of the ended drive, or {} if the daemon does not report them in time."""
+    until = time.monotonic() + REPORT_DEADLINE_S
+    while not driving.is_done:
+        if time.monotonic() > until:
+            return {}
+        time.sleep(POLL_S)
+    try:
+        return driving.result()
+    except RobotctlError as error:
+        return error.answer
+
+
+def _say(text: str) -> None:
+    with suppress(OSError):  # the terminal may be gone
+        print(f"robotctl: {text}", file=sys.stderr, flush=True)
+
+
+KEEP_S = 0.2
+"""Period in which the daemon hears that this process still runs."""
+
+
+class HeldLease:
+    """The lease, from the beginning of the block to its end; other clients cannot start motion.
+
+    A process that is frozen or killed loses it within about a second, and the robot ramps down.
+
+    Raises:
+        Refused: Another client holds the lease, or the robot moves already.
+        NoDaemon: No daemon runs.
+    """
+
+    def __init__(self, robot: str, command: str, reason: str = "") -> None:
+        """`command` is the name of the command of robotctl that takes the lease."""
+        self.token = secrets.token_hex(16)
+        """What a request carries that acts for the holder (parameter `lease`)."""
+        self._robot = robot
+        self._source = request_source(command)
+        params = {"token": self.token, "source": self._source, "reason": reason}
+        self._holding: Background[LeaseAnswer] = Background(
+            partial(call, robot, LEASE_TAKE, params, deadline_s=None)
+        )
+        self._ended = threading.Event()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the lease has ended."""
+        return self._holding.is_done
+
+    def result(self) -> LeaseAnswer:
+        """Return how the lease ended.
+
+        Raises:
+            RobotctlError: It was refused or lost.
+        """
+        return self._holding.result()
+
+    def __enter__(self) -> Self:
+        """Take the lease; return once it is held."""
+        try:
+            self._holding.start()
+            with Client(self._robot) as client:
+                while not client.call(LEASE_KEEP, {"token": self.token})["yours"]:
+                    if self.is_over:
+                        self.result()
+                    time.sleep(POLL_S)
+        except BaseException:
+            self._release()
+            raise
+        Background(self._keep).start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._release()
+
+    def _keep(self) -> None:
+        with Client(self._robot) as client:
+            while not self._ended.wait(KEEP_S):
+                if not client.call(LEASE_KEEP, {"token": self.token})["yours"]:
+                    return
+
+    def _release(self) -> None:
+        self._ended.set()
+        if not self.is_over and self._holding.ident is not None:
+            params = {"token": self.token, "source": self._source}
+            # The end of the connection releases it too: whatever fails here is told by `result`.
+            with ignoring((signal.SIGINT, *CLOSING_SIGNALS)), suppress(RobotctlError):
+                call(self._robot, LEASE_RELEASE, params)

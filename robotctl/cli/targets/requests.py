@@ -1,0 +1,60 @@
+"""Who asks for something, why, and under which lease: what the requests of commands carry."""
+
+from __future__ import annotations
+
+import os
+import re
+
+from robotctl.errors import UsageError
+from robotctl.ipc.protocol import MAX_REASON, REASON_PATTERN
+from robotctl.paths import LEASE_VARIABLE
+
+_LENGTHS = range(16, 65)
+
+
+def own_token() -> str | None:
+    """Return the token in ROBOTCTL_LEASE, None if there is none.
+
+    Raises:
+        UsageError: It cannot be one.
+    """
+    token = os.environ.get(LEASE_VARIABLE)
+    if token and len(token) not in _LENGTHS:
+        raise UsageError(f"{LEASE_VARIABLE} is not the token of a lease", f"unset {LEASE_VARIABLE}")
+    return token or None
+
+
+def request_source(command: str) -> str:
+    """Return the name of the requester, for the daemon's log and journal."""
+    return f"robotctl {command} (uid {os.getuid()}, pid {os.getpid()})"
+
+
+def asked_by(command: str, reason: str = "") -> dict[str, str]:
+    """Return who asks and why, as parameters of a request.
+
+    Raises:
+        UsageError: The reason is not allowed.
+    """
+    params = {"source": request_source(command)}
+    return {**params, "reason": checked_reason(reason)} if reason else params
+
+
+def checked_reason(reason: str) -> str:
+    """Return the reason if a daemon takes it.
+
+    Raises:
+        UsageError: It is too long, or has control characters.
+    """
+    if len(reason) > MAX_REASON:
+        problem = f"--reason of {len(reason)} characters"
+    elif not re.match(REASON_PATTERN, reason):
+        problem = "--reason with control characters"
+    else:
+        return reason
+    raise UsageError(problem, f"use at most {MAX_REASON} characters on one line")
+
+
+def lease_of_shell() -> dict[str, str]:
+    """Return the lease for which the commands of this shell act, as parameters of a request."""
+    token = own_token()
+    return {"lease": token} if token else {}
