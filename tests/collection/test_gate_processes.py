@@ -1,13 +1,18 @@
-"""The gate on a Dask cluster: a scheduler and three workers over TCP, some of them killed."""
+"""The gate's processes: a Dask cluster, Ray, and a gate that is killed."""
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import signal
 import socket
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
 from robotctl.collection import cluster, judgement
@@ -20,10 +25,8 @@ from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report
 from robotctl.testing.drives import drive, record
 from tests.support.checked_drives import altered
-
-pytest.importorskip("distributed", reason="a cluster is an extra: robotctl[cluster]")
-
 from tests.support.dask_processes import DaskProcesses, dask_processes
+from tests.support.waiting import until
 
 WORKERS = 3
 
@@ -217,3 +220,82 @@ def test_without_dask_one_sentence_says_what_to_install(
         UsageError, match=r"a cluster needs Dask.*pip install 'robotctl\[cluster\]'"
     ):
         Cluster("tcp://127.0.0.1:8786", tmp_path)
+
+
+RECORDINGS = 8
+STORED_FIRST = 2
+
+
+def gate(many: Path) -> list[str]:
+    program = "from robotctl.cli.app import main; main()"
+    return [sys.executable, "-c", program, "gate", "--in", str(many), "--json"]
+
+
+def stored_results(many: Path) -> dict[str, tuple[int, int]]:
+    """Return the results by name, each with what changes if it is written again."""
+    found = [(each.name, each.stat()) for each in (many / ".gate").glob("*.json")]
+    return {name: (status.st_ino, status.st_mtime_ns) for name, status in found}
+
+
+def has_ended(process: psutil.Process) -> bool:
+    """Return whether a process has ended, also if nothing has collected it yet."""
+    try:
+        return bool(process.status() == psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return True
+
+
+@pytest.fixture
+def many(tmp_path: Path) -> Path:
+    """Recordings that take a while: one file under many names, which are part of the hash."""
+    (file,) = record(tmp_path / "made", drive(8.0)).glob("*.mcap")
+    for number in range(RECORDINGS):
+        recording = tmp_path / f"recordings/robot_{number:02}"
+        recording.mkdir(parents=True)
+        (recording / f"{recording.name}_0.mcap").hardlink_to(file)
+    return tmp_path / "recordings"
+
+
+def test_a_killed_gate_leaves_no_process_and_the_next_judges_only_what_is_left(
+    many: Path,
+) -> None:
+    process = subprocess.Popen(
+        gate(many), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    try:
+        until(lambda: len(stored_results(many)) >= STORED_FIRST)
+        children = psutil.Process(process.pid).children(recursive=True)
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        until(lambda: all(map(has_ended, children)))
+    finally:
+        process.kill()
+        process.wait()
+    before = stored_results(many)
+    assert STORED_FIRST <= len(before) < RECORDINGS
+    ran = subprocess.run(gate(many), capture_output=True, text=True, check=True)
+    answer = json.loads(ran.stdout)
+    assert (answer["stored"], answer["counts"]["same"]) == (len(before), RECORDINGS)
+    after = stored_results(many)
+    assert len(after) == RECORDINGS
+    assert {name: after[name] for name in before} == before
+
+
+FLEET_PAGE = Path(__file__).parents[2] / "docs/fleet.md"
+
+
+def test_the_gate_runs_on_ray(tmp_path: Path) -> None:
+    pytest.importorskip("ray", reason="Ray has 240 MB: no extra brings it")
+    (program,) = re.findall(r"```python\n(import sys\n.*?)```", FLEET_PAGE.read_text(), re.DOTALL)
+    for name in ("one", "two"):
+        record(tmp_path / name, drive(1.0))
+    ran = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path)],
+        env=os.environ | {"RAY_AUTH_MODE": "disabled", "RAY_USAGE_STATS_ENABLED": "0"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert "'same': 2" in ran.stdout
+    assert len(list((tmp_path / ".gate").iterdir())) == 2

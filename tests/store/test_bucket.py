@@ -1,11 +1,13 @@
-"""A bucket that fails: what helps is tried again, the rest is named, and no secret is shown."""
+"""A bucket: failures are tried again or named, keys come from ~/.aws, no thread is left at exit."""
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -21,7 +23,9 @@ from robotctl.store import (
     is_url,
     open_store,
 )
+from robotctl.store.bucket import RequestLoop, profile_keys
 from tests.support.faulty_bucket import FaultyBucket, Moved
+from tests.support.waiting import loop_until, until
 
 ROBOTS = "s3://robots"
 
@@ -188,3 +192,107 @@ def test_ctrl_c_ends_a_request_at_once_and_quietly(bucket: FaultyBucket) -> None
     assert time.monotonic() - interrupted < 2
     assert errors.rstrip().endswith(b"KeyboardInterrupt")
     assert b"panicked" not in errors
+
+
+@pytest.fixture
+def environment(tmp_path: Path) -> dict[str, str]:
+    (tmp_path / "credentials").write_text(
+        "[default]\naws_access_key_id = ONE\naws_secret_access_key = 50%off\n"
+        "[robots]\naws_access_key_id = TWO\naws_secret_access_key = s\naws_session_token = t\n"
+    )
+    (tmp_path / "config").write_text("[default]\nregion = eu-west-1\n[profile robots]\nx = y\n")
+    return {
+        "AWS_SHARED_CREDENTIALS_FILE": str(tmp_path / "credentials"),
+        "AWS_CONFIG_FILE": str(tmp_path / "config"),
+    }
+
+
+def test_a_profile_gives_keys_and_region(environment: dict[str, str]) -> None:
+    assert profile_keys(environment) == {
+        "access_key_id": "ONE",
+        "secret_access_key": "50%off",
+        "region": "eu-west-1",
+    }
+    assert profile_keys(environment | {"AWS_PROFILE": "robots"}) == {
+        "access_key_id": "TWO",
+        "secret_access_key": "s",
+        "session_token": "t",
+    }
+
+
+def test_the_environment_counts_more(environment: dict[str, str]) -> None:
+    assert profile_keys(environment | {"AWS_ACCESS_KEY_ID": "x"}) == {}
+    assert profile_keys(environment | {"AWS_SKIP_SIGNATURE": "true"}) == {}
+    assert "region" not in profile_keys(environment | {"AWS_REGION": "us-east-1"})
+
+
+@pytest.mark.parametrize("text", ["", "no section", "[default]\nregion = x\n", "\0\udc80"])
+def test_a_file_without_keys_gives_none(environment: dict[str, str], text: str) -> None:
+    Path(environment["AWS_SHARED_CREDENTIALS_FILE"]).write_bytes(text.encode(errors="replace"))
+    assert profile_keys(environment) == {}
+    assert profile_keys(environment | {"AWS_PROFILE": "absent"}) == {}
+
+
+def test_requests_are_signed_with_the_keys_of_a_profile(
+    bucket: FaultyBucket, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.delenv(name)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    bucket["run.mcap"] = b"0"
+    open_store("s3://robots").head("run.mcap")
+    (authorization,) = bucket.authorizations
+    assert "Credential=ONE/" in authorization
+
+
+async def _interrupts_the_wait() -> None:
+    main = threading.main_thread().ident
+    assert main is not None
+    await loop_until(lambda: sys._current_frames()[main].f_code.co_name == "wait")
+    signal.pthread_kill(main, signal.SIGINT)
+    await asyncio.Event().wait()
+
+
+async def _answers() -> int:
+    return 1
+
+
+async def _hangs() -> None:
+    await asyncio.Event().wait()
+
+
+@pytest.fixture
+def slept() -> list[float]:
+    return []
+
+
+@pytest.fixture
+def requests(slept: list[float]) -> RequestLoop:
+    return RequestLoop(now_s=lambda: 100.0, sleep=slept.append)
+
+
+def test_the_exit_waits_for_the_library_also_where_the_request_has_been_cancelled_before(
+    requests: RequestLoop, slept: list[float]
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        requests.run(_interrupts_the_wait())
+    until(lambda: not asyncio.all_tasks(requests.loop))
+    requests.end()
+    assert slept == [0.5]
+
+
+def test_the_exit_cancels_what_is_still_under_way(
+    requests: RequestLoop, slept: list[float]
+) -> None:
+    requests.start(_hangs())
+    requests.end()
+    assert slept == [0.5]
+
+
+def test_the_exit_waits_for_nothing_after_requests_that_were_answered(
+    requests: RequestLoop, slept: list[float]
+) -> None:
+    assert requests.run(_answers()) == 1
+    requests.end()
+    assert slept == []
