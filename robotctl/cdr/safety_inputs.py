@@ -127,7 +127,7 @@ class Diagnoses:
         self._levels: dict[str, tuple[float, str]] = {}
 
     def worst(self, data: bytes) -> tuple[float, str]:
-        """Take a DiagnosticArray; return the worst level of all, and its name and text.
+        """Read a DiagnosticArray; return the worst level of all, and its name and text.
 
         Raises:
             struct.error: It is unreadable; the levels before it stay.

@@ -55,7 +55,7 @@ def index_recordings(
 
 
 MAX_ROWS: Final = 10_000_000
-"""Rows beside samples, of all recordings of a catalogue: a month of a robot has some 100,000."""
+"""Rows of a catalogue, without samples: a month of a robot has some 100,000."""
 
 Stamps = dict[str, str]
 """The stamp of each recording, by its name."""
@@ -83,7 +83,7 @@ def stamps_of_each(paths: Sequence[Path | str]) -> list[Stamps]:
     """Return the stamps of the recordings in each file; none of a file that is wrong.
 
     A file is wrong if it cannot be read, is a link, has another layout, or over `MAX_ROWS` rows
-    beside samples.
+    other than samples.
 
     Raises:
         UsageError: duckdb is not installed.

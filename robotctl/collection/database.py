@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 READING: Final = "120MB"
-"""What a question may take; the process needs 60 MB beside it."""
+"""What a question may take; the process needs 60 MB more."""
 
 WRITING: Final = "1GB"
 """What a file may take that is being written."""

@@ -82,17 +82,17 @@ class Trial:
     motions: list[Motion] = field(default_factory=list)
 
     def begin(self, held: Held, t_s: float) -> None:
-        """Take the request for the next motion; the robot stands, as the last sample told."""
+        """Note the request for the next motion; the robot stands, as the last sample told."""
         self.motions.append(Motion(held, t_s, samples=self.samples[-1:]))
 
     def sample(self, sample: TrialSample) -> None:
-        """Take a sample of odometry."""
+        """Add a sample of odometry."""
         self.samples.append(sample)
         if self.motions:
             self.motions[-1].samples.append(sample)
 
     def command(self, command: TrialCommand) -> None:
-        """Take a command that was sent."""
+        """Add a command that was sent."""
         if self.motions:
             self.motions[-1].commands.append(command)
 

@@ -38,7 +38,7 @@ class DaemonOptions:
     """A namespace other than the one that the robot's name gives."""
 
     allow_same_names: bool = False
-    """Start beside another daemon whose nodes have the same names."""
+    """Start although another daemon runs whose nodes have the same names."""
 
     log_level: tuple[LogLevel, ...] = ()
     """The levels of `--log-level`."""

@@ -1,4 +1,4 @@
-"""Refuse a start beside another daemon whose nodes have the same names."""
+"""Refuse a start while another daemon runs whose nodes have the same names."""
 
 from __future__ import annotations
 

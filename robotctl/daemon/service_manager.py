@@ -26,7 +26,7 @@ class ServiceManager:
     """
 
     def __init__(self) -> None:
-        """Take the variables out of the environment, so that no child process reports, too."""
+        """Remove the variables from the environment, so that no child process reports, too."""
         address = os.environ.pop(SOCKET_VARIABLE, "")
         watchdog = os.environ.pop(WATCHDOG_VARIABLE, "")
         self._period_s = STATUS_PERIOD_S

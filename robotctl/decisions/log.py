@@ -59,7 +59,7 @@ class Budget:
         self._first_ns = self._last_ns = 0
 
     def grants(self, entry: Entry, size: int) -> bool:
-        """Take `size` bytes for an entry, or return False: then `fold` it."""
+        """Reserve `size` bytes for an entry, or return False: then `fold` it."""
         now_s = self._now_s()
         grown = self._left + (now_s - self._at_s) * DAY_BYTES / DAY_S
         self._left, self._at_s = min(grown, DAY_BYTES), now_s
@@ -195,7 +195,7 @@ class DecisionLog:
                 return
 
     def _turn(self) -> None:
-        """Take what is queued and write it."""
+        """Write what is queued."""
         self._take()
         if self._descriptor < 0:
             self._open()

@@ -24,7 +24,7 @@ def _age_s(then_ns: int, t_ns: int) -> float:
 
 
 Check = Callable[[Health, KernelParams, int], str]
-"""Takes health, parameters and the steady time [ns]; returns what is wrong, "" if nothing is."""
+"""Judges health, parameters and the steady time [ns]; returns what is wrong, "" if nothing is."""
 
 
 def healthy(health: Health, params: KernelParams, t_ns: int) -> str:

@@ -68,7 +68,7 @@ class Kernel(Knowledge):
     """The kernel: it decides mode and command, and each step replaces `state` as a whole."""
 
     def step(self, event: Event) -> tuple[Effect, ...]:
-        """Take one event and return the effects that the caller must carry out, in order."""
+        """Decide one event: return the effects that the caller must carry out, in order."""
         self._effects = []
         match event:
             case Tick():
@@ -138,7 +138,7 @@ class Kernel(Knowledge):
     # Measurements
 
     def _odometry(self, event: OdomReceived) -> None:
-        """Take a sample of odometry; while MOVING, an impossible one is dropped and counted."""
+        """Observe a sample of odometry; while MOVING, an impossible one is dropped and counted."""
         self._notice_gap(event.t_ns)
         state, odometry, health = self.state, event.odometry, self.state.health
         sources = health.odometry_sources
@@ -228,7 +228,7 @@ class Kernel(Knowledge):
         return silent
 
     def _hold(self, event: HoldReceived) -> None:
-        """Take what the client of a hold-to-run motion wants; where it lets go, ramp at once."""
+        """Accept what the client of a hold-to-run motion wants; where it lets go, ramp at once."""
         drive, lease = self.state.drive, self.state.lease
         if drive is None or drive.request_id != event.hold:
             return

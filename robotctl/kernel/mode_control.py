@@ -65,7 +65,7 @@ class ModeControl:
         self._stand(FAULT_TRIGGERS[finding.rule.action], finding.detail, finding.cause)
 
     def _stand(self, trigger: Trigger, reason: str, cause: Cause | None) -> None:
-        """Take the transition of `trigger` with the command exactly zero; reply to all who wait."""
+        """Make the transition of `trigger` with the command exactly zero; reply to all who wait."""
         previous = self.state.mode
         target = TRANSITIONS[previous, trigger].target
         self._effects.append(PublishTwist(ZERO))

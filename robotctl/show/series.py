@@ -62,7 +62,7 @@ class Series:
         self._columns: dict[int, SeriesColumn] = {}
 
     def add(self, t_s: float, value: float) -> None:
-        """Take a value; those of one column must come in the order of time."""
+        """Add a value; those of one column must come in the order of time."""
         if not (isfinite(value) and abs(value) <= MAX_VALUE):
             self.odd += 1
             return
@@ -148,7 +148,7 @@ class ThinnedPath:
         self._last: DrivenPlace | None = None
 
     def add(self, t_s: float, x: float, y: float) -> None:
-        """Take a position; one that cannot be true is left out."""
+        """Add a position; one that cannot be true is left out."""
         if not is_on_earth(x, y):
             return
         self._last = DrivenPlace(t_s, x, y)

@@ -206,7 +206,7 @@ class JournalTraces:
         self._outlined: tuple[int, Pose] | None = None
 
     def take(self, entry: JournalEntry, t_s: float) -> None:
-        """Take an entry that was recorded at this time.
+        """Add an entry that was recorded at this time.
 
         Raises:
             UnreadableFile: It is not of this version; the next entry may be taken.
@@ -316,7 +316,7 @@ class JournalTraces:
 BATTERY: Final = "sensor_msgs/msg/BatteryState"
 
 Taker = Callable[[Traces, float, bytes], None]
-"""Takes a message into traces, with its time and its bytes."""
+"""Adds a message to traces, with its time and its bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,7 +326,7 @@ class TopicTraces:
     takers: dict[tuple[str, str], Taker]
 
     def take(self, message: Message, traces: Traces, t_s: float) -> None:
-        """Take a message; those of other topics are ignored."""
+        """Add a message; those of other topics are ignored."""
         taker = self.takers.get((message.topic, message.type_name))
         if taker is not None:
             taker(traces, t_s, message.data)

@@ -155,7 +155,7 @@ class UnfinishedFile:
     """A file to write, and then to name."""
 
     def __init__(self, file: IO[bytes], path: Path | None) -> None:
-        """Take a file that is open; `path` is its hidden name, None if it has none."""
+        """Own a file that is open; `path` is its hidden name, None if it has none."""
         self._file = file
         self._path = path
         self.modified_ns = 0

@@ -36,7 +36,7 @@ class ViewJob:
     port: int | None = None
     """None is the usual port, or a free one where that is taken."""
     origins: tuple[str, ...] = ()
-    """Pages that may connect beside those that are known."""
+    """Pages that may connect in addition to those that are known."""
     control: bool = False
     """Whether viewers may stop the robot."""
     lease: str = ""

@@ -170,7 +170,7 @@ class ViewServer:
     # From the connections
 
     def connected(self, viewer: Viewer) -> None:
-        """Take a connection before its handshake, or end it beyond the limit."""
+        """Accept a connection before its handshake, or end it beyond the limit."""
         self._connections.add(viewer)
         if len(self._connections) > MAX_CONNECTIONS:
             viewer.abort()

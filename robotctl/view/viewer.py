@@ -43,10 +43,10 @@ class ViewerHost(Protocol):
     """The server, as its connections see it."""
 
     def connected(self, viewer: Viewer) -> None:
-        """Take a connection before its handshake."""
+        """Accept a connection before its handshake."""
 
     def admit(self, viewer: Viewer) -> None:
-        """Take a viewer whose handshake is done."""
+        """Add a viewer whose handshake is done."""
 
     def request(self, viewer: Viewer, request: ViewRequest) -> None:
         """Do what a viewer asks for.
@@ -128,12 +128,12 @@ class Viewer(asyncio.Protocol):
         asyncio.get_running_loop().call_soon(self.flush)
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes of the handshake, or of messages."""
+        """Parse bytes of the handshake, or of messages."""
         self._websocket.receive_data(data)
         self._take_events()
 
     def eof_received(self) -> None:
-        """Take the end of the stream; the transport closes then."""
+        """Note the end of the stream; the transport closes then."""
         self._websocket.receive_eof()
         self._take_events()
 

@@ -258,7 +258,7 @@ class ReleaseEvents:
     """
 
     def __init__(self, keys_from: int, drawn_on: int) -> None:
-        """Take the descriptors of the terminal's input and output; -1 for none."""
+        """Use these descriptors of the terminal for input and output; -1 for none."""
         self._keys_from = keys_from
         self._drawn_on = drawn_on
         self.told = False

@@ -55,7 +55,7 @@ class GroundTruth:
         self._closure_m = nan
 
     def follow(self, drive: Drive, measured: Pose) -> None:
-        """Take the true pose of the moment at which odometry measured a pose."""
+        """Note the true pose of the moment at which odometry measured a pose."""
         true = self.truth()
         if true is None or not drive.path.segments:
             return
@@ -72,7 +72,7 @@ class GroundTruth:
             self._closure_m = end.distance(pose)
 
     def end(self, ended: DriveEnded) -> None:
-        """Take the true pose of the moment at which a drive ends.
+        """Note the true pose of the moment at which a drive ends.
 
         Its last lap may end with it, so that no other sample is followed.
         """
@@ -171,7 +171,7 @@ class RobotReport:
                 del self._driven[1::2]
 
     def drive_ended(self, ended: DriveEnded) -> DriveEnded:
-        """Take the end of a drive, and return it without errors if none was measured."""
+        """Note the end of a drive, and return it without errors if none was measured."""
         self.ground_truth.end(ended)
         if ended.request_id == self._measured_id:
             return ended

@@ -51,7 +51,7 @@ class LearnedPeriod:
         self._fewest, self._most = inf, 0.0
 
     def look(self, now_s: float, count: int, newest_s: float, *, late: bool) -> float | None:
-        """Take the number of messages so far and when the newest came; return a learned period.
+        """Note the number of messages so far and when the newest came; return a learned period.
 
         `late` tells that the looks had a gap, so that messages may wait that are not counted yet.
         """

@@ -69,7 +69,7 @@ class TopicWatch:
         return (self._count - self._window[0][1]) / self._window_s
 
     def look(self, now_s: float, count: int, newest_s: float) -> None:
-        """Take the number of messages so far, and when the newest came."""
+        """Note the number of messages so far, and when the newest came."""
         if count != self._count:
             if newest_s - self.newest_s >= self._patience_s:
                 self._begin(newest_s)  # a window with the silence in it tells nothing new
@@ -80,7 +80,7 @@ class TopicWatch:
         self.trouble = self._judge(now_s)
 
     def look_at_publishers(self, now_s: float, next_numbers: Mapping[bytes, int]) -> None:
-        """Take the sequence number that each publisher sends next, the oldest publisher first.
+        """Note the sequence number that each publisher sends next, the oldest publisher first.
 
         A new publisher replaces the others if none of them sends any more.
         """

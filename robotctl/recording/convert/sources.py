@@ -329,7 +329,7 @@ class _Share:
     total: int
 
     def tell(self, part: float) -> None:
-        """Take how much of the file is done, from 0 to 1."""
+        """Report how much of the file is done, from 0 to 1."""
         self.on_progress(self.before + round(min(part, 1.0) * self.size), self.total)
 
 

@@ -49,7 +49,7 @@ _OF_EACH_FILE = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
 def records_of_clip(
     recorded: Iterable[Metadata], window: Window
 ) -> Iterator[tuple[str, Mapping[str, str]]]:
-    """Yield name and values of each record that a clip of `window` holds, beside its own.
+    """Yield name and values of each record that a clip of `window` holds, except its own.
 
     What made the recording is there once, without the mode, which is that of its start.
     """

@@ -91,8 +91,9 @@ def compare_with_source(clip: Path, source: Path) -> Origin:
 def _differences(
     clip: Recording, source: Recording, about: Mapping[str, str], origin: Origin
 ) -> Iterator[str]:
-    """Yield a sentence for each difference beside the messages. Later files of a source that went
-    on do not count.
+    """Yield a sentence for each difference other than in messages.
+
+    Later files of a source that went on do not count.
     """
     named = about.get("of", "").split(", ")
     files = [each for each in source.open_files if each.path.name in named]
@@ -120,7 +121,7 @@ def _differences(
         if [values for name, values in found if name == METADATA_RECORD] != [_bag_record(clip)]:
             yield "its rosbag2 record is not what its messages and channels make"
     else:
-        origin.not_proved.append("its rosbag2 record, beside the counts")
+        origin.not_proved.append("its rosbag2 record, except the counts")
 
 
 def _differing_records(

@@ -21,7 +21,7 @@ class BeyondLimit(Damaged):
     """Reading on would exceed the limits of `read_limits`. The text says how to raise them."""
 
     def __init__(self, what: str) -> None:
-        """Take the sentence without the cure."""
+        """Keep the sentence without the cure."""
         super().__init__(f"{what} ({CURE})")
 
 

@@ -133,7 +133,7 @@ class WholeData:
     def define(
         self, opcode: int, content: bytes, place: tuple[int, int], flaws: Flaws
     ) -> Schema | Channel:
-        """Take in a schema or a channel that stands at `place`, and return it.
+        """Add a schema or a channel that stands at `place`, and return it.
 
         Raises:
             Damaged: The record is malformed.

@@ -141,7 +141,7 @@ def ends_in_commit(file: InputFile, end: FileEnd) -> bool:
 
 
 def forget_unlisted_chunk(data: WholeData, summary: bytes) -> int:
-    """Take the last chunk out of `data` if the summary does not list it; return its bytes.
+    """Remove the last chunk from `data` if the summary does not list it; return its bytes.
 
     A kill between chunk and summary leaves that.
     """

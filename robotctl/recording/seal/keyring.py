@@ -33,7 +33,7 @@ class SigningKey:
     """A private key."""
 
     def __init__(self, seed: bytes) -> None:
-        """Take the 32 bytes that determine the key."""
+        """Hold the 32 bytes that determine the key."""
         from nacl.bindings import crypto_sign_seed_keypair
 
         public, self._secret = crypto_sign_seed_keypair(seed)

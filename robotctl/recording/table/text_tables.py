@@ -51,7 +51,7 @@ def json_of(value: Any) -> str:
 
 
 class _LineFeeds:
-    """Takes the rows of csv, and ends them with a line feed alone."""
+    """Receives the rows of csv, and ends them with a line feed alone."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

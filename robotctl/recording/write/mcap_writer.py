@@ -302,7 +302,7 @@ class McapFile:
         chunk: Chunk | None = None,
         entry: ChunkIndex | None = None,
     ) -> bytes:
-        """Take in what is about to be written; return the record of the head of the seal."""
+        """Seal what is about to be written; return the record of the head of the seal."""
         if chunk is not None and entry is not None:
             self.summary.count(chunk)
             self.summary.add(Opcode.CHUNK_INDEX, record_bytes(entry))

@@ -58,7 +58,7 @@ class IntroductionReader:
         self._reader = _create(node, "rmw_create_subscription", _qos(_READ_DEPTH), options)
 
     def look(self) -> None:
-        """Take what has arrived."""
+        """Process what has arrived."""
         while (data := self._take()) is not None:
             try:
                 found = read_introduction(data)

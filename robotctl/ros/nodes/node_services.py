@@ -85,7 +85,7 @@ class ParameterServices(ParameterService):
             )
 
     def show(self, key: str, value: Any) -> None:
-        """Take over a value that was changed; other keys than the node's are ignored."""
+        """Adopt a value that was changed; other keys than the node's are ignored."""
         if key not in self._keys or self._asking:  # rclpy takes over what it asked for
             return
         self._showing = True

@@ -68,7 +68,7 @@ class SimulatedRobot:
         battery: str,
         full_level: float,
     ) -> None:
-        """Take the command from topic `command`, publish on topics `odometry` and `battery`.
+        """Subscribe to the command on topic `command`; publish on topics `odometry` and `battery`.
 
         There is no battery where its topic is "". `full_level` is the level reported for a full
         battery.

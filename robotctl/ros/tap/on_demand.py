@@ -32,7 +32,7 @@ class TopicWatcher(Protocol):
     """Hears which topics there are."""
 
     def appeared(self, topic: str, type_name: str, definition: str) -> None:
-        """Take a topic that has a publisher, with the ros2msg text of its type."""
+        """Add a topic that has a publisher, with the ros2msg text of its type."""
 
     def vanished(self, topic: str) -> None:
         """Hear that the last publisher of a topic of its type is gone."""

@@ -45,7 +45,7 @@ class LatchedMerge:
     def live(
         self, data: SerializedData, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Take a message of the volatile subscription: a new one, of any publisher."""
+        """Accept a message of the volatile subscription: a new one, of any publisher."""
         first, _ = self._live.get(gid, (sequence, sequence))
         _keep(self._live, gid, (first, sequence))
         first_latched, last_latched = self._latched.get(gid, NOTHING)
@@ -55,7 +55,7 @@ class LatchedMerge:
     def latched(
         self, data: SerializedData, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Take a message of the transient-local subscription: a latched one, or a new one."""
+        """Accept a message of the transient-local subscription: a latched one, or a new one."""
         _, last = self._latched.get(gid, NOTHING)
         if 0 < sequence <= max(last, self._known.get(gid, 0)):
             return  # a publisher that is discovered again after a loss repeats it as well

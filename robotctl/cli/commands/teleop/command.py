@@ -188,7 +188,7 @@ class TeleopSession:
         return WITHOUT_RELEASES if self._answers is None else WITH_RELEASES
 
     def begin(self, answers: TerminalAnswers | None) -> None:
-        """Take a terminal that tells releases, of which `answers` are asked, or another (None)."""
+        """Read a terminal that tells releases, of which `answers` are asked, or another (None)."""
         self._answers = answers
         self._hands = HandsWithoutReleases() if answers is None else HandsWithReleases()
         self._holding.silence_lets_go = answers is None and self._gamepad is None

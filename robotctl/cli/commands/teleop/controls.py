@@ -76,7 +76,7 @@ class Hands(Protocol):
     problem: str
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Take the keys of this moment; return what they ask for, None without any key."""
+        """Read the keys of this moment; return what they ask for, None without any key."""
 
     def forget(self) -> None:
         """Let go of every key: each must be pressed again."""
