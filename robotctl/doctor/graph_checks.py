@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, islice
 from typing import Final
 
-from robotctl.cdr.known_types import ODOMETRY
 from robotctl.doctor.machine import Finding, fault, ok, warning
 from robotctl.ipc.answers import GraphEndpoint, GraphTopic, NameAndTypes
 from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
+from robotctl.messages.cdr import ODOMETRY
 
 ODOMETRY_TYPES: Final = (ODOMETRY,)
 COMMAND_TYPES: Final = (TWIST, TWIST_STAMPED)

@@ -9,13 +9,12 @@ from dataclasses import asdict
 from math import hypot, isfinite
 from typing import Any, Final
 
-from robotctl.cdr.known_types import ODOMETRY, ROBOT_STATUS
-from robotctl.cdr.motion import decode_odometry
-from robotctl.cdr.reader import CdrReader
 from robotctl.errors import UsageError
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Twist
+from robotctl.messages.cdr import ODOMETRY, ROBOT_STATUS, CdrReader
+from robotctl.messages.motion import decode_odometry
 from robotctl.recording import Recording, TopicInfo
 from robotctl.replay.timeline import Entry, Span, recorded
 

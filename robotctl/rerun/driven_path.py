@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from math import hypot
 from pathlib import Path
 
-from robotctl.cdr.known_types import ODOMETRY
-from robotctl.cdr.motion import read_odometry
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.course import MAX_POINTS, Frame, Point
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.odometry import is_finite
 from robotctl.kernel.types import ModeChanged, OdomReceived
+from robotctl.messages.cdr import ODOMETRY
+from robotctl.messages.motion import read_odometry
 from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.read.file_index import note_missing

@@ -8,9 +8,6 @@ from math import nan
 from operator import attrgetter
 from typing import Any, NamedTuple
 
-from robotctl.cdr import known_types
-from robotctl.cdr.battery import read_battery_level
-from robotctl.cdr.motion import Sample, decode_twist, decode_twist_stamped, read_sample, sample_of
 from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.types import (
@@ -20,6 +17,15 @@ from robotctl.kernel.types import (
     OdomReceived,
     ScanReceived,
     Twist,
+)
+from robotctl.messages import cdr
+from robotctl.messages.inputs import read_battery_level, read_sectors
+from robotctl.messages.motion import (
+    Sample,
+    decode_twist,
+    decode_twist_stamped,
+    read_sample,
+    sample_of,
 )
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.names import INFO_RECORD
@@ -136,7 +142,7 @@ class InputCheck:
 def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> RecordedInputs:
     """Return the checks of the inputs of a recording."""
     topics = InputTopics(info, journal_topic)
-    odometry = topics.of("odometry.topic", "odom", known_types.ODOMETRY)
+    odometry = topics.of("odometry.topic", "odom", cdr.ODOMETRY)
     battery = topics.of("battery.topic", "battery_state", "sensor_msgs/msg/BatteryState")
     scan = InputTopic()
     if info.metadata.get(INFO_RECORD, {}).get("parameter.scan.use", _OFF) != _OFF:
@@ -146,7 +152,7 @@ def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> Rec
     return RecordedInputs(
         InputCheck(report, ODOMETRY, odometry, read_sample, info),
         InputCheck(report, BATTERY, battery, read_battery_level, info),
-        InputCheck(report, SCAN, scan, _read_sectors, info),
+        InputCheck(report, SCAN, scan, read_sectors, info),
         InputCheck(
             report,
             WANTED,
@@ -194,12 +200,6 @@ class RecordedInputs:
         """Report what differs; `ending(topic)` tells how the recording ends for a topic."""
         for each in self._all:
             each.end(invariants, ending(each.topic), moment)
-
-
-def _read_sectors(data: bytes) -> Any:
-    from robotctl.cdr.scan import read_sectors  # here: it loads numpy
-
-    return read_sectors(data)
 
 
 def _read_wanted(decode: Callable[[bytes], Twist]) -> Callable[[bytes], Twist]:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from robotctl.cdr import known_types
 from robotctl.config import Config, flat
 from robotctl.config.settings import keyed_leaves
 from robotctl.kernel import command_types
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.kernel.types import Cause
+from robotctl.messages import cdr
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.names import CLIP_RECORD, INFO_RECORD, natural_order
@@ -137,9 +137,9 @@ def differing_parameters(noted: Mapping[str, str], params: KernelParams) -> Iter
 HASHES: Final[Mapping[str, str]] = {
     command_types.TWIST: "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
     command_types.TWIST_STAMPED: "5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
-    known_types.ODOMETRY: "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
-    known_types.ROBOT_STATUS: "61598f9d2936bf0665499ce4f458aba4b3e12ede4281ea119ca421cde9331509",
-    known_types.JOURNAL_ENTRY: "8ecaa1252cd850455be383c3a05c471a0dbe13d5fc23ae327afcc626da89175a",
+    cdr.ODOMETRY: "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
+    cdr.ROBOT_STATUS: "61598f9d2936bf0665499ce4f458aba4b3e12ede4281ea119ca421cde9331509",
+    cdr.JOURNAL_ENTRY: "8ecaa1252cd850455be383c3a05c471a0dbe13d5fc23ae327afcc626da89175a",
     "robot_controller/srv/SetMode_Event": (
         "9e6dda1519f7f4c9b7773852b8742429baebad1dde87e67dcda45a04abedc813"
     ),

@@ -14,10 +14,10 @@ from functools import partial
 from math import isfinite
 from typing import Final, NamedTuple
 
-from robotctl.cdr.safety_inputs import MESSAGE_TYPES, reader_of
 from robotctl.kernel.safety_inputs import REPEATS_PER_TIMEOUT, SafetyInput, SafetyInputParams, Use
 from robotctl.kernel.types import Event, SafetyInputReceived
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.inputs import MESSAGE_TYPES, reader_of
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.format.records import MAX_SEQUENCE

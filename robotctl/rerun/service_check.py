@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-from robotctl.cdr.reader import CdrReader
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Effect, Event, ModeRequested, Reply
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.cdr import CdrReader
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.journal import TOPIC
 from robotctl.recording.read.messages import Message

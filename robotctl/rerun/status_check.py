@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from math import inf
 from typing import Final
 
-from robotctl.cdr.known_types import ROBOT_STATUS
-from robotctl.cdr.reader import CdrReader
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event, ModeChanged
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.cdr import ROBOT_STATUS, CdrReader
 from robotctl.recording import RecordingInfo
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report

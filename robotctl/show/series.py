@@ -10,18 +10,16 @@ from math import hypot, isfinite
 from statistics import median
 from typing import Final, NamedTuple
 
-from robotctl.cdr.definition import (
+from robotctl.errors import IN_PARENTHESES, UnreadableFile, UsageError
+from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.definition import (
     Definition,
     FieldShape,
     UnreadableType,
     parse_definition,
 )
-from robotctl.cdr.field_path import Steps, parse_path, value_at
-from robotctl.cdr.given import WrongValue
-from robotctl.cdr.leaf_fields import LeafField, leaf_fields
-from robotctl.cdr.values import decode
-from robotctl.errors import IN_PARENTHESES, UnreadableFile, UsageError
-from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.fields import LeafField, Steps, leaf_fields, parse_path, value_at
+from robotctl.messages.values import WrongValue, decode
 from robotctl.recording import Recording, TopicInfo
 from robotctl.show.figure import Figure, Line, time_figure
 

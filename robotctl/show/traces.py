@@ -10,9 +10,6 @@ from math import hypot, isfinite, sqrt
 from pathlib import Path
 from typing import Final
 
-from robotctl.cdr.battery import read_battery_level
-from robotctl.cdr.known_types import ODOMETRY
-from robotctl.cdr.motion import decode_twist, decode_twist_stamped, read_sample
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 from robotctl.kernel.geometry import Pose
@@ -34,6 +31,9 @@ from robotctl.kernel.types import (
     Tick,
 )
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.cdr import ODOMETRY
+from robotctl.messages.inputs import read_battery_level
+from robotctl.messages.motion import decode_twist, decode_twist_stamped, read_sample
 from robotctl.recording import Recording, RecordingInfo, TopicInfo
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.format.names import OWN_LIBRARY, EventKind

@@ -8,10 +8,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from robotctl import __version__
-from robotctl.cdr import known_types
-from robotctl.cdr.definition import parse_definition
-from robotctl.cdr.motion import encode_twist
-from robotctl.cdr.type_hash import rihs01_hash
 from robotctl.config import Config, flat
 from robotctl.daemon.control.dispatcher import Journal
 from robotctl.errors import UnreadableFile
@@ -30,6 +26,9 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages import cdr
+from robotctl.messages.definition import parse_definition, rihs01_hash
+from robotctl.messages.motion import encode_twist
 from robotctl.recording import Recorder, RecorderOptions, Topic
 from robotctl.recording.convert.installed_definition import installed_definition
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
@@ -72,7 +71,7 @@ def installed_topic(name: str, type_name: str) -> Topic:
 
 
 TWIST = installed_topic("/cmd_vel", command_types.TWIST)
-ODOMETRY = installed_topic("/odom", known_types.ODOMETRY)
+ODOMETRY = installed_topic("/odom", cdr.ODOMETRY)
 
 BEGIN_NS = 5_000_000_000
 """The steady time at which drives begin [ns]."""
@@ -80,7 +79,7 @@ BEGIN_NS = 5_000_000_000
 Step = tuple[Event, tuple[Effect, ...]]
 """An event and the effects that the kernel decided on."""
 
-JOURNAL = installed_topic("/robotctl/journal", known_types.JOURNAL_ENTRY)
+JOURNAL = installed_topic("/robotctl/journal", cdr.JOURNAL_ENTRY)
 
 MAX_QUEUED = 20_000
 """The number of messages that may be queued; the recorder would drop more."""

@@ -7,10 +7,6 @@ from collections import Counter
 from dataclasses import replace
 from math import cos, isnan, pi, sin, tau
 
-from robotctl.cdr.battery import read_battery_level
-from robotctl.cdr.motion import OdometryEncoder, encode_twist, read_odometry
-from robotctl.cdr.reader import ENCAPSULATION
-from robotctl.cdr.scan import read_sectors
 from robotctl.config import Config
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.safety_inputs import SafetyInput
@@ -23,6 +19,9 @@ from robotctl.kernel.types import (
     SafetyInputReceived,
     ScanReceived,
 )
+from robotctl.messages.cdr import ENCAPSULATION
+from robotctl.messages.inputs import read_battery_level, read_sectors
+from robotctl.messages.motion import OdometryEncoder, encode_twist, read_odometry
 
 TOPICS = {
     SafetyInput.ESTOP: "/estop_pressed",

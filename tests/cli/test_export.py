@@ -17,9 +17,9 @@ from typing import Any
 import duckdb
 import pytest
 
-from robotctl.cdr.definition import parse_definition
-from robotctl.cdr.field_path import parse_path, value_at
-from robotctl.cdr.values import decode, encode
+from robotctl.messages.definition import parse_definition
+from robotctl.messages.fields import parse_path, value_at
+from robotctl.messages.values import decode, encode
 from robotctl.recording import Recorder, Topic, read_info, read_messages
 from robotctl.recording.table import parquet_table
 from robotctl.testing.drives import GID

@@ -9,11 +9,11 @@ from typing import Any, cast
 
 import pytest
 
-from robotctl.cdr.definition import parse_definition
-from robotctl.cdr.values import encode
 from robotctl.cli.commands.teleop import controls as module
 from robotctl.cli.commands.teleop.controls import JOY, SILENT_S, STAND, Controls, Gamepad, Wish
 from robotctl.cli.targets.ros_view import MessageListener
+from robotctl.messages.definition import parse_definition
+from robotctl.messages.values import encode
 
 TEXT = "float32[] axes\nint32[] buttons\n"
 DEFINITION = parse_definition(JOY, TEXT)

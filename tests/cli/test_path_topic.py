@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from robotctl.cdr.definition import parse_definition
-from robotctl.cdr.values import encode
 from robotctl.cli.commands.drive.paths import PATH_TYPE, path_in
 from robotctl.errors import Refused
 from robotctl.kernel.course import MAX_POINTS, Frame
+from robotctl.messages.definition import parse_definition
+from robotctl.messages.values import encode
 
 FRAMES = {"odom": Frame.ODOM, "base_link": Frame.START}
 

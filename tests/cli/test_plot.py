@@ -14,8 +14,8 @@ import pytest
 from mcap.writer import Writer
 from PIL import Image
 
-from robotctl.cdr.definition import parse_definition
-from robotctl.cdr.values import encode
+from robotctl.messages.definition import parse_definition
+from robotctl.messages.values import encode
 
 DEFINITION = """\
 float64 x

@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 from websockets.exceptions import InvalidHandshake
 
-from robotctl.cdr.definition import parse_definition
-from robotctl.cdr.field_path import parse_path
-from robotctl.cdr.values import decode
+from robotctl.messages.definition import parse_definition
+from robotctl.messages.fields import parse_path
+from robotctl.messages.values import decode
 from robotctl.recording import JournalEntry
 from robotctl.view.remote_control import LET_GO_S
 from tests.support.view_client import ViewClient, view_client

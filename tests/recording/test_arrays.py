@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robotctl.cdr.definition import parse_definition
-from robotctl.cdr.values import encode
 from robotctl.errors import UnreadableFile, UsageError
+from robotctl.messages.definition import parse_definition
+from robotctl.messages.values import encode
 from robotctl.recording import Recorder, Topic, read_arrays, read_messages
 from robotctl.testing.drives import GID
 

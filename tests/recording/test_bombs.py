@@ -26,8 +26,8 @@ from mcap.records import (
     Statistics,
 )
 
-from robotctl.cdr.known_types import JOURNAL_ENTRY
 from robotctl.errors import UnreadableFile, UsageError
+from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording import Compression, read_info
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.journal import (

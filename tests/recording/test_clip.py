@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
-from robotctl.cdr.motion import encode_twist
 from robotctl.errors import Refused
 from robotctl.kernel.types import Twist
+from robotctl.messages.motion import encode_twist
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic, read_info, read_messages
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.cdr.known_types import JOURNAL_ENTRY
 from robotctl.errors import UnreadableFile
+from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic
 from robotctl.recording.format.journal import (
     EntryKind,

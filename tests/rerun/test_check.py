@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from robotctl import __version__
-from robotctl.cdr.motion import encode_twist
 from robotctl.errors import UnreadableFile
 from robotctl.kernel import drive as drive_module
 from robotctl.kernel import kernel as kernel_module
@@ -22,6 +21,7 @@ from robotctl.kernel.geometry import Pose
 from robotctl.kernel.params import TrackingParams, VelocityLimits
 from robotctl.kernel.tracking import Reference, track
 from robotctl.kernel.types import CommandPublishersSeen, ModeRequested, Twist
+from robotctl.messages.motion import encode_twist
 from robotctl.recording import Recorder, RecorderOptions, Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
 from robotctl.rerun.check import check_recording, file_groups

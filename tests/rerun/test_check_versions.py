@@ -14,12 +14,12 @@ from pathlib import Path
 import pytest
 
 from robotctl import __version__, retired
-from robotctl.cdr.known_types import JOURNAL_ENTRY
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.types import DriveRequested, Event, ModeRequested
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording import Recorder, RecorderOptions
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
 from robotctl.recording.format.names import MADE_BY, SHADOW_RECORD

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.cdr.motion import encode_twist
 from robotctl.kernel.types import ForeignCommandHeard, LoopStalled, ModeRequested, Twist
+from robotctl.messages.motion import encode_twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict

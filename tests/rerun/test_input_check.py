@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.cdr.motion import encode_twist
 from robotctl.config import Config
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.obstacles import ScanParams
@@ -24,6 +23,7 @@ from robotctl.kernel.types import (
     ScanReceived,
     Twist,
 )
+from robotctl.messages.motion import encode_twist
 from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.recording.format.names import LEDGER_RECORD
 from robotctl.rerun.check import check_recording

@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.serialization import deserialize_message, serialize_message
 
-from robotctl.cdr.motion import (
+from robotctl.kernel.geometry import Pose, yaw_of
+from robotctl.kernel.types import Odometry, Twist
+from robotctl.messages.motion import (
     OdometryEncoder,
     StampedTwistEncoder,
     decode_odometry,
@@ -21,8 +23,6 @@ from robotctl.cdr.motion import (
     decode_twist_stamped,
     encode_twist,
 )
-from robotctl.kernel.geometry import Pose, yaw_of
-from robotctl.kernel.types import Odometry, Twist
 
 finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e6, max_value=1e6)
 anything = st.floats(width=64)

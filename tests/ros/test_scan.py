@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import LaserScan
 
-from robotctl.cdr.scan import MAX_RAYS, SECTORS, nearest_by_sector
+from robotctl.messages.inputs import MAX_RAYS, SECTORS, nearest_by_sector
 
 
 def scan(ranges: list[float], angle_min: float = -3.13, **fields: float) -> bytes:

@@ -13,15 +13,14 @@ from typing import Any
 
 from mcap.records import Channel, Schema
 
-from robotctl.cdr.definition import parse_definition
-from robotctl.cdr.reader import ENCAPSULATION
-from robotctl.cdr.safety_inputs import MESSAGE_TYPES
-from robotctl.cdr.type_hash import rihs01_hash
 from robotctl.config import Config
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.cdr import ENCAPSULATION
+from robotctl.messages.definition import parse_definition, rihs01_hash
+from robotctl.messages.inputs import MESSAGE_TYPES
 from robotctl.recording.convert.installed_definition import installed_definition
 from robotctl.recording.format.journal import decode
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD

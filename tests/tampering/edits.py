@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from random import Random
 
-from robotctl.cdr.motion import decode_twist, encode_twist
 from robotctl.kernel.modes import Mode
+from robotctl.messages.motion import decode_twist, encode_twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, decode, encode
 from robotctl.recording.format.names import LEDGER_RECORD
 from tests.support.edited_recordings import Contents, Stored, edit

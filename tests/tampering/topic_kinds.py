@@ -8,11 +8,10 @@ from random import Random
 
 from mcap.records import Channel, Schema
 
-from robotctl.cdr.definition import parse_definition
-from robotctl.cdr.type_hash import rihs01_hash
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.definition import parse_definition, rihs01_hash
 from robotctl.testing.hearing import BATTERY, ODOMETRY, TOPICS
 from tests.support.edited_recordings import Contents, Stored, edit
 from tests.support.heard_drives import COMMANDS, ESTOP, JOURNAL, SET_MODE, STATUS, received

@@ -56,8 +56,8 @@ def call_service(
     answer = view.call_service(
         view.full_name(name), type_name, values, wait_s=SERVICE_S, answer_s=timeout
     )
-    from robotctl.cdr.definition import parse_definition
-    from robotctl.cdr.values import decode
+    from robotctl.messages.definition import parse_definition
+    from robotctl.messages.values import decode
 
     definition = parse_definition(answer["type"], answer["definition"])
     response = decode(definition, base64.b64decode(answer["data"]))

@@ -87,7 +87,7 @@ class SafetyInputReceived:
 class ScanReceived:
     """A laser scan: the nearest range in each direction [m], from behind to the left, by sectors.
 
-    inf where nothing is, () if the message is unreadable (`cdr.scan`). `publisher` and `sequence`
+    inf where nothing is, () if the message is unreadable. `publisher` and `sequence`
     are as in `BatteryReceived`.
     """
 

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from robotctl.cdr.definition import UnreadableType, needed_types, short_type
+from robotctl.messages.definition import UnreadableType, needed_types, short_type
 
 _PREFIXES: Final = "AMENT_PREFIX_PATH"
 _SEPARATOR: Final = "=" * 80

@@ -9,8 +9,8 @@ import struct
 from collections.abc import Mapping
 from typing import Final
 
-from robotctl.cdr.reader import ENCAPSULATION
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.cdr import ENCAPSULATION
 
 TOPIC: Final = "robotctl/events"
 TYPE_NAME: Final = "foxglove_msgs/msg/Event"

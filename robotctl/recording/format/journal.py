@@ -8,8 +8,8 @@ from enum import IntEnum
 from typing import Final, NamedTuple
 from zlib import crc32
 
-from robotctl.cdr.reader import ENCAPSULATION, LITTLE_ENDIAN
 from robotctl.errors import UnreadableFile
+from robotctl.messages.cdr import ENCAPSULATION, LITTLE_ENDIAN
 
 TOPIC = "robotctl/journal"
 SHADOW_TOPIC = "robotctl/shadow"

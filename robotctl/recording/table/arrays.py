@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from robotctl.cdr.definition import NUMBERS
-from robotctl.cdr.field_path import parse_path
-from robotctl.cdr.flat import Column, ColumnKind
-from robotctl.cdr.given import WrongValue
 from robotctl.errors import UnreadableFile, UsageError
+from robotctl.messages.definition import NUMBERS
+from robotctl.messages.fields import Column, ColumnKind, parse_path
+from robotctl.messages.values import WrongValue
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.reader import Recording
 from robotctl.recording.table.topic_table import TIME_COLUMNS, TopicTable, choose_topic

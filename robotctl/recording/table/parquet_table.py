@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from robotctl.cdr.definition import NUMBERS, TEXT, WIDE_TEXT
-from robotctl.cdr.flat import Column, ColumnKind
 from robotctl.errors import RobotctlError, UnreadableFile, UsageError
+from robotctl.messages.definition import NUMBERS, TEXT, WIDE_TEXT
+from robotctl.messages.fields import Column, ColumnKind
 from robotctl.recording.table.text_tables import json_of
 from robotctl.recording.table.topic_table import Row
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import isfinite
 from typing import Any, Final, TextIO
 
-from robotctl.cdr.flat import Column, ColumnKind
+from robotctl.messages.fields import Column, ColumnKind
 from robotctl.recording.table.topic_table import Row
 
 _Change = Callable[[Any], Any]

@@ -6,10 +6,10 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
-from robotctl.cdr.definition import Definition, UnreadableType, parse_definition
-from robotctl.cdr.flat import Column, ColumnKind, FlatDecoder
 from robotctl.errors import UnreadableFile, UsageError
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.definition import Definition, UnreadableType, parse_definition
+from robotctl.messages.fields import Column, ColumnKind, FlatDecoder
 from robotctl.recording.read.info import RecordingInfo, TopicInfo
 from robotctl.recording.read.messages import ALWAYS, Window
 from robotctl.recording.read.reader import Recording

@@ -16,8 +16,8 @@ from typing import Any, Final, NamedTuple
 
 from rclpy.node import Node
 
-from robotctl.cdr.reader import CdrReader
 from robotctl.domains import is_on_this_machine_only, participants_here
+from robotctl.messages.cdr import CdrReader
 from robotctl.ros.executor import RclCallFailed, rcutils
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.endpoints import PROCESS_BYTES, gid_of

@@ -11,13 +11,13 @@ from geometry_msgs.msg import Twist as TwistMessage
 from geometry_msgs.msg import TwistStamped as TwistStampedMessage
 from rclpy.qos import QoSProfile
 
-from robotctl.cdr.motion import (
+from robotctl.kernel.types import Twist
+from robotctl.messages.motion import (
     StampedTwistEncoder,
     decode_twist,
     decode_twist_stamped,
     encode_twist,
 )
-from robotctl.kernel.types import Twist
 from robotctl.ros.messages.classes import type_name_of
 from robotctl.ros.messages.qos import COMMAND
 

@@ -14,9 +14,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import BatteryState, Imu, Joy, LaserScan
 from std_msgs.msg import Bool
 
-from robotctl.cdr.battery import read_battery_level
-from robotctl.cdr.safety_inputs import Reader, reader_of
-from robotctl.cdr.scan import read_sectors
 from robotctl.kernel.safety_inputs import (
     REPEATS_PER_TIMEOUT,
     SafetyInput,
@@ -25,6 +22,7 @@ from robotctl.kernel.safety_inputs import (
 )
 from robotctl.kernel.types import Twist
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.inputs import Reader, read_battery_level, read_sectors, reader_of
 from robotctl.ros.executor import RawTap
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS

@@ -23,9 +23,9 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from robotctl.cdr.known_types import JOURNAL_ENTRY
 from robotctl.domains import is_certainly_empty
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.printable import short_name
 from robotctl.ros.context import close_context, open_context
 from robotctl.ros.graph import endpoints

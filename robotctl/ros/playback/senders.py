@@ -15,8 +15,8 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
 
-from robotctl.cdr.reader import ENCAPSULATION
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.cdr import ENCAPSULATION
 
 BLOCKED_S: Final = 5.0
 """How long a subscriber that takes nothing may hold up a replay at full speed."""

@@ -14,10 +14,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 
-from robotctl.cdr.definition import Definition, UnreadableType, parse_definition
-from robotctl.cdr.given import WrongValue, filled
-from robotctl.cdr.values import decode, encode
 from robotctl.errors import NoDaemon, Refused, UsageError
+from robotctl.messages.definition import Definition, UnreadableType, parse_definition
+from robotctl.messages.values import WrongValue, decode, encode, filled
 from robotctl.processes import readable_within
 from robotctl.ros.context import close_context, open_context
 from robotctl.ros.executor import AsyncioExecutor, RawTap

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from robotctl.cdr.motion import OdometryEncoder
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.params import CommandQos, OdometryQos
 from robotctl.kernel.types import ZERO, Odometry
+from robotctl.messages.motion import OdometryEncoder
 from robotctl.printable import MAX_NAME
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.command_type import PLAIN

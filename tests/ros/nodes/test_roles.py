@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.cdr.known_types import JOURNAL_ENTRY
+from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording.format import journal
 from robotctl.ros.nodes import publishers
 from robotctl.ros.nodes.input_subscribers import BatterySubscriber

@@ -13,8 +13,8 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, Joy
 from std_msgs.msg import Bool
 
-from robotctl.cdr.safety_inputs import MAX_DIAGNOSES, Diagnoses
 from robotctl.kernel.safety_inputs import SafetyInput, SafetyInputParams, Use
+from robotctl.messages.inputs import MAX_DIAGNOSES, Diagnoses
 from robotctl.ros.nodes.input_subscribers import SafetyInputs
 from robotctl.ros.session import Session
 

@@ -10,8 +10,6 @@ from math import isfinite
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, Protocol
 
-from robotctl.cdr.definition import Definition, parse_definition
-from robotctl.cdr.values import decode
 from robotctl.cli.targets.ros_view import MessageListener
 from robotctl.cli.ui.keys import ANSWER, Key, KeyEvent
 from robotctl.errors import Refused, UsageError
@@ -19,6 +17,8 @@ from robotctl.ipc.client import Client
 from robotctl.ipc.method_names import HOLD, PARAM_LIST
 from robotctl.kernel.course import MAX_SILENCE_S
 from robotctl.kernel.patterns import MIN_SPEED_MPS
+from robotctl.messages.definition import Definition, parse_definition
+from robotctl.messages.values import decode
 
 REPEAT_S: Final = MAX_SILENCE_S
 """Without releases, a key that comes again within this time is held; no person types that fast."""

@@ -6,15 +6,14 @@ import struct
 from collections.abc import Iterator
 from typing import Any
 
-from robotctl.cdr.definition import UnreadableType, parse_definition
-from robotctl.cdr.field_path import parse_path, value_at
-from robotctl.cdr.given import WrongValue
-from robotctl.cdr.values import decode
 from robotctl.cli.targets.recordings import find_recording
 from robotctl.cli.ui.ros_text import SHOWN_LENGTH, message_lines, plain_json
 from robotctl.cli.ui.text import json_text
 from robotctl.errors import UnreadableFile, UsageError
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.definition import UnreadableType, parse_definition
+from robotctl.messages.fields import parse_path, value_at
+from robotctl.messages.values import WrongValue, decode
 from robotctl.recording import Message, read_info, read_messages
 from robotctl.recording.table.topic_table import choose_topic
 

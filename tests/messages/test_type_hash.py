@@ -16,11 +16,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.cdr.definition import parse_definition
-from robotctl.cdr.reader import ENCAPSULATION
-from robotctl.cdr.safety_inputs import MAX_STATUSES, MAX_VALUES, reader_of
-from robotctl.cdr.type_hash import rihs01_hash
 from robotctl.kernel.safety_inputs import SafetyInput
+from robotctl.messages.cdr import ENCAPSULATION
+from robotctl.messages.definition import parse_definition, rihs01_hash
+from robotctl.messages.inputs import MAX_STATUSES, MAX_VALUES, reader_of
 from robotctl.recording.convert.installed_definition import installed_definition
 from robotctl.rerun.recording_ends import HASHES
 from robotctl.testing.hearing import safety_message

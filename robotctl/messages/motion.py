@@ -10,10 +10,10 @@ import struct
 from math import cos, nan, sin
 from typing import NamedTuple
 
-from robotctl.cdr.reader import BODY, ENCAPSULATION, LITTLE_ENDIAN, CdrReader
 from robotctl.kernel.geometry import Pose, yaw_of
 from robotctl.kernel.types import Odometry, Twist
 from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.cdr import BODY, ENCAPSULATION, LITTLE_ENDIAN, CdrReader
 
 _TWIST = struct.Struct("<4s6d")
 _STAMP = struct.Struct("<iI")

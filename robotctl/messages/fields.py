@@ -1,4 +1,4 @@
-"""Messages as flat rows: one value for each column, such as `pose.pose.position.x`.
+"""Fields of a message: the path of each, those that hold values, and messages as flat rows.
 
 An array of up to 64 values has a column for each, `ranges[0]` and so on. A sequence, or a longer
 array, has one column, and so have bytes.
@@ -6,13 +6,15 @@ array, has one column, and so have bytes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from typing import Any, Final
 
-from robotctl.cdr.definition import (
+from robotctl.messages.cdr import CdrReader
+from robotctl.messages.definition import (
     NUMBERS,
     TEXT,
     WIDE_TEXT,
@@ -21,8 +23,130 @@ from robotctl.cdr.definition import (
     FieldShape,
     UnreadableType,
 )
-from robotctl.cdr.reader import CdrReader
-from robotctl.cdr.values import read_field
+from robotctl.messages.values import WrongValue, read_field, unknown_field
+
+_STEP = re.compile(r"([A-Za-z]\w*)((?:\[\d{1,9}\])*)")
+_INDEX = re.compile(r"\[(\d+)\]")
+
+Steps = tuple[str | int, ...]
+
+
+def parse_path(definition: Definition, path: str) -> Steps:
+    """Return the names and indexes that lead to a field of the type.
+
+    Raises:
+        WrongValue: The path has another form, or leads to no field of the type.
+    """
+    steps: list[str | int] = []
+    type_name = definition.root
+    for text in path.split("."):
+        match = _STEP.fullmatch(text)
+        if match is None:
+            raise WrongValue(f"{path!r} is no path to a field: use names with dots, like a.b[0].c")
+        name, indexes = match[1], [int(each) for each in _INDEX.findall(match[2])]
+        fields = definition.types.get(type_name)
+        if fields is None:
+            raise WrongValue(f"{path_text(steps)} is a {type_name}, which has no fields")
+        field = next((each for each in fields if each.name == name), None)
+        if field is None:
+            raise WrongValue(unknown_field(name, type_name, fields))
+        steps += [name, *indexes]
+        if len(indexes) > (field.shape is not FieldShape.ONE):
+            raise WrongValue(f"{path_text(steps[: -len(indexes)])} is a {field.type_text}: no list")
+        if field.shape is FieldShape.ARRAY and indexes and indexes[0] >= (field.length or 0):
+            raise WrongValue(f"{path_text(steps[:-1])} has {field.length} values, from [0]")
+        is_list = field.shape is not FieldShape.ONE and not indexes
+        type_name = field.type_text if is_list else field.type_name
+    return tuple(steps)
+
+
+def value_at(values: Mapping[str, Any], steps: Steps) -> Any:
+    """Return the value at the end of a path.
+
+    Raises:
+        WrongValue: A sequence of this message is shorter than the path's index.
+    """
+    found: Any = values
+    for place, step in enumerate(steps):
+        try:
+            found = found[step]
+        except IndexError:
+            count = len(found)
+            raise WrongValue(
+                f"{path_text(steps[:place])} has {count} values, no [{step}]"
+            ) from None
+    return found
+
+
+def path_text(steps: Steps | list[str | int]) -> str:
+    """Return the path that leads along the steps, such as `a.b[0].c`."""
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)[1:]
+
+
+@dataclass(frozen=True, slots=True)
+class LeafField:
+    """A field that is a number or a text, or a list of any length.
+
+    `steps` lead to its value (see `cdr.field_path`). A list of numbers or texts is one leaf, and so
+    is a sequence of messages: its length is known only of a message.
+    """
+
+    path: str
+    steps: Steps
+    field: Field
+
+    @property
+    def is_number(self) -> bool:
+        """Whether the value is one number or truth value."""
+        return self.field.shape is FieldShape.ONE and self.field.type_name in NUMBERS
+
+    @property
+    def is_number_list(self) -> bool:
+        """Whether the value is a list of numbers or truth values."""
+        return self.field.shape is not FieldShape.ONE and self.field.type_name in NUMBERS
+
+
+def leaf_fields(definition: Definition, below: str = "", steps: Steps = ()) -> Iterator[LeafField]:
+    """Yield the leaf fields of a type, or of its type `below`, in the order of their definition.
+
+    `steps` lead to the message of the type `below`. A type of a recording may have any number of
+    leaves: take no more than you can use.
+    """
+    return _leaves(definition, _types_with_leaves(definition), below or definition.root, steps)
+
+
+def _leaves(
+    definition: Definition, useful: Set[str], type_name: str, steps: Steps
+) -> Iterator[LeafField]:
+    for field in definition.types[type_name]:
+        here = (*steps, field.name)
+        if field.type_name not in definition.types or field.shape is FieldShape.SEQUENCE:
+            yield LeafField(path_text(here), here, field)
+        elif field.type_name not in useful:
+            continue
+        elif field.shape is FieldShape.ONE:
+            yield from _leaves(definition, useful, field.type_name, here)
+        else:
+            for index in range(field.length or 0):
+                yield from _leaves(definition, useful, field.type_name, (*here, index))
+
+
+def _types_with_leaves(definition: Definition) -> Set[str]:
+    """Return the types with at least one leaf: 2^64 messages without any are not searched."""
+    useful: set[str] = set()
+    before = -1
+    while len(useful) > before:
+        before = len(useful)
+        for name, fields in definition.types.items():
+            if any(
+                field.type_name not in definition.types
+                or field.shape is FieldShape.SEQUENCE
+                or (field.type_name in useful and field.length != 0)
+                for field in fields
+            ):
+                useful.add(name)
+    return useful
+
 
 MAX_COLUMNS_OF_ARRAY: Final = 64
 MAX_COLUMNS: Final = 4096

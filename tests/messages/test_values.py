@@ -14,12 +14,16 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
 import tests.support.rosidl_parser  # noqa: F401
-from robotctl.cdr.definition import Definition, UnreadableType, parse_definition
-from robotctl.cdr.field_path import parse_path, value_at
-from robotctl.cdr.flat import MAX_COLUMNS, ColumnKind, FlatDecoder
-from robotctl.cdr.given import WrongValue, filled
-from robotctl.cdr.leaf_fields import leaf_fields
-from robotctl.cdr.values import decode, encode, zero
+from robotctl.messages.definition import Definition, UnreadableType, parse_definition
+from robotctl.messages.fields import (
+    MAX_COLUMNS,
+    ColumnKind,
+    FlatDecoder,
+    leaf_fields,
+    parse_path,
+    value_at,
+)
+from robotctl.messages.values import WrongValue, decode, encode, filled, zero
 from robotctl.ros.messages.type_definition import definition_of
 
 messages = pytest.importorskip("test_msgs.msg", reason="test_msgs is not installed")

@@ -1,10 +1,15 @@
-"""Reading any message in plain CDR, field by field."""
+"""Read CDR, the serialized form of ROS messages, without ROS; the types that several parts know."""
 
 from __future__ import annotations
 
 import struct
 from functools import lru_cache
 from typing import Any, Final
+
+ODOMETRY: Final = "nav_msgs/msg/Odometry"
+ROBOT_STATUS: Final = "robot_controller/msg/RobotStatus"
+JOURNAL_ENTRY: Final = "robot_controller/msg/JournalEntry"
+
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 """The first bytes of a message in plain CDR, little endian."""
