@@ -189,11 +189,6 @@ class OtherCommands:
         self._waiting: deque[tuple[int, bytes]] = deque()
         """Messages whose sender may still be noticed: time, numbers."""
 
-    @property
-    def are_waiting(self) -> bool:
-        """Whether there are messages whose sender may still be noticed."""
-        return bool(self._waiting)
-
     def hear(self, t_ns: int) -> None:
         """Note that another publisher was noticed."""
         self._heard_ns = t_ns
