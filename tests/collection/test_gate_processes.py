@@ -95,9 +95,9 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_result_and_count_none
 
     def disturb(done: int, total: int) -> None:
         assert total == count
-        if done == count // 4:
+        if done == count // 8:
             dask.kill_worker()
-        if done == count // 2:
+        if done == count // 4:
             dask.kill_scheduler()
             at_restart.append(stored(results))
             dask.restart()
