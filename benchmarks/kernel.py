@@ -24,8 +24,7 @@ from robotctl.kernel.fence import FenceParams
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.obstacles import ScanParams
-from robotctl.kernel.params import KernelParams
+from robotctl.kernel.params import KernelParams, ScanParams
 from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.safety_inputs import (
     BumperParams,

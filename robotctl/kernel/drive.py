@@ -10,11 +10,10 @@ from robotctl.kernel.geometry import Pose, wrap_angle
 from robotctl.kernel.params import TrackingParams, VelocityLimits
 from robotctl.kernel.path import Path
 from robotctl.kernel.patterns import Pattern
-from robotctl.kernel.quick_init import maker, quick_init
 from robotctl.kernel.reference import SETTLE_S, START, Progress, advanced, begun
 from robotctl.kernel.routes import legs_for, path_for
-from robotctl.kernel.tracking import Reference, follow_blindly, new_reference, track
-from robotctl.kernel.types import DriveReport, Twist
+from robotctl.kernel.tracking import Reference, follow_blindly, track
+from robotctl.kernel.types import DriveReport, Twist, changed
 from robotctl.kernel.units import NS_PER_S
 
 MAX_LAPS = 100_000
@@ -28,7 +27,6 @@ LOST_RAD = 1.0
 _TURNED = Pose(0.0, 0.0, pi)
 
 
-@quick_init
 @dataclass(frozen=True, slots=True)
 class Score:
     """How well the robot followed so far: sums over the odometry samples.
@@ -47,8 +45,7 @@ class Score:
     max_heading_rad: float = 0.0
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Drive:
     """A drive of `laps` laps (0: until stopped); its path begins at `origin` in the odom frame.
 
@@ -97,12 +94,12 @@ class Drive:
         """
         at, segments = self.progress, self.path.segments
         if not segments:
-            return new_reference(self.origin, 0.0, 0.0, 0.0)
+            return Reference(self.origin, 0.0, 0.0, 0.0)
         segment = segments[at.segment]
         pose = self.origin.compose(segment.pose_at(at.length))
         rate = at.speed + at.accel * lag_s
         if segment.turns:
-            return new_reference(pose, 0.0, 0.0, segment.curvature_at(at.length) * rate)
+            return Reference(pose, 0.0, 0.0, segment.curvature_at(at.length) * rate)
         length = at.length + at.speed * lag_s
         if length > segment.length:
             following = segments[(at.segment + 1) % len(segments)]
@@ -110,7 +107,7 @@ class Drive:
                 length = segment.length
             else:
                 length, segment = min(length - segment.length, following.length), following
-        return new_reference(pose, rate, segment.curvature_at(length), 0.0)
+        return Reference(pose, rate, segment.curvature_at(length), 0.0)
 
     def command(self, pose: Pose, gains: TrackingParams, limits: VelocityLimits) -> Twist:
         """Return the velocity that leads a robot at `pose` to the reference."""
@@ -158,7 +155,7 @@ class Drive:
 
     def measured(self, pose: Pose, moved_m: float) -> Drive:
         """Return the drive with one more sample: the robot moved by `moved_m` and is at `pose`."""
-        return self._scored(self.score_after(self.score, pose, moved_m))
+        return changed(self, score=self.score_after(self.score, pose, moved_m))
 
     def score_after(self, so_far: Score, pose: Pose, moved_m: float) -> Score:
         """Return the score `so_far` with one more sample, as `measured` takes it."""
@@ -172,7 +169,7 @@ class Drive:
         error_m = wanted.distance(local)
         heading_rad = abs(wrap_angle(wanted.theta - local.theta))
         lost = error_m > path.reach_m or (segment.turns and heading_rad > LOST_RAD)
-        return _new_score(
+        return Score(
             so_far.samples + 1,
             so_far.squared_error_sum + cross_m * cross_m,
             max(so_far.max_error_m, cross_m),
@@ -214,28 +211,7 @@ class Drive:
         return self._at(replace(self.progress, laps=self.laps))
 
     def _at(self, progress: Progress) -> Drive:
-        return _new_drive(
-            self.request_id,
-            self.pattern,
-            self.laps,
-            self.origin,
-            progress,
-            self.score,
-            self.course,
-            self.begin_t_ns,
-        )
-
-    def _scored(self, score: Score) -> Drive:
-        return _new_drive(
-            self.request_id,
-            self.pattern,
-            self.laps,
-            self.origin,
-            self.progress,
-            score,
-            self.course,
-            self.begin_t_ns,
-        )
+        return changed(self, progress=progress)
 
     def _heading_of_travel(self, pose: Pose) -> Pose:
         return pose.compose(_TURNED) if self.course.reverse else pose
@@ -268,9 +244,6 @@ class Drive:
         end = self.origin if self.path.closed else self.origin.compose(self.path.end)
         drive = self._at(replace(at, closure_m=end.distance(pose)))
         return drive if self.path.closed or drive.finished else replace(drive, origin=end)
-
-
-_new_score, _new_drive = maker(Score), maker(Drive)
 
 
 def origin_of(pose: Pose, course: Course) -> Pose:

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import atan2, cos, hypot, nan, pi, sin, tau
 
-from robotctl.kernel.quick_init import maker, quick_init
-
 
 def wrap_angle(angle_rad: float) -> float:
     """Return the angle in [-pi, pi) that has the same direction."""
     return (angle_rad + pi) % tau - pi
 
 
-@quick_init
 @dataclass(frozen=True, slots=True)
 class Pose:
     """A position x, y [m] and a heading theta [rad]."""
@@ -25,7 +22,7 @@ class Pose:
     def compose(self, local: Pose) -> Pose:
         """Return `local`, a pose relative to this one, in the parent frame of this pose."""
         c, s = cos(self.theta), sin(self.theta)
-        return new_pose(
+        return Pose(
             self.x + c * local.x - s * local.y,
             self.y + s * local.x + c * local.y,
             wrap_angle(self.theta + local.theta),
@@ -35,7 +32,7 @@ class Pose:
         """Return `other`, a pose in the same parent frame, relative to this pose."""
         c, s = cos(self.theta), sin(self.theta)
         dx, dy = other.x - self.x, other.y - self.y
-        return new_pose(c * dx + s * dy, c * dy - s * dx, wrap_angle(other.theta - self.theta))
+        return Pose(c * dx + s * dy, c * dy - s * dx, wrap_angle(other.theta - self.theta))
 
     def distance(self, other: Pose) -> float:
         """Return the distance between the two positions [m]."""
@@ -43,9 +40,6 @@ class Pose:
 
 
 ORIGIN = Pose()
-
-new_pose = maker(Pose)
-"""Makes a pose in less time than the class."""
 
 
 QUATERNION_TOLERANCE = 0.1

@@ -8,7 +8,6 @@ from math import inf
 from robotctl.kernel.command_types import TWIST
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.lifecycle import LifecycleState
-from robotctl.kernel.quick_init import quick_init
 from robotctl.kernel.safety_inputs import Reading
 from robotctl.kernel.types import Cause, Odometry
 
@@ -26,7 +25,6 @@ class SecondOdometry:
     angle_rad: float
 
 
-@quick_init
 @dataclass(frozen=True, slots=True)
 class OdometrySources:
     """The publishers of odometry. The robot follows one at a time; `followed` is its number.
@@ -87,8 +85,7 @@ class Scan:
     ahead_m: float = inf
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Health:
     """What the kernel knows about everything that motion depends on; "" and () mean healthy.
 

@@ -6,32 +6,43 @@ from dataclasses import replace
 from math import isfinite
 from typing import assert_never
 
+from robotctl.kernel.battery import counts_in_percent, level_of
+from robotctl.kernel.course import PLAIN, Course, Frame
+from robotctl.kernel.drive import MAX_LAPS, Drive, origin_of
 from robotctl.kernel.guard import Guarded
-from robotctl.kernel.health import Health
-from robotctl.kernel.knowledge import Knowledge
-from robotctl.kernel.lease import LeaseLost, LeaseRequested
+from robotctl.kernel.health import Stalls
+from robotctl.kernel.lease import Lease, LeaseLost, LeaseRequested, MotionRequest
 from robotctl.kernel.lifecycle import LifecycleChanged
-from robotctl.kernel.limits import limit, within
-from robotctl.kernel.modes import Mode, Trigger
-from robotctl.kernel.odometry import (
-    dropped,
-    is_finite,
-    is_repeated,
-    may_follow,
-    odometry_fault,
-    source_found,
+from robotctl.kernel.limits import allowed, limit, within
+from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
+from robotctl.kernel.obstacles import look_again, look_ahead
+from robotctl.kernel.odometry import source_found, with_odometry
+from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
+from robotctl.kernel.parameters import conflict, kernel_leaves, text_of, value_at, with_text
+from robotctl.kernel.params import KernelParams, WhenIdle
+from robotctl.kernel.patterns import SHAPES, Pattern
+from robotctl.kernel.ranges import Change
+from robotctl.kernel.remedies import Remedy
+from robotctl.kernel.routes import path_for
+from robotctl.kernel.safety import (
+    FAULT_TRIGGERS,
+    RULE_OF,
+    Finding,
+    failed_start_condition,
+    raised,
+    remedies_for,
+    remedies_to_move,
+    uncleared,
 )
-from robotctl.kernel.parameter_change import ParameterRequested
-from robotctl.kernel.params import WhenIdle
-from robotctl.kernel.quick_init import maker
-from robotctl.kernel.safety import raised
 from robotctl.kernel.safety_inputs import Reading, with_reading
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     ZERO,
     BatteryReceived,
+    Cause,
     CommandListenersSeen,
     CommandPublishersSeen,
+    DriveEnded,
     DriveRequested,
     Effect,
     Event,
@@ -40,41 +51,65 @@ from robotctl.kernel.types import (
     ForeignCommandHeard,
     GuardedCommandReceived,
     HoldReceived,
+    LatchEmergencyStop,
     LoopStalled,
+    ModeChanged,
     ModeRequested,
     OdometrySourceFound,
     OdomReceived,
     Phase,
     PublishTwist,
+    ReleaseEmergencyStop,
+    Reply,
     ResetRequested,
     SafetyInputReceived,
     ScanReceived,
     Tick,
+    changed,
 )
 from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.waypoints import local_points
 
 SILENT_AFTER_NS = NS_PER_S
 """So long zeros are sent in IDLE before silence, where that is configured."""
 
+MAX_WAITING = 64
+"""The largest number of requests that wait for a ramp to end; one more is refused."""
 
-_new_state, _new_health = maker(State), maker(Health)
+STOPPING_REFUSAL = "the robot is stopping: ask again when it is IDLE"
 
-_IDLE, _MOVING = Mode.IDLE, Mode.MOVING
-_DRIVING, _STOPPING = Phase.DRIVING, Phase.STOPPING
-"""What each step compares with; Python 3.11 takes six times as long for a member of an enum."""
+_OPERATOR_CAUSES = {
+    Mode.ERROR: Cause.OPERATOR_ERROR,
+    Mode.EMERGENCY_STOP: Cause.OPERATOR_STOP,
+}
+
+VALID_MODES = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
 
 
-class Kernel(Knowledge):
-    """The kernel: it decides mode and command, and each step replaces `state` as a whole."""
+class Kernel:
+    """The kernel: each step decides on one event, and replaces `state` as a whole.
+
+    Each request gets exactly one reply. Every change of the mode but the start of a motion goes
+    through `_stand`.
+    """
+
+    def __init__(self, params: KernelParams, state: State | None = None) -> None:
+        """Begin in `state`; its command is reduced to the limits of `params`."""
+        self.params = params
+        state = state or State()
+        self.state = replace(state, command=allowed(state.command, params.limits))
+        self._effects: list[Effect] = []
 
     def step(self, event: Event) -> tuple[Effect, ...]:
         """Decide one event: return the effects that the caller must carry out, in order."""
         self._effects = []
         match event:
             case Tick():
-                self._tick(event)
+                self._tick(event.t_ns)
             case OdomReceived():
-                self._odometry(event)
+                self._notice_gap(event.t_ns)
+                self.state = with_odometry(self.state, event, self.params.odometry)
+                self._raise_fault(event.t_ns)
             case OdometrySourceFound():
                 sources = source_found(self.state.health.odometry_sources, event)
                 self._learn(event.t_ns, odometry_sources=sources)
@@ -84,13 +119,14 @@ class Kernel(Knowledge):
                 reading = Reading(event.kind, event.value, event.t_ns, event.detail)
                 self._learn(event.t_ns, inputs=with_reading(self.state.health.inputs, reading))
             case ScanReceived():
-                self._learn(event.t_ns, scan=self._looked_ahead(event.t_ns, event.sectors))
+                scan = look_ahead(event.t_ns, event.sectors, self.state.command, self.params)
+                self._learn(event.t_ns, scan=scan)
             case LifecycleChanged():
                 self._learn(event.t_ns, lifecycle=event.state)
             case ModeRequested():
                 self._request(event)
             case ResetRequested():
-                self._reset(event)
+                self._decide(event.t_ns, event.request_id, Trigger.RESET, _told("reset", event))
             case DriveRequested():
                 self._request_drive(event)
             case ParameterRequested():
@@ -102,9 +138,8 @@ class Kernel(Knowledge):
                 topic = replace(topic, foreign_t_ns=event.t_ns, foreign_by=event.publisher)
                 self._learn(event.t_ns, command_topic=topic)
             case CommandListenersSeen():
-                topic = self.state.health.command_topic
                 topic = replace(
-                    topic,
+                    self.state.health.command_topic,
                     listeners=event.count,
                     other_types=event.other_types,
                     type_name=event.type_name,
@@ -113,7 +148,9 @@ class Kernel(Knowledge):
             case LeaseRequested():
                 self._request_lease(event)
             case LeaseLost():
-                self._lose_lease(event)
+                lease = self.state.lease
+                if lease is not None and lease.client == event.client:
+                    self._end_lease(f"{lease.source} lost the lease: {event.how}")
             case GuardedCommandReceived():
                 if self.state.guarded is not None:
                     guarded = Guarded(event.twist, event.t_ns)
@@ -130,102 +167,138 @@ class Kernel(Knowledge):
             case _:
                 assert_never(event)
         state = self.state
-        assert state.mode is _MOVING or state.command == ZERO, state
+        assert state.mode is Mode.MOVING or state.command == ZERO, state
         assert within(state.command, self.params.limits), state
-        assert not state.silent or state.mode is _IDLE, state
+        assert not state.silent or state.mode is Mode.IDLE, state
         return tuple(self._effects)
 
-    # Measurements
+    # What is learned
 
-    def _odometry(self, event: OdomReceived) -> None:
-        """Observe a sample of odometry; while MOVING, an impossible one is dropped and counted."""
-        self._notice_gap(event.t_ns)
-        state, odometry, health = self.state, event.odometry, self.state.health
-        sources = health.odometry_sources
-        if event.source != sources.followed:
-            if state.mode is _MOVING or not may_follow(health, event, self.params.odometry):
-                self._learn(event.t_ns, odometry_sources=dropped(health, event))
-                return
-            sources = replace(sources, followed=event.source, second=None)
-        fault = odometry_fault(health, odometry, self.params.odometry)
-        drive, error_m, last = state.drive, health.path_error_m, health.odometry
-        if drive is not None and last is not None and not fault:
-            drive = drive.measured(odometry.pose, last.pose.distance(odometry.pose))
-            # While the robot ramps down the reference stands still: the distance is no error.
-            error_m = drive.score.error_m if state.phase is _DRIVING else 0.0
-        unusable = fault and (state.mode is _MOVING or not is_finite(odometry))
-        if unusable:
-            sources = replace(sources, dropped=sources.dropped + 1)
-        is_news = not fault and not is_repeated(health, odometry)
-        # Without `replace`, as in `_move`: it would make a step a tenth slower.
-        health = _new_health(
-            odometry=last if unusable else odometry,
-            odometry_t_ns=event.t_ns if is_news else health.odometry_t_ns,
-            odometry_stamp_ns=odometry.stamp_ns,
-            odometry_fault=fault,
-            battery_level=health.battery_level,
-            battery_t_ns=health.battery_t_ns,
-            foreign_publishers=health.foreign_publishers,
-            reported=health.reported,
-            path_error_m=error_m,
-            tick_gap_s=health.tick_gap_s,
-            odometry_sources=sources,
-            command_topic=health.command_topic,
-            stalls=health.stalls,
-            battery_in_percent=health.battery_in_percent,
-            inputs=health.inputs,
-            fence_origin=health.fence_origin,
-            scan=health.scan,
-            lifecycle=health.lifecycle,
+    def _learn(self, t_ns: int, **changes: object) -> None:
+        """Change the health, and raise a fault that is among the changes at once."""
+        self._notice_gap(t_ns)
+        self.state = changed(self.state, health=changed(self.state.health, **changes))
+        self._raise_fault(t_ns)
+
+    def _notice_gap(self, t_ns: int) -> None:
+        """Record a gap between ticks before anything else is checked.
+
+        Data that became stale during the gap follows from it and must not be named as the cause.
+        """
+        gap_s, health = self._tick_gap_s(t_ns), self.state.health
+        late_s = gap_s if abs(gap_s) > self.params.max_tick_gap_s else 0.0
+        if late_s != health.tick_gap_s:
+            self.state = replace(self.state, health=replace(health, tick_gap_s=late_s))
+
+    def _battery(self, event: BatteryReceived) -> None:
+        before, scale = self.state.health.battery_in_percent, self.params.battery.scale
+        in_percent = counts_in_percent(event.level, before, scale)
+        self._learn(
+            event.t_ns,
+            battery_level=level_of(event.level, in_percent),
+            battery_t_ns=event.t_ns,
+            battery_in_percent=in_percent,
         )
-        self.state = _new_state(
-            mode=state.mode,
-            phase=state.phase,
-            reason=state.reason,
-            cause=state.cause,
-            command=state.command,
-            tick_t_ns=state.tick_t_ns,
-            health=health,
-            drive=drive,
-            stop_reason=state.stop_reason,
-            waiting=state.waiting,
-            idle_t_ns=state.idle_t_ns,
-            silent=state.silent,
-            lease=state.lease,
-            guarded=state.guarded,
-        )
-        self._raise_fault(event.t_ns)
+
+    def _reported_without(self, cause: Cause) -> tuple[tuple[Cause, str], ...]:
+        return tuple(entry for entry in self.state.health.reported if entry[0] is not cause)
+
+    def _stalled(self, event: LoopStalled) -> None:
+        """Continue from the zeros of the watchdog; raise a fault if the stall was too long."""
+        state, limit_s = self.state, self.params.max_tick_gap_s
+        stalls = Stalls(state.health.stalls.count + 1, event.t_ns, event.stalled_s, event.detail)
+        drive = None if state.drive is None else state.drive.from_standstill()
+        health = replace(state.health, stalls=stalls)
+        self.state = replace(state, command=ZERO, tick_t_ns=event.t_ns, health=health, drive=drive)
+        if state.mode is Mode.MOVING and not event.stalled_s <= limit_s:
+            detail = f"the control loop stalled for {event.stalled_s:.2f} s ({event.detail})"
+            self._stop_for(Finding(RULE_OF[Cause.LOOP_STALLED], detail))
 
     # The tick
 
-    def _tick(self, event: Tick) -> None:
-        self._notice_gap(event.t_ns)
+    def _tick(self, t_ns: int) -> None:
+        self._notice_gap(t_ns)
         scan = self.state.health.scan
-        if scan is not None:
-            self._look_again(scan)
-        state, params = self.state, self.params
-        finding = raised(state.mode, state.health, params, event.t_ns)
-        if state.mode is _MOVING and finding is None:
-            self._move(event.t_ns, self._step_s(event.t_ns))
+        if scan is not None:  # the command has changed
+            seen = look_again(scan, self.state.command, self.params)
+            if seen is not scan:
+                self.state = replace(self.state, health=replace(self.state.health, scan=seen))
+        state = self.state
+        finding = raised(state.mode, state.health, self.params, t_ns)
+        if state.mode is Mode.MOVING and finding is None:
+            self._move(t_ns, self._step_s(t_ns))
             return
-        self.state = replace(state, tick_t_ns=event.t_ns)
+        self.state = changed(state, tick_t_ns=t_ns)
         if finding is not None:
             self._stop_for(finding)
-        elif not self._is_silent(event.t_ns):
+        elif not self._is_silent(t_ns):
             self._effects.append(PublishTwist(ZERO))
+
+    def _tick_gap_s(self, t_ns: int) -> float:
+        tick_t_ns = self.state.tick_t_ns
+        return 0.0 if tick_t_ns is None else (t_ns - tick_t_ns) / NS_PER_S
+
+    def _step_s(self, t_ns: int) -> float:
+        """Return for how long a command may change: since the last tick, at most two ticks."""
+        return min(max(self._tick_gap_s(t_ns), 0.0), 2.0 / self.params.rate_hz)
+
+    def _rise_ticks(self) -> int:
+        """Return over how many ticks an acceleration builds up."""
+        return round(self.params.limits.accel_rise_s * self.params.rate_hz) or 1
 
     def _is_silent(self, t_ns: int) -> bool:
         """Return whether others may command now: in IDLE, after SILENT_AFTER_NS of zeros."""
         state = self.state
         if self.params.command.when_idle is WhenIdle.ZEROS:
             return False
-        if state.mode is not _IDLE or state.health.reported:
+        if state.mode is not Mode.IDLE or state.health.reported:
             self.state = replace(state, idle_t_ns=None, silent=False)
             return False
         idle_t_ns = t_ns if state.idle_t_ns is None else state.idle_t_ns
         silent = t_ns - idle_t_ns >= SILENT_AFTER_NS
         self.state = replace(state, idle_t_ns=idle_t_ns, silent=silent)
         return silent
+
+    def _move(self, t_ns: int, dt_s: float) -> None:
+        """Command the next velocity of the motion, and end it where it stands after a stop."""
+        state, params = self.state, self.params
+        drive, odometry, phase = state.drive, state.health.odometry, state.phase
+        driving, stop_reason, target = phase is Phase.DRIVING, state.stop_reason, ZERO
+        if driving and drive is not None and odometry is not None:
+            # A velocity is held by the clock: the base keeps it while ticks are missed.
+            passed_s = dt_s if drive.course.held is None else self._tick_gap_s(t_ns)
+            drive = drive.advance(passed_s, odometry.pose, params.limits, self._rise_ticks())
+            if drive.finished:
+                phase, driving, stop_reason = Phase.STOPPING, False, drive.ending()
+            else:
+                target = drive.command(odometry.pose, params.tracking, params.limits)
+        command = limit(state.command, target, dt_s, params.limits)
+        if state.guarded is not None and driving:
+            wanted = state.guarded.wanted(t_ns, params.guard_timeout_s)
+            command = ZERO if wanted is None else limit(state.command, wanted, dt_s, params.limits)
+        held = None if drive is None else drive.course.held
+        is_quiet = False
+        if drive is not None and held is not None:
+            is_quiet = drive.is_quiet
+            if is_quiet:  # the base may stand already: it must not be moved again by a ramp
+                command = state.command if driving else ZERO
+            elif held.is_silent(t_ns, 1.0 / params.rate_hz):
+                phase, stop_reason, command = Phase.STOPPING, stop_reason or drive.ending(), ZERO
+            elif held.is_let_go and command == ZERO and driving:
+                drive = drive.completed()
+                phase, stop_reason = Phase.STOPPING, drive.ending()
+        self.state = changed(
+            state,
+            phase=phase,
+            command=command,
+            tick_t_ns=t_ns,
+            drive=drive,
+            stop_reason=stop_reason,
+        )
+        if phase is Phase.STOPPING and command == ZERO:
+            self._stand(Trigger.STANDSTILL, stop_reason, None)
+        elif not is_quiet:
+            self._effects.append(PublishTwist(command))
 
     def _hold(self, event: HoldReceived) -> None:
         """Accept what the client of a hold-to-run motion wants; where it lets go, ramp at once."""
@@ -242,52 +315,342 @@ class Kernel(Knowledge):
         if wanted == ZERO and not held.is_let_go:
             self._move(event.t_ns, self._step_s(event.t_ns))
 
-    def _step_s(self, t_ns: int) -> float:
-        """Return for how long a command may change: since the last tick, at most two ticks."""
-        return min(max(self._tick_gap_s(t_ns), 0.0), 2.0 / self.params.rate_hz)
+    # Requests
 
-    def _move(self, t_ns: int, dt_s: float) -> None:
-        state, params, health = self.state, self.params, self.state.health
-        drive, odometry = state.drive, health.odometry
-        phase, stop_reason, target = state.phase, state.stop_reason, ZERO
-        if phase is _DRIVING and drive is not None and odometry is not None:
-            # A velocity is held by the clock: the base keeps it while ticks are missed.
-            passed_s = dt_s if drive.course.held is None else self._tick_gap_s(t_ns)
-            drive = drive.advance(passed_s, odometry.pose, params.limits, self._rise_ticks())
-            if drive.finished:
-                phase, stop_reason = _STOPPING, drive.ending()
-            else:
-                target = drive.command(odometry.pose, params.tracking, params.limits)
-        command = limit(state.command, target, dt_s, params.limits)
-        guarded = state.guarded
-        if guarded is not None and phase is _DRIVING:
-            wanted = guarded.wanted(t_ns, params.guard_timeout_s)
-            command = ZERO if wanted is None else limit(state.command, wanted, dt_s, params.limits)
-        held = None if drive is None else drive.course.held
-        is_quiet = drive is not None and drive.is_quiet
-        if drive is not None and held is not None:
-            if is_quiet:  # the base may stand already: it must not be moved again by a ramp
-                command = state.command if phase is _DRIVING else ZERO
-            elif held.is_silent(t_ns, 1.0 / params.rate_hz):
-                phase, stop_reason, command = _STOPPING, stop_reason or drive.ending(), ZERO
-            elif held.is_let_go and command == ZERO and phase is _DRIVING:
-                drive = drive.completed()
-                phase, stop_reason = _STOPPING, drive.ending()
-        self.state = _new_state(
-            mode=state.mode,
-            phase=phase,
-            reason=state.reason,
-            cause=state.cause,
-            command=command,
-            tick_t_ns=t_ns,
+    def _request(self, event: ModeRequested) -> None:
+        try:
+            requested = Mode(event.requested)
+        except ValueError:
+            self._refuse(event.request_id, f"{event.requested} is not a mode: use {VALID_MODES}")
+            return
+        if requested is Mode.MOVING and self._may_not_move(event):
+            return
+        self._decide(event.t_ns, event.request_id, REQUESTS[requested], _told("requested", event))
+
+    def _decide(self, t_ns: int, request_id: int, trigger: Trigger, reason: str) -> None:
+        """Decide on a request by the table of transitions."""
+        mode = self.state.mode
+        transition = TRANSITIONS[mode, trigger]
+        match transition.guard:
+            case Guard.NEVER:
+                self._refuse_here(request_id, trigger)
+            case Guard.CAUSE_GONE:
+                self._release(t_ns, request_id, trigger, reason)
+            case Guard.RAMP_DOWN:
+                self._ramp_down(request_id, reason)
+            case Guard.START_CONDITIONS if self.params.guard:
+                self._start_guarded(t_ns, request_id, reason)
+            case Guard.START_CONDITIONS:
+                pattern = self.params.pattern
+                laps = 0 if SHAPES[pattern.kind].closed else 1
+                self._start(t_ns, request_id, pattern, PLAIN, laps, reason)
+            case Guard.NONE if transition.target is not mode:
+                self._stand(trigger, reason, _OPERATOR_CAUSES.get(transition.target))
+                self._accept(request_id, f"Mode changed to {transition.target.name}")
+            case Guard.NONE:
+                self._stay(request_id, trigger)
+
+    def _may_not_move(self, event: ModeRequested | DriveRequested) -> bool:
+        """Refuse motion that another host or another than the holder of the lease asks for."""
+        if event.remote and not self.params.remote_motion:
+            refusal = f"{event.source} was called from another host, or may have been"
+            self._refuse(event.request_id, refusal, (Remedy.ASK_HERE,))
+            return True
+        return self._is_kept_by_another(event)
+
+    def _stay(self, request_id: int, trigger: Trigger) -> None:
+        state = self.state
+        if state.phase is Phase.STOPPING:
+            self._refuse(request_id, STOPPING_REFUSAL)
+            return
+        if state.mode is not Mode.MOVING:
+            self._effects.append(PublishTwist(ZERO))
+        if trigger is Trigger.RESET:
+            self._accept(request_id, f"Nothing to reset: mode is {state.mode.name}")
+        else:
+            self._accept(request_id, f"Mode is already {state.mode.name}")
+
+    def _request_drive(self, event: DriveRequested) -> None:
+        if self._may_not_move(event):
+            return
+        state = self.state
+        refusal = event.pattern.refusal(event.course) or _laps_refusal(event.laps)
+        remedies: tuple[Remedy, ...] = ()
+        if not refusal:
+            if TRANSITIONS[state.mode, Trigger.REQUEST_MOVING].guard is Guard.NEVER:
+                self._refuse_here(event.request_id, Trigger.REQUEST_MOVING)
+                return
+            if state.phase is Phase.STOPPING:
+                refusal = STOPPING_REFUSAL
+            elif state.mode is Mode.MOVING and not event.replace:
+                refusal, remedies = "the robot is MOVING", (Remedy.STOP_OR_REPLACE,)
+        if refusal:
+            self._refuse(event.request_id, refusal, remedies)
+            return
+        reason = _told("requested", event)
+        self._start(event.t_ns, event.request_id, event.pattern, event.course, event.laps, reason)
+
+    def _start(
+        self,
+        t_ns: int,
+        request_id: int,
+        pattern: Pattern,
+        course: Course,
+        laps: int,
+        reason: str,
+    ) -> None:
+        self._notice_gap(t_ns)
+        finding = failed_start_condition(self.state.health, self.params, t_ns)
+        if finding is not None:
+            self._refuse(request_id, finding.detail, finding.remedies)
+            return
+        odometry = self.state.health.odometry
+        assert odometry is not None, "a rule refuses without odometry"
+        if course.waypoints:
+            points = local_points(course, odometry.pose)
+            course = replace(course, waypoints=points, frame=Frame.START)
+            if not path_for(pattern, course, laps).segments:
+                self._refuse(request_id, "the robot is at each point of the path already")
+                return
+        replaced = self.state.drive
+        if replaced is not None and replaced.is_quiet:  # the base may stand already
+            self.state = replace(self.state, command=ZERO)
+        self._end_drive("replaced by another drive")
+        if course.held is not None:
+            laps, course = 1, replace(course, held=course.held.begun(t_ns))
+        previous, command = self.state.mode, self.state.command
+        origin = origin_of(odometry.pose, course)
+        drive = Drive(request_id, pattern, laps, origin, course=course, begin_t_ns=t_ns)
+        # A drive that replaces another one begins at the present speed.
+        speed_mps = -command.linear if course.reverse else command.linear
+        if drive.path.segments:
+            drive = drive.begin_at(
+                speed_mps, self.params.limits, 1.0 / self.params.rate_hz, self._rise_ticks()
+            )
+        self._set_moving(reason, drive, None)
+        if previous is not Mode.MOVING:
+            self._effects.append(ModeChanged(previous, Mode.MOVING, reason))
+            self._accept(request_id, "Mode changed to MOVING")
+        else:
+            self._accept(request_id, "Drive replaced: mode is MOVING")
+
+    def _set_moving(self, reason: str, drive: Drive | None, guarded: Guarded | None) -> None:
+        """Begin a motion; the fence stands around the place of the first one."""
+        health = self.state.health
+        if health.fence_origin is None and health.odometry is not None:
+            health = replace(health, fence_origin=health.odometry.pose)
+        self.state = replace(
+            self.state,
+            mode=Mode.MOVING,
+            phase=Phase.DRIVING,
+            reason=reason,
             health=health,
+            idle_t_ns=None,
+            silent=False,
             drive=drive,
-            stop_reason=stop_reason,
-            waiting=state.waiting,
-            lease=state.lease,
             guarded=guarded,
         )
-        if phase is _STOPPING and command == ZERO:
-            self._stand(Trigger.STANDSTILL, stop_reason, None)
-        elif not is_quiet:
-            self._effects.append(PublishTwist(command))
+
+    def _start_guarded(self, t_ns: int, request_id: int, reason: str) -> None:
+        """Change to MOVING with the velocities that another node wants."""
+        self._notice_gap(t_ns)
+        finding = failed_start_condition(self.state.health, self.params, t_ns)
+        if finding is not None:
+            self._refuse(request_id, finding.detail, finding.remedies)
+        else:
+            reason = f"{reason}, guarding {self.params.guard_topic}"
+            self._set_moving(reason, None, Guarded())
+            self._effects.append(ModeChanged(Mode.IDLE, Mode.MOVING, reason))
+            self._accept(request_id, f"Mode changed to MOVING: guarding {self.params.guard_topic}")
+
+    def _ramp_down(self, request_id: int, reason: str) -> None:
+        state = self.state
+        if len(state.waiting) >= MAX_WAITING:
+            self._refuse(request_id, "too many requests wait for the stop already")
+            return
+        self.state = replace(
+            state,
+            phase=Phase.STOPPING,
+            stop_reason=state.stop_reason or reason,
+            waiting=(*state.waiting, request_id),
+        )
+
+    def _release(self, t_ns: int, request_id: int, trigger: Trigger, reason: str) -> None:
+        state = self.state
+        cause = state.cause
+        finding = None if cause is None else uncleared(cause, state.health, self.params, t_ns)
+        # A second fault that would stop the robot again at once prevents the release, too.
+        finding = finding or raised(Mode.IDLE, state.health, self.params, t_ns)
+        if finding is not None:
+            refusal = f"the cause of {state.mode.name} is not gone: {finding.detail}"
+            self._refuse(request_id, refusal, finding.remedies)
+            return
+        released = state.mode
+        self._stand(trigger, reason, None)
+        if trigger is Trigger.RESET:
+            verb = "released" if released is Mode.EMERGENCY_STOP else "cleared"
+            self._accept(request_id, f"{released.name} {verb}: mode changed to IDLE")
+        else:
+            self._accept(request_id, "Mode changed to IDLE")
+
+    def _refuse_here(self, request_id: int, trigger: Trigger) -> None:
+        """Refuse a request that the table of transitions forbids in this mode."""
+        state = self.state
+        if state.mode is Mode.MOVING:
+            self._refuse(request_id, "the robot is MOVING", (Remedy.STOP_FIRST,))
+            return
+        asked = trigger.value.removeprefix("request ")
+        refusal = f"{asked} is refused in {state.mode.name} ({state.reason})"
+        self._refuse(request_id, refusal, remedies_to_move(state.cause or Cause.OPERATOR_STOP))
+
+    # The lease
+
+    def _request_lease(self, event: LeaseRequested) -> None:
+        lease = self.state.lease
+        if not event.take and lease is None:
+            self._accept(event.request_id, "Nobody holds the lease")
+        elif lease is not None and (event.take or event.client != lease.client):
+            self._refuse_for(lease, event)
+        elif not event.take:
+            self._end_lease(f"{event.source} released the lease")
+            self._accept(event.request_id, "Lease released")
+        elif self.state.mode is Mode.MOVING:
+            self._refuse(event.request_id, "the robot is MOVING", (Remedy.STOP_FIRST,))
+        else:
+            taken = Lease(event.client, event.source, event.reason)
+            self.state = replace(self.state, lease=taken)
+            self._accept(event.request_id, "Lease taken")
+
+    def _end_lease(self, reason: str) -> None:
+        """Ramp down: after this, no client may steer."""
+        state = replace(self.state, lease=None)
+        if state.mode is Mode.MOVING:
+            stop_reason = state.stop_reason or reason
+            state = replace(state, phase=Phase.STOPPING, stop_reason=stop_reason)
+        self.state = state
+
+    def _is_kept_by_another(self, event: MotionRequest) -> bool:
+        """Refuse a request for motion if another client holds the lease; return whether it does."""
+        lease = self.state.lease
+        if lease is None or lease.client == event.client:
+            return False
+        self._refuse_for(lease, event)
+        return True
+
+    def _refuse_for(self, lease: Lease, event: MotionRequest) -> None:
+        why = f" ({lease.reason})" if lease.reason else ""
+        refusal = f"{lease.source} holds the lease{why}, and {event.source} asked"
+        self._refuse(event.request_id, refusal, (Remedy.WAIT_FOR_LEASE,))
+
+    # Parameters
+
+    def _request_parameter(self, event: ParameterRequested) -> None:
+        leaf = kernel_leaves().get(event.key)
+        change = Change.STANDING if leaf is None else leaf.declared.metadata["change"]
+        if change is Change.START:
+            self._refuse(event.request_id, f"{event.key} changes at a start only")
+            return
+        if change is Change.STANDING and self.state.mode is Mode.MOVING:
+            text = f"{event.key} does not change while the robot is MOVING"
+            self._refuse(event.request_id, text, (Remedy.STOP_FIRST,))
+            return
+        if leaf is not None:
+            now = text_of(value_at(self.params, leaf.path))
+            if now != event.old:
+                self._refuse(event.request_id, f"{event.key} is {now}, not {event.old}")
+                return
+            params = self._changed_params(event)
+            if params is None:
+                return
+            self.params = params
+        if event.new != event.old:
+            self._effects.append(ParameterChanged(event.key, event.old, event.new, event.source))
+        self._accept(event.request_id, f"{event.key} is {event.new}")
+
+    def _changed_params(self, event: ParameterRequested) -> KernelParams | None:
+        """Return the new parameters; refuse the request and return None if they are not allowed."""
+        try:
+            params = with_text(self.params, event.key, event.new)
+        except ValueError as error:
+            self._refuse(event.request_id, str(error))
+            return None
+        clash = conflict(params)
+        if clash is not None:
+            refusal = f"{clash.key}: {clash.value} is not allowed: {clash.allowed}"
+            self._refuse(event.request_id, refusal)
+            return None
+        return params
+
+    # The mode
+
+    def _raise_fault(self, t_ns: int) -> None:
+        finding = raised(self.state.mode, self.state.health, self.params, t_ns)
+        if finding is not None:
+            self._stop_for(finding)
+
+    def _stop_for(self, finding: Finding) -> None:
+        self._stand(FAULT_TRIGGERS[finding.rule.action], finding.detail, finding.cause)
+
+    def _stand(self, trigger: Trigger, reason: str, cause: Cause | None) -> None:
+        """Make the transition of `trigger` with the command exactly zero; reply to all who wait."""
+        previous = self.state.mode
+        target = TRANSITIONS[previous, trigger].target
+        self._effects.append(PublishTwist(ZERO))
+        if target is Mode.EMERGENCY_STOP:
+            self._effects.append(LatchEmergencyStop(reason, cause))
+        elif previous is Mode.EMERGENCY_STOP:
+            self._effects.append(ReleaseEmergencyStop())
+        waiting = self.state.waiting
+        completed = self.state.drive is not None and self.state.drive.finished
+        self.state = replace(
+            self.state,
+            mode=target,
+            phase=Phase.STANDING,
+            reason=reason,
+            cause=cause,
+            command=ZERO,
+            stop_reason="",
+            waiting=(),
+            idle_t_ns=None,
+            silent=False,
+            guarded=None,
+        )
+        self._effects.append(ModeChanged(previous, target, reason, cause))
+        self._end_drive(reason, cause, completed=completed and target is Mode.IDLE)
+        for request_id in waiting:
+            if target is Mode.IDLE:
+                self._accept(request_id, "Mode changed to IDLE")
+            else:
+                refusal = f"the mode became {target.name}: {reason}"
+                self._refuse(request_id, refusal, remedies_for(cause))
+
+    def _end_drive(
+        self, reason: str, cause: Cause | None = None, *, completed: bool = False
+    ) -> None:
+        state = self.state
+        if state.drive is None:
+            return
+        t_ns = state.drive.begin_t_ns if state.tick_t_ns is None else state.tick_t_ns
+        self._effects.append(
+            DriveEnded(state.drive.request_id, completed, reason, state.drive.report(t_ns), cause)
+        )
+        health = replace(state.health, path_error_m=0.0)
+        self.state = replace(state, drive=None, health=health, stop_reason="")
+
+    def _accept(self, request_id: int, message: str) -> None:
+        self._effects.append(Reply(request_id, True, message, self.state.mode))
+
+    def _refuse(self, request_id: int, message: str, remedies: tuple[Remedy, ...] = ()) -> None:
+        self._effects.append(Reply(request_id, False, message, self.state.mode, remedies))
+
+
+def _told(what: str, event: ModeRequested | ResetRequested | DriveRequested) -> str:
+    """Return who asked, and why."""
+    by = f"{what} by {event.source}"
+    return f"{by}: {event.reason}" if event.reason else by
+
+
+def _laps_refusal(laps: int) -> str:
+    if 0 <= laps <= MAX_LAPS:
+        return ""
+    return f"{laps} laps: use 0 (until stopped) to {MAX_LAPS}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import copysign, isfinite
 
 from robotctl.kernel.params import VelocityLimits
-from robotctl.kernel.types import Twist, new_twist
+from robotctl.kernel.types import Twist
 
 
 def clamp(value: float, bound: float) -> float:
@@ -32,7 +32,7 @@ def limit(current: Twist, target: Twist, dt_s: float, limits: VelocityLimits) ->
     """Return the command nearest to `target` that is allowed `dt_s` seconds after `current`."""
     linear = clamp(target.linear, limits.linear_mps)
     angular = clamp(target.angular, limits.angular_rps)
-    return new_twist(
+    return Twist(
         _approach(current.linear, linear, limits.linear_accel_mps2 * dt_s),
         _approach(current.angular, angular, limits.angular_accel_rps2 * dt_s),
     )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import lru_cache
 from math import atan2, cos, hypot, inf, pi, sin, tau
 
-from robotctl.kernel.ranges import Change, bounded, setting, topic
-from robotctl.kernel.safety_inputs import Use
+from robotctl.kernel.health import Scan
+from robotctl.kernel.params import KernelParams, ScanParams
 from robotctl.kernel.types import Twist
 
 STRAIGHT_RADIUS_M = 1e3
@@ -20,23 +20,27 @@ STANDING_MPS = 1e-3
 """A slower command only turns."""
 
 
-@dataclass(frozen=True, slots=True)
-class ScanParams:
-    """A sensor_msgs/LaserScan topic, where the scanner sits, and how large the robot is.
+def look_ahead(t_ns: int, sectors: tuple[float, ...], command: Twist, params: KernelParams) -> Scan:
+    """Return a scan with the distance to what is in the path of a command."""
+    ahead_m = distance_ahead(sectors, command, params.scan, _reach_m(command.linear, params))
+    return Scan(t_ns, sectors, min(sectors, default=inf), ahead_m)
 
-    The robot is a rectangle around its centre. It stops for what is nearer than `stop_distance_m`
-    to its front, plus the braking distance, in the area that it will pass.
-    """
 
-    use: Use = setting(Use.OFF, "obstacles in a laser scan", Change.START)
-    topic: str = topic("scan", "its topic")
-    timeout_s: float = bounded(0.5, 0.05, 60.0, "s", "silence after which it is lost", Change.START)
-    stop_distance_m: float = bounded(0.3, 0.0, 10.0, "m", "distance at which the robot stops")
-    half_width_m: float = bounded(0.25, 0.01, 10.0, "m", "from the centre to a side")
-    half_length_m: float = bounded(0.25, 0.01, 10.0, "m", "from the centre to the front")
-    x_m: float = bounded(0.0, -10.0, 10.0, "m", "scanner ahead of the centre")
-    y_m: float = bounded(0.0, -10.0, 10.0, "m", "scanner left of the centre")
-    yaw_rad: float = bounded(0.0, -3.2, 3.2, "rad", "direction of the scanner, to the left")
+def look_again(scan: Scan, command: Twist, params: KernelParams) -> Scan:
+    """Return a scan with the distance to what is in the path of another command."""
+    reach_m, ahead_m = _reach_m(command.linear, params), inf
+    if not scan.nearest_m > farthest_m(params.scan, reach_m):  # so that NaN is looked at
+        far_m = _reach_m(params.limits.linear_mps, params)
+        free_m = free_beside_m(scan.sectors, params.scan, far_m)
+        if not is_free(free_m, command, params.scan, reach_m):
+            ahead_m = distance_ahead(scan.sectors, command, params.scan, reach_m)
+    return scan if ahead_m == scan.ahead_m else replace(scan, ahead_m=ahead_m)
+
+
+def _reach_m(speed_mps: float, params: KernelParams) -> float:
+    """Return how far ahead of the robot nothing may be: stop and braking distance."""
+    braking_m = speed_mps * speed_mps / (2.0 * params.limits.linear_accel_mps2)
+    return params.scan.stop_distance_m + braking_m
 
 
 def distance_ahead(

@@ -1,4 +1,4 @@
-"""Which odometry samples are possible, which are new, and which publisher is followed."""
+"""What a sample of odometry means: possible or not, new or not, and whose is followed."""
 
 from __future__ import annotations
 
@@ -7,12 +7,44 @@ from math import isfinite
 
 from robotctl.kernel.geometry import wrap_angle
 from robotctl.kernel.health import Health, OdometrySources, SecondOdometry
+from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import OdometryParams
-from robotctl.kernel.types import Odometry, OdometrySourceFound, OdomReceived
+from robotctl.kernel.state import State
+from robotctl.kernel.types import Odometry, OdometrySourceFound, OdomReceived, Phase, changed
 from robotctl.kernel.units import NS_PER_S
 
 MAX_NAMED_SOURCES = 16
 """How many names of odometry publishers are kept: their number has no limit."""
+
+
+def with_odometry(state: State, event: OdomReceived, params: OdometryParams) -> State:
+    """Return the state with a sample; while MOVING, an impossible one is dropped and counted."""
+    odometry, health, moving = event.odometry, state.health, state.mode is Mode.MOVING
+    sources = health.odometry_sources
+    if event.source != sources.followed:
+        if moving or not may_follow(health, event, params):
+            return replace(state, health=replace(health, odometry_sources=dropped(health, event)))
+        sources = replace(sources, followed=event.source, second=None)
+    fault = odometry_fault(health, odometry, params)
+    drive, error_m, last = state.drive, health.path_error_m, health.odometry
+    if drive is not None and last is not None and not fault:
+        drive = drive.measured(odometry.pose, last.pose.distance(odometry.pose))
+        # While the robot ramps down the reference stands still: the distance is no error.
+        error_m = drive.score.error_m if state.phase is Phase.DRIVING else 0.0
+    unusable = fault and (moving or not is_finite(odometry))
+    if unusable:
+        sources = replace(sources, dropped=sources.dropped + 1)
+    is_news = not fault and not is_repeated(health, odometry)
+    health = changed(
+        health,
+        odometry=last if unusable else odometry,
+        odometry_t_ns=event.t_ns if is_news else health.odometry_t_ns,
+        odometry_stamp_ns=odometry.stamp_ns,
+        odometry_fault=fault,
+        path_error_m=error_m,
+        odometry_sources=sources,
+    )
+    return changed(state, health=health, drive=drive)
 
 
 def odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -> str:

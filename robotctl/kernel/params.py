@@ -9,10 +9,9 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from robotctl.kernel.fence import FenceParams
-from robotctl.kernel.obstacles import ScanParams
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.ranges import Change, bounded, frame, setting, topic
-from robotctl.kernel.safety_inputs import SafetyInputParams
+from robotctl.kernel.safety_inputs import SafetyInputParams, Use
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +152,25 @@ class BatteryParams:
     )
     warn_level: float = bounded(0.30, 0.0, 1.0, about="level below which `status` warns")
     timeout_s: float = bounded(5.0, 0.5, 600.0, "s", "age at which the level counts as unknown")
+
+
+@dataclass(frozen=True, slots=True)
+class ScanParams:
+    """A sensor_msgs/LaserScan topic, where the scanner sits, and how large the robot is.
+
+    The robot is a rectangle around its centre. It stops for what is nearer than `stop_distance_m`
+    to its front, plus the braking distance, in the area that it will pass.
+    """
+
+    use: Use = setting(Use.OFF, "obstacles in a laser scan", Change.START)
+    topic: str = topic("scan", "its topic")
+    timeout_s: float = bounded(0.5, 0.05, 60.0, "s", "silence after which it is lost", Change.START)
+    stop_distance_m: float = bounded(0.3, 0.0, 10.0, "m", "distance at which the robot stops")
+    half_width_m: float = bounded(0.25, 0.01, 10.0, "m", "from the centre to a side")
+    half_length_m: float = bounded(0.25, 0.01, 10.0, "m", "from the centre to the front")
+    x_m: float = bounded(0.0, -10.0, 10.0, "m", "scanner ahead of the centre")
+    y_m: float = bounded(0.0, -10.0, 10.0, "m", "scanner left of the centre")
+    yaw_rad: float = bounded(0.0, -3.2, 3.2, "rad", "direction of the scanner, to the left")
 
 
 @dataclass(frozen=True, slots=True)

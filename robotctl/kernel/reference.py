@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import fsum, nan, sqrt
 
-from robotctl.kernel.quick_init import maker, quick_init
 from robotctl.kernel.speed_plan import Leg
 
 SETTLE_S = 0.6
@@ -22,7 +21,6 @@ ARRIVED = 1e-9
 one so little ahead is where the reference is, and a reference that is slower per second stands."""
 
 
-@quick_init
 @dataclass(frozen=True, slots=True)
 class Progress:
     """How far the reference has come.
@@ -93,7 +91,7 @@ def advanced(
     part = min(rate * dt_s, ahead)
     ahead -= part
     if stands and (ahead < ARRIVED or rate < ARRIVED):
-        return _new_progress(lap, index, leg.length, rate, at.settling_s, at.closure_m), True
+        return Progress(lap, index, leg.length, rate, at.settling_s, at.closure_m), True
     index, lap, length = at.segment, at.laps, at.length + part
     leg = legs[index]
     while length >= leg.length:
@@ -103,9 +101,8 @@ def advanced(
             index, lap = 0, lap + 1
         leg = legs[index]
     accel = (rate - at.speed) / dt_s
-    at = _new_progress(lap, index, length, rate, 0.0, at.closure_m, ahead, speed, rates, accel)
+    at = Progress(lap, index, length, rate, 0.0, at.closure_m, ahead, speed, rates, accel)
     return at, False
 
 
 START = Progress()
-_new_progress = maker(Progress)

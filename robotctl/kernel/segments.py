@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from math import atan2, cos, hypot, sin, tau
 from typing import Protocol
 
-from robotctl.kernel.geometry import Pose, new_pose, wrap_angle
+from robotctl.kernel.geometry import Pose, wrap_angle
 
 
 class Segment(Protocol):
@@ -48,9 +48,7 @@ class Line:
     def pose_at(self, length: float) -> Pose:
         """Return the pose at `length` m from the start."""
         theta = self.start.theta
-        return new_pose(
-            self.start.x + length * cos(theta), self.start.y + length * sin(theta), theta
-        )
+        return Pose(self.start.x + length * cos(theta), self.start.y + length * sin(theta), theta)
 
     def curvature_at(self, length: float) -> float:
         """Return 0: a line is straight."""
@@ -76,7 +74,7 @@ class Turn:
 
     def pose_at(self, length: float) -> Pose:
         """Return the pose after turning `length` rad."""
-        return new_pose(self.start.x, self.start.y, self.start.theta + self.side * length)
+        return Pose(self.start.x, self.start.y, self.start.theta + self.side * length)
 
     def curvature_at(self, length: float) -> float:
         """Return the side."""
@@ -107,7 +105,7 @@ class Circle:
     def pose_at(self, length: float) -> Pose:
         """Return the pose at `length` m along the circle."""
         theta = length / self.radius
-        return new_pose(self.radius * sin(theta), self.radius * (1.0 - cos(theta)), theta)
+        return Pose(self.radius * sin(theta), self.radius * (1.0 - cos(theta)), theta)
 
     def curvature_at(self, length: float) -> float:
         """Return the curvature, the same everywhere [1/m]."""

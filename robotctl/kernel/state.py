@@ -9,12 +9,10 @@ from robotctl.kernel.guard import Guarded
 from robotctl.kernel.health import UNKNOWN, Health
 from robotctl.kernel.lease import Lease
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.quick_init import quick_init
 from robotctl.kernel.types import ZERO, Cause, Phase, Twist
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class State:
     """The whole memory of the kernel: state, parameters and events determine every later effect.
 

@@ -14,11 +14,9 @@ from math import cos, sin
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.limits import clamp
 from robotctl.kernel.params import TrackingParams, VelocityLimits
-from robotctl.kernel.quick_init import maker, quick_init
-from robotctl.kernel.types import Twist, new_twist
+from robotctl.kernel.types import Twist
 
 
-@quick_init
 @dataclass(frozen=True, slots=True)
 class Reference:
     """The pose that the robot should have now, and how the reference moves.
@@ -33,16 +31,12 @@ class Reference:
     turning: float
 
 
-new_reference = maker(Reference)
-"""Makes a reference in less time than the class."""
-
-
 def track(reference: Reference, pose: Pose, gains: TrackingParams, limits: VelocityLimits) -> Twist:
     """Return the command that brings a robot at `pose` to the moving reference."""
     error = pose.express(reference.pose)
     sinc = sin(error.theta) / error.theta if abs(error.theta) > 1e-6 else 1.0
     linear = clamp(reference.linear * cos(error.theta) + gains.k_x * error.x, limits.linear_mps)
-    return new_twist(
+    return Twist(
         linear,
         reference.turning
         + reference.curvature * linear

@@ -85,7 +85,7 @@ REGRESSIONS = (
     ),
     SourceChange(
         "a replacing drive begins at rest",
-        "request_control.py",
+        "kernel.py",
         "speed_mps = -command.linear if course.reverse else command.linear",
         "speed_mps = 0.0",
     ),
@@ -97,7 +97,7 @@ REGRESSIONS = (
     ),
     SourceChange(
         "a hanging odometry counts as new",
-        "kernel.py",
+        "odometry.py",
         "is_news = not fault and not is_repeated(health, odometry)",
         "is_news = not fault",
     ),
@@ -127,20 +127,20 @@ REGRESSIONS = (
     ),
     SourceChange(
         "an operator's stop is not latched",
-        "mode_control.py",
+        "kernel.py",
         "self._effects.append(LatchEmergencyStop(reason, cause))",
         "if cause is not Cause.OPERATOR_STOP:\n"
         "                self._effects.append(LatchEmergencyStop(reason, cause))",
     ),
     SourceChange(
         "the lease keeps nobody away",
-        "lease_control.py",
+        "kernel.py",
         "if lease is None or lease.client == event.client:",
         "if lease is None or lease.client != 0:",
     ),
     SourceChange(
         "a limit changes in motion",
-        "parameter_control.py",
+        "kernel.py",
         "if change is Change.STANDING and self.state.mode is Mode.MOVING:",
         "if change is Change.STANDING and leaf is None and self.state.mode is Mode.MOVING:",
     ),
@@ -152,7 +152,7 @@ REGRESSIONS = (
     ),
     SourceChange(
         "the reference goes on through a stall",
-        "knowledge.py",
+        "kernel.py",
         "drive = None if state.drive is None else state.drive.from_standstill()",
         "drive = state.drive",
     ),
@@ -241,17 +241,19 @@ HARMLESS = (
     ),
     SourceChange(
         "De Morgan",
-        "kernel.py",
+        "odometry.py",
         "is_news = not fault and not is_repeated(health, odometry)",
         "is_news = not (fault or is_repeated(health, odometry))",
     ),
     SourceChange(
         "two independent lines change places",
         "kernel.py",
-        "        held = None if drive is None else drive.course.held\n"
-        "        is_quiet = drive is not None and drive.is_quiet\n",
-        "        is_quiet = drive is not None and drive.is_quiet\n"
-        "        held = None if drive is None else drive.course.held\n",
+        "        stalls = Stalls(state.health.stalls.count + 1, event.t_ns, event.stalled_s, "
+        "event.detail)\n"
+        "        drive = None if state.drive is None else state.drive.from_standstill()\n",
+        "        drive = None if state.drive is None else state.drive.from_standstill()\n"
+        "        stalls = Stalls(state.health.stalls.count + 1, event.t_ns, event.stalled_s, "
+        "event.detail)\n",
     ),
     SourceChange(
         "all() in place of and",
@@ -264,7 +266,7 @@ HARMLESS = (
     ),
     SourceChange(
         "a variable for the answer",
-        "lease_control.py",
+        "kernel.py",
         "            return False\n        self._refuse_for(lease, event)\n        return True",
         "            kept = False\n            return kept\n"
         "        self._refuse_for(lease, event)\n        return True",

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import pytest
 
-from robotctl.kernel import mode_control, request_control
+from robotctl.kernel import kernel
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Transition, Trigger
 from robotctl.kernel.types import (
     Cause,
@@ -157,8 +157,7 @@ def test_every_mutated_row_is_caught(
     mode, trigger = key
     request = "reset" if trigger is Trigger.RESET else trigger.value.removeprefix("request ")
     healthy, ill = in_mode(mode), faulty(mode)
-    for module in (mode_control, request_control):
-        monkeypatch.setattr(module, "TRANSITIONS", mutated)
+    monkeypatch.setattr(kernel, "TRANSITIONS", mutated)
     try:
         lived = outcome(healthy, request), outcome(ill, request)
     except AssertionError:

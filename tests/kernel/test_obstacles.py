@@ -13,7 +13,6 @@ from robotctl.kernel.health import Health, Scan
 from robotctl.kernel.input_checks import scan_lost
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.obstacles import (
-    ScanParams,
     _along_path,
     _points,
     _side_m,
@@ -22,7 +21,7 @@ from robotctl.kernel.obstacles import (
     free_beside_m,
     is_free,
 )
-from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.params import KernelParams, ScanParams, VelocityLimits
 from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.types import Cause, ScanReceived, Twist
 from robotctl.kernel.units import NS_PER_S

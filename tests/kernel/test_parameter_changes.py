@@ -8,10 +8,9 @@ from typing import Any
 import pytest
 
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.obstacles import ScanParams
 from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
 from robotctl.kernel.parameters import Conflict, conflict
-from robotctl.kernel.params import CommandParams, Foreign, KernelParams, WhenIdle
+from robotctl.kernel.params import CommandParams, Foreign, KernelParams, ScanParams, WhenIdle
 from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety_inputs import SafetyInput, Use

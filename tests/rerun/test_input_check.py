@@ -12,8 +12,7 @@ import pytest
 
 from robotctl.config import Config
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.obstacles import ScanParams
-from robotctl.kernel.params import KernelParams
+from robotctl.kernel.params import KernelParams, ScanParams
 from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.types import (
     Event,

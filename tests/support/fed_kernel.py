@@ -12,8 +12,7 @@ from robotctl.kernel.fence import FenceParams
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.obstacles import ScanParams
-from robotctl.kernel.params import KernelParams, TrackingParams
+from robotctl.kernel.params import KernelParams, ScanParams, TrackingParams
 from robotctl.kernel.path import Path
 from robotctl.kernel.patterns import Pattern, PatternKind, path_of
 from robotctl.kernel.safety_inputs import SafetyInput, SafetyInputParams, Use

@@ -37,7 +37,7 @@ from robotctl.kernel.types.values import (
     Odometry,
     Phase,
     Twist,
-    new_twist,
+    changed,
 )
 
 __all__ = [
@@ -73,5 +73,5 @@ __all__ = [
     "ScanReceived",
     "Tick",
     "Twist",
-    "new_twist",
+    "changed",
 ]

@@ -7,12 +7,10 @@ from math import nan
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterChanged
-from robotctl.kernel.quick_init import quick_init
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.types.values import Cause, Twist
 
 
-@quick_init
 @dataclass(frozen=True, slots=True)
 class PublishTwist:
     """A velocity command to send to the robot."""

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any, ClassVar, Protocol, TypeVar
 
 from robotctl.kernel.geometry import Pose
-from robotctl.kernel.quick_init import maker, quick_init
 
 
-@quick_init
 @dataclass(frozen=True, slots=True)
 class Twist:
     """A velocity in the robot's own frame: linear [m/s] forward, angular [rad/s] to the left."""
@@ -20,11 +19,7 @@ class Twist:
 
 ZERO = Twist()
 
-new_twist = maker(Twist)
-"""Makes a twist in less time than the class."""
 
-
-@quick_init
 @dataclass(frozen=True, slots=True)
 class Odometry:
     """A sample of odometry: pose in the `odom` frame, velocity in the robot's own, header stamp."""
@@ -32,6 +27,24 @@ class Odometry:
     pose: Pose
     velocity: Twist
     stamp_ns: int
+
+
+class _Dataclass(Protocol):
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+
+T = TypeVar("T", bound=_Dataclass)
+
+
+def changed(value: T, **changes: Any) -> T:
+    """Return a copy of a frozen dataclass without slots, with other values of some fields.
+
+    What each step copies is copied by this: `dataclasses.replace` takes four times as long.
+    """
+    copy = object.__new__(type(value))
+    assert changes.keys() <= value.__dataclass_fields__.keys(), changes
+    object.__setattr__(copy, "__dict__", value.__dict__ | changes)
+    return copy
 
 
 class Cause(Enum):
