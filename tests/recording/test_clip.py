@@ -1,8 +1,17 @@
-"""A clip stands alone: it holds its window, latched messages, and a journal that can be checked."""
+"""A clip stands alone: it holds its window, latched messages, and a journal that can be checked.
+
+A clip of a live recording waits for the end of its window, and no longer.
+A clip is compared with its source: each message, and all else that it took from there.
+"""
 
 from __future__ import annotations
 
 import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -10,20 +19,44 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
-from robotctl.errors import Refused
+from robotctl.cli import app
+from robotctl.errors import Refused, UnreadableFile
 from robotctl.kernel.types import Twist
+from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.motion import encode_twist
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic, read_info, read_messages
 from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.format import rosbag2
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
-from robotctl.recording.format.names import EventKind
+from robotctl.recording.format.names import (
+    CLIP_RECORD,
+    EVENT_RECORD,
+    INFO_RECORD,
+    SOFTWARE_RECORD,
+    EventKind,
+)
 from robotctl.recording.format.recorded_events import RecordedEvent
+from robotctl.recording.keep import clip_job
 from robotctl.recording.keep.clip import Clip, Moment, cut_clip
+from robotctl.recording.keep.clip_job import ClipJob, make_clip, remaining_s
+from robotctl.recording.keep.clip_origin import compare_with_source
+from robotctl.recording.keep.listing import list_recording
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
-from robotctl.testing.drives import BEGIN_NS, GID, JOURNAL, QOS, START_NS, TWIST, Written, drive
+from robotctl.testing.drives import (
+    BEGIN_NS,
+    GID,
+    JOURNAL,
+    QOS,
+    START_NS,
+    TWIST,
+    Written,
+    drive,
+    record,
+)
 from tests.support.bags import LATCHED, STRING, VOLATILE, Line, text, write_bag
-from tests.support.recordings import read_strictly
+from tests.support.edited_recordings import Contents, contents_of, write_contents
+from tests.support.recordings import numbered, read_strictly, write_numbered
 from tests.support.waiting import until, until_longer
 
 DURATION_S = 40.0
@@ -41,7 +74,7 @@ def driven() -> list[Written]:
     return drive(DURATION_S, snapshots_s=(0.0, 30.0))
 
 
-def record(folder: Path, driven: list[Written], *splits_s: float) -> Recorder:
+def record_drive(folder: Path, driven: list[Written], *splits_s: float) -> Recorder:
     """Record a drive with its commands, two maps, and an event every 10 s; do not close the
     recorder.
     """
@@ -78,9 +111,9 @@ def record(folder: Path, driven: list[Written], *splits_s: float) -> Recorder:
 
 
 @pytest.fixture(scope="module")
-def recording(driven: list[Written], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def driven_recording(driven: list[Written], tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recordings") / "run"
-    record(folder, driven, 12.0, 24.0).close()
+    record_drive(folder, driven, 12.0, 24.0).close()
     return folder
 
 
@@ -91,15 +124,15 @@ def clip(source: Path, target: Path, start_s: float, end_s: float) -> Clip:
 
 @pytest.mark.parametrize("window", [(5.0, 10.0), (20.0, 35.0), (31.0, 32.0), (12.0, 24.0)])
 def test_a_clip_holds_its_window_and_what_is_latched(
-    recording: Path, tmp_path: Path, window: tuple[float, float]
+    driven_recording: Path, tmp_path: Path, window: tuple[float, float]
 ) -> None:
     target = tmp_path / "clip.mcap"
-    made = clip(recording, target, *window)
+    made = clip(driven_recording, target, *window)
     start_ns, end_ns = made.start_ns, made.end_ns
     assert (start_ns, end_ns) == (at_ns(window[0]), at_ns(window[1]))
     stored = read_strictly(target)
     assert len(stored) == made.message_count == read_info(target).message_count
-    whole = [m for m in read_messages(recording) if start_ns <= m.log_ns <= end_ns]
+    whole = [m for m in read_messages(driven_recording) if start_ns <= m.log_ns <= end_ns]
     for topic in ("/cmd_vel", "/robotctl/journal"):
         assert [(m.data, m.log_ns, m.sequence) for m in stored if m.topic == topic][
             -sum(m.topic == topic for m in whole) :
@@ -125,9 +158,9 @@ def test_a_clip_holds_once_what_a_file_repeats_before_it_came(tmp_path: Path) ->
     assert [each.data for each in stored if each.topic == "/map"] == [text("a"), text("b")]
 
 
-def test_a_clip_says_of_what_it_is_one(recording: Path, tmp_path: Path) -> None:
+def test_a_clip_says_of_what_it_is_one(driven_recording: Path, tmp_path: Path) -> None:
     target = tmp_path / "clip.mcap"
-    with Recording(recording) as source:
+    with Recording(driven_recording) as source:
         moment = Moment.of(source.info().events[1])
         cut_clip(source, moment, (at_ns(15), at_ns(25)), target)
     info = read_info(target)
@@ -151,25 +184,28 @@ def test_a_clip_says_of_what_it_is_one(recording: Path, tmp_path: Path) -> None:
 @settings(max_examples=25)
 @given(start_s=st.floats(0.0, DURATION_S), length_s=st.floats(0.05, 10.0))
 def test_whatever_is_cut_a_fresh_kernel_decides_it_the_same(
-    recording: Path, tmp_path_factory: pytest.TempPathFactory, start_s: float, length_s: float
+    driven_recording: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    start_s: float,
+    length_s: float,
 ) -> None:
     target = tmp_path_factory.mktemp("clips") / "clip.mcap"
-    clip(recording, target, start_s, start_s + length_s)
+    clip(driven_recording, target, start_s, start_s + length_s)
     report = check_recording(target)
     assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
     assert report.events > 0
 
 
-def test_a_clip_of_a_clip_is_one_as_well(recording: Path, tmp_path: Path) -> None:
+def test_a_clip_of_a_clip_is_one_as_well(driven_recording: Path, tmp_path: Path) -> None:
     outer, inner = tmp_path / "outer.mcap", tmp_path / "inner.mcap"
-    clip(recording, outer, 10, 30)
+    clip(driven_recording, outer, 10, 30)
     clip(outer, inner, 15, 20)
     assert check_recording(inner).verdict is Verdict.SAME
     assert read_info(inner).metadata["robotctl.clip"]["of"] == "outer.mcap"
 
 
 def test_a_recording_that_goes_on_can_be_cut(driven: list[Written], tmp_path: Path) -> None:
-    recorder = record(tmp_path / "run", driven)
+    recorder = record_drive(tmp_path / "run", driven)
     try:
         until(lambda: recorder.stats().queued == 0)
         made = clip(tmp_path / "run", tmp_path / "clip.mcap", 20, 25)
@@ -204,33 +240,33 @@ def test_names_that_are_no_text_are_written_escaped(tmp_path: Path) -> None:
     assert read_info(target).metadata["robotctl.clip"]["of"] == r"caf\udce9.mcap"
 
 
-def test_a_time_without_messages_is_refused(recording: Path, tmp_path: Path) -> None:
+def test_a_time_without_messages_is_refused(driven_recording: Path, tmp_path: Path) -> None:
     with pytest.raises(Refused, match="has no messages in that time range"):
-        clip(recording, tmp_path / "clip.mcap", 100, 200)
+        clip(driven_recording, tmp_path / "clip.mcap", 100, 200)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_there_already_is_not_overwritten(recording: Path, tmp_path: Path) -> None:
+def test_what_is_there_already_is_not_overwritten(driven_recording: Path, tmp_path: Path) -> None:
     (tmp_path / "clip.mcap").write_text("mine")
     with pytest.raises(Refused, match="File exists"):
-        clip(recording, tmp_path / "clip.mcap", 5, 10)
+        clip(driven_recording, tmp_path / "clip.mcap", 5, 10)
     assert (tmp_path / "clip.mcap").read_text() == "mine"
 
 
 def test_a_disk_that_fails_leaves_no_half_clip(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    driven_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(DiskFile, "sync", fail)
     with pytest.raises(Refused, match="No space left"):
-        clip(recording, tmp_path / "clip.mcap", 5, 10)
+        clip(driven_recording, tmp_path / "clip.mcap", 5, 10)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_what_of_the_window_cannot_be_read_is_said(driven: list[Written], tmp_path: Path) -> None:
-    path = record(tmp_path / "run", driven).close().file
+    path = record_drive(tmp_path / "run", driven).close().file
     with Recording(path) as source:
         places = [p for p in source._files[0].index.places if at_ns(20) <= p.start_ns < at_ns(21)]
     data = bytearray(path.read_bytes())
@@ -241,3 +277,288 @@ def test_what_of_the_window_cannot_be_read_is_said(driven: list[Written], tmp_pa
     assert "are lost" in lost
     assert read_info(made.target).metadata["robotctl.clip"]["lost"] == lost
     assert clip(path, tmp_path / "other.mcap", 31, 35).lost == ()
+
+
+def test_what_comes_after_the_event_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clip_job, "PATIENCE_S", 30.0)
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    channel, moment = recorder.add_topic(TWIST), Moment(time.time_ns(), EventKind.ERROR, "now")
+    job = ClipJob(tmp_path / "run", moment, before_s=5.0, after_s=1.0)
+    written: list[int] = []
+    with ThreadPoolExecutor(1) as thread:
+        try:
+            recorder.write(channel, numbered(0), moment.log_ns, 0, 0, GID)
+            assert remaining_s(job, list_recording(job.source)) > 0
+            making = thread.submit(make_clip, job)
+            while not making.done():
+                now_ns = time.time_ns()
+                recorder.write(channel, numbered(0), now_ns, 0, 0, GID)
+                written.append(now_ns)
+                time.sleep(0.01)
+            made = making.result()
+        finally:
+            recorder.close()
+    due = [at_ns for at_ns in (moment.log_ns, *written) if at_ns <= job.end_ns]
+    assert [m.log_ns for m in read_strictly(made.target)] == due
+    assert remaining_s(job, list_recording(job.source)) == 0
+
+
+def test_a_recording_that_has_ended_is_not_waited_for(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    now_ns = time.time_ns()
+    recorder.write(recorder.add_topic(TWIST), numbered(0), now_ns, 0, 0, GID)
+    recorder.close()
+    job = ClipJob(tmp_path / "run", Moment(now_ns), before_s=5.0, after_s=3600.0)
+    assert remaining_s(job, list_recording(job.source)) == 0
+    assert make_clip(job).message_count == 1
+
+
+def test_a_recording_that_has_fallen_silent_is_not_waited_for_without_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clip_job, "PATIENCE_S", 0.2)
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    try:
+        now_ns = time.time_ns()
+        recorder.write(recorder.add_topic(TWIST), numbered(0), now_ns, 0, 0, GID)
+        job = ClipJob(tmp_path / "run", Moment(now_ns), before_s=5.0, after_s=0.3)
+        assert make_clip(job).message_count == 1
+    finally:
+        recorder.close()
+
+
+def test_a_clock_that_was_set_back_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clip_job, "PATIENCE_S", 0.2)
+    in_an_hour_ns = time.time_ns() + 3600 * 10**9
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    try:
+        recorder.write(recorder.add_topic(TWIST), numbered(0), in_an_hour_ns, 0, 0, GID)
+        job = ClipJob(tmp_path / "run", Moment(in_an_hour_ns), before_s=5.0, after_s=0.3)
+        assert make_clip(job).message_count == 1
+    finally:
+        recorder.close()
+
+
+def test_a_clip_without_a_name_finds_a_free_one(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    recorder.write(recorder.add_topic(TWIST), numbered(0), 10**18, 0, 0, GID)
+    file = recorder.close().file
+    moment = Moment(10**18, EventKind.EMERGENCY_STOP)
+    at = time.strftime("%H%M%S", time.localtime(10**9))
+    targets = [make_clip(ClipJob(tmp_path / "run", moment, 1, 1)).target for _ in range(3)]
+    clips = tmp_path / "run" / "clips"
+    assert targets == [
+        clips / f"run_estop_{at}.mcap",
+        clips / f"run_estop_{at}-2.mcap",
+        clips / f"run_estop_{at}-3.mcap",
+    ]
+    assert make_clip(ClipJob(file, moment, 1, 1)).target == clips / f"run_0_estop_{at}.mcap"
+    assert read_info(tmp_path / "run").message_count == 1
+
+
+def test_a_file_in_the_place_of_the_folder_of_clips_is_named(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    recorder.write(recorder.add_topic(TWIST), numbered(0), 10**18, 0, 0, GID)
+    recorder.close()
+    (tmp_path / "run" / "clips").write_text("mine")
+    with pytest.raises(Refused, match=r"cannot write into .*clips: File exists"):
+        make_clip(ClipJob(tmp_path / "run", Moment(10**18), 1, 1))
+
+
+WRITTEN = drive(3.0, snapshots_s=(0.0, 1.5))
+MIDDLE_NS = START_NS + BEGIN_NS + 2 * NS_PER_S
+
+
+def clip_of(folder: Path, target: Path) -> Path:
+    """Cut the second from 1.5 s to 2.5 s."""
+    window = (MIDDLE_NS - NS_PER_S // 2, MIDDLE_NS + NS_PER_S // 2)
+    with Recording(folder) as recording:
+        cut_clip(recording, Moment(MIDDLE_NS), window, target)
+    return target
+
+
+def with_a_faster_command(written: list[Written]) -> list[Written]:
+    """Change one command in the middle of the clip."""
+    moving = [at for at, each in enumerate(written) if isinstance(each, Twist)]
+    at = moving[len(moving) * 2 // 3]
+    return [*written[:at], Twist(0.55, 0.0), *written[at + 1 :]]
+
+
+def test_a_clip_holds_what_its_source_holds(tmp_path: Path) -> None:
+    folder = record(tmp_path / "run", WRITTEN)
+    origin = compare_with_source(clip_of(folder, tmp_path / "clip.mcap"), folder)
+    assert origin.wrong == []
+    assert origin.messages > 100
+
+
+def test_a_clip_of_a_recording_that_was_changed_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = record(tmp_path / "run", WRITTEN)
+    changed = record(tmp_path / "changed" / "run", with_a_faster_command(WRITTEN))
+    clip = clip_of(changed, tmp_path / "clip.mcap")
+    (sentence,) = compare_with_source(clip, folder).wrong
+    assert "/cmd_vel is not the one of its source" in sentence
+    assert app.run(["verify", str(clip), "--source", str(folder)]) == 7
+    assert app.run(["verify", str(clip), "--source", str(changed)]) == 4  # it is not sealed
+    assert "messages are those of" in capsys.readouterr().out
+
+
+def record_events(folder: Path) -> Path:
+    """Make a recording with software, a mark within the clip and one before it."""
+
+    def mark(recorder: Recorder, time_ns: int) -> None:
+        while marks and marks[0] <= time_ns:
+            at_ns = marks.pop(0)
+            recorder.add_event(RecordedEvent(EventKind.MARK, at_ns, f"mark at {at_ns}"))
+
+    marks = [MIDDLE_NS - NS_PER_S, MIDDLE_NS]
+    options = RecorderOptions(records={SOFTWARE_RECORD: {"digest": "abc"}})
+    return record(folder, WRITTEN, options=options, beside=mark)
+
+
+def clip_of_the_mark(folder: Path, target: Path) -> Path:
+    window = (MIDDLE_NS - NS_PER_S // 2, MIDDLE_NS + NS_PER_S // 2)
+    with Recording(folder) as recording:
+        moment = Moment.of(recording.info().events[1])
+        cut_clip(recording, moment, window, target)
+    return target
+
+
+def values_of(contents: Contents, record: str) -> dict[str, str]:
+    return next(values for name, values in contents.metadata if name == record)
+
+
+def edit_the_definition(contents: Contents) -> None:
+    channel, schema = contents.types[0]
+    contents.types[0] = (channel, replace(schema, data=schema.data + b"\nbool more"))
+
+
+def edit_the_qos(contents: Contents) -> None:
+    channel, schema = contents.types[0]
+    channel = replace(channel, metadata=channel.metadata | {"offered_qos_profiles": ""})
+    contents.types[0] = (channel, schema)
+
+
+def remove_the_event(contents: Contents) -> None:
+    contents.metadata = [each for each in contents.metadata if each[0] != EVENT_RECORD]
+
+
+def add_an_event(contents: Contents) -> None:
+    event = RecordedEvent(EventKind.ERROR, MIDDLE_NS, "the battery was empty")
+    contents.metadata.append((EVENT_RECORD, dict(event.values())))
+
+
+EDITS: dict[str, tuple[Callable[[Contents], object], str]] = {
+    "the version": (
+        lambda clip: values_of(clip, INFO_RECORD).update(robotctl="0.1.0"),
+        "its metadata record robotctl is not one of its source",
+    ),
+    "a parameter is removed": (
+        lambda clip: values_of(clip, INFO_RECORD).pop("parameter.limits.linear_mps"),
+        "its metadata record robotctl is not one of its source",
+    ),
+    "the software": (
+        lambda clip: values_of(clip, SOFTWARE_RECORD).update(digest="def"),
+        "its metadata record robotctl.software is not one of its source",
+    ),
+    "the text of an event": (
+        lambda clip: values_of(clip, EVENT_RECORD).update(text="forged"),
+        "its metadata record robotctl.event is not one of its source",
+    ),
+    "an event is removed": (
+        remove_the_event,
+        "a metadata record robotctl.event of its source is missing",
+    ),
+    "an event is added": (
+        add_an_event,
+        "its metadata record robotctl.event is not one of its source",
+    ),
+    "what it was cut for": (
+        lambda clip: values_of(clip, CLIP_RECORD).update(event="error", text="forged"),
+        "the event that it was cut for is not one of its source",
+    ),
+    "the fields of a type": (edit_the_definition, "the definition of the type of"),
+    "the QoS of a channel": (edit_the_qos, "the channel of"),
+}
+
+
+@pytest.mark.parametrize(("edit", "sentence"), EDITS.values(), ids=EDITS.keys())
+def test_what_a_clip_took_from_its_source_is_compared(
+    tmp_path: Path, edit: Callable[[Contents], object], sentence: str
+) -> None:
+    folder = record_events(tmp_path / "run")
+    contents = contents_of(clip_of_the_mark(folder, tmp_path / "clip.mcap"))
+    same = write_contents(tmp_path / "same", contents.copy())
+    assert compare_with_source(same, folder).wrong == []
+    edit(contents)
+    edited = write_contents(tmp_path / "edited", contents)
+    assert any(sentence in each for each in compare_with_source(edited, folder).wrong)
+    assert app.run(["verify", str(edited), "--source", str(folder)]) == 7
+
+
+def test_the_rosbag2_record_of_a_clip_is_compared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = record(tmp_path / "run", WRITTEN)
+    clip = clip_of(folder, tmp_path / "clip.mcap")
+    clip = clip.rename(tmp_path / "renamed.mcap")
+    assert compare_with_source(clip, folder).wrong == []
+    body = rosbag2.serialized_metadata
+    monkeypatch.setattr(
+        "robotctl.recording.keep.clip.serialized_metadata",
+        lambda topics, files: body(topics, files).replace("geometry_msgs", "forged_msgs"),
+    )
+    forged = clip_of(folder, tmp_path / "forged.mcap")
+    assert compare_with_source(forged, folder).wrong == [
+        "its rosbag2 record is not what its messages and channels make"
+    ]
+
+
+def test_a_clip_stays_that_of_a_recording_that_goes_on(tmp_path: Path) -> None:
+    """Later files have other metadata, events and channels."""
+    heads = count()
+    recorder = Recorder(
+        tmp_path / "run", metadata=lambda: {"head": str(next(heads))}, on_failure=pytest.fail
+    )
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 200))
+    until(lambda: recorder.stats().queued == 0)
+    recorder.split()
+    until(lambda: len(list((tmp_path / "run").glob("*.mcap"))) == 2)
+    with Recording(tmp_path / "run" / "run_0.mcap") as recording:
+        info = recording.info()
+        window = (info.start_ns, info.end_ns)
+        cut_clip(recording, Moment(info.end_ns), window, tmp_path / "clip.mcap")
+    recorder.add_event(RecordedEvent(EventKind.MARK, info.end_ns, "in the next file"))
+    later = recorder.add_topic(replace(TWIST, name="/later"))
+    write_numbered(recorder, later, range(300, 400))
+    recorder.close()
+    origin = compare_with_source(tmp_path / "clip.mcap", tmp_path / "run")
+    assert (origin.wrong, origin.messages) == ([], 199)
+    assert "what the clip was cut for" in origin.not_proved
+
+
+def test_what_a_conversion_wrote_into_a_clip_is_not_proved(tmp_path: Path) -> None:
+    folder = record(tmp_path / "run", WRITTEN)
+    clip = clip_of(folder, tmp_path / "clip.mcap")
+    assert app.run(["convert", str(clip), str(tmp_path / "copy")]) == 0
+    origin = compare_with_source(tmp_path / "copy", folder)
+    assert origin.wrong == []
+    assert "what robotctl.conversion says: it was written after the clip was cut" in (
+        origin.not_proved
+    )
+
+
+def test_what_is_no_clip_or_of_another_file_is_said(tmp_path: Path) -> None:
+    folder = record(tmp_path / "run", WRITTEN)
+    with pytest.raises(UnreadableFile, match="does not say what it was cut from"):
+        compare_with_source(folder, folder)
+    other = record(tmp_path / "other", WRITTEN)
+    clip = clip_of(other, tmp_path / "clip.mcap")
+    assert compare_with_source(clip, folder).wrong == [
+        "it was cut from other_0.mcap, which is not there"
+    ]

@@ -1,14 +1,26 @@
-"""The ledger counts exactly the messages that were sent and not received."""
+"""The ledger counts exactly the messages that were sent and not received.
+
+A recording that was shortened is reported, even if each of its files is valid.
+Events are stored in the file's metadata at once, and stay there.
+"""
 
 from __future__ import annotations
 
 import random
+import re
+import time
+from pathlib import Path
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.records import Metadata
 
-from robotctl.recording.format.names import LEDGER_RECORD
+from robotctl.recording import Recorder, RecorderOptions, Recording, read_info
+from robotctl.recording.disk.storage import Storage
+from robotctl.recording.format.names import EVENT_RECORD, LEDGER_RECORD, EventKind
+from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.topics import (
     COUNTERS,
     Topic,
@@ -18,7 +30,15 @@ from robotctl.recording.format.topics import (
     read_ledger,
     total,
 )
+from robotctl.recording.keep.listing import list_recording
+from robotctl.recording.keep.recover import recover, recover_folder
+from robotctl.recording.read.journal_reader import read_journal
+from robotctl.recording.write import bag_writer
 from robotctl.recording.write.channel_state import MAX_PUBLISHERS, ChannelState, SequenceGaps
+from robotctl.testing.drives import START_NS, TWIST, drive, record
+from robotctl.testing.faults import FailingFile, chunks_of
+from tests.support.recordings import read_strictly, recorded, salvaged, write_numbered
+from tests.support.waiting import until
 
 
 def feed(ledger: SequenceGaps, gid: bytes, *sequences: int) -> None:
@@ -140,3 +160,187 @@ def test_a_latched_message_without_memory_gives_back_the_room_of_the_one_before(
     assert channel.keep_latched(b"gid", bytes(100), 0, 0, 0, 1000) == 100
     assert channel.keep_latched(b"gid", Endless(10), 0, 0, 1, 900) == -100
     assert (channel.latched_messages(), channel.not_kept) == ([], 1)
+
+
+def recorded_twice(folder: Path) -> tuple[Path, bytes]:
+    """Return a recording of 500 messages, and the content of its file at 200 messages."""
+    recorder = Recorder(folder, RecorderOptions(chunk_bytes=1024), on_failure=pytest.fail)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 201))
+    while recorder.stats().queued:
+        time.sleep(0.001)
+    earlier = recorder.stats().file.read_bytes()
+    write_numbered(recorder, channel, range(201, 501))
+    return recorder.close().file, earlier
+
+
+@pytest.mark.parametrize("by_folder", [True, False])
+def test_an_earlier_state_of_a_file_is_not_taken_for_all_of_it(
+    tmp_path: Path, by_folder: bool
+) -> None:
+    file, earlier = recorded_twice(tmp_path / "run")
+    file.write_bytes(earlier)  # a whole and valid file
+    path = file.parent if by_folder else file
+    named = "run_0.mcap: metadata.yaml counts 500 messages, and 200 are there"
+    assert read_info(path).missing == (named,)
+    assert salvaged(path)[1] == [named]
+    assert list_recording(path).damage == (named,)
+    work = recover_folder if by_folder else recover
+    assert named in "; ".join(work(path, tmp_path / "saved").lost)
+    assert read_info(tmp_path / "saved").missing == ()
+
+
+def test_what_the_ledger_counts_is_missed_without_metadata_yaml(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", RecorderOptions(chunk_bytes=1024), on_failure=pytest.fail)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 201))
+    recorder.split()
+    write_numbered(recorder, channel, range(201, 401))
+    recorder.close()
+    assert read_info(tmp_path / "run").missing == ()
+    other = recorded(tmp_path / "other" / "run", 50)
+    (tmp_path / "run" / "run_0.mcap").write_bytes(other.read_bytes())
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    (named,) = read_info(tmp_path / "run").missing
+    assert named == "its ledger counts 400 messages, and 250 are there"
+
+
+def test_a_recording_whose_first_file_was_removed_lacks_nothing(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", RecorderOptions(chunk_bytes=1024), on_failure=pytest.fail)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 201))
+    recorder.split()
+    write_numbered(recorder, channel, range(201, 401))
+    recorder.close()
+    (tmp_path / "run" / "run_0.mcap").unlink()
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    assert read_info(tmp_path / "run").missing == ()
+    assert read_info(tmp_path / "run" / "run_1.mcap").missing == ()
+
+
+@pytest.mark.parametrize("fail_at", [3, 5, 12])
+@pytest.mark.parametrize("size", [52, 5000])
+def test_a_recording_that_a_full_disk_ended_says_nothing_untrue(
+    tmp_path: Path, fail_at: int, size: int
+) -> None:
+    def full_disk(path: Path, *_: object, **__: object) -> Storage:
+        return FailingFile(path, fail_at)
+
+    failures: list[str] = []
+    options = RecorderOptions(chunk_bytes=1024, open_file=full_disk)
+    recorder = Recorder(tmp_path / "run", options, on_failure=failures.append)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 301), size)
+    written = recorder.close().written
+    assert failures
+    info = read_info(tmp_path / "run")
+    assert (info.message_count, info.missing) == (written, ())
+
+
+def test_a_file_that_is_cut_while_it_is_read_is_named(tmp_path: Path) -> None:
+    (file,) = record(tmp_path / "run", drive(2.0)).glob("*.mcap")
+    chunks = chunks_of(file.read_bytes())
+    missing: list[str] = []
+    with Recording(file) as recording:
+        entries = read_journal(recording, missing.append)
+        next(entries)
+        with file.open("r+b") as stream:
+            stream.truncate(chunks[len(chunks) // 2][0] + 20)
+        assert sum(1 for _ in entries) > 10
+    assert missing
+    assert all(
+        re.search(r"it was truncated at byte \d+ while it was read", each) for each in missing
+    )
+
+
+def test_a_file_of_a_bag_that_says_too_much_of_it_is_no_loss(tmp_path: Path) -> None:
+    """The counts per file of rosbag2 include messages that its cache dropped; its total not."""
+    file = recorded(tmp_path / "run", 100)
+    file.write_bytes(file.read_bytes().replace(b"robotctl ", b"somebody "))
+    yaml = tmp_path / "run" / "metadata.yaml"
+    yaml.write_text(re.sub(r"(    message_count:) 100\n", r"\1 120\n", yaml.read_text()))
+    assert "message_count: 120" in yaml.read_text()
+    assert read_info(tmp_path / "run").missing == ()
+    yaml.write_text(
+        re.sub(r"\n  message_count: 100\n", r"\n  message_count: 120\n", yaml.read_text())
+    )
+    assert read_info(tmp_path / "run").missing == (
+        "metadata.yaml counts 120 messages, and 100 are there",
+    )
+
+
+EVENTS = (
+    RecordedEvent(EventKind.MARK, START_NS, "door \x1b[2J open"),
+    RecordedEvent(EventKind.EMERGENCY_STOP, START_NS + 1, "requested"),
+    RecordedEvent(EventKind.ERROR, START_NS + 2, ""),
+    RecordedEvent(EventKind.DRIVE_ENDED, START_NS + 3, "drive finished: 2 laps", 2, 0.021),
+    RecordedEvent(
+        EventKind.DRIVE_ENDED, START_NS + 4, "drive finished: 1 lap", 1, 0.02, 0.01, 0.03
+    ),
+    RecordedEvent(
+        EventKind.DRIVE_ENDED,
+        START_NS + 5,
+        "drive finished: 1 lap",
+        1,
+        0.02,
+        closure_m=0.03,
+        true_heading_max_rad=0.1,
+        true_closure_m=0.04,
+        drive_s=17.25,
+    ),
+)
+
+
+def test_an_event_is_found_while_the_file_grows_and_after_it_was_closed(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
+    for event in EVENTS:
+        recorder.add_event(event)
+    until(lambda: read_info(tmp_path / "run").events == EVENTS)
+    stats = recorder.close()
+    assert read_info(tmp_path / "run").events == EVENTS
+    assert len(read_strictly(stats.file)) == 10
+
+
+def test_an_event_survives_its_summary(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
+    recorder.add_event(EVENTS[0])
+    path = recorder.close().file
+    path.write_bytes(path.read_bytes()[:-30])
+    info = read_info(path)
+    assert (info.indexed, info.events) == (False, EVENTS[:1])
+
+
+def test_events_without_end_go_on_in_another_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bag_writer, "MAX_EVENTS", 5)
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    events = [RecordedEvent(EventKind.MARK, START_NS + n, str(n)) for n in range(12)]
+    for event in events:
+        recorder.add_event(event)
+    recorder.close()
+    assert len(list((tmp_path / "run").glob("*.mcap"))) == 3
+    assert list(read_info(tmp_path / "run").events) == events
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"kind": "holiday"},
+        {"log_ns": "-1"},
+        {"log_ns": "1" * 30},
+        {"log_ns": "soon"},
+        {"laps": "1e9"},
+        {"laps": str(10**9)},
+        {"cross_track_max_m": "nan"},
+        {"true_cross_track_rms_m": "inf"},
+        {"true_cross_track_max_m": "far"},
+        {"true_closure_m": "nan"},
+    ],
+)
+def test_what_is_no_event_of_ours_is_passed_over(damage: dict[str, str]) -> None:
+    values = dict(EVENTS[3].values())
+    records = [Metadata(EVENT_RECORD, {**values, **damage}), Metadata(EVENT_RECORD, {})]
+    assert events_in([*records, Metadata(EVENT_RECORD, values)]) == [EVENTS[3]]
+    assert events_in([Metadata("another", values)]) == []

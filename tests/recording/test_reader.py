@@ -1,29 +1,54 @@
-"""Any MCAP file can be opened, alone or in a folder; what cannot be read is reported."""
+"""Any MCAP file can be opened, alone or in a folder; what cannot be read is reported.
+
+A part of a recording is read without the parts before and after it.
+The journal of the recording robot is found among others, and read in the order of writing.
+A recording that is no local file: a check reads the ranges that it needs, and few of them.
+"""
 
 from __future__ import annotations
 
 import os
 import random
 import threading
+from collections.abc import Callable, Iterable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from urllib.request import Request, urlopen
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
 from robotctl.errors import UnreadableFile
+from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording import (
     Compression,
+    Message,
     Recorder,
     RecorderOptions,
     Recording,
+    Topic,
     read_info,
     read_messages,
 )
 from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.format.journal import (
+    EntryKind,
+    JournalEntry,
+    decode,
+    encode,
+)
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.read.indexing import index_of
+from robotctl.recording.read.journal_reader import journal_topic, read_journal
 from robotctl.recording.read.mcap_input import InputFile
-from robotctl.testing.drives import ODOMETRY, TWIST
+from robotctl.rerun.check import check_recording
+from robotctl.rerun.check_report import Verdict
+from robotctl.store.remote_file import path_of
+from robotctl.testing.drives import GID, JOURNAL, ODOMETRY, START_NS, TWIST, drive, record
+from tests.support.faulty_bucket import StoredFile, serving
 from tests.support.recordings import (
     first_numbers,
     foreign,
@@ -236,3 +261,314 @@ def test_a_file_that_was_empty_when_it_was_opened_is_read_as_it_is_by_now(tmp_pa
         writer.write_at([content], 0)
         assert index_of(file).message_count == 10
     writer.close()
+
+
+TOPICS = ("/a", "/b", "/map")
+
+written = st.lists(st.tuples(st.sampled_from(TOPICS), st.integers(0, 30)), max_size=40)
+moments = st.integers(0, 31)
+"""Log times collide and run backwards, and chunks overlap."""
+
+
+def write(path: Path, messages: list[tuple[str, int]], **options: object) -> Path:
+    """Write a file with chunks of about three messages."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, **{"chunk_size": 200, **options})  # type: ignore[arg-type]
+        writer.start()
+        channels = {topic: writer.register_channel(topic, "cdr", 0) for topic in TOPICS}
+        for number, (topic, at_ns) in enumerate(messages):
+            writer.add_message(channels[topic], at_ns, numbered(number, 48), at_ns, number)
+        writer.finish()
+    return path
+
+
+def everything(recording: Recording) -> list[Message]:
+    return list(recording.messages(None, pytest.fail))
+
+
+@settings(max_examples=60)
+@given(written, moments, moments, st.sampled_from([IndexType.ALL, IndexType.NONE]))
+def test_a_window_holds_the_messages_of_its_time(
+    messages: list[tuple[str, int]], first: int, last: int, index: IndexType
+) -> None:
+    with TemporaryDirectory() as folder:
+        path = write(Path(folder) / "run.mcap", messages, index_types=index)
+        with Recording(path) as recording:
+            found = list(recording.messages(None, pytest.fail, (first, last)))
+            assert found == [m for m in everything(recording) if first <= m.log_ns <= last]
+
+
+@settings(max_examples=60)
+@given(written, moments, st.integers(1, 3), st.sampled_from([IndexType.ALL, IndexType.NONE]))
+def test_looking_back_finds_the_last_messages_of_each_topic(
+    messages: list[tuple[str, int]], moment: int, count: int, index: IndexType
+) -> None:
+    wanted = {"/map": count, "/a": 1}
+    with TemporaryDirectory() as folder:
+        path = write(Path(folder) / "run.mcap", messages, index_types=index)
+        with Recording(path) as recording:
+            found = recording.last_before(moment, wanted, pytest.fail)
+            before = [m for m in everything(recording) if m.log_ns < moment]
+    assert [m.log_ns for m in found] == sorted(m.log_ns for m in found)
+    for topic in TOPICS:
+        last = [m for m in before if m.topic == topic][-wanted.get(topic, 0) :]
+        assert [m for m in found if m.topic == topic] == (last if topic in wanted else [])
+
+
+def test_what_lies_outside_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    messages = [("/map", 5)] + [("/a", at) for at in range(10, 10_000)]
+    path = write(tmp_path / "run.mcap", messages)
+    read_bytes = 0
+    read = InputFile.read
+
+    def counted(file: InputFile, offset: int, length: int) -> bytes:
+        nonlocal read_bytes
+        read_bytes += length
+        return read(file, offset, length)
+
+    with Recording(path) as recording:
+        monkeypatch.setattr(InputFile, "read", counted)
+        window = (9_000, 9_010)
+        assert [m.log_ns for m in recording.messages(None, pytest.fail, window)] == [
+            *range(9_000, 9_011)
+        ]
+        held = recording.last_before(9_000, {"/map": 1, "/b": 1}, pytest.fail)
+        assert [(m.topic, m.log_ns) for m in held] == [("/map", 5)]
+    assert 0 < read_bytes < 5_000
+
+
+def record_journals(folder: Path, robot: str, topics: dict[str, Iterable[int]]) -> Path:
+    """Return a recording of journals whose entries have these log times after START_NS."""
+    options = RecorderOptions(chunk_bytes=1024)
+    recorder = Recorder(folder, options, metadata=lambda: {"robot": robot}, on_failure=pytest.fail)
+    recorder.add_topic(TWIST)
+    for name, times in topics.items():
+        channel = recorder.add_topic(Topic(name, JOURNAL_ENTRY))
+        for seq, time_ns in enumerate(times):
+            entry = encode(JournalEntry(seq, seq, EntryKind.EVENT, "Tick", name))
+            recorder.write(channel, entry, START_NS + time_ns, START_NS, seq + 1, GID)
+    recorder.close()
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("robot", "topics", "found"),
+    [
+        ("robot", ["/robotctl/journal"], "/robotctl/journal"),
+        ("r2", ["/robotctl/journal", "/r2/robotctl/journal"], "/r2/robotctl/journal"),
+        ("robot", ["/robotctl/journal", "/r2/robotctl/journal"], "/robotctl/journal"),
+        ("robot", ["/renamed"], "/renamed"),
+        ("robot", ["/a", "/b"], None),
+        ("robot", [], None),
+    ],
+)
+def test_the_journal_is_that_of_the_robot_that_recorded(
+    tmp_path: Path, robot: str, topics: list[str], found: str | None
+) -> None:
+    folder = record_journals(tmp_path / "run", robot, {name: [1] for name in topics})
+    with Recording(folder) as recording:
+        assert journal_topic(recording.info()) == found
+        if found:
+            assert {each.entry.data for each in read_journal(recording, pytest.fail)} == {found}
+        else:
+            with pytest.raises(UnreadableFile, match="holds no journal"):
+                next(read_journal(recording, pytest.fail))
+
+
+def test_entries_come_as_they_were_written_though_the_clock_was_set_back(tmp_path: Path) -> None:
+    times = [*range(5000, 5400), *range(100, 500), *range(5100, 5200)]
+    with Recording(
+        record_journals(tmp_path / "run", "robot", {"/robotctl/journal": times})
+    ) as recording:
+        read = list(read_journal(recording, pytest.fail))
+    assert [each.entry.seq for each in read] == list(range(900))
+    assert [each.log_ns - START_NS for each in read] == times
+
+
+def test_a_damaged_chunk_is_told_and_the_rest_is_read(tmp_path: Path) -> None:
+    folder = record_journals(tmp_path / "run", "robot", {"/robotctl/journal": range(500)})
+    (file,) = folder.glob("*.mcap")
+    with Recording(folder) as recording:
+        place = recording._files[0].index.places[3]
+    data = bytearray(file.read_bytes())
+    data[place.offset + place.length - 5] ^= 0xFF
+    file.write_bytes(data)
+    missing: list[str] = []
+    with Recording(folder) as recording:
+        read = list(read_journal(recording, missing.append))
+    assert len(missing) == 1
+    assert 0 < len(read) < 500
+
+
+@pytest.mark.parametrize(
+    ("at", "byte", "says"),
+    [
+        (24, 0, "it has no name or kind"),
+        (25, 1, "its name has 261 bytes, more than 255"),
+        (20, 3, "it has no name or kind"),
+        (1, 7, "not little-endian CDR"),
+    ],
+)
+def test_an_entry_with_a_damaged_head_is_told(at: int, byte: int, says: str) -> None:
+    damaged = bytearray(encode(JournalEntry(1, 2, EntryKind.EVENT, "Tick", "{}")))
+    damaged[at] = byte
+    with pytest.raises(UnreadableFile, match=says):
+        decode(bytes(damaged))
+
+
+def test_a_name_that_no_entry_can_hold_is_refused() -> None:
+    with pytest.raises(KeyError):
+        encode(JournalEntry(1, 2, EntryKind.EVENT, "x" * 255, "{}"))
+
+
+CAMERA = Topic("/camera", "sensor_msgs/msg/CompressedImage")
+IMAGE = random.Random(1).randbytes(300_000)
+EVERY_NS = 33_000_000
+EVIDENCE = frozenset({JOURNAL.name, TWIST.name, ODOMETRY.name})
+
+
+class RangeServer(ThreadingHTTPServer):
+    """Serves one file by ranges, and counts the bytes."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.sent = 0
+        super().__init__(("127.0.0.1", 0), _Handler)
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.server_address[1]}/"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+
+    def do_HEAD(self) -> None:
+        self._head(200, self.server.path.stat().st_size)  # type: ignore[attr-defined]
+
+    def do_GET(self) -> None:
+        first, last = map(int, self.headers["Range"].removeprefix("bytes=").split("-"))
+        with self.server.path.open("rb") as file:  # type: ignore[attr-defined]
+            file.seek(first)
+            data = file.read(last - first + 1)
+        self._head(206, len(data))
+        self.wfile.write(data)
+        self.server.sent += len(data)  # type: ignore[attr-defined]
+
+    def log_message(self, *_: object) -> None:
+        """Print nothing."""
+
+    def _head(self, status: int, length: int) -> None:
+        self.send_response(status)
+        self.send_header("Content-Length", str(length))
+        self.end_headers()
+
+
+class HttpSource:
+    """A source of ranges over HTTP."""
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+
+    def size(self) -> int:
+        with urlopen(Request(self._url, method="HEAD")) as answer:
+            return int(answer.headers["Content-Length"])
+
+    def stored_bytes(self) -> int:
+        return self.size()
+
+    def read(self, offset: int, length: int) -> bytes:
+        if not length:
+            return b""
+        wanted = {"Range": f"bytes={offset}-{offset + length - 1}"}
+        with urlopen(Request(self._url, headers=wanted)) as answer:
+            data: bytes = answer.read()
+            return data
+
+    def is_written(self) -> bool:
+        return False
+
+    def close(self) -> None:
+        """Do nothing: each range is a connection of its own."""
+
+
+def camera() -> Callable[[Recorder, int], None]:
+    """Return what records an image each 33 ms."""
+    due_ns = 0
+
+    def beside(recorder: Recorder, time_ns: int) -> None:
+        nonlocal due_ns
+        while due_ns <= time_ns:
+            recorder.write(recorder.add_topic(CAMERA), IMAGE, time_ns, time_ns, 0, GID)
+            due_ns = max(due_ns, time_ns) + EVERY_NS
+
+    return beside
+
+
+@pytest.fixture(scope="module")
+def camera_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a drive of 20 s beside a camera."""
+    folder = tmp_path_factory.mktemp("camera") / "run"
+    options = RecorderOptions(evidence=EVIDENCE, memory_bytes=1 << 30)
+    record(folder, drive(20.0, snapshots_s=(0.0, 10.0)), options=options, beside=camera())
+    (file,) = folder.glob("*.mcap")
+    return file
+
+
+@pytest.fixture
+def server(camera_file: Path) -> Iterator[RangeServer]:
+    with RangeServer(camera_file) as serving:
+        thread = threading.Thread(target=serving.serve_forever, daemon=True)
+        thread.start()
+        yield serving
+        serving.shutdown()
+        thread.join()
+
+
+def test_a_check_over_http_says_what_a_check_of_the_file_says(
+    camera_file: Path, server: RangeServer
+) -> None:
+    report = check_recording(Path("remote.mcap"), source=HttpSource(server.url))
+    local = check_recording(camera_file)
+    assert (report.verdict, report.missing) == (Verdict.SAME, [])
+    assert (report.events, report.effects, report.commands) == (
+        local.events,
+        local.effects,
+        local.commands,
+    )
+    assert "not every byte was read, only what the check needs" in report.notes
+
+
+def test_a_check_reads_only_a_small_part_of_a_recording_with_images(
+    camera_file: Path, server: RangeServer
+) -> None:
+    """This one has 20 s; with the minutes of a real one, the share of the index gets smaller."""
+    check_recording(Path("remote.mcap"), source=HttpSource(server.url))
+    assert server.sent < 0.01 * camera_file.stat().st_size
+
+
+def test_a_check_of_a_file_at_a_url_reads_a_small_part_of_it(
+    camera_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with serving(monkeypatch) as bucket:
+        bucket.objects["run.mcap"] = StoredFile(camera_file)
+        report = check_recording(path_of("s3://robots/run.mcap"))
+    assert (report.verdict, report.missing) == (Verdict.SAME, [])
+    assert bucket.sent_bytes < 0.1 * camera_file.stat().st_size
+
+
+def test_without_a_server_the_recording_cannot_be_read(
+    camera_file: Path, server: RangeServer
+) -> None:
+    url = server.url
+    server.server_close()
+    report = check_recording(Path("remote.mcap"), source=HttpSource(url))
+    assert report.verdict is Verdict.INCOMPLETE
+
+
+def test_the_messages_of_one_topic_are_read_over_http(server: RangeServer) -> None:
+    with Recording(Path("remote.mcap"), source=HttpSource(server.url)) as recording:
+        found = recording.messages({JOURNAL.name}, pytest.fail)
+        assert sum(1 for _ in found) == next(
+            topic.message_count for topic in recording.info().topics if topic.name == JOURNAL.name
+        )

@@ -1,10 +1,14 @@
-"""Every message given to the recorder is in the file, or counted."""
+"""Every message given to the recorder is in the file, or counted.
+
+The names that a library user may import from `robotctl.recording`.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import re
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -17,6 +21,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
+import robotctl.recording
 from robotctl.errors import Refused
 from robotctl.recording import (
     Compression,
@@ -523,3 +528,23 @@ def test_a_message_that_is_being_packed_while_closing_is_counted(
     stats = recorder.close()
     assert (stats.received, stats.written, stats.queued, stats.dropped) == (3, 3, 0, 0)
     assert len(read_strictly(stats.file)) == 3
+
+
+def test_every_public_name_can_be_imported() -> None:
+    for name in robotctl.recording.__all__:
+        found = getattr(robotctl.recording, name)
+        assert found.__module__.startswith("robotctl.recording."), name
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'Recoder'"):
+        robotctl.recording.Recoder  # noqa: B018
+
+
+def test_importing_the_package_imports_no_module_of_it() -> None:
+    code = (
+        "import sys, robotctl.recording;"
+        "print([n for n in sys.modules if n.startswith(('robotctl.', 'mcap', 'zstandard'))])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "['robotctl.recording']"
