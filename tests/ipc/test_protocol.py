@@ -1,17 +1,27 @@
-"""Any input is parsed or raises ProtocolError, and no other exception."""
+"""Any input is parsed or raises ProtocolError, and no other exception.
+
+A refusal tells its remedy once, with commands that work when they are pasted.
+The keys of the answers: scripts read them, so keys may be added but never removed.
+The start conditions in words.
+"""
 
 from __future__ import annotations
 
 import json
 import random
+import re
 import subprocess
 import sys
 from contextlib import suppress
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robotctl.cli.registry import COMMANDS
+from robotctl.ipc import answers
+from robotctl.ipc.advice import advice, condition_of, cure_of, for_robot
 from robotctl.ipc.protocol import (
     MAX_DEPTH,
     Code,
@@ -26,6 +36,14 @@ from robotctl.ipc.protocol import (
     parse_request,
     parse_response,
 )
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.remedies import Remedy
+from robotctl.kernel.safety import RULE_OF, RULES, Rule, start_conditions
+from robotctl.kernel.state import State
+from robotctl.kernel.types import Cause, ModeRequested, Reply
+from robotctl.testing.kernels import ready
 
 VALID = [
     encode_request(1, "hello", {"protocol": 1}),
@@ -295,3 +313,107 @@ def test_client_and_protocol_import_the_standard_library_alone() -> None:
         [sys.executable, "-c", program], capture_output=True, check=True, text=True
     )
     assert ran.stdout.strip() == "['robotctl']"
+
+
+SOURCE = "robotctl reset (uid 0, pid 7)"
+
+
+def refusal_in(rule: Rule, reason: str) -> Reply:
+    """Return what the kernel answers to a request to move while a rule holds the robot."""
+    state = State(mode=rule.action, reason=reason, cause=rule.cause)
+    (reply,) = Kernel(KernelParams(), state).step(ModeRequested(0, 1, Mode.MOVING, SOURCE))
+    assert isinstance(reply, Reply)
+    assert not reply.ok
+    return reply
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.cause.value)
+def test_a_refusal_has_its_cure_and_one_reset(rule: Rule) -> None:
+    reply = refusal_in(rule, "something is wrong")
+    told = advice(reply.message, reply.remedies, "robot")
+    assert told.cause == f"moving is refused in {rule.action.name} (something is wrong)"
+    assert told.cure.startswith(cure_of(rule.remedy, "robot"))
+    assert told.sentence.count("robotctl reset") == 1
+
+
+@pytest.mark.parametrize("remedy", Remedy)
+def test_every_command_of_a_cure_names_the_robot(remedy: Remedy) -> None:
+    cure = cure_of(remedy, "r2")
+    assert cure
+    commands = rf"robotctl (?:{'|'.join(COMMANDS)})\b(?: idle| call \S+ '[^']+')?( --robot r2)?"
+    assert all(re.findall(commands, cure)), cure
+
+
+def test_the_kernel_speaks_no_command_line() -> None:
+    for rule in RULES:
+        reply = refusal_in(rule, "something is wrong")
+        assert "robotctl" not in reply.message
+        assert "--" not in reply.message
+
+
+def test_the_name_of_a_requester_is_left_alone() -> None:
+    reply = refusal_in(RULE_OF[Cause.OPERATOR_STOP], f"requested by {SOURCE}")
+    told = advice(reply.message, reply.remedies, "r2")
+    assert SOURCE in told.cause
+    assert told.cure == "release it: robotctl reset --robot r2"
+
+
+def test_a_text_without_a_remedy_is_all_cause() -> None:
+    assert advice("Mode changed to IDLE", (), "r2") == ("Mode changed to IDLE", "")
+
+
+def test_commands_in_texts_of_other_parts_name_the_robot_once() -> None:
+    assert for_robot("see robotctl logs", "robot") == "see robotctl logs"
+    named = for_robot("see robotctl logs", "r2")
+    assert named == for_robot(named, "r2") == "see robotctl logs --robot r2"
+
+
+STABLE = {
+    answers.Status: (
+        "robot version pid mode phase mode_reason pose velocity battery sim stalls "
+        "odometry_dropped topics recorder warnings domain_id discovery_range scheduling socket "
+        "uptime_s"
+    ),
+    answers.TopicAnswer: "name type count rate bytes written queued dropped lost throttled unseen",
+    answers.RecorderAnswer: "state file bytes received written queued dropped lost throttled",
+    answers.RecordStatus: "topics recorder warnings",
+    answers.PoseAnswer: "x y theta",
+    answers.VelocityAnswer: "linear angular",
+    answers.Preflight: "passed conditions",
+    answers.ConditionAnswer: "cause condition problem cure",
+    answers.StartSummary: (
+        "ready robot mode domain_id discovery_range sim socket pid recording log notes"
+    ),
+    answers.DrivenPath: "reference driven",
+    answers.ModeAnswer: "message mode",
+    answers.DriveAnswer: (
+        "message mode laps distance_m cross_track_rms_m cross_track_max_m closure_m"
+    ),
+    answers.Committed: "file uncommitted failure",
+    answers.FileSplit: "message finished file",
+    answers.Marked: "message text time_ns",
+}
+
+
+@pytest.mark.parametrize(("answer", "keys"), STABLE.items(), ids=lambda each: str(each)[:40])
+def test_no_key_of_an_answer_goes_away(answer: Any, keys: str) -> None:
+    assert set(keys.split()) - set(answer.__annotations__) == set()
+
+
+def test_each_condition_has_words_of_its_own() -> None:
+    bench = ready()
+    causes = [
+        rule.cause
+        for rule, _ in start_conditions(bench.state.health, bench.kernel.params, bench.t_ns)
+    ]
+    assert len({condition_of(cause) for cause in causes}) == len(causes)
+    assert all(condition_of(cause) for cause in Cause)
+
+
+def test_the_conditions_are_those_that_guard_a_start() -> None:
+    bench = ready()
+    conditions = start_conditions(bench.state.health, bench.kernel.params, bench.t_ns)
+    assert not any(problem for _, problem in conditions)
+    bench.battery(0.1)
+    conditions = start_conditions(bench.state.health, bench.kernel.params, bench.t_ns)
+    assert [rule.cause for rule, problem in conditions if problem] == [Cause.BATTERY_LOW]

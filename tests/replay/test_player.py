@@ -1,16 +1,42 @@
-"""The player keeps an absolute schedule, and reads ahead within limits."""
+"""The player keeps an absolute schedule, and reads ahead within limits.
+
+A replay at full speed waits for subscribers, and for none of them for ever.
+A replay can be paused, stepped and made faster, and recorded time never jumps.
+A recorded robot is shown as it was at that moment.
+"""
 
 from __future__ import annotations
 
 import random
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from robotctl.recording import Message
-from robotctl.replay.player import LEAD_NS, Lateness, Player, SteadyClock
+from robotctl.kernel.geometry import Pose
+from robotctl.recording import Message, Recording
+from robotctl.replay.job import MAX_RATE, MIN_RATE
+from robotctl.replay.playback_control import (
+    RATES,
+    Command,
+    PlaybackControl,
+    Schedule,
+    carry_out,
+    command_of,
+    faster,
+    slower,
+)
+from robotctl.replay.player import LEAD_NS, ClockPublisher, Lateness, Player, SteadyClock
+from robotctl.replay.recorded_robot import RecordedRobot
 from robotctl.replay.timeline import (
     AHEAD_ENTRIES,
     BATCH_ENTRIES,
@@ -19,6 +45,19 @@ from robotctl.replay.timeline import (
     ReadAhead,
     Span,
     entries,
+)
+from robotctl.ros.playback import senders
+from robotctl.ros.playback.senders import PatientSender
+from tests.support.bags import (
+    ODOMETRY,
+    START_NS,
+    STATUS,
+    STRING,
+    Line,
+    odometry,
+    status,
+    text,
+    write_bag,
 )
 
 MS = 1_000_000
@@ -225,3 +264,355 @@ def test_early_and_huge_measurements_are_counted_at_the_ends() -> None:
     lateness.add(1 << 80)
     assert lateness.count == 2
     assert lateness.quantile_us(1.0) > 1e12
+
+
+Until = Callable[[Callable[[], object]], Awaitable[None]]
+
+
+class Publisher:
+    """Keeps what was published; `looks` looks for acknowledgements fail before one succeeds."""
+
+    topic_name = "/alpha"
+    qos_profile = SimpleNamespace(depth=4)
+
+    def __init__(self, looks: int = 0) -> None:
+        self.published: list[bytes] = []
+        self.waits: list[int] = []
+        self._looks = looks
+        self._left = looks
+
+    def publish(self, data: bytes) -> None:
+        self.published.append(data)
+
+    def wait_for_all_acked(self, _: object) -> bool:
+        if self._left:
+            self._left -= 1
+            return False
+        self._left = self._looks
+        self.waits.append(len(self.published))
+        return True
+
+
+def sender_of(publisher: Any, in_flight: int = 3) -> PatientSender:
+    return PatientSender(publisher, in_flight, threading.Event())
+
+
+def test_it_waits_before_more_messages_are_on_their_way() -> None:
+    publisher = Publisher(looks=2)
+    send = sender_of(publisher)
+    assert all(send(b"%d" % number) for number in range(10))
+    assert publisher.published == [b"%d" % number for number in range(10)]
+    assert (publisher.waits, send.given_up) == ([3, 6, 9], 0)
+
+
+def test_it_waits_before_the_publisher_forgets_a_message() -> None:
+    publisher = Publisher()
+    send = sender_of(publisher, in_flight=100)
+    for _ in range(9):
+        send(b"")
+    assert publisher.waits == [4, 8]
+
+
+def test_it_gives_up_after_a_while_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(senders, "BLOCKED_S", 0.01)
+    publisher = Publisher(looks=10**9)
+    send = sender_of(publisher)
+    assert all(send(b"") for _ in range(8))
+    assert (len(publisher.published), send.given_up) == (8, 2)
+
+
+def test_a_stop_ends_its_wait() -> None:
+    publisher: Any = Publisher(looks=10**9)
+    stopped = threading.Event()
+    send = PatientSender(publisher, 1, stopped)
+    send(b"")
+    stopped.set()
+    begun = time.monotonic()
+    send(b"")
+    assert time.monotonic() - begun < senders.BLOCKED_S
+
+
+async def test_a_shallow_subscriber_receives_until_the_end(
+    replay: Any, listener: Any, until: Until, tmp_path: Any
+) -> None:
+    count = 10_000
+    lines = [Line("/alpha", STRING, float(number), text(f"{number}")) for number in range(count)]
+    file = write_bag(tmp_path / "run.mcap", lines)
+    listener.listen("/alpha", STRING, 10)
+    ran = await replay(file, "--rate", "max", "--json")
+    assert (ran.summary["sent"], ran.summary["failed"]) == (count, 0)
+    last = {text(f"{number}") for number in range(count - 500, count)}
+    await until(lambda: last.intersection(listener.heard["/alpha"]))
+
+
+SECOND = 1_000_000_000
+
+rates = st.sampled_from(RATES)
+moments = st.integers(0, 10**15)
+
+
+class ScriptClock:
+    """A clock that only sleeping advances; each action of the script runs at its time."""
+
+    def __init__(self, *script: tuple[int, Callable[[], object]]) -> None:
+        self.time_ns = 0
+        self.script = [(LEAD_NS + at_ns, action) for at_ns, action in script]
+
+    def now_ns(self) -> int:
+        return self.time_ns
+
+    def sleep_until(self, moment_ns: int) -> None:
+        while self.script and self.script[0][0] <= moment_ns:
+            at_ns, action = self.script.pop(0)
+            self.time_ns = max(self.time_ns, at_ns)
+            action()
+        self.time_ns = max(self.time_ns, moment_ns)
+
+
+def play_script(
+    clock: ScriptClock,
+    timeline: list[Entry],
+    *,
+    rate: float | None = 1.0,
+    paused: bool = False,
+    delay_ns: int = 0,
+    ticks: ClockPublisher | None = None,
+) -> tuple[Player, list[tuple[int, int]]]:
+    """Return a player, and when it sends each entry: ms after the start, number."""
+    sent: list[tuple[int, int]] = []
+
+    def send(data: bytes) -> bool:
+        sent.append(((clock.time_ns - LEAD_NS) // MS, int(data)))
+        return True
+
+    player = Player(
+        [timeline],
+        {"/a": send},
+        rate=rate,
+        clock=clock,
+        paused=paused,
+        delay_ns=delay_ns,
+        ticks=ticks,
+    )
+    return player, sent
+
+
+def every_ms(count: int, period: int = 100) -> list[Entry]:
+    return [(number * period * MS, "/a", b"%d" % number) for number in range(count)]
+
+
+def within(found: list[tuple[int, int]], expected: list[tuple[int, int]], late_ms: int) -> None:
+    """Check that these are the same messages, none early, and none later than SLICE_NS allows."""
+    assert [number for _, number in found] == [number for _, number in expected]
+    for (at, _), (due, _) in zip(found, expected, strict=True):
+        assert due <= at <= due + late_ms
+
+
+@given(moments, moments, rates, st.booleans(), st.integers(0, 10**12), rates)
+def test_no_change_makes_recorded_time_jump(
+    moment: int, at: int, rate: float, paused: bool, later: int, other: float
+) -> None:
+    schedule = Schedule(moment, at, rate, paused)
+    now = moment + later
+    for changed in (schedule.pause(now), schedule.resume(now), schedule.with_rate(now, other)):
+        assert changed.position_ns(now) == schedule.position_ns(now)
+
+
+@given(moments, moments, rates, st.integers(0, 10**12))
+def test_what_is_due_is_what_the_position_has_reached(
+    moment: int, at: int, rate: float, ahead: int
+) -> None:
+    schedule = Schedule(moment, at, rate)
+    due_ns = schedule.due_ns(at + ahead)
+    assert abs(schedule.position_ns(due_ns) - (at + ahead)) <= 1 + rate
+
+
+def test_keys_walk_through_round_rates_and_stay_within_the_limits() -> None:
+    assert [faster(1.0), faster(1.5), faster(4.0), slower(1.0), slower(1.7)] == [
+        1.5, 2.0, 5.0, 0.7, 1.5,
+    ]  # fmt: skip
+    assert (faster(MAX_RATE), slower(MIN_RATE)) == (MAX_RATE, MIN_RATE)
+    assert (RATES[0], RATES[-1]) == (MIN_RATE, MAX_RATE)
+
+
+def test_a_pause_moves_what_follows_by_its_length() -> None:
+    clock = ScriptClock()
+    player, sent = play_script(clock, every_ms(6))
+    clock.script = [
+        (LEAD_NS + 250 * MS, player.control.toggle),
+        (LEAD_NS + 2250 * MS, player.control.toggle),
+    ]
+    player.run()
+    expected = [(n * 100 + 2000 * (n > 2), n) for n in range(6)]
+    within(sent, expected, 51)
+
+
+def test_another_rate_counts_from_where_the_replay_is() -> None:
+    clock = ScriptClock()
+    player, sent = play_script(clock, every_ms(6))
+    clock.script = [(LEAD_NS + 250 * MS, player.control.faster)]
+    player.run()
+    expected = [
+        (0, 0),
+        (100, 1),
+        (200, 2),
+        *((250 + (n * 100 - 250) * 2 // 3, n) for n in (3, 4, 5)),
+    ]
+    within(sent, expected, 51)
+
+
+def test_single_steps_send_one_message_each_and_stand_still_behind_it() -> None:
+    clock = ScriptClock()
+    player, sent = play_script(clock, every_ms(5), paused=True)
+    control = player.control
+    clock.script = [
+        (LEAD_NS + SECOND, control.step),
+        (LEAD_NS + 2 * SECOND, control.step),
+        (LEAD_NS + 2 * SECOND, control.step),
+        (LEAD_NS + 4 * SECOND, control.resume),
+    ]
+    player.run()
+    within(sent, [(1000, 0), (2000, 1), (2000, 2), (4100, 3), (4200, 4)], 51)
+    assert player.lateness.count == 2  # a step is asked for at no particular moment
+
+
+def test_a_step_while_it_plays_changes_nothing() -> None:
+    clock = ScriptClock()
+    player, sent = play_script(clock, every_ms(3))
+    clock.script = [(LEAD_NS + 50 * MS, player.control.step)]
+    player.run()
+    assert sent == [(0, 0), (100, 1), (200, 2)]
+    assert not player.control.takes_step(0)
+
+
+def test_a_delay_comes_before_the_first_message() -> None:
+    player, sent = play_script(ScriptClock(), every_ms(2), delay_ns=3 * SECOND)
+    player.run()
+    assert sent == [(3000, 0), (3100, 1)]
+
+
+def test_a_pause_stops_also_what_goes_as_fast_as_possible() -> None:
+    clock = ScriptClock()
+    player, sent = play_script(clock, every_ms(3), rate=None, paused=True)
+    clock.script = [(LEAD_NS + 500 * MS, player.control.resume)]
+    player.run()
+    within(sent, [(500, n) for n in range(3)], 51)
+
+
+def test_the_clock_ticks_in_real_time_and_tells_recorded_time() -> None:
+    told: list[tuple[int, int]] = []
+    clock = ScriptClock()
+    ticks = ClockPublisher(20 * MS, lambda at_ns: told.append((clock.time_ns, at_ns)))
+    player, _ = play_script(clock, every_ms(6), rate=2.0, ticks=ticks)
+    clock.script = [
+        (LEAD_NS + 100 * MS, player.control.pause),
+        (LEAD_NS + 300 * MS, player.control.resume),
+    ]
+    player.run()
+    times = [real for real, _ in told]
+    assert {b - a for a, b in pairwise(times)} == {20 * MS}
+    running = [(at, recorded) for at, recorded in told if LEAD_NS <= at <= LEAD_NS + 100 * MS]
+    assert [recorded for _, recorded in running] == [(at - LEAD_NS) * 2 for at, _ in running]
+    resting = [recorded for at, recorded in told if 120 <= (at - LEAD_NS) // MS <= 300]
+    assert len(resting) >= 9
+    assert set(resting) == {200 * MS}
+
+
+def test_ticks_that_were_missed_are_not_made_up_for() -> None:
+    told: list[int] = []
+    ticks = ClockPublisher(10, told.append)
+    for now in (0, 5, 10, 1000, 1005, 1010):
+        ticks.tick(now, now)
+    assert told == [0, 10, 1000, 1010]
+
+
+@pytest.mark.parametrize("command", Command)
+def test_every_command_crosses_to_the_player_and_does_something_harmless(command: Command) -> None:
+    control = PlaybackControl(1.0, lambda: 0)
+    assert command_of(command.line().rstrip(b"\n")) is command
+    carry_out(command, control)
+    assert control.schedule.position_ns(0) == 0
+
+
+@pytest.mark.parametrize(
+    "line", [b"", b"stop", b"[]", b'{"do": "explode"}', b'{"do": {}}', b"\xff"]
+)
+def test_what_is_no_command_is_none(line: bytes) -> None:
+    assert command_of(line) is None
+
+
+def test_keys_pressed_while_the_first_messages_are_read_make_none_late() -> None:
+    clock, sent = ScriptClock(), list[int]()
+
+    def batches() -> Iterator[list[Entry]]:
+        clock.time_ns += SECOND
+        player.control.faster()
+        player.control.slower()
+        player.control.toggle()
+        player.control.toggle()
+        yield [(number * 100 * MS, "/a", b"") for number in range(3)]
+
+    def send(_: bytes) -> bool:
+        sent.append((clock.time_ns - SECOND - LEAD_NS) // MS)
+        return True
+
+    player = Player(batches(), {"/a": send}, rate=1.0, clock=clock)
+    player.run()
+    assert sent == [0, 100, 200]
+
+
+@contextmanager
+def seen(tmp_path: Path, lines: list[Line], **options: Any) -> Iterator[RecordedRobot]:
+    with Recording(write_bag(tmp_path / "run.mcap", lines)) as recording:
+        info = recording.info()
+        span = Span(info.start_ns + options.get("skip_ms", 0) * 10**6, info.end_ns)
+        yield RecordedRobot(recording, span, loop=options.get("loop", False))
+
+
+@pytest.mark.parametrize("endian", ["<", ">"])
+def test_pose_velocity_and_path_are_those_of_the_moment(tmp_path: Path, endian: str) -> None:
+    with seen(tmp_path, [odometry(n * 100.0, n * 1.0, endian=endian) for n in range(10)]) as robot:
+        robot.advance(350 * 10**6)
+        assert robot.pose == Pose(3.0, 6.0, 0.0)
+        assert robot.velocity is not None
+        assert (robot.velocity.linear, robot.velocity.angular) == (0.25, 0.0)
+        assert robot.path == [(float(n), 2.0 * n) for n in range(4)]
+        assert robot.mode is None
+        assert robot.next_ns == 400 * 10**6
+
+
+def test_after_an_offset_the_mode_is_known_from_before_and_the_path_begins_there(
+    tmp_path: Path,
+) -> None:
+    lines = [status(0, 3), *(odometry(n * 100.0, n * 1.0) for n in range(10))]
+    with seen(tmp_path, lines, skip_ms=500) as robot:
+        robot.advance(0)
+        assert robot.mode == "EMERGENCY_STOP"
+        robot.advance(10**10)
+        assert robot.path == [(float(n), 2.0 * n) for n in range(4, 10)]
+        assert robot.next_ns is None
+
+
+def test_a_loop_begins_a_new_path(tmp_path: Path) -> None:
+    with seen(tmp_path, [odometry(n * 100.0, n * 1.0) for n in range(5)], loop=True) as robot:
+        robot.advance(399 * 10**6)
+        assert len(robot.path) == 4
+        robot.advance(550 * 10**6)
+        assert robot.path == [(1.0, 2.0)]
+
+
+def test_a_mode_of_another_version_is_shown_by_its_number(tmp_path: Path) -> None:
+    with seen(tmp_path, [status(0, 9)]) as robot:
+        robot.advance(0)
+        assert robot.mode == "mode 9"
+
+
+@given(st.binary(max_size=900))
+def test_no_message_can_break_the_view(content: bytes) -> None:
+    with TemporaryDirectory() as folder:
+        lines = [
+            Line("/odom", ODOMETRY, 0.0, content),
+            Line("/robot_status", STATUS, 1.0, content),
+        ]
+        with seen(Path(folder), lines) as robot:
+            robot.advance(START_NS)

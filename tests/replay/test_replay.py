@@ -1,16 +1,28 @@
-"""Other nodes receive the recorded messages, byte for byte and in order."""
+"""The replay process obeys lines on stdin, and ends with stdin.
+
+Other nodes receive the recorded messages, byte for byte and in order.
+A replay is never mistaken for a robot, and no robot obeys it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+import os
+import resource
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from robotctl.cli.commands.replay.play import PLAYER
+from robotctl.processes import program, start
+from robotctl.replay.job import Job
+from robotctl.replay.playback_control import RATES, Command
 from tests.support.bags import (
     LATCHED,
+    OTHER_HASH,
     SENSOR,
     STRING,
     TWIST,
@@ -19,11 +31,132 @@ from tests.support.bags import (
     in_order,
     padded,
     talk,
+    text,
     twist,
     write_bag,
 )
+from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
+
+
+class Playing:
+    """The replay process, controlled as the command line does."""
+
+    def __init__(self, job: Job) -> None:
+        self._child = start(program(PLAYER), with_stdin=True)
+        self.write(f"{job.to_json()}\n".encode())
+
+    def urgent_threads(self) -> int:
+        """Return how many of its threads run under SCHED_FIFO."""
+        found = 0
+        for thread in Path(f"/proc/{self._child.pid}/task").iterdir():
+            with suppress(ProcessLookupError):
+                policy = os.sched_getscheduler(int(thread.name))
+                found += policy & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+        return found
+
+    def tell(self, *commands: Command) -> None:
+        self.write(b"".join(command.line() for command in commands))
+
+    def end(self) -> tuple[int, dict[str, Any]]:
+        """Close its stdin; return exit code and summary."""
+        self._child.close_stdin()
+        summary: dict[str, Any] = {}
+        with suppress(EOFError):
+            while True:
+                for said in self._child.receive(DEADLINE_S):
+                    summary = said.get("summary", summary)
+        return self._child.wait(DEADLINE_S) or 0, summary
+
+    def close(self) -> None:
+        self._child.close(DEADLINE_S)
+
+    def write(self, data: bytes) -> None:
+        self._child.send(data)
+
+
+@pytest.fixture
+def child(domain_id: int, own_sockets: None) -> Iterator[Callable[[Job], Playing]]:
+    with ExitStack() as started:
+
+        def begin(job: Job) -> Playing:
+            return started.enter_context(closing(Playing(job)))
+
+        yield begin
+
+
+@pytest.fixture
+def play(
+    tmp_path: Path, listener: Any, child: Callable[[Job], Playing], domain_id: int
+) -> Callable[..., Playing]:
+    """A function that plays numbered messages to the listener."""
+
+    def begin(count: int, period_ms: float = 10.0, **options: Any) -> Playing:
+        lines = [Line("/alpha", STRING, n * period_ms, text(f"{n}")) for n in range(count)]
+        listener.listen("/alpha", STRING)
+        file = write_bag(tmp_path / "run.mcap", lines)
+        return child(Job(file, domain_id, **options))
+
+    return begin
+
+
+async def test_steps_and_rates_reach_the_player_also_those_that_were_asked_for_early(
+    listener: Any, play: Any, until: Until
+) -> None:
+    playing = play(4, period_ms=3_600_000.0)
+    heard = listener.heard["/alpha"]
+    playing.tell(Command.PAUSE, Command.NEXT, Command.NEXT)
+    await until(lambda: len(heard) == 2)
+    playing.tell(Command.FASTER, Command.NEXT)
+    await until(lambda: len(heard) == 3)
+    exit_code, summary = playing.end()
+    assert (exit_code, summary["sent"], summary["interrupted"]) == (0, 3, True)
+    assert heard == [text(f"{n}") for n in range(3)]
+
+
+async def test_what_is_no_command_stops_nothing(listener: Any, play: Any, until: Until) -> None:
+    playing = play(5, paused=True)
+    playing.write(b"nonsense\n\xff\n{}\n")
+    playing.tell(Command.RESUME)
+    await until(lambda: len(listener.heard["/alpha"]) == 5)
+
+
+async def test_what_is_stopped_before_everybody_is_known_opens_nothing(
+    tmp_path: Path, listener: Any, child: Any, domain_id: int
+) -> None:
+    file = write_bag(tmp_path / "run.mcap", [Line("/alpha", STRING, 0.0, text("alpha"))])
+    exit_code, summary = child(Job(file, domain_id)).end()
+    assert (exit_code, summary["topics"], summary["interrupted"]) == (0, [], True)
+
+
+def may_be_urgent() -> bool:
+    """Return whether SCHED_FIFO is permitted here."""
+    soft_limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    return os.geteuid() == 0 or soft_limit != 0
+
+
+@pytest.mark.skipif(not may_be_urgent(), reason="SCHED_FIFO is not permitted here")
+async def test_the_thread_that_keeps_time_is_urgent_until_it_stays_behind(
+    play: Any, until: Until
+) -> None:
+    playing = play(1000, loop=True)
+    await until(lambda: playing.urgent_threads() == 1)
+    playing.tell(*[Command.FASTER] * len(RATES))
+    await until(lambda: playing.urgent_threads() == 0)
+    exit_code, summary = playing.end()
+    assert (exit_code, summary["interrupted"]) == (0, True)
+
+
+async def test_what_goes_as_fast_as_possible_is_never_urgent(
+    listener: Any, play: Any, until: Until
+) -> None:
+    playing = play(100, rate=None, loop=True)
+    await until(lambda: len(listener.heard["/alpha"]) > 100)
+    assert playing.urgent_threads() == 0
+    playing.end()
+
+
 LATCHED_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SENSOR_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -151,3 +284,170 @@ async def test_a_folder_of_rosbag2_is_played_in_order(
     ran = await replay(folder, "--rate", "max")
     assert ran.exit_code == 0, ran.err
     await until(lambda: listener.heard == recorded)
+
+
+async def test_with_a_daemon_in_the_domain_everything_goes_below_replay(
+    tmp_path: Path, listener: Any, replay: Any, daemon: Any, until: Until
+) -> None:
+    commands = [Line("/cmd_vel", TWIST, n, twist(1.0)) for n in range(10)]
+    file = write_bag(tmp_path / "run.mcap", in_order(commands, talk("/odd/alpha", 10)))
+    for topic, type_name in (("/cmd_vel", TWIST), ("/odd/alpha", STRING)):
+        listener.listen(topic, type_name)
+        listener.listen(f"/replay{topic}", type_name)
+    async with daemon("r2", mode="MOVING"):
+        ran = await replay(file)
+    assert ran.exit_code == 0, ran.err
+    assert ran.out.count("\n") == 3
+    assert ran.out.startswith("a daemon ('r2') runs in ROS domain ")
+    assert "below /replay" in ran.out.splitlines()[0]
+    await until(lambda: len(listener.heard["/replay/odd/alpha"]) == 10)
+    assert listener.heard["/replay/cmd_vel"] == data(commands)
+    assert listener.heard["/cmd_vel"] == listener.heard["/odd/alpha"] == []
+
+
+async def test_a_daemon_in_another_domain_changes_no_name(
+    tmp_path: Path, replay: Any, daemon: Any, domain_id: int
+) -> None:
+    file = write_bag(tmp_path / "run.mcap", talk("/alpha", 10))
+    async with daemon(domain=domain_id + 1):
+        ran = await replay(file, "--json")
+    assert (ran.summary["prefix"], ran.summary["notes"]) == ("", [])
+
+
+async def test_without_a_domain_of_ones_own_the_replay_goes_where_the_robots_daemon_is(
+    tmp_path: Path, replay: Any, daemon: Any, domain_id: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = write_bag(tmp_path / "run.mcap", talk("/alpha", 3))
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    async with daemon("r2"):
+        ran = await replay(file, "--robot", "r2", "--json")
+    assert (ran.summary["domain_id"], ran.summary["prefix"]) == (domain_id, "/replay")
+
+
+async def test_the_cure_for_changed_types_moves_no_idle_robot(
+    tmp_path: Path, listener: Any, replay: Any, daemon: Any, until: Until
+) -> None:
+    commands = [Line("/cmd_vel", TWIST, n, twist(1.0)) for n in range(10)]
+    changed = talk("/alpha", 10, type_hash=OTHER_HASH)
+    file = write_bag(tmp_path / "run.mcap", in_order(commands, changed))
+    for topic, type_name in (("/cmd_vel", TWIST), ("/replay/cmd_vel", TWIST)):
+        listener.listen(topic, type_name)
+    async with daemon():
+        ran = await replay(file)
+        assert ran.exit_code == 4
+        assert "play it anyway: --force-types)" in ran.err
+        ran = await replay(file, "--force-types")
+    assert ran.exit_code == 0, ran.err
+    await until(lambda: listener.heard["/replay/cmd_vel"] == data(commands))
+    assert listener.heard["/cmd_vel"] == []
+
+
+async def test_original_names_beside_a_daemon_take_commands_along_where_they_are_named(
+    tmp_path: Path, listener: Any, replay: Any, daemon: Any, until: Until
+) -> None:
+    commands = [Line("/cmd_vel", TWIST, n, twist(1.0)) for n in range(10)]
+    file = write_bag(tmp_path / "run.mcap", in_order(commands, talk("/alpha", 10)))
+    listener.listen("/cmd_vel", TWIST)
+    listener.listen("/alpha", STRING)
+    async with daemon():
+        ran = await replay(file, "--original-names", "--json")
+        assert ran.summary["withheld"] == {"/cmd_vel": 10}
+        await until(lambda: len(listener.heard["/alpha"]) == 10)
+        assert listener.heard["/cmd_vel"] == []
+        named = ("--topics", "/cmd_vel", "--regex", ".")
+        ran = await replay(file, "--original-names", *named, "--json")
+    assert ran.exit_code == 0, ran.err
+    assert (ran.summary["prefix"], ran.summary["withheld"]) == ("", {})
+    await until(lambda: listener.heard["/cmd_vel"] == data(commands))
+    await until(lambda: len(listener.heard["/alpha"]) == 20)
+
+
+async def test_original_names_are_refused_while_the_robot_moves(
+    tmp_path: Path, listener: Any, replay: Any, daemon: Any
+) -> None:
+    file = write_bag(tmp_path / "run.mcap", talk("/alpha", 10))
+    listener.listen("/alpha", STRING)
+    async with daemon("r2", mode="MOVING"), daemon("r1"):
+        ran = await replay(file, "--original-names")
+    assert (ran.exit_code, ran.out) == (4, "")
+    assert ran.err.startswith("robotctl: --original-names is refused while robot 'r2' is MOVING")
+    assert listener.heard["/alpha"] == []
+
+
+async def test_original_names_end_when_the_robot_begins_to_move(
+    tmp_path: Path, listener: Any, start: Any, daemon: Any, until: Until
+) -> None:
+    file = write_bag(tmp_path / "run.mcap", talk("/alpha", 1000, 100.0))
+    listener.listen("/alpha", STRING)
+    async with daemon() as running:
+        replaying = start(file, "--original-names")
+        await until(lambda: listener.heard["/alpha"])
+        running.mode = "MOVING"
+        ran = await replaying.end()
+    assert ran.exit_code == 4
+    assert "is MOVING" in ran.err
+
+
+async def test_a_daemon_that_comes_during_a_replay_ends_it(
+    tmp_path: Path, listener: Any, start: Any, daemon: Any, until: Until
+) -> None:
+    file = write_bag(tmp_path / "run.mcap", talk("/alpha", 1000, 100.0))
+    listener.listen("/alpha", STRING)
+    replaying = start(file)
+    await until(lambda: listener.heard["/alpha"])
+    async with daemon():
+        ran = await replaying.end()
+    assert ran.exit_code == 4
+    assert "has joined ROS domain" in ran.err
+    await until(lambda: listener.node.count_publishers("/alpha") == 0)
+
+
+@pytest.mark.slow
+async def test_a_daemon_of_somebody_else_is_seen_on_the_ros_graph(
+    tmp_path: Path, listener: Any, replay: Any
+) -> None:
+    from robot_controller.msg import JournalEntry
+
+    file = write_bag(tmp_path / "run.mcap", talk("/alpha", 10))
+    listener.node.create_publisher(JournalEntry, "/r3/robotctl/journal", 10)
+    ran = await replay(file, "--json")
+    assert ran.summary["prefix"] == "/replay"
+    ran = await replay(file, "--original-names")
+    assert ran.exit_code == 4
+    assert "in an unknown mode" in ran.err
+
+
+@pytest.mark.parametrize("topic", ["/cmd_vel", pytest.param("/base/speed", marks=pytest.mark.slow)])
+async def test_commands_are_withheld_unless_named(
+    topic: str, tmp_path: Path, listener: Any, replay: Any, until: Until
+) -> None:
+    commands = [Line(topic, TWIST, n, twist(1.0)) for n in range(10)]
+    file = write_bag(tmp_path / "run.mcap", in_order(commands, talk("/alpha", 10)))
+    listener.listen(topic, TWIST)
+    listener.listen("/alpha", STRING)
+    ran = await replay(file, "--json")
+    assert ran.summary["withheld"] == {topic: 10}
+    assert f"--topics {topic}" in ran.summary["notes"][0]
+    await until(lambda: len(listener.heard["/alpha"]) == 10)
+    assert listener.heard[topic] == []
+    ran = await replay(file, "--topics", topic)
+    assert ran.exit_code == 0
+    await until(lambda: listener.heard[topic] == data(commands))
+
+
+async def test_commands_are_not_even_announced_to_a_robot_that_comes_later(
+    tmp_path: Path, listener: Any, start: Any, until: Until
+) -> None:
+    commands = [Line("/cmd_vel", TWIST, n * 10.0, twist(1.0)) for n in range(10_000)]
+    file = write_bag(tmp_path / "run.mcap", in_order(commands, talk("/alpha", 1000, 100.0)))
+    listener.listen("/alpha", STRING)
+    replaying = start(file, "--json")
+    await until(lambda: listener.heard["/alpha"])
+    listener.listen("/cmd_vel", TWIST)
+    heard = len(listener.heard["/alpha"])
+    await until(lambda: len(listener.heard["/alpha"]) > heard + 10)
+    assert listener.node.count_publishers("/cmd_vel") == 0
+    assert listener.heard["/cmd_vel"] == []
+    replaying.interrupt()
+    ran = await replaying.end()
+    assert ran.summary["withheld"] == {"/cmd_vel": 10_000}

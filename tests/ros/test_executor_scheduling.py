@@ -1,14 +1,125 @@
-"""SCHED_FIFO for the loop's thread, where it is permitted."""
+"""No entity holds the loop longer than its slice, whatever its backlog.
+
+SCHED_FIFO for the loop's thread, where it is permitted.
+A callback that holds the loop is named, with its duration.
+Callback groups keep their meaning.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import os
+import re
 import threading
+import time
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
+from rclpy.callback_groups import (
+    CallbackGroup,
+    MutuallyExclusiveCallbackGroup,
+    ReentrantCallbackGroup,
+)
+from std_msgs.msg import UInt64
+from std_srvs.srv import SetBool
 
-from robotctl.ros import AsyncioExecutor
+from robotctl.ros import AsyncioExecutor, RawTap, Ticker
+from robotctl.ros.executor.event_loop import SHORTEST_SLICE_NS, SLICE_NS, TURN_NS
+from tests.support.open_executor import runtime_of
+from tests.support.rclpy_types import Node
+from tests.support.waiting import DEADLINE_S
+
+Until = Callable[[Callable[[], object]], Awaitable[None]]
+
+
+@pytest.mark.parametrize("raw", [False, True])
+async def test_a_flooded_subscription_ends_its_slice_and_goes_on_in_the_next(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until, raw: bool
+) -> None:
+    turns: list[int] = []
+    turn = 0
+
+    def work(*_: Any) -> None:
+        time.sleep(0.0001)
+        turns.append(turn)
+
+    if raw:
+        node.create_subscription(UInt64, topic, RawTap(work), 1000, raw=True)
+    else:
+        node.create_subscription(UInt64, topic, work, 1000)
+    publisher = node.create_publisher(UInt64, topic, 1000)
+    await asyncio.sleep(0.01)
+    for value in range(200):
+        publisher.publish(UInt64(data=value))
+
+    async def count_turns() -> None:
+        nonlocal turn
+        while len(turns) < 200:
+            turn += 1
+            await asyncio.sleep(0)
+
+    async with asyncio.timeout(DEADLINE_S):
+        await count_turns()
+    # 0.1 ms each in slices of 0.3 ms: a few a turn, never a long run.
+    per_turn = [turns.count(number) for number in set(turns)]
+    assert max(per_turn) <= 1 + SLICE_NS // 100_000
+    assert len(per_turn) >= 200 // (1 + SLICE_NS // 100_000)
+
+
+async def test_a_flood_delays_neither_a_service_nor_the_tick_by_its_backlog(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+) -> None:
+    got: list[int] = []
+
+    def work(message: UInt64) -> None:
+        time.sleep(0.0005)
+        got.append(message.data)
+
+    node.create_subscription(UInt64, topic, work, 2000)
+    node.create_service(SetBool, topic, lambda request, response: response)
+    client = node.create_client(SetBool, topic)
+    await executor.wait_for_service(client, timeout_s=DEADLINE_S)
+    publisher = node.create_publisher(UInt64, topic, 2000)
+    backlog = 1000
+    for value in range(backlog):
+        publisher.publish(UInt64(data=value))
+    # Half a second of work waits. Later entities are served before it is done.
+    async with asyncio.timeout(DEADLINE_S), Ticker(1000.0) as ticker:
+        for _ in range(2):
+            await executor.call(client, SetBool.Request(), timeout_s=DEADLINE_S)
+            await anext(ticker)
+    assert 0 < len(got) < backlog
+    await until(lambda: len(got) == backlog)
+
+
+async def test_many_flooded_entities_share_one_turn(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+) -> None:
+    runtime = runtime_of(executor)
+    floods = 10
+    got = [0] * floods
+    slices: set[int] = set()
+
+    def worker(index: int) -> Callable[[UInt64], None]:
+        def work(message: UInt64) -> None:
+            time.sleep(0.0001)
+            slices.add(runtime.slice_ns)
+            got[index] += 1
+
+        return work
+
+    publishers = []
+    for index in range(floods):
+        node.create_subscription(UInt64, f"{topic}/n{index}", worker(index), 100)
+        publishers.append(node.create_publisher(UInt64, f"{topic}/n{index}", 100))
+    await asyncio.sleep(0.01)
+    for publisher in publishers:
+        for value in range(50):
+            publisher.publish(UInt64(data=value))
+    await until(lambda: got == [50] * floods)
+    assert min(slices) == max(TURN_NS // floods, SHORTEST_SLICE_NS)
+    await until(lambda: runtime.slice_ns == SLICE_NS)
 
 
 async def test_the_executor_says_how_its_thread_is_scheduled_and_undoes_it(context: Any) -> None:
@@ -41,3 +152,308 @@ async def test_sched_fifo_refused_by_the_kernel_is_said_and_nothing_else(
 def test_a_priority_outside_1_to_99_is_refused(context: Any, priority: int) -> None:
     with pytest.raises(ValueError, match="1 to 99"):
         AsyncioExecutor(context, fifo_priority=priority)
+
+
+def named_ms(caplog: pytest.LogCaptureFixture, whom: str) -> list[int]:
+    """Return the durations in the warnings about one callback; a busy machine may cause others."""
+    found = (re.search(r"(.*) held the loop for (\d+) ms", text) for text in caplog.messages)
+    return [int(each[2]) for each in found if each is not None and whom in each[1]]
+
+
+@pytest.mark.parametrize("kind", ["subscription", "tap", "service", "timer", "guard", "task"])
+async def test_a_callback_that_holds_the_loop_is_named_with_its_duration(
+    executor: AsyncioExecutor,
+    node: Node,
+    topic: str,
+    until: Until,
+    caplog: pytest.LogCaptureFixture,
+    kind: str,
+) -> None:
+    def hog(*arguments: Any) -> Any:
+        time.sleep(0.06)
+        return arguments[-1] if arguments else None
+
+    match kind:
+        case "subscription":
+            node.create_subscription(UInt64, topic, hog, 10)
+        case "tap":
+            node.create_subscription(UInt64, topic, RawTap(hog), 10, raw=True)
+        case "service":
+            node.create_service(SetBool, topic, hog)
+            node.create_client(SetBool, topic).call_async(SetBool.Request())
+        case "timer":
+            node.create_timer(0.1, hog)
+        case "guard":
+            node.create_guard_condition(hog).trigger()
+        case "task":
+            executor.create_task(hog)
+    node.create_publisher(UInt64, topic, 10).publish(UInt64())
+    await until(lambda: any(ms >= 60 for ms in named_ms(caplog, kind)))
+    assert ("hog" in caplog.text) or kind == "tap"
+
+
+async def test_a_callback_that_blocks_again_and_again_is_not_named_every_time(
+    executor: AsyncioExecutor,
+    node: Node,
+    until: Until,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    called: list[int] = []
+
+    def hog() -> None:
+        called.append(1)
+        time.sleep(0.06)
+
+    node.create_timer(0.001, hog)
+    await until(lambda: len(called) >= 3)
+    assert len(named_ms(caplog, "hog")) == 1
+    monkeypatch.setattr(runtime_of(executor).slow, "_quiet_until_ns", {})
+    await until(lambda: len(named_ms(caplog, "hog")) == 2)
+    assert "times since the last warning" in caplog.text
+
+
+async def test_an_async_callback_that_blocks_between_two_awaits_is_named(
+    executor: AsyncioExecutor,
+    node: Node,
+    topic: str,
+    until: Until,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    took_ms: list[float] = []
+
+    async def hog(message: UInt64) -> None:
+        begun = time.monotonic()
+        await asyncio.sleep(0.2)
+        time.sleep(0.06)  # noqa: ASYNC251 - it is to block
+        took_ms.append((time.monotonic() - begun) * 1e3)
+        await asyncio.sleep(0)
+
+    node.create_subscription(UInt64, topic, hog, 10)
+    node.create_publisher(UInt64, topic, 10).publish(UInt64())
+    await until(lambda: any(ms >= 60 for ms in named_ms(caplog, "hog")))
+    assert max(named_ms(caplog, "hog")) < took_ms[0]  # the time of its wait does not count
+
+
+class Overlap:
+    """Async callbacks that record how many of them run at once."""
+
+    def __init__(self) -> None:
+        self.running = 0
+        self.most = 0
+        self.done: list[str] = []
+
+    async def run(self, name: str) -> None:
+        self.running += 1
+        self.most = max(self.most, self.running)
+        await asyncio.sleep(0.005)
+        self.running -= 1
+        self.done.append(name)
+
+
+def make_everything(node: Node, topic: str, group: CallbackGroup, overlap: Overlap) -> None:
+    """Create a subscription, a service, a timer and a guard condition, each with work to do."""
+
+    async def on_message(message: UInt64) -> None:
+        await overlap.run("subscription")
+
+    async def on_request(request: Any, response: Any) -> Any:
+        await overlap.run("service")
+        return response
+
+    async def on_timer() -> None:
+        await overlap.run("timer")
+
+    async def on_guard() -> None:
+        await overlap.run("guard")
+
+    node.create_subscription(UInt64, topic, on_message, 10, callback_group=group)
+    node.create_service(SetBool, topic, on_request, callback_group=group)
+    client = node.create_client(SetBool, topic)
+    node.create_timer(0.002, on_timer, callback_group=group)
+    node.create_guard_condition(on_guard, callback_group=group).trigger()
+    publisher = node.create_publisher(UInt64, topic, 10)
+    for value in range(5):
+        publisher.publish(UInt64(data=value))
+    client.call_async(SetBool.Request())
+
+
+async def test_async_callbacks_of_a_mutually_exclusive_group_never_overlap(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+) -> None:
+    overlap = Overlap()
+    make_everything(node, topic, MutuallyExclusiveCallbackGroup(), overlap)
+    await until(lambda: overlap.done.count("subscription") == 5)
+    await until(lambda: {*overlap.done} == {"subscription", "service", "timer", "guard"})
+    assert overlap.most == 1
+
+
+async def test_async_callbacks_of_a_reentrant_group_overlap(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+) -> None:
+    overlap = Overlap()
+    make_everything(node, topic, ReentrantCallbackGroup(), overlap)
+    await until(lambda: overlap.done.count("subscription") == 5)
+    await until(lambda: {*overlap.done} == {"subscription", "service", "timer", "guard"})
+    assert overlap.most > 1
+
+
+async def test_a_synchronous_callback_waits_for_the_async_one_of_its_group(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+) -> None:
+    group = MutuallyExclusiveCallbackGroup()
+    order: list[str] = []
+    release = asyncio.Event()
+
+    async def slow(message: UInt64) -> None:
+        order.append("begun")
+        await release.wait()
+        order.append("ended")
+
+    def quick(message: UInt64) -> None:
+        order.append("quick")
+
+    node.create_subscription(UInt64, topic, slow, 10, callback_group=group)
+    node.create_subscription(UInt64, f"{topic}/quick", quick, 10, callback_group=group)
+    others: list[int] = []
+    node.create_subscription(UInt64, f"{topic}/quick", lambda m: others.append(1), 10)
+    publisher = node.create_publisher(UInt64, topic, 10)
+    quick_publisher = node.create_publisher(UInt64, f"{topic}/quick", 10)
+    publisher.publish(UInt64())
+    await until(lambda: order == ["begun"])
+    quick_publisher.publish(UInt64())
+    await until(lambda: others == [1])
+    assert order == ["begun"]
+    release.set()
+    await until(lambda: order == ["begun", "ended", "quick"])
+
+
+async def test_a_group_of_the_users_own_is_asked_for_every_callback(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+) -> None:
+    class Counting(CallbackGroup):
+        open_now = 0
+        begun = 0
+
+        def can_execute(self, entity: Any) -> bool:
+            return self.open_now == 0
+
+        def beginning_execution(self, entity: Any) -> bool:
+            assert self.open_now == 0
+            self.open_now += 1
+            self.begun += 1
+            return True
+
+        def ending_execution(self, entity: Any) -> None:
+            self.open_now -= 1
+
+    group = Counting()
+    got: list[int] = []
+    open_in_callback: list[int] = []
+
+    def callback(message: UInt64) -> None:
+        got.append(message.data)
+        open_in_callback.append(group.open_now)
+
+    others: dict[str, int] = {}
+    node.create_timer(0.001, lambda: others.update(timer=group.open_now), callback_group=group)
+    guard = node.create_guard_condition(
+        lambda: others.update(guard=group.open_now), callback_group=group
+    )
+    guard.trigger()
+    node.create_subscription(UInt64, topic, callback, 10, callback_group=group)
+    publisher = node.create_publisher(UInt64, topic, 10)
+    for value in range(5):
+        publisher.publish(UInt64(data=value))
+    await until(lambda: got == [0, 1, 2, 3, 4])
+    await until(lambda: len(others) == 2)
+    assert open_in_callback == [1] * 5
+    assert others == {"timer": 1, "guard": 1}
+    assert group.begun >= 5
+    assert group.open_now == 0
+
+
+async def test_a_cancelled_async_callback_frees_its_group(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+) -> None:
+    tasks: list[asyncio.Task[Any]] = []
+    got: list[int] = []
+
+    async def callback(message: UInt64) -> None:
+        got.append(message.data)
+        if message.data == 0:
+            task = asyncio.current_task()
+            assert task is not None
+            tasks.append(task)
+            await asyncio.sleep(DEADLINE_S)
+
+    node.create_subscription(UInt64, topic, callback, 10)
+    publisher = node.create_publisher(UInt64, topic, 10)
+    publisher.publish(UInt64(data=0))
+    publisher.publish(UInt64(data=1))
+    await until(lambda: tasks)
+    assert got == [0]
+    tasks[0].cancel()
+    await until(lambda: got == [0, 1])
+
+
+async def test_a_guard_condition_triggered_while_its_group_is_busy_runs_afterwards(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+) -> None:
+    release = asyncio.Event()
+    order: list[str] = []
+
+    async def hold(message: UInt64) -> None:
+        order.append("held")
+        await release.wait()
+        order.append("free")
+
+    group = MutuallyExclusiveCallbackGroup()
+    node.create_subscription(UInt64, topic, hold, 10, callback_group=group)
+    guard = node.create_guard_condition(lambda: order.append("guard"), callback_group=group)
+    seen: list[int] = []
+    free = node.create_guard_condition(
+        lambda: seen.append(1), callback_group=ReentrantCallbackGroup()
+    )
+    node.create_publisher(UInt64, topic, 10).publish(UInt64())
+    await until(lambda: order == ["held"])
+    guard.trigger()
+    free.trigger()
+    await until(lambda: seen)
+    assert order == ["held"]
+    release.set()
+    await until(lambda: order == ["held", "free", "guard"])
+
+
+async def test_a_parked_entity_may_be_destroyed(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+) -> None:
+    release = asyncio.Event()
+    got: list[int] = []
+
+    async def callback(message: UInt64) -> None:
+        got.append(message.data)
+        await release.wait()
+
+    group = MutuallyExclusiveCallbackGroup()
+    node.create_subscription(UInt64, topic, callback, 10, callback_group=group)
+    parked = node.create_subscription(
+        UInt64, f"{topic}/parked", lambda m: got.append(-1), 10, callback_group=group
+    )
+    seen: list[int] = []
+    node.create_subscription(
+        UInt64,
+        f"{topic}/parked",
+        lambda m: seen.append(1),
+        10,
+        callback_group=ReentrantCallbackGroup(),
+    )
+    node.create_publisher(UInt64, topic, 10).publish(UInt64(data=7))
+    await until(lambda: got == [7])
+    node.create_publisher(UInt64, f"{topic}/parked", 10).publish(UInt64())
+    await until(lambda: seen)
+    node.destroy_subscription(parked)
+    await asyncio.sleep(0)
+    release.set()
+    await until(lambda: not runtime_of(executor).tasks)
+    assert got == [7]

@@ -1,18 +1,32 @@
-"""Subscriptions and publishers under AsyncioExecutor, against a process with plain rclpy."""
+"""Subscriptions and publishers under AsyncioExecutor, against a process with plain rclpy.
+
+QoS events under AsyncioExecutor, against a process with plain rclpy.
+How often AsyncioExecutor takes from a subscription, and that no message is left behind.
+Guard conditions and foreign Waitables under AsyncioExecutor: the wait-set thread.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
 import pytest
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import UInt64
+from rclpy.waitable import NumberOfEntities, Waitable
+from std_msgs.msg import String, UInt64
 
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import announcements
+from robotctl.ros.executor.raw_tap import LARGE_BYTES, SerializedTaker
+from robotctl.ros.executor.sources import subscriptions
+from tests.support.open_executor import sources_of
 from tests.support.rclpy_types import Node
+from tests.support.waiting import until as wait_until
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]
@@ -143,3 +157,409 @@ async def test_what_we_publish_reaches_the_other_process(
     for value in range(10):
         publisher.publish(UInt64(data=value))
     assert await peer("heard", topic=topic, count=10) == list(range(10))
+
+
+def reliable(depth: int) -> QoSProfile:
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
+
+
+async def meet_incompatible(
+    node: Node, peer: Peer, topic: str, callback: Callable[[Any], None]
+) -> None:
+    """Subscribe reliably to a topic that the peer then offers as best effort."""
+    callbacks = SubscriptionEventCallbacks(incompatible_qos=callback)
+    node.create_subscription(UInt64, topic, lambda _: None, reliable(10), event_callbacks=callbacks)
+    await peer("offer", topic=topic, reliable=False)
+
+
+async def test_matched_events_come_when_the_other_side_appears_and_goes(
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until
+) -> None:
+    seen: list[tuple[int, int]] = []
+
+    def tell(event: Any) -> None:
+        seen.append((event.current_count, event.current_count_change))
+
+    callbacks = SubscriptionEventCallbacks(matched=tell)
+    node.create_subscription(UInt64, topic, lambda _: None, 10, event_callbacks=callbacks)
+    await peer("offer", topic=topic)
+    await until(lambda: seen == [(1, 1)])
+    await peer("withdraw", topic=topic)
+    await until(lambda: seen == [(1, 1), (0, -1)])
+
+
+async def test_a_match_from_before_the_node_was_added_is_told_once(
+    context: Any, node: Node, peer: Peer, topic: str, until: Until
+) -> None:
+    seen: list[int] = []
+
+    def tell(event: Any) -> None:
+        seen.append(event.current_count)
+
+    await peer("listen", topic=topic)
+    callbacks = PublisherEventCallbacks(matched=tell)
+    publisher = node.create_publisher(UInt64, topic, 10, event_callbacks=callbacks)
+    await until(publisher.get_subscription_count)
+    reference: list[int] = []
+    async with AsyncioExecutor(context) as executor:
+        executor.add_node(node)
+        node.create_timer(0.01, lambda: reference.append(1))
+        await until(lambda: seen and len(reference) >= 5)
+    assert seen == [1]
+
+
+async def test_incompatible_qos_is_told(
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until
+) -> None:
+    seen: list[int] = []
+    await meet_incompatible(node, peer, topic, lambda event: seen.append(event.total_count_change))
+    await until(lambda: seen == [1])
+
+
+async def test_an_incompatible_offer_from_before_the_node_was_added_counts_as_one(
+    context: Any, node: Node, peer: Peer, topic: str, until: Until
+) -> None:
+    seen: list[Any] = []
+    await meet_incompatible(node, peer, topic, seen.append)
+    await until(lambda: node.count_publishers(topic))
+    async with AsyncioExecutor(context) as executor:
+        executor.add_node(node)
+        await until(lambda: seen)
+    event = seen[0]
+    assert (event.total_count, event.total_count_change) == (1, 1)
+    assert event.last_policy_kind == QoSPolicyKind.RELIABILITY
+
+
+async def test_what_an_executor_of_rclpy_has_told_is_not_told_again(
+    context: Any, node: Node, peer: Peer, topic: str, until: Until
+) -> None:
+    seen: list[tuple[int, int, int]] = []
+
+    def tell(event: Any) -> None:
+        seen.append((event.total_count, event.total_count_change, event.current_count_change))
+
+    callbacks = PublisherEventCallbacks(matched=tell)
+    node.create_publisher(UInt64, topic, 10, event_callbacks=callbacks)
+    await peer("listen", topic=topic)
+    theirs = SingleThreadedExecutor(context=context)
+    theirs.add_node(node)
+
+    def tells() -> bool:
+        theirs.spin_once(timeout_sec=0.01)
+        return bool(seen)
+
+    await asyncio.to_thread(wait_until, tells)
+    theirs.remove_node(node)
+    theirs.shutdown()
+    assert seen == [(1, 1, 1)]
+    local = node.create_subscription(UInt64, topic, lambda _: None, 10)
+    turns: list[int] = []
+    node.create_timer(0.01, lambda: turns.append(1))
+    async with AsyncioExecutor(context) as executor:
+        executor.add_node(node)
+        await until(lambda: len(seen) >= 2)
+    turns.clear()
+    async with AsyncioExecutor(context) as executor:  # Nor by a publisher of this process.
+        executor.add_node(node)
+        await until(lambda: len(turns) >= 5)
+    assert seen == [(1, 1, 1), (2, 1, 1)]
+    node.destroy_subscription(local)
+
+
+async def test_an_event_announced_after_it_was_taken_is_not_told_again(
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until
+) -> None:
+    seen: list[int] = []
+
+    def tell(event: Any) -> None:
+        seen.append(event.total_count_change)
+
+    await meet_incompatible(node, peer, topic, tell)
+    await until(lambda: seen == [1])
+    (announced,) = (
+        source for source in sources_of(executor).values() if source.entity.callback is tell
+    )
+    announced.resume()
+    reference: list[int] = []
+    node.create_timer(0.01, lambda: reference.append(1))
+    await until(lambda: len(reference) >= 5)
+    assert seen == [1]
+
+
+async def test_a_missed_deadline_is_told(
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until
+) -> None:
+    seen: list[int] = []
+    qos = QoSProfile(depth=10, deadline=Duration(nanoseconds=50_000_000))
+
+    def tell(event: Any) -> None:
+        seen.append(event.total_count_change)
+
+    callbacks = SubscriptionEventCallbacks(deadline=tell)
+    node.create_subscription(UInt64, topic, lambda _: None, qos, event_callbacks=callbacks)
+    await peer("offer", topic=topic, deadline_s=0.05)
+    await peer("publish", topic=topic, values=[1])
+    await until(lambda: sum(seen) >= 2)
+
+
+async def test_message_lost_events_are_watched_without_inventing_any(
+    executor: AsyncioExecutor, node: Node, feed: Feed, topic: str, until: Until
+) -> None:
+    # This middleware never sends the event (sequence gaps show losses instead). The test shows only
+    # that it is attached and that no event is invented.
+    seen: list[object] = []
+    got: list[int] = []
+    callbacks = SubscriptionEventCallbacks(message_lost=seen.append)
+    subscription = node.create_subscription(
+        UInt64, topic, lambda m: got.append(m.data), 10, event_callbacks=callbacks
+    )
+    await feed(subscription, [1, 2, 3])
+    await until(lambda: got == [1, 2, 3])
+    assert seen == []
+    paths = [source.woken_by for source in sources_of(executor).values() if "LOST" in source.where]
+    assert paths == ["eventfd"]
+
+
+@pytest.fixture
+def takes(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """Whether each take so far found a message."""
+    found: list[bool] = []
+    take = SerializedTaker.take
+
+    def counted(taker: SerializedTaker) -> object:
+        item = take(taker)
+        found.append(item is not None)
+        return item
+
+    monkeypatch.setattr(SerializedTaker, "take", counted)
+    return found
+
+
+async def test_a_message_is_taken_once_and_nothing_else(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until, takes: list[bool]
+) -> None:
+    got: list[int] = []
+    node.create_subscription(UInt64, topic, lambda message: got.append(message.data), 10)
+    publisher = node.create_publisher(UInt64, topic, 10)
+    await until(lambda: takes == [False])  # what was there before the executor
+    for value in range(5):
+        publisher.publish(UInt64(data=value))
+        await until(lambda: len(got) > value)  # noqa: B023
+    assert takes == [False, *[True] * 5]
+
+
+async def test_a_middleware_that_does_not_count_messages_is_asked_until_none_is_left(
+    executor: AsyncioExecutor,
+    node: Node,
+    topic: str,
+    until: Until,
+    takes: list[bool],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(subscriptions, "counts_each_message", lambda: False)
+    got: list[int] = []
+    node.create_subscription(UInt64, topic, lambda message: got.append(message.data), 10)
+    publisher = node.create_publisher(UInt64, topic, 10)
+    await until(lambda: takes == [False])
+    publisher.publish(UInt64(data=1))
+    await until(lambda: got)
+    assert takes == [False, True, False]
+
+
+async def test_the_memory_of_a_large_message_is_looked_after_at_once(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until, takes: list[bool]
+) -> None:
+    got: list[str] = []
+    node.create_subscription(String, topic, lambda message: got.append(message.data), 10)
+    publisher = node.create_publisher(String, topic, 10)
+    await until(lambda: takes == [False])
+    publisher.publish(String(data="x" * LARGE_BYTES))
+    await until(lambda: got)
+    assert takes == [False, True, False]
+
+
+async def test_messages_that_waited_for_their_callback_group_are_all_delivered(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until, takes: list[bool]
+) -> None:
+    got: list[int] = []
+    busy, free = asyncio.Event(), asyncio.Event()
+
+    async def occupy(_: UInt64) -> None:
+        busy.set()
+        await free.wait()
+
+    node.create_subscription(UInt64, f"{topic}_first", occupy, 10)
+    node.create_subscription(UInt64, topic, lambda message: got.append(message.data), 10)
+    first = node.create_publisher(UInt64, f"{topic}_first", 10)
+    publisher = node.create_publisher(UInt64, topic, 10)
+    await until(lambda: takes == [False, False])
+    first.publish(UInt64())
+    await busy.wait()
+    for value in range(5):
+        publisher.publish(UInt64(data=value))
+    engine = executor._engine
+    await until(lambda: engine is not None and engine.runtime._parked)
+    free.set()
+    await until(lambda: len(got) == 5)
+    assert got == list(range(5))
+
+
+async def test_messages_beyond_a_slice_of_the_loop_are_delivered_in_the_next_ones(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until, takes: list[bool]
+) -> None:
+    assert executor._engine is not None
+    executor._engine.runtime.slice_ns = -1
+    got: list[int] = []
+    node.create_subscription(UInt64, topic, lambda message: got.append(message.data), 10)
+    publisher = node.create_publisher(UInt64, topic, 10)
+    await until(lambda: takes == [False])
+    for value in range(6):
+        publisher.publish(UInt64(data=value))
+    await until(lambda: len(got) == 6)
+    assert got == list(range(6))
+
+
+async def test_a_guard_condition_runs_its_callback_for_a_trigger_from_any_thread(
+    executor: AsyncioExecutor, node: Node, until: Until
+) -> None:
+    fired: list[asyncio.AbstractEventLoop] = []
+    guard = node.create_guard_condition(lambda: fired.append(asyncio.get_running_loop()))
+    guard.trigger()
+    await until(lambda: len(fired) == 1)
+    await asyncio.to_thread(guard.trigger)
+    await until(lambda: len(fired) == 2)
+    assert set(fired) == {asyncio.get_running_loop()}
+
+
+async def test_an_async_guard_condition_callback_may_await(
+    executor: AsyncioExecutor, node: Node, until: Until
+) -> None:
+    fired: list[int] = []
+
+    async def callback() -> None:
+        await asyncio.sleep(0.001)
+        fired.append(1)
+
+    node.create_guard_condition(callback).trigger()
+    await until(lambda: fired == [1])
+
+
+class ForeignWaitable(Waitable):
+    """A Waitable as a package outside rclpy would write it: around a subscription."""
+
+    def __init__(self, node: Node, topic: str) -> None:
+        super().__init__(node.default_callback_group)  # type: ignore[no-untyped-call]
+        self.subscription = node.create_subscription(UInt64, topic, lambda _: None, 10)
+        node._subscriptions.remove(self.subscription)
+        self.index: int | None = None
+        self.executed: list[int] = []
+
+    def __enter__(self) -> None:
+        self.subscription.handle.__enter__()
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        self.subscription.handle.__exit__(None, None, None)
+
+    def is_ready(self, wait_set: Any) -> bool:
+        return self.index is not None and wait_set.is_ready("subscription", self.index)
+
+    def take_data(self) -> Any:
+        return self.subscription.handle.take_message(UInt64, False)
+
+    async def execute(self, taken_data: Any) -> None:
+        await asyncio.sleep(0.001)
+        self.executed.append(taken_data[0].data)
+
+    def get_num_entities(self) -> NumberOfEntities:
+        return NumberOfEntities(num_subs=1)
+
+    def add_to_wait_set(self, wait_set: Any) -> None:
+        self.index = wait_set.add_subscription(self.subscription.handle)
+
+
+@pytest.fixture
+def waitable(node: Node, topic: str) -> Iterator[ForeignWaitable]:
+    made = ForeignWaitable(node, f"{topic}/foreign")
+    node.add_waitable(made)
+    yield made
+    node.remove_waitable(made)
+    handlers: Any = made.subscription.event_handlers
+    for handler in handlers:
+        node.remove_waitable(handler)
+    made.subscription.destroy()
+
+
+@pytest.fixture
+def foreign(executor: AsyncioExecutor, waitable: ForeignWaitable) -> ForeignWaitable:
+    return waitable
+
+
+async def test_a_foreign_waitable_is_waited_for_taken_and_executed(
+    foreign: ForeignWaitable, node: Node, topic: str, until: Until
+) -> None:
+    publisher = node.create_publisher(UInt64, f"{topic}/foreign", 10)
+    for value in (1, 2, 3):
+        publisher.publish(UInt64(data=value))
+
+        def is_executed(value: int = value) -> bool:
+            return foreign.executed == list(range(1, value + 1))
+
+        await until(is_executed)
+
+
+async def test_a_foreign_waitable_parked_behind_its_group_does_not_turn_the_loop(
+    foreign: ForeignWaitable,
+    node: Node,
+    topic: str,
+    until: Until,
+    comes_to_rest: Callable[[], Awaitable[bool]],
+) -> None:
+    release = asyncio.Event()
+    busy: list[int] = []
+
+    async def hold(message: UInt64) -> None:
+        busy.append(1)
+        await release.wait()
+
+    node.create_subscription(UInt64, topic, hold, 10)
+    node.create_publisher(UInt64, topic, 10).publish(UInt64())
+    await until(lambda: busy)
+    publisher = node.create_publisher(UInt64, f"{topic}/foreign", 10)
+    publisher.publish(UInt64(data=1))
+    publisher.publish(UInt64(data=2))
+    assert await comes_to_rest()
+    assert foreign.executed == []
+    release.set()
+    await until(lambda: foreign.executed == [1, 2])
+
+
+@pytest.mark.parametrize("method", ["get_num_entities", "add_to_wait_set", "is_ready", "take_data"])
+async def test_a_foreign_waitable_that_raises_is_reported_and_disturbs_no_guard_condition(
+    context: Any,
+    node: Node,
+    waitable: ForeignWaitable,
+    topic: str,
+    until: Until,
+    comes_to_rest: Callable[[], Awaitable[bool]],
+    monkeypatch: pytest.MonkeyPatch,
+    method: str,
+) -> None:
+    def fail(*_: object) -> None:
+        raise ValueError("no")
+
+    monkeypatch.setattr(waitable, method, fail)
+    reported: list[str] = []
+    fired: list[int] = []
+    async with AsyncioExecutor(
+        context, on_exception=lambda error, where: reported.append(str(error))
+    ) as executor:
+        executor.add_node(node)
+        node.create_publisher(UInt64, f"{topic}/foreign", 10).publish(UInt64(data=1))
+        guard = node.create_guard_condition(lambda: fired.append(1))
+        await until(lambda: reported)
+        assert await comes_to_rest()
+        guard.trigger()
+        await until(lambda: fired)
+        monkeypatch.undo()
+        await until(lambda: waitable.executed == [1])
+    assert set(reported) == {"no"}

@@ -1,17 +1,24 @@
-"""Timers under AsyncioExecutor, on the steady clock and on ROS time."""
+"""Timers under AsyncioExecutor, on the steady clock and on ROS time.
+
+The ticker keeps its schedule, counts missed ticks, and frees its timer.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Awaitable, Callable
+from itertools import pairwise
 from typing import Any
 
+import pytest
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from robotctl.ros import AsyncioExecutor
+from robotctl.ros import AsyncioExecutor, Tick, Ticker
+from tests.support.open_executor import loop_descriptors
 from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -114,3 +121,174 @@ async def test_a_ros_time_timer_runs_again_when_sim_time_ends(
     assert fired == []
     node.set_parameters([Parameter("use_sim_time", value=False)])
     await until(lambda: len(fired) >= 2)
+
+
+async def test_every_tick_is_due_at_a_multiple_of_the_period_after_the_first() -> None:
+    async with asyncio.timeout(DEADLINE_S), Ticker(200.0) as ticker:
+        ticks = [await anext(ticker) for _ in range(20)]
+    for before, after in pairwise(ticks):
+        assert after.due_ns - before.due_ns == (after.missed + 1) * 5_000_000
+        assert after.t_ns >= after.due_ns
+    assert ticks[0].t_ns <= time.monotonic_ns()
+
+
+async def test_ticks_missed_while_the_loop_was_busy_are_counted_and_not_repeated() -> None:
+    async with asyncio.timeout(DEADLINE_S), Ticker(200.0) as ticker:
+        before = await anext(ticker)
+        time.sleep(0.0525)  # noqa: ASYNC251 - the loop is to be busy
+        late = await anext(ticker)
+        after = await anext(ticker)
+    assert late.missed >= 9
+    assert late.due_ns - before.due_ns == (late.missed + 1) * 5_000_000
+    assert after.due_ns > late.t_ns - 5_000_000
+
+
+async def test_a_consumer_that_is_always_late_leaves_the_loop_its_turns() -> None:
+    turns = 0
+
+    async def other() -> None:
+        nonlocal turns
+        while True:
+            turns += 1
+            await asyncio.sleep(0)
+
+    async with asyncio.timeout(DEADLINE_S), Ticker(1000.0) as ticker:
+        task = asyncio.create_task(other())
+        for _ in range(20):
+            await anext(ticker)
+            time.sleep(0.003)  # noqa: ASYNC251 - the consumer is to be late
+        task.cancel()
+    assert turns >= 20
+
+
+async def test_a_ticker_that_nobody_awaits_does_not_turn_the_loop(
+    turns_while_waiting: Callable[[], Awaitable[int]],
+) -> None:
+    async with asyncio.timeout(DEADLINE_S), Ticker(100.0) as ticker:
+        await anext(ticker)
+        # 10 expiries, the sleep itself, and room for a few strays.
+        assert await turns_while_waiting() < 100
+        assert (await anext(ticker)).missed >= 5
+
+
+async def test_leaving_the_loop_lets_the_descriptor_go() -> None:
+    before = loop_descriptors()
+    async with asyncio.timeout(DEADLINE_S):
+        async for _ in Ticker(500.0):
+            assert loop_descriptors() == before + 1
+            break
+    assert loop_descriptors() == before
+
+
+async def test_close_ends_a_waiting_iteration() -> None:
+    before = loop_descriptors()
+    ticker = Ticker(0.01)
+    ticks = []
+
+    async def consume() -> None:
+        ticks.extend([tick async for tick in ticker])
+
+    task = asyncio.create_task(consume())
+    await asyncio.sleep(0)
+    assert loop_descriptors() == before + 1
+    ticker.close()
+    ticker.close()
+    async with asyncio.timeout(DEADLINE_S):
+        await task
+    assert ticks == []
+    assert loop_descriptors() == before
+    with pytest.raises(StopAsyncIteration):
+        await anext(ticker)
+
+
+async def test_a_cancelled_wait_leaves_the_ticker_usable() -> None:
+    async with asyncio.timeout(DEADLINE_S), Ticker(50.0) as ticker:
+        task = asyncio.ensure_future(anext(ticker))
+        await asyncio.sleep(0)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        ticks = [await anext(ticker) for _ in range(2)]
+    assert ticks[1].due_ns - ticks[0].due_ns == (ticks[1].missed + 1) * 20_000_000
+
+
+async def test_a_second_task_at_the_same_ticker_is_refused() -> None:
+    async with Ticker(1.0) as ticker:
+        first = asyncio.ensure_future(anext(ticker))
+        await asyncio.sleep(0)
+        with pytest.raises(RuntimeError, match="another task waits"):
+            await anext(ticker)
+        first.cancel()
+
+
+async def test_a_second_loop_is_refused() -> None:
+    async with Ticker(1.0) as ticker:
+
+        def elsewhere() -> None:
+            async def use() -> None:
+                await anext(ticker)
+
+            with pytest.raises(RuntimeError, match="another event loop"):
+                asyncio.run(use())
+
+        await asyncio.to_thread(elsewhere)
+
+
+@pytest.mark.parametrize("hz", [0.0, -1.0, float("nan"), float("inf"), 10_001.0])
+def test_a_rate_that_cannot_be_kept_is_refused(hz: float) -> None:
+    with pytest.raises(ValueError, match="Hz"):
+        Ticker(hz)
+
+
+async def test_a_function_is_called_for_each_tick_until_the_ticker_is_closed() -> None:
+    ticks: list[Tick] = []
+    ticker = Ticker(200.0)
+
+    def take(tick: Tick) -> None:
+        ticks.append(tick)
+        if len(ticks) == 5:
+            ticker.close()
+
+    async with asyncio.timeout(DEADLINE_S):
+        await ticker.run(take)
+    assert len(ticks) == 5
+    for before, after in pairwise(ticks):
+        assert after.due_ns - before.due_ns == (after.missed + 1) * 5_000_000
+
+
+async def test_what_the_function_raises_ends_the_run_and_its_ticks() -> None:
+    calls = 0
+
+    def fail(tick: Tick) -> None:
+        nonlocal calls
+        calls += 1
+        raise ValueError("no step")
+
+    async with asyncio.timeout(DEADLINE_S), Ticker(1000.0) as ticker:
+        with pytest.raises(ValueError, match="no step"):
+            await ticker.run(fail)
+        await anext(ticker)
+    assert calls == 1
+
+
+async def test_a_cancelled_run_calls_its_function_no_more() -> None:
+    ticks: list[Tick] = []
+    async with asyncio.timeout(DEADLINE_S), Ticker(1000.0) as ticker:
+        task = asyncio.ensure_future(ticker.run(ticks.append))
+        while not ticks:  # noqa: ASYNC110 - a ticker has no event
+            await asyncio.sleep(0)
+        task.cancel()
+        count = len(ticks)
+        await asyncio.wait({task})
+        await anext(ticker)
+    assert len(ticks) == count
+
+
+async def test_tickers_of_one_rate_tick_together_and_one_with_a_lead_before_them() -> None:
+    async with asyncio.timeout(DEADLINE_S), Ticker(100.0) as one, Ticker(100.0) as other:
+        first = await anext(one)
+        second = await anext(other)
+        async with Ticker(100.0, lead_ns=100_000) as early:
+            third = await anext(early)
+    assert (second.due_ns - first.due_ns) % one.period_ns == 0
+    assert (first.due_ns - third.due_ns) % one.period_ns == 100_000

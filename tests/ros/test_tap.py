@@ -1,21 +1,37 @@
-"""The tap records every topic of any publisher, and names the ones that it cannot record."""
+"""The tap records every topic of any publisher, and names the ones that it cannot record.
+
+A tap for viewers says why a topic cannot be subscribed to, until it can.
+Each message reaches the sink once, in whatever order two subscriptions deliver.
+A subscription that hears nothing of a publisher for its QoS is named while it is there.
+A large message is passed to the recorder as a view, and its buffer is freed.
+"""
 
 from __future__ import annotations
 
+import asyncio
+from array import array
 from collections.abc import Awaitable, Callable
+from random import Random
 from threading import Event
 from typing import Any
 
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from robotctl.ros.executor import RawTap, raw_tap
+from robotctl.ros.executor.raw_tap import SerializedTaker
+from robotctl.ros.graph.endpoints import Endpoint
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import OwnTopic
 from robotctl.ros.messages.type_definition import definition_of, holds_bytes, type_hash_of
 from robotctl.ros.session import Session
 from robotctl.ros.tap import type_loader
-from robotctl.ros.tap.subscription import TappedSubscription
-from robotctl.ros.tap.tap import Tap
+from robotctl.ros.tap.on_demand import OnDemandTap
+from robotctl.ros.tap.subscription import MAX_PUBLISHERS, LatchedMerge, TappedSubscription
+from robotctl.ros.tap.tap import MAX_ENDPOINTS, Tap, mismatch
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
@@ -257,3 +273,254 @@ def test_the_qos_is_written_as_rosbag2_writes_it() -> None:
         "liveliness_lease_duration": forever,
         "avoid_ros_namespace_conventions": False,
     }
+
+
+class Watcher:
+    """What a tap has told."""
+
+    def __init__(self) -> None:
+        self.topics: set[str] = set()
+        self.problems: dict[str, str] = {}
+
+    def appeared(self, topic: str, *_: str) -> None:
+        self.topics.add(topic)
+
+    def vanished(self, topic: str) -> None:
+        self.topics.discard(topic)
+
+    def unusable(self, topic: str, problem: str) -> None:
+        self.problems[topic] = problem
+
+
+async def test_a_problem_is_taken_back_once_the_topic_can_be_subscribed_to(
+    session: Any, node: Any, topic: str, until: Until, no_subscription: Event
+) -> None:
+    from std_msgs.msg import UInt64
+
+    no_subscription.set()
+    published, watcher = node.create_publisher(UInt64, topic, 10), Watcher()
+    tap = OnDemandTap(session.node("_view"), watcher)
+    watching = asyncio.create_task(tap.run())
+    try:
+        await until(lambda: topic in watcher.topics)
+        heard: list[bytes] = []
+        tap.want(topic, lambda data, *_: heard.append(bytes(data)))
+        assert (
+            "cannot be subscribed to (RuntimeError: no descriptor is free)"
+            in watcher.problems[topic]
+        )
+        no_subscription.clear()
+        await until(published.get_subscription_count)
+        assert watcher.problems[topic] == ""
+        published.publish(UInt64(data=5))
+        await until(lambda: heard)
+    finally:
+        watching.cancel()
+        await asyncio.wait({watching})
+        tap.unwant(topic)
+
+
+class Got:
+    """A merge and the numbers that reached its sink."""
+
+    def __init__(self) -> None:
+        self.got: list[tuple[bytes, int]] = []
+        self.merge = LatchedMerge(
+            lambda data, received_ns, source_ns, sequence, gid: self.got.append((gid, sequence))
+        )
+
+    def live(self, sequence: int, gid: bytes = b"one") -> None:
+        self.merge.live(b"", 0, 0, sequence, gid)
+
+    def latched(self, sequence: int, gid: bytes = b"one") -> None:
+        self.merge.latched(b"", 0, 0, sequence, gid)
+
+    @property
+    def sequences(self) -> list[int]:
+        return sorted(sequence for _, sequence in self.got)
+
+
+@given(st.integers(1, 9), st.integers(1, 9), st.integers(10, 20), st.integers())
+def test_each_message_is_handed_on_once(
+    first_latched: int, first_live: int, last: int, seed: int
+) -> None:
+    dice, merged = Random(seed), Got()
+    live, latched = list(range(first_live, last + 1)), list(range(first_latched, last + 1))
+    while live or latched:
+        if not latched or (live and dice.random() < 0.5):
+            merged.live(live.pop(0))
+        else:
+            merged.latched(latched.pop(0))
+    assert merged.sequences == list(range(min(first_latched, first_live), last + 1))
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 3), st.integers(0, 4)), max_size=8))
+def test_what_is_latched_is_handed_on_once_however_often_it_is_subscribed_to(
+    phases: list[tuple[bool, int, int]],
+) -> None:
+    merged, sent = Got(), 1
+    for mixed, depth, more in phases:
+        merged.merge.restart()
+        for sequence in range(max(1, sent - depth), sent + 1):
+            merged.latched(sequence)
+        for _ in range(more):
+            sent += 1
+            if mixed:
+                merged.live(sent)
+            merged.latched(sent)
+    assert merged.sequences == (list(range(1, sent + 1)) if phases else [])
+
+
+def test_what_a_publisher_repeats_that_was_lost_and_found_is_handed_on_once() -> None:
+    merged = Got()
+    for sequence in (1, 2, 3, 2, 3, 4):  # the same subscription: this process did not notice
+        merged.latched(sequence)
+    assert merged.sequences == [1, 2, 3, 4]
+
+
+def test_a_publisher_that_does_not_count_is_heard() -> None:
+    merged = Got()
+    merged.latched(0)
+    merged.latched(0)
+    assert merged.sequences == [0, 0]
+
+
+def test_publishers_are_told_apart() -> None:
+    merged = Got()
+    merged.latched(1, b"latching")
+    merged.live(1, b"other")
+    merged.live(1, b"latching")
+    assert merged.got == [(b"latching", 1), (b"other", 1)]
+
+
+def test_publishers_that_keep_restarting_take_no_more_than_so_much_memory() -> None:
+    merged = Got()
+    for number in range(2 * MAX_PUBLISHERS):
+        merged.latched(1, number.to_bytes(16, "big"))
+    assert len(merged.got) == 2 * MAX_PUBLISHERS
+    assert len(merged.merge._latched) == MAX_PUBLISHERS
+
+
+RELIABLE = QoSProfile(depth=1)
+BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def end(node: str, qos: QoSProfile) -> Endpoint:
+    return Endpoint(node, "/", "std_msgs/msg/String", node.encode(), qos)
+
+
+@pytest.mark.parametrize(
+    ("offered", "asked", "reason"),
+    [
+        (BEST_EFFORT, RELIABLE, "reliability best_effort is offered, reliable asked for"),
+        (RELIABLE, LATCHED, "durability volatile is offered, transient_local asked for"),
+        (RELIABLE, BEST_EFFORT, ""),
+        (LATCHED, RELIABLE, ""),
+        (RELIABLE, RELIABLE, ""),
+        (LATCHED, LATCHED, ""),
+    ],
+)
+def test_what_is_asked_for_and_not_offered_is_named(
+    offered: QoSProfile, asked: QoSProfile, reason: str
+) -> None:
+    told = mismatch("/scan", [end("lidar", offered)], [end("slam", asked)])
+    assert told == (reason and f"/slam hears nothing of /lidar on /scan: {reason}")
+
+
+def test_the_recorder_itself_is_no_mismatch() -> None:
+    assert mismatch("/map", [end("map", RELIABLE)], [end("_recorder", LATCHED)]) == ""
+
+
+def test_names_of_others_stay_on_their_line() -> None:
+    told = mismatch("/a", [end("b\n\x1b[2J", BEST_EFFORT)], [end("c", RELIABLE)])
+    assert told.isprintable()
+
+
+def test_a_thousand_endpoints_cost_no_million_pairs() -> None:
+    many = [end(f"n{number}", BEST_EFFORT) for number in range(1000)]
+    last = end("last", RELIABLE)
+    assert mismatch("/a", many, [*many[: MAX_ENDPOINTS - 1], last]) != ""
+    assert mismatch("/a", many, [*many, last]) == ""
+
+
+async def test_a_mismatch_is_named_as_long_as_both_are_there(
+    taken: Any, node: Any, topic: str, until: Until
+) -> None:
+    from std_msgs.msg import Empty
+
+    said = taken.tap.mismatches.warnings
+    node.create_publisher(Empty, topic, BEST_EFFORT)
+    await until(lambda: topic in taken.topics)
+    assert list(said()) == []
+    deaf = node.create_subscription(Empty, topic, print, RELIABLE)
+    await until(lambda: list(said()))
+    (told,) = said()
+    assert told.endswith(f" on {topic}: reliability best_effort is offered, reliable asked for")
+    node.destroy_subscription(deaf)
+    await until(lambda: not list(said()))
+
+
+LARGE = raw_tap.LARGE_BYTES + 1
+
+
+def large(value: int) -> Any:
+    from std_msgs.msg import UInt8MultiArray
+
+    return UInt8MultiArray(data=array("B", bytes([value]) * LARGE))
+
+
+@pytest.mark.parametrize("views", [True, False])
+async def test_a_large_message_is_whole_and_only_lent_where_that_is_asked_for(
+    executor: Any, node: Any, topic: str, until: Until, views: bool
+) -> None:
+    from std_msgs.msg import UInt8MultiArray
+
+    taken: list[bytes | memoryview] = []
+    copies: list[bytes] = []
+
+    def sink(data: Any, *_: Any) -> None:
+        taken.append(data)
+        copies.append(bytes(data))
+
+    node.create_subscription(UInt8MultiArray, topic, RawTap(sink, views=views), 10, raw=True)
+    publisher = node.create_publisher(UInt8MultiArray, topic, 10)
+    await until(publisher.get_subscription_count)
+    for value in (1, 2):
+        publisher.publish(large(value))
+    await until(lambda: len(taken) == 2)
+    assert [copy[-LARGE:] == bytes([value]) * LARGE for value, copy in enumerate(copies, 1)] == [
+        True,
+        True,
+    ]
+    if views:
+        with pytest.raises(ValueError, match="released"):
+            len(taken[0])
+    else:
+        assert taken == copies
+
+
+async def test_a_buffer_that_does_not_fit_the_budget_is_given_back_at_once(
+    executor: Any, node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from std_msgs.msg import UInt8MultiArray
+
+    monkeypatch.setattr(raw_tap, "KEPT_BYTES", SerializedTaker._kept_by_all + LARGE * 2)
+    topics = [f"{topic}_{number}" for number in range(4)]
+    heard: list[int] = []
+    taps = [RawTap(lambda data, *_: heard.append(len(data))) for _ in topics]
+    kept_before = SerializedTaker._kept_by_all
+    subscriptions = [
+        node.create_subscription(UInt8MultiArray, name, tap, 10, raw=True)
+        for name, tap in zip(topics, taps, strict=True)
+    ]
+    publishers = [node.create_publisher(UInt8MultiArray, name, 10) for name in topics]
+    await until(lambda: all(each.get_subscription_count() for each in publishers))
+    for publisher in publishers:
+        publisher.publish(large(0))
+    await until(lambda: len(heard) == len(topics))
+    await until(lambda: SerializedTaker._kept_by_all > kept_before)  # at the take after a message
+    assert SerializedTaker._kept_by_all <= raw_tap.KEPT_BYTES
+    for subscription in subscriptions:
+        node.destroy_subscription(subscription)
+    await until(lambda: SerializedTaker._kept_by_all == kept_before)

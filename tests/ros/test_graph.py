@@ -1,4 +1,7 @@
-"""The tap follows the graph: topics, types and publishers come and go."""
+"""The tap follows the graph: topics, types and publishers come and go.
+
+Changes of the graph are announced, and a calm graph wakes nobody.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import asyncio
 import os
 import re
 import resource
+import threading
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -28,7 +32,7 @@ MANY = 150
 
 
 @pytest.fixture
-def other(new_context: Callable[[], Any]) -> Iterator[Any]:
+def other_node(new_context: Callable[[], Any]) -> Iterator[Any]:
     """A node of another participant; one participant has one type per topic."""
     from rclpy.node import Node
 
@@ -67,10 +71,10 @@ async def look_until(tap: Tap, condition: Callable[[], object]) -> None:
 
 
 async def test_a_topic_that_vanishes_and_comes_back_is_taken_again(
-    taken: Any, other: Any, topic: str, until: Until
+    taken: Any, other_node: Any, topic: str, until: Until
 ) -> None:
     for value in (1, 2):
-        published = publisher(other, topic)
+        published = publisher(other_node, topic)
         await until(published.get_subscription_count)
         published.publish(number(value))
 
@@ -78,14 +82,14 @@ async def test_a_topic_that_vanishes_and_comes_back_is_taken_again(
             return bool(taken.values(topic)[-1:] == [value])
 
         await until(is_taken)
-        other.destroy_publisher(published)
+        other_node.destroy_publisher(published)
     sequences = [message[3] for message in taken.messages[topic]]
     assert sequences == [1, 1]
     assert len({message[4] for message in taken.messages[topic]}) == 2  # it is another publisher
 
 
 async def test_in_a_calm_graph_the_announcement_of_rcl_alone_finds_a_topic(
-    taken: Any, other: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+    taken: Any, other_node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     long_s = 1000.0
     monkeypatch.setattr(tap, "CALM_S", long_s)
@@ -99,19 +103,19 @@ async def test_in_a_calm_graph_the_announcement_of_rcl_alone_finds_a_topic(
 
     monkeypatch.setattr(GraphChanges, "wait", noted)
     await until(lambda: waits[-1:] == [long_s])
-    publisher(other, topic)
+    publisher(other_node, topic)
     await until(lambda: topic in taken.topics)
 
 
 async def test_a_topic_that_comes_back_with_another_type_is_taken_as_that(
-    taken: Any, other: Any, topic: str, until: Until
+    taken: Any, other_node: Any, topic: str, until: Until
 ) -> None:
     from std_msgs.msg import String
 
-    first = publisher(other, topic)
+    first = publisher(other_node, topic)
     await until(first.get_subscription_count)
-    other.destroy_publisher(first)
-    second = text_publisher(other, topic)
+    other_node.destroy_publisher(first)
+    second = text_publisher(other_node, topic)
     await until(second.get_subscription_count)
     second.publish(String(data="as text"))
     await until(lambda: taken.messages[topic])
@@ -121,26 +125,30 @@ async def test_a_topic_that_comes_back_with_another_type_is_taken_as_that(
 
 
 async def test_a_topic_that_nobody_publishes_for_long_is_given_back(
-    taken: Any, other: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+    taken: Any, other_node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    published = publisher(other, topic)
+    published = publisher(other_node, topic)
     await until(published.get_subscription_count)
-    other.destroy_publisher(published)
-    await until(lambda: other.count_publishers(topic) == 0)
-    assert other.count_subscribers(topic) == 1  # it may come back at any moment
+    other_node.destroy_publisher(published)
+    await until(lambda: other_node.count_publishers(topic) == 0)
+    assert other_node.count_subscribers(topic) == 1  # it may come back at any moment
     monkeypatch.setattr(tap, "ABANDONED_S", 0.0)
-    await until(lambda: other.count_subscribers(topic) == 0)
+    await until(lambda: other_node.count_subscribers(topic) == 0)
 
 
 async def test_of_several_types_the_most_published_is_taken_and_the_others_are_named(
     session: Session,
     new_taken: Callable[[], Any],
     node: Any,
-    other: Any,
+    other_node: Any,
     topic: str,
     until: Until,
 ) -> None:
-    kept = [publisher(node, topic), publisher(node, topic), text_publisher(other, topic)]
+    kept = [
+        publisher(node, topic),
+        publisher(node, topic),
+        text_publisher(other_node, topic),
+    ]
     taken = new_taken()
     tap = Tap(session, taken.open)
     await until(lambda: len(tap._node.get_publishers_info_by_topic(topic)) == len(kept))
@@ -232,21 +240,21 @@ async def test_the_events_of_a_service_are_taken_with_a_schema_that_decodes_them
 
 
 async def test_a_publisher_that_is_replaced_by_one_that_offers_less_is_taken_as_well(
-    taken: Any, node: Any, other: Any, topic: str, until: Until
+    taken: Any, node: Any, other_node: Any, topic: str, until: Until
 ) -> None:
-    steady, first = publisher(node, topic), publisher(other, topic)
+    steady, first = publisher(node, topic), publisher(other_node, topic)
     await until(lambda: steady.get_subscription_count() and first.get_subscription_count())
-    other.destroy_publisher(first)
-    weaker = publisher(other, topic, qos.SENSOR)
+    other_node.destroy_publisher(first)
+    weaker = publisher(other_node, topic, qos.SENSOR)
     await until(weaker.get_subscription_count)
     weaker.publish(number(7))
     await until(lambda: 7 in taken.values(topic))
 
 
 async def test_what_one_publisher_has_latched_is_taken_though_another_latches_nothing(
-    taken: Any, node: Any, other: Any, topic: str, until: Until
+    taken: Any, node: Any, other_node: Any, topic: str, until: Until
 ) -> None:
-    latching, plain = publisher(node, topic, qos.LATCHED), publisher(other, topic)
+    latching, plain = publisher(node, topic, qos.LATCHED), publisher(other_node, topic)
     latching.publish(number(1))
     await until(lambda: topic in taken.topics and 1 in taken.values(topic))
     await until(lambda: plain.get_subscription_count() == 1)
@@ -280,10 +288,10 @@ def held_files() -> Iterator[None]:
 
 @pytest.mark.usefixtures("held_files")
 async def test_hundreds_of_topics_take_one_file_each(
-    taken: Any, other: Any, topic: str, until: Until
+    taken: Any, other_node: Any, topic: str, until: Until
 ) -> None:
     files = _open_files()
-    published = [publisher(other, f"{topic}_{index}") for index in range(MANY)]
+    published = [publisher(other_node, f"{topic}_{index}") for index in range(MANY)]
     await until(lambda: all(each.get_subscription_count() for each in published))
     taken_files = len(_open_files() - files)
     for index, each in enumerate(published):
@@ -309,3 +317,47 @@ async def test_a_topic_too_many_is_named_and_the_process_keeps_its_files(
     assert len(taken.topics) == 1
     (problem, *_) = tap.unrecorded.problems.values()
     assert "there are more topics than 2 open files allow (see ulimit -n)" in problem
+
+
+async def settled(changes: GraphChanges) -> None:
+    """Wait until nothing of earlier tests changes the graph any more."""
+    async with asyncio.timeout(DEADLINE_S):
+        while await changes.wait(0.5):
+            pass
+
+
+async def test_a_topic_of_another_process_is_a_change_and_a_calm_graph_has_none(
+    node: Any, new_context: Callable[[], Any]
+) -> None:
+    from rclpy.node import Node
+    from std_msgs.msg import UInt64
+
+    other = Node("other", context=new_context())
+    with GraphChanges(node) as changes:
+        await settled(changes)
+        published = other.create_publisher(UInt64, "changing", 10)
+        assert await changes.wait(DEADLINE_S)
+        await settled(changes)
+        other.destroy_publisher(published)
+        assert await changes.wait(DEADLINE_S)
+    other.destroy_node()
+
+
+async def test_a_change_before_the_wait_is_not_missed(node: Any) -> None:
+    from std_msgs.msg import UInt64
+
+    with GraphChanges(node) as changes:
+        await settled(changes)
+        node.create_publisher(UInt64, "early", 10)
+        await asyncio.sleep(0)
+        assert await changes.wait(DEADLINE_S)
+
+
+async def test_its_thread_ends_with_the_block_whatever_it_waits_for(node: Any) -> None:
+    from std_msgs.msg import UInt64
+
+    with GraphChanges(node) as changes:
+        await settled(changes)  # the thread waits for a change
+    with GraphChanges(node):
+        node.create_publisher(UInt64, "late", 10)  # the thread waits to be asked
+    assert "graph changes" not in {thread.name for thread in threading.enumerate()}
