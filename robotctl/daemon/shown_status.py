@@ -7,8 +7,8 @@ from math import nan
 
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import RobotReport
-from robotctl.kernel.battery import is_level
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.state import is_level
 from robotctl.ros.nodes.mode_service import ModeService, Shown
 from robotctl.ros.nodes.publishers import CommandLock
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 from robotctl.config import Config
 from robotctl.daemon.waiting import DISCOVERY_S, until
 from robotctl.end_signals import end_signals
-from robotctl.kernel.battery import full_level
 from robotctl.kernel.params import Stamping
+from robotctl.kernel.state import full_level
 from robotctl.ros.messages.command_type import PLAIN, CommandType, stamped
 from robotctl.ros.messages.qos import COMMANDS
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot, battery_topic, odometry_topic

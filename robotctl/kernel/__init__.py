@@ -18,13 +18,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from robotctl.kernel.codec import from_json, to_json
+    from robotctl.kernel.codec import Snapshot, from_json, to_json
     from robotctl.kernel.geometry import Pose
     from robotctl.kernel.kernel import Kernel
-    from robotctl.kernel.lease import Lease, LeaseLost, LeaseRequested
-    from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
     from robotctl.kernel.modes import Mode
-    from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
     from robotctl.kernel.params import (
         BatteryParams,
         BatteryScale,
@@ -36,7 +33,6 @@ if TYPE_CHECKING:
     )
     from robotctl.kernel.patterns import Pattern, PatternKind
     from robotctl.kernel.remedies import Remedy
-    from robotctl.kernel.snapshot import Snapshot
     from robotctl.kernel.state import State, latched
     from robotctl.kernel.types import (
         BatteryReceived,
@@ -69,7 +65,16 @@ if TYPE_CHECKING:
         Twist,
     )
     from robotctl.kernel.types.effects import Effect
-    from robotctl.kernel.types.events import Event
+    from robotctl.kernel.types.events import (
+        Event,
+        Lease,
+        LeaseLost,
+        LeaseRequested,
+        LifecycleChanged,
+        LifecycleState,
+        ParameterChanged,
+        ParameterRequested,
+    )
 
 __all__ = [
     "BatteryParams",
@@ -135,20 +140,20 @@ _MODULES = {
     "CommandParams": "params",
     "Kernel": "kernel",
     "KernelParams": "params",
-    "Lease": "lease",
-    "LeaseLost": "lease",
-    "LeaseRequested": "lease",
-    "LifecycleChanged": "lifecycle",
-    "LifecycleState": "lifecycle",
+    "Lease": "types.events",
+    "LeaseLost": "types.events",
+    "LeaseRequested": "types.events",
+    "LifecycleChanged": "types.events",
+    "LifecycleState": "types.events",
     "Mode": "modes",
     "OdometryParams": "params",
-    "ParameterChanged": "parameter_change",
-    "ParameterRequested": "parameter_change",
+    "ParameterChanged": "types.events",
+    "ParameterRequested": "types.events",
     "Pattern": "patterns",
     "PatternKind": "patterns",
     "Pose": "geometry",
     "Remedy": "remedies",
-    "Snapshot": "snapshot",
+    "Snapshot": "codec",
     "State": "state",
     "TrackingParams": "params",
     "VelocityLimits": "params",

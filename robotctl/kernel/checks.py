@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import inf, isfinite
 
-from robotctl.kernel.battery import is_level
 from robotctl.kernel.command_types import COMMAND_TYPES, TWIST, TWIST_STAMPED
 from robotctl.kernel.fence import left_by
-from robotctl.kernel.health import Health
-from robotctl.kernel.lifecycle import LifecycleState
 from robotctl.kernel.params import Foreign, KernelParams, Stamping
+from robotctl.kernel.state import Health, is_level
 from robotctl.kernel.types import Cause
+from robotctl.kernel.types.events import LifecycleState
 from robotctl.kernel.units import NS_PER_S
 
 FOREIGN_COMMAND_S = 1.0

@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
 from math import isfinite
 from operator import attrgetter
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.state import State
 
 T = TypeVar("T")
 
@@ -142,3 +146,37 @@ def _tuple_reader(items: tuple[Any, ...]) -> Callable[[Any], tuple[Any, ...]]:
         return lambda plain: tuple(read(item) for item in plain)
     readers = [_reader(item) for item in items]
     return lambda plain: tuple(read(item) for read, item in zip(readers, plain, strict=True))
+
+
+def finite_or_none(value: float) -> float | None:
+    """Return a number, None if it is NaN or infinite."""
+    return value if isfinite(value) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """What was sent and written before a snapshot, so that a check finds what is missing.
+
+    `commands` is the number of velocity commands that were sent, `journal_crc` the CRC-32 of all
+    journal entries in their serialized form.
+    """
+
+    commands: int
+    journal_crc: int
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """A kernel between two events; `made_by` names the Python and libc that computed its floats.
+
+    `proof` is None in a recording of version 0.1.0.
+    """
+
+    made_by: str
+    params: KernelParams
+    state: State
+    proof: Proof | None = None
+
+    def kernel(self) -> Kernel:
+        """Return a new kernel that continues from this snapshot."""
+        return Kernel(self.params, self.state)

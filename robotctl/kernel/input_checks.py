@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from math import inf, isnan
 
-from robotctl.kernel.health import Health
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.safety_inputs import InputParams, Reading, SafetyInput, Use
+from robotctl.kernel.state import Health
 from robotctl.kernel.units import NS_PER_S
 
 LEVEL_OF_ERROR = 2.0

@@ -6,24 +6,16 @@ from dataclasses import replace
 from math import isfinite
 from typing import assert_never
 
-from robotctl.kernel.battery import counts_in_percent, level_of
 from robotctl.kernel.course import PLAIN, Course, Frame
 from robotctl.kernel.drive import MAX_LAPS, Drive, origin_of
-from robotctl.kernel.guard import Guarded
-from robotctl.kernel.health import Stalls
-from robotctl.kernel.lease import Lease, LeaseLost, LeaseRequested, MotionRequest
-from robotctl.kernel.lifecycle import LifecycleChanged
-from robotctl.kernel.limits import allowed, limit, within
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
 from robotctl.kernel.obstacles import look_again, look_ahead
 from robotctl.kernel.odometry import source_found, with_odometry
-from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
 from robotctl.kernel.parameters import conflict, kernel_leaves, text_of, value_at, with_text
 from robotctl.kernel.params import KernelParams, WhenIdle
-from robotctl.kernel.patterns import SHAPES, Pattern
+from robotctl.kernel.patterns import SHAPES, Pattern, local_points
 from robotctl.kernel.ranges import Change
 from robotctl.kernel.remedies import Remedy
-from robotctl.kernel.routes import path_for
 from robotctl.kernel.safety import (
     FAULT_TRIGGERS,
     RULE_OF,
@@ -35,7 +27,9 @@ from robotctl.kernel.safety import (
     uncleared,
 )
 from robotctl.kernel.safety_inputs import Reading, with_reading
-from robotctl.kernel.state import State
+from robotctl.kernel.speed_plan import path_for
+from robotctl.kernel.state import Guarded, Stalls, State, counts_in_percent, level_of
+from robotctl.kernel.tracking import allowed, limit, within
 from robotctl.kernel.types import (
     ZERO,
     BatteryReceived,
@@ -67,8 +61,16 @@ from robotctl.kernel.types import (
     Tick,
     changed,
 )
+from robotctl.kernel.types.events import (
+    Lease,
+    LeaseLost,
+    LeaseRequested,
+    LifecycleChanged,
+    MotionRequest,
+    ParameterChanged,
+    ParameterRequested,
+)
 from robotctl.kernel.units import NS_PER_S
-from robotctl.kernel.waypoints import local_points
 
 SILENT_AFTER_NS = NS_PER_S
 """So long zeros are sent in IDLE before silence, where that is configured."""

@@ -6,8 +6,8 @@ from dataclasses import replace
 from functools import lru_cache
 from math import atan2, cos, hypot, inf, pi, sin, tau
 
-from robotctl.kernel.health import Scan
 from robotctl.kernel.params import KernelParams, ScanParams
+from robotctl.kernel.state import Scan
 from robotctl.kernel.types import Twist
 
 STRAIGHT_RADIUS_M = 1e3

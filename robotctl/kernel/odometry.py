@@ -6,10 +6,9 @@ from dataclasses import replace
 from math import isfinite
 
 from robotctl.kernel.geometry import wrap_angle
-from robotctl.kernel.health import Health, OdometrySources, SecondOdometry
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import OdometryParams
-from robotctl.kernel.state import State
+from robotctl.kernel.state import Health, OdometrySources, SecondOdometry, State
 from robotctl.kernel.types import Odometry, OdometrySourceFound, OdomReceived, Phase, changed
 from robotctl.kernel.units import NS_PER_S
 

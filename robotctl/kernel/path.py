@@ -1,11 +1,157 @@
-"""A path: the segments of one lap, in the frame of the pose where the drive begins."""
+"""A path: the segments of one lap, in the frame of the pose where the drive begins.
+
+The length of a line or a curve is in metres, that of a turn on the spot in radians.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import atan2, cos, hypot, sin, tau
+from typing import Protocol
 
-from robotctl.kernel.geometry import ORIGIN, Pose
-from robotctl.kernel.segments import Segment
+from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
+
+
+class Segment(Protocol):
+    """A piece of a path.
+
+    `turns` is true for a turn on the spot, whose length is in rad. `top_curvature` is the largest
+    curvature [1/m], without its sign; 1 for a turn.
+    """
+
+    @property
+    def length(self) -> float: ...
+    @property
+    def turns(self) -> bool: ...
+    @property
+    def top_curvature(self) -> float: ...
+
+    def pose_at(self, length: float) -> Pose:
+        """Return the pose at `length` along the segment, in the frame of the drive."""
+
+    def curvature_at(self, length: float) -> float:
+        """Return the signed change of heading per length; +1 or -1 for a turn, by its direction."""
+
+    def distance_to(self, point: Pose, guess: float) -> float:
+        """Return the distance to the nearest point of the segment [m], searched near `guess`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A straight line."""
+
+    start: Pose
+    length: float
+    turns: bool = False
+    top_curvature: float = 0.0
+
+    def pose_at(self, length: float) -> Pose:
+        """Return the pose at `length` m from the start."""
+        theta = self.start.theta
+        return Pose(self.start.x + length * cos(theta), self.start.y + length * sin(theta), theta)
+
+    def curvature_at(self, length: float) -> float:
+        """Return 0: a line is straight."""
+        return 0.0
+
+    def distance_to(self, point: Pose, guess: float) -> float:
+        """Return the distance to the nearest point of the line, ends included [m]."""
+        c, s = cos(self.start.theta), sin(self.start.theta)
+        dx, dy = point.x - self.start.x, point.y - self.start.y
+        along = min(max(c * dx + s * dy, 0.0), self.length)
+        return hypot(dx - along * c, dy - along * s)
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """A turn on the spot by `length` rad; `side` is 1.0 to the left, -1.0 to the right."""
+
+    start: Pose
+    length: float
+    side: float = 1.0
+    turns: bool = True
+    top_curvature: float = 1.0
+
+    def pose_at(self, length: float) -> Pose:
+        """Return the pose after turning `length` rad."""
+        return Pose(self.start.x, self.start.y, self.start.theta + self.side * length)
+
+    def curvature_at(self, length: float) -> float:
+        """Return the side."""
+        return self.side
+
+    def distance_to(self, point: Pose, guess: float) -> float:
+        """Return the distance to the corner [m]."""
+        return self.start.distance(point)
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """A full circle to the left that begins at the origin."""
+
+    radius: float
+    turns: bool = False
+
+    @property
+    def length(self) -> float:
+        """The circumference [m]."""
+        return tau * self.radius
+
+    @property
+    def top_curvature(self) -> float:
+        """The curvature, the same everywhere [1/m]."""
+        return 1.0 / self.radius
+
+    def pose_at(self, length: float) -> Pose:
+        """Return the pose at `length` m along the circle."""
+        theta = length / self.radius
+        return Pose(self.radius * sin(theta), self.radius * (1.0 - cos(theta)), theta)
+
+    def curvature_at(self, length: float) -> float:
+        """Return the curvature, the same everywhere [1/m]."""
+        return 1.0 / self.radius
+
+    def distance_to(self, point: Pose, guess: float) -> float:
+        """Return the distance to the circle [m]."""
+        return abs(hypot(point.x, point.y - self.radius) - self.radius)
+
+
+@dataclass(frozen=True, slots=True)
+class Arc:
+    """A part of a circle, at most a full one; `side` is 1.0 to the left, -1.0 to the right."""
+
+    start: Pose
+    radius: float
+    length: float
+    side: float = 1.0
+    turns: bool = False
+
+    @property
+    def top_curvature(self) -> float:
+        """The curvature, without its sign [1/m]."""
+        return 1.0 / self.radius
+
+    def pose_at(self, length: float) -> Pose:
+        """Return the pose at `length` m along the arc."""
+        angle = length / self.radius
+        across = self.side * self.radius * (1.0 - cos(angle))
+        local = Pose(self.radius * sin(angle), across, self.side * angle)
+        return self.start.compose(local)
+
+    def curvature_at(self, length: float) -> float:
+        """Return the curvature, the same everywhere [1/m]."""
+        return self.side / self.radius
+
+    def distance_to(self, point: Pose, guess: float) -> float:
+        """Return the distance to the nearest point of the arc, ends included [m]."""
+        local = self.start.express(point)
+        ahead, aside = local.x, self.radius - self.side * local.y
+        half = 0.5 * self.length / self.radius
+        from_middle = wrap_angle(atan2(ahead, aside) - half)
+        if abs(from_middle) <= half:
+            return abs(hypot(ahead, aside) - self.radius)
+        return self.pose_at(self.length if from_middle > 0.0 else 0.0).distance(point)
+
 
 NEAR_M = 0.05
 """How far behind the reference the path is searched for its nearest point."""

@@ -6,16 +6,198 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
-from math import inf, pi, tau
+from itertools import pairwise
+from math import atan2, cos, hypot, inf, pi, sin, tan, tau
 from types import MappingProxyType
 
-from robotctl.kernel.course import MIN_CORNER_M, PLAIN, Course
-from robotctl.kernel.figure_eight import figure_eight, figure_eight_parts
-from robotctl.kernel.geometry import ORIGIN
-from robotctl.kernel.path import Path
+from robotctl.kernel.course import MIN_CORNER_M, MIN_LEG_M, PLAIN, Course, Frame, Point
+from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
+from robotctl.kernel.path import Arc, Circle, Line, Path, Segment, Turn
 from robotctl.kernel.ranges import Change, bounded, setting
-from robotctl.kernel.segments import Arc, Circle, Line, Segment, Turn
-from robotctl.kernel.waypoints import waypoint_path
+
+EIGHT_SWING_RAD = 2.404825557695773
+"""First zero of the Bessel function J0: with this swing a sine-generated curve closes."""
+
+_PIECES = 720
+_PARTS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class FigureEight:
+    """A figure eight of `length` m that begins at its crossing; `points` lie evenly along it.
+
+    Its heading is a cosine of the length: the sine-generated curve of Langbein and Leopold (1966).
+    So the curvature has no step, and it is 0 at the crossing.
+    """
+
+    length: float
+    points: tuple[tuple[float, float], ...]
+
+    @property
+    def top_curvature(self) -> float:
+        """The largest curvature, at the ends of the two loops [1/m]."""
+        return EIGHT_SWING_RAD * tau / self.length
+
+    def pose_at(self, length: float) -> Pose:
+        """Return the pose at `length` m along the figure eight."""
+        at = length / self.length * _PIECES
+        index = min(int(at), _PIECES - 1)
+        share = at - index
+        (x0, y0), (x1, y1) = self.points[index], self.points[index + 1]
+        return Pose(x0 + share * (x1 - x0), y0 + share * (y1 - y0), self._heading(length))
+
+    def curvature_at(self, length: float) -> float:
+        """Return the signed curvature [1/m]."""
+        return self.top_curvature * sin(tau * length / self.length)
+
+    def distance_to(self, point: Pose, guess: float) -> float:
+        """Return the distance to the nearest point of the curve near length `guess` [m]."""
+        near = self.pose_at(guess % self.length).express(point)
+        nearest = self.pose_at((guess + near.x) % self.length)
+        return abs(nearest.express(point).y)
+
+    def _heading(self, length: float) -> float:
+        return EIGHT_SWING_RAD * (1.0 - cos(tau * length / self.length))
+
+
+@dataclass(frozen=True, slots=True)
+class FigureEightPart:
+    """The part of a figure eight that begins at `begin` m along it."""
+
+    whole: FigureEight
+    begin: float
+    length: float
+    top_curvature: float
+    turns: bool = False
+
+    def pose_at(self, length: float) -> Pose:
+        """Return the pose at `length` m along the part."""
+        return self.whole.pose_at(self.begin + length)
+
+    def curvature_at(self, length: float) -> float:
+        """Return the signed curvature [1/m]."""
+        return self.whole.curvature_at(self.begin + length)
+
+    def distance_to(self, point: Pose, guess: float) -> float:
+        """Return the distance to the nearest point of the whole curve near `guess` [m]."""
+        return self.whole.distance_to(point, self.begin + guess)
+
+
+def figure_eight(length: float) -> FigureEight:
+    """Return a figure eight of `length` m."""
+    step = length / _PIECES
+    x = y = 0.0
+    points = [(x, y)]
+    for piece in range(_PIECES):
+        heading = EIGHT_SWING_RAD * (1.0 - cos(tau * (piece + 0.5) / _PIECES))
+        x, y = x + step * cos(heading), y + step * sin(heading)
+        points.append((x, y))
+    return FigureEight(length, tuple(points))
+
+
+def figure_eight_parts(whole: FigureEight) -> tuple[FigureEightPart, ...]:
+    """Return the figure eight in parts, so that only its bends are driven slowly.
+
+    The curvature rises or falls throughout a part, so it is largest at one of its ends.
+    """
+    step = whole.length / _PARTS
+    begins = [step * number for number in range(_PARTS)]
+    return tuple(
+        FigureEightPart(
+            whole,
+            begin,
+            step,
+            max(abs(whole.curvature_at(begin)), abs(whole.curvature_at(begin + step))),
+        )
+        for begin in begins
+    )
+
+
+START_M, START_RAD = 0.02, 0.02
+"""A path that begins nearer to the robot than this begins at the robot; tracking does the rest."""
+
+MIN_RADIUS_M, GENTLE_RAD = 0.02, 0.35
+"""A corner that allows only a smaller radius, and turns by more, is turned on the spot."""
+
+STRAIGHT_RAD = 1e-6
+
+
+def local_points(course: Course, start: Pose) -> tuple[Point, ...]:
+    """Return the waypoints relative to the origin of a drive by a robot at `start`.
+
+    They are places: in reverse the origin looks backwards, so what is ahead of the robot is
+    behind the origin.
+    """
+    points = course.waypoints
+    if course.frame is Frame.ODOM:
+        local = [start.express(Pose(x, y)) for x, y in points]
+        points = tuple((pose.x, pose.y) for pose in local)
+    return tuple((-x, -y) for x, y in points) if course.reverse else points
+
+
+def waypoint_path(points: tuple[Point, ...], corner_m: float, *, again: bool) -> Path:
+    """Return the path from the origin through the points; with `again` it returns to its start.
+
+    Points in the same place are one point. Where the first is not at the origin, a leg leads there.
+    A path whose points are all at the origin has no segments.
+    """
+    places = _places(points, again=again)
+    legs = [_leg(a, b) for a, b in pairwise(places)]
+    segments: list[Segment] = []
+    heading, begin_m = 0.0, 0.0
+    if legs and abs(legs[0].start.theta) > START_RAD:
+        segments.append(_turn(ORIGIN, legs[0].start.theta))
+    for number, leg in enumerate(legs):
+        heading = leg.start.theta
+        following = legs[number + 1] if number + 1 < len(legs) else None
+        bend = 0.0 if following is None else wrap_angle(following.start.theta - heading)
+        room_m = 0.0 if following is None else _room_m(leg, following, bend, corner_m)
+        length_m = leg.length - begin_m - room_m
+        if length_m > 0.0:
+            segments.append(Line(leg.pose_at(begin_m), length_m))
+        corner = leg.pose_at(leg.length - room_m)
+        if room_m:
+            radius_m = room_m / tan(0.5 * abs(bend))
+            side = 1.0 if bend > 0.0 else -1.0
+            segments.append(Arc(corner, radius_m, radius_m * abs(bend), side))
+        elif abs(bend) > STRAIGHT_RAD:
+            segments.append(_turn(corner, bend))
+        begin_m = room_m
+    if again and abs(wrap_angle(heading)) > STRAIGHT_RAD:
+        segments.append(_turn(Pose(0.0, 0.0, heading), wrap_angle(-heading)))
+    reach_m = max(hypot(x, y) for x, y in places)
+    last = segments[-1] if segments else None
+    end = ORIGIN if again or last is None else last.pose_at(last.length)
+    return Path(tuple(segments), reach_m, again, end)
+
+
+def _places(points: tuple[Point, ...], *, again: bool) -> list[Point]:
+    places: list[Point] = [(0.0, 0.0)]
+    for number, (x, y) in enumerate(points):
+        if hypot(x - places[-1][0], y - places[-1][1]) >= (MIN_LEG_M if number else START_M):
+            places.append((x, y))
+    if again and hypot(*places[-1]) >= MIN_LEG_M:
+        places.append((0.0, 0.0))
+    return places
+
+
+def _leg(begin: Point, end: Point) -> Line:
+    dx, dy = end[0] - begin[0], end[1] - begin[1]
+    return Line(Pose(*begin, atan2(dy, dx)), hypot(dx, dy))
+
+
+def _room_m(before: Line, after: Line, bend: float, corner_m: float) -> float:
+    """Return how far from the corner its arc begins and ends, 0 for a turn on the spot."""
+    if abs(bend) <= STRAIGHT_RAD:
+        return 0.0
+    room_m = min(corner_m, 0.5 * before.length, 0.5 * after.length)
+    if abs(bend) > GENTLE_RAD and room_m < MIN_RADIUS_M * tan(0.5 * abs(bend)):
+        return 0.0
+    return room_m
+
+
+def _turn(at: Pose, angle: float) -> Turn:
+    return Turn(at, abs(angle), 1.0 if angle > 0.0 else -1.0)
 
 
 class PatternKind(Enum):

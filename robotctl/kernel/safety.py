@@ -13,10 +13,10 @@ from types import MappingProxyType
 
 from robotctl.kernel import checks, input_checks
 from robotctl.kernel.checks import Check
-from robotctl.kernel.health import Health
 from robotctl.kernel.modes import Mode, Trigger
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.remedies import RESETTING, Remedy
+from robotctl.kernel.state import Health
 from robotctl.kernel.types import Cause
 
 

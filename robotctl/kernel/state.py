@@ -1,15 +1,145 @@
-"""The memory of the kernel between two events."""
+"""The memory of the kernel between two events: mode, motion, and what motion depends on."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf, isfinite
+from typing import TypeGuard
 
+from robotctl.kernel.command_types import TWIST
 from robotctl.kernel.drive import Drive
-from robotctl.kernel.guard import Guarded
-from robotctl.kernel.health import UNKNOWN, Health
-from robotctl.kernel.lease import Lease
+from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.types import ZERO, Cause, Phase, Twist
+from robotctl.kernel.params import BatteryScale
+from robotctl.kernel.safety_inputs import Reading
+from robotctl.kernel.types import ZERO, Cause, Odometry, Phase, Twist
+from robotctl.kernel.types.events import Lease, LifecycleState
+from robotctl.kernel.units import NS_PER_S
+
+
+@dataclass(frozen=True, slots=True)
+class SecondOdometry:
+    """The last sample of an odometry publisher that the robot does not follow.
+
+    `distance_m` and `angle_rad` compare its pose with that of the followed publisher.
+    """
+
+    source: int
+    t_ns: int
+    distance_m: float
+    angle_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class OdometrySources:
+    """The publishers of odometry. The robot follows one at a time; `followed` is its number.
+
+    `names` and `frames` hold number and node name, or frame, of the last publishers found.
+    `dropped` counts the samples that were not used: those of other publishers, and impossible ones.
+    """
+
+    followed: int = 0
+    names: tuple[tuple[int, str], ...] = ()
+    dropped: int = 0
+    second: SecondOdometry | None = None
+    frames: tuple[tuple[int, str], ...] = ()
+
+    def name_of(self, source: int) -> str:
+        """Return the node name of a publisher, or a phrase when the name is unknown."""
+        return dict(self.names).get(source) or "a publisher without a name"
+
+
+@dataclass(frozen=True, slots=True)
+class CommandTopic:
+    """Other nodes on the velocity command topic.
+
+    `foreign_t_ns` and `foreign_by` are time and publisher of the last command of another node,
+    None and "" if there was none. `listeners` is the number of subscriptions with the type that
+    robotctl sends, `type_name`, None before discovery. `other_types` are the types of other
+    subscriptions.
+    """
+
+    foreign_t_ns: int | None = None
+    foreign_by: str = ""
+    listeners: int | None = None
+    other_types: tuple[str, ...] = ()
+    type_name: str = TWIST
+
+
+@dataclass(frozen=True, slots=True)
+class Stalls:
+    """The number of stalls of the control loop, and the time, length and reason of the last one."""
+
+    count: int = 0
+    last_t_ns: int = 0
+    last_s: float = 0.0
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """The last laser scan: the nearest ranges by direction [m], () if it was not readable.
+
+    `nearest_m` is the smallest of them, and `ahead_m` the distance to what is in the path of the
+    present command, inf if nothing is.
+    """
+
+    t_ns: int
+    sectors: tuple[float, ...]
+    nearest_m: float = inf
+    ahead_m: float = inf
+
+
+@dataclass(frozen=True)
+class Health:
+    """What the kernel knows about everything that motion depends on; "" and () mean healthy.
+
+    The odometry fields describe the followed publisher. `odometry` is its last usable sample, and
+    `odometry_t_ns` the time when new odometry last came; `odometry_stamp_ns` and `odometry_fault`
+    are of its last sample, usable or not. `reported` holds the faults that the daemon reported.
+    `battery_in_percent` means that `battery.scale: auto` has seen a level above 1. `inputs` holds
+    the last reading of each safety input in their order, or nothing. `fence_origin` is the pose at
+    the first start of motion. `lifecycle` is the state of the node that gates
+    motion.
+    """
+
+    odometry: Odometry | None = None
+    odometry_t_ns: int = 0
+    odometry_stamp_ns: int = 0
+    odometry_fault: str = ""
+    battery_level: float | None = None
+    battery_t_ns: int = 0
+    foreign_publishers: tuple[str, ...] = ()
+    reported: tuple[tuple[Cause, str], ...] = ()
+    path_error_m: float = 0.0
+    tick_gap_s: float = 0.0
+    odometry_sources: OdometrySources = OdometrySources()
+    command_topic: CommandTopic = CommandTopic()
+    stalls: Stalls = Stalls()
+    battery_in_percent: bool = False
+    inputs: tuple[Reading | None, ...] = ()
+    fence_origin: Pose | None = None
+    scan: Scan | None = None
+    lifecycle: LifecycleState = LifecycleState.ACTIVE
+
+
+UNKNOWN = Health()
+"""The health before anything was received."""
+
+
+@dataclass(frozen=True, slots=True)
+class Guarded:
+    """A guarded motion, with the last wanted velocity; `t_ns` is None before the first one."""
+
+    twist: Twist = ZERO
+    t_ns: int | None = None
+
+    def wanted(self, t_ns: int, timeout_s: float) -> Twist | None:
+        """Return the wanted velocity, None if it is not finite or older than the timeout."""
+        if self.t_ns is None or abs(t_ns - self.t_ns) / NS_PER_S > timeout_s:
+            return None
+        twist = self.twist
+        return twist if isfinite(twist.linear) and isfinite(twist.angular) else None
 
 
 @dataclass(frozen=True)
@@ -43,3 +173,29 @@ class State:
 def latched(reason: str, cause: Cause = Cause.OPERATOR_STOP) -> State:
     """Return the state of a robot whose emergency stop was not released before a restart."""
     return State(mode=Mode.EMERGENCY_STOP, reason=reason, cause=cause)
+
+
+FULLEST_LEVEL = 1.05
+"""The highest valid level: gauges overshoot. A higher value is in percent, or wrong."""
+
+
+def counts_in_percent(raw: float, before: bool, scale: BatteryScale) -> bool:
+    """Return whether the gauge that reports `raw` counts to 100; `before` is the last answer."""
+    if scale is BatteryScale.AUTO:
+        return before or FULLEST_LEVEL < raw <= 100.0 * FULLEST_LEVEL
+    return scale is BatteryScale.PERCENT
+
+
+def level_of(raw: float, in_percent: bool) -> float:
+    """Return the level: 0..1 for a gauge that works."""
+    return raw / 100.0 if in_percent else raw
+
+
+def full_level(scale: BatteryScale) -> float:
+    """Return the value that a gauge of this scale reports when the battery is full."""
+    return 100.0 if scale is BatteryScale.PERCENT else 1.0
+
+
+def is_level(level: float | None) -> TypeGuard[float]:
+    """Return whether this is a possible battery level; None and NaN are not."""
+    return level is not None and 0.0 <= level <= FULLEST_LEVEL

@@ -1,4 +1,4 @@
-"""Closed-loop path tracking for a differential drive.
+"""The limits of a command, and closed-loop path tracking for a differential drive.
 
 The law is Samson's (1993), as written by Klancar and Skrjanc (2005), eq. 11. Unlike the law of
 Kanayama (1990), it also corrects the heading while the reference turns on the spot. The curvature
@@ -9,12 +9,50 @@ up stays on the path.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, sin
+from math import copysign, cos, isfinite, sin
 
 from robotctl.kernel.geometry import Pose
-from robotctl.kernel.limits import clamp
 from robotctl.kernel.params import TrackingParams, VelocityLimits
 from robotctl.kernel.types import Twist
+
+
+def clamp(value: float, bound: float) -> float:
+    """Return `value` limited to [-bound, bound]; nan and inf become 0, never full speed."""
+    if -bound <= value <= bound:
+        return value
+    return copysign(bound, value) if isfinite(value) else 0.0
+
+
+def _approach(current: float, target: float, max_step: float) -> float:
+    if -max_step <= target - current <= max_step:
+        return target
+    return current + max_step if target > current else current - max_step
+
+
+def allowed(command: Twist, limits: VelocityLimits) -> Twist:
+    """Return the command limited to the velocity limits; nan and inf become 0."""
+    return Twist(
+        clamp(command.linear, limits.linear_mps), clamp(command.angular, limits.angular_rps)
+    )
+
+
+def limit(current: Twist, target: Twist, dt_s: float, limits: VelocityLimits) -> Twist:
+    """Return the command nearest to `target` that is allowed `dt_s` seconds after `current`."""
+    linear = clamp(target.linear, limits.linear_mps)
+    angular = clamp(target.angular, limits.angular_rps)
+    return Twist(
+        _approach(current.linear, linear, limits.linear_accel_mps2 * dt_s),
+        _approach(current.angular, angular, limits.angular_accel_rps2 * dt_s),
+    )
+
+
+def within(command: Twist, limits: VelocityLimits) -> bool:
+    """Return whether the command is finite and within the velocity limits."""
+    linear_mps, angular_rps = limits.linear_mps, limits.angular_rps
+    return (
+        -linear_mps <= command.linear <= linear_mps
+        and -angular_rps <= command.angular <= angular_rps
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from robotctl.kernel.battery import full_level, is_level
 from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.state import full_level, is_level
 from robotctl.kernel.types import (
     BatteryReceived,
     Effect,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.types import Effect, Event
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report

@@ -18,8 +18,8 @@ from math import inf
 from typing import Final, NamedTuple
 
 from robotctl.errors import UnreadableFile
+from robotctl.kernel.codec import Proof
 from robotctl.kernel.command_types import COMMAND_TYPES
-from robotctl.kernel.snapshot import Proof
 from robotctl.kernel.types import (
     CommandPublishersSeen,
     Effect,

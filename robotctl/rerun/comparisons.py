@@ -6,7 +6,7 @@ from collections.abc import Callable
 from itertools import accumulate
 from typing import Final, NamedTuple
 
-from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.types import (
     BatteryReceived,
     Effect,

@@ -10,13 +10,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import assert_never
 
-from robotctl.kernel.lease import LeaseRequested
+from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
 from robotctl.kernel.parameters import kernel_leaves, with_text
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.ranges import Change
-from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import (
     ZERO,
     CommandPublishersSeen,
@@ -37,6 +35,7 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
+from robotctl.kernel.types.events import LeaseRequested, ParameterChanged, ParameterRequested
 from robotctl.kernel.units import NS_PER_S
 
 MAX_VIOLATIONS = 20

@@ -13,10 +13,9 @@ import msgspec
 from robotctl import retired
 from robotctl.config import Config, check_all
 from robotctl.errors import ConfigError, UnreadableFile
-from robotctl.kernel.codec import from_json, to_json
+from robotctl.kernel.codec import Snapshot, from_json, to_json
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event
 from robotctl.recording.format.journal import JournalEntry
 

@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 from robotctl.config import Config, flat
 from robotctl.config.settings import keyed_leaves
 from robotctl.kernel import command_types
+from robotctl.kernel.codec import Proof, Snapshot
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.kernel.types import Cause
 from robotctl.messages import cdr
 from robotctl.recording import Recording, RecordingInfo

@@ -11,9 +11,8 @@ import msgspec
 
 from robotctl import __version__
 from robotctl.errors import UnreadableFile
-from robotctl.kernel.codec import to_json
+from robotctl.kernel.codec import Snapshot, to_json
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import Decision, Effect, Event
 from robotctl.recording.format.journal import JournalEntry

@@ -12,17 +12,11 @@ from typing import Any, Final
 
 from robotctl.config import Config, flat
 from robotctl.errors import UnreadableFile
-from robotctl.kernel.battery import counts_in_percent, level_of
-from robotctl.kernel.finite import finite_or_none
-from robotctl.kernel.health import CommandTopic
+from robotctl.kernel.codec import Snapshot, finite_or_none
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.lease import LeaseLost, LeaseRequested
-from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.params import BatteryScale
-from robotctl.kernel.snapshot import Snapshot
-from robotctl.kernel.state import State
+from robotctl.kernel.state import CommandTopic, State, counts_in_percent, level_of
 from robotctl.kernel.types import (
     BatteryReceived,
     DriveEnded,
@@ -36,6 +30,12 @@ from robotctl.kernel.types import (
     OdomReceived,
     Reply,
     ResetRequested,
+)
+from robotctl.kernel.types.events import (
+    LeaseLost,
+    LeaseRequested,
+    LifecycleChanged,
+    ParameterRequested,
 )
 from robotctl.kernel.units import DAY_S, NS_PER_S
 from robotctl.recording import Recording

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from math import nan
 
-from robotctl.kernel.battery import FULLEST_LEVEL
 from robotctl.kernel.drive import Drive
-from robotctl.kernel.lease import LeaseLost, LeaseRequested
-from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.patterns import named
+from robotctl.kernel.state import FULLEST_LEVEL
 from robotctl.kernel.types import (
     BatteryReceived,
     CommandListenersSeen,
@@ -31,6 +28,12 @@ from robotctl.kernel.types import (
     SafetyInputReceived,
     ScanReceived,
     Tick,
+)
+from robotctl.kernel.types.events import (
+    LeaseLost,
+    LeaseRequested,
+    LifecycleChanged,
+    ParameterRequested,
 )
 from robotctl.kernel.units import NS_PER_S
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from robotctl.kernel.snapshot import Proof
+from robotctl.kernel.codec import Proof
 from robotctl.recording.format.journal import JournalEntry, chained_all, encode
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.invariants import Invariants

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from math import inf
 from typing import Final
 
+from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event, ModeChanged
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ROBOT_STATUS, CdrReader

@@ -14,10 +14,9 @@ from typing import Any
 
 from robotctl.config import Config, flat
 from robotctl.errors import UnreadableFile
-from robotctl.kernel.finite import finite_or_none
+from robotctl.kernel.codec import Snapshot, finite_or_none
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import DriveEnded, Effect, Event, Reply, Tick
 from robotctl.kernel.units import NS_PER_S

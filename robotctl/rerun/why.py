@@ -8,9 +8,7 @@ from types import MappingProxyType
 from typing import assert_never
 
 from robotctl.config import Config, flat
-from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
-from robotctl.kernel.parameter_change import ParameterChanged
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import named
 from robotctl.kernel.remedies import Remedy
@@ -30,6 +28,7 @@ from robotctl.kernel.types import (
     Reply,
     ResetRequested,
 )
+from robotctl.kernel.types.events import LeaseLost, LeaseRequested, ParameterChanged
 from robotctl.rerun.incident import Incident, IncidentKind
 from robotctl.rerun.sentences import driven, sentence_of, span
 

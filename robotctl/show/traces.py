@@ -15,7 +15,6 @@ from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.odometry import is_finite
-from robotctl.kernel.parameter_change import ParameterChanged
 from robotctl.kernel.types import (
     BatteryReceived,
     DriveEnded,
@@ -30,6 +29,7 @@ from robotctl.kernel.types import (
     Reply,
     Tick,
 )
+from robotctl.kernel.types.events import ParameterChanged
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ODOMETRY
 from robotctl.messages.inputs import read_battery_level

@@ -40,7 +40,7 @@ class SourceChange:
 REGRESSIONS = (
     SourceChange(
         "ramps are 1 % steeper",
-        "limits.py",
+        "tracking.py",
         "limits.linear_accel_mps2 * dt_s",
         "1.01 * limits.linear_accel_mps2 * dt_s",
     ),
@@ -67,7 +67,7 @@ REGRESSIONS = (
     ),
     SourceChange(
         "braking begins a little later",
-        "reference.py",
+        "drive.py",
         "brakes_from, half = end_speed * end_speed + 2.0 * leg.accel * left",
         "brakes_from, half = end_speed * end_speed + 2.02 * leg.accel * left",
     ),
@@ -161,19 +161,19 @@ REGRESSIONS = (
 HARMLESS = (
     SourceChange(
         "the sign is compared",
-        "limits.py",
+        "tracking.py",
         "return copysign(bound, value) if isfinite(value) else 0.0",
         "return (bound if value > 0.0 else -bound) if isfinite(value) else 0.0",
     ),
     SourceChange(
         "the condition is turned round",
-        "limits.py",
+        "tracking.py",
         "return current + max_step if target > current else current - max_step",
         "return current - max_step if target <= current else current + max_step",
     ),
     SourceChange(
         "a product in another order",
-        "limits.py",
+        "tracking.py",
         "limits.angular_accel_rps2 * dt_s",
         "dt_s * limits.angular_accel_rps2",
     ),
@@ -199,13 +199,13 @@ HARMLESS = (
     ),
     SourceChange(
         "a sum in place of a product",
-        "reference.py",
+        "drive.py",
         "2.0 * leg.accel * left",
         "(leg.accel + leg.accel) * left",
     ),
     SourceChange(
         "an assertion that holds",
-        "reference.py",
+        "drive.py",
         "    leg = legs[index]\n    end_speed = leg.last_end_speed if lap == laps - 1 else "
         "leg.end_speed\n    while lead",
         "    count = len(legs)\n    assert count\n    leg = legs[index]\n"
@@ -287,7 +287,7 @@ HARMLESS = (
     ),
     SourceChange(
         "a comparison that is negated",
-        "battery.py",
+        "state.py",
         "return level is not None and 0.0 <= level <= FULLEST_LEVEL",
         "return level is not None and level >= 0.0 and not level > FULLEST_LEVEL",
     ),

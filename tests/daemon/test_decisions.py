@@ -16,7 +16,6 @@ from robotctl.ipc.client import call
 from robotctl.ipc.method_names import RECORD_COMMIT
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.types import (
     Cause,
@@ -28,6 +27,7 @@ from robotctl.kernel.types import (
     ResetRequested,
     Twist,
 )
+from robotctl.kernel.types.events import ParameterRequested
 from robotctl.testing.kernels import Bench, moving
 from tests.support.waiting import until
 from tests.support.world import World

@@ -7,18 +7,16 @@ from math import nan, pi
 
 import pytest
 
-from robotctl.kernel.battery import full_level
 from robotctl.kernel.course import Course, Held
+from robotctl.kernel.drive import Progress
 from robotctl.kernel.geometry import ORIGIN, Pose
-from robotctl.kernel.health import Health, OdometrySources, SecondOdometry
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.odometry import dropped, is_repeated, may_follow, odometry_fault, source_found
 from robotctl.kernel.params import BatteryParams, BatteryScale, KernelParams, OdometryParams
 from robotctl.kernel.patterns import Pattern, PatternKind
-from robotctl.kernel.reference import Progress
 from robotctl.kernel.safety import uncleared
-from robotctl.kernel.state import State
+from robotctl.kernel.state import Health, OdometrySources, SecondOdometry, State, full_level
 from robotctl.kernel.types import (
     ZERO,
     Cause,

@@ -11,9 +11,9 @@ import pytest
 
 from robotctl.kernel.course import Course, Point
 from robotctl.kernel.geometry import Pose, wrap_angle
-from robotctl.kernel.limits import limit
 from robotctl.kernel.params import KernelParams, TrackingParams, VelocityLimits
 from robotctl.kernel.patterns import Pattern, PatternKind, path_of
+from robotctl.kernel.tracking import limit
 from robotctl.sim.robot import SimParams
 from robotctl.testing.kernels import drive_simulated
 

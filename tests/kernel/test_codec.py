@@ -12,17 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robotctl.kernel.codec import from_json, to_json
+from robotctl.kernel.codec import Snapshot, from_json, to_json
 from robotctl.kernel.command_types import TWIST
 from robotctl.kernel.course import PLAIN
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameter_change import ParameterChanged
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     ZERO,
@@ -49,6 +46,7 @@ from robotctl.kernel.types import (
     ScanReceived,
     Tick,
 )
+from robotctl.kernel.types.events import LeaseLost, LeaseRequested, ParameterChanged
 from robotctl.testing.kernels import moving
 from tests.support import strategies
 

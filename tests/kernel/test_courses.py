@@ -13,17 +13,23 @@ from hypothesis import strategies as st
 from robotctl.kernel.course import PLAIN, Course, Frame, Held, Point
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
-from robotctl.kernel.limits import limit
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
-from robotctl.kernel.path import Path
-from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind, named, path_of
-from robotctl.kernel.routes import path_for
-from robotctl.kernel.segments import Arc, Line, Turn
-from robotctl.kernel.speed_plan import speed_plan
-from robotctl.kernel.tracking import Reference
+from robotctl.kernel.path import Arc, Line, Path, Turn
+from robotctl.kernel.patterns import (
+    SHAPES,
+    START_RAD,
+    STRAIGHT_RAD,
+    Pattern,
+    PatternKind,
+    local_points,
+    named,
+    path_of,
+    waypoint_path,
+)
+from robotctl.kernel.speed_plan import path_for, speed_plan
+from robotctl.kernel.tracking import Reference, limit
 from robotctl.kernel.types import Cause, Twist
-from robotctl.kernel.waypoints import START_RAD, STRAIGHT_RAD, local_points, waypoint_path
 from robotctl.sim.robot import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated, ready
 

@@ -7,11 +7,10 @@ import subprocess
 import sys
 from typing import Any
 
-from robotctl.kernel.codec import from_json, to_json
+from robotctl.kernel.codec import Snapshot, from_json, to_json
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern, PatternKind
-from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event
 from robotctl.testing.kernels import drive_simulated, moving
 

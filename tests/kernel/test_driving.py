@@ -10,13 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robotctl.config import Config
-from robotctl.kernel.drive import Drive
+from robotctl.kernel.drive import Drive, Progress
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, TrackingParams, VelocityLimits
 from robotctl.kernel.patterns import MIN_SIZE_M, SHAPES, Pattern, PatternKind
-from robotctl.kernel.reference import Progress
 from robotctl.kernel.tracking import Reference, follow_blindly, track
 from robotctl.kernel.types import (
     ZERO,

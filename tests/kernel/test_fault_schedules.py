@@ -8,11 +8,11 @@ from random import Random
 
 import pytest
 
+from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern, PatternKind
-from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import ZERO, Cause, DriveRequested, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.rerun.closed_loop import closed_loop

@@ -9,7 +9,6 @@ import pytest
 
 from robotctl.kernel.checks import reported
 from robotctl.kernel.geometry import ORIGIN
-from robotctl.kernel.health import CommandTopic, Health, OdometrySources, SecondOdometry
 from robotctl.kernel.params import BatteryParams, KernelParams
 from robotctl.kernel.safety import (
     RULE_OF,
@@ -18,6 +17,7 @@ from robotctl.kernel.safety import (
     start_conditions,
     uncleared,
 )
+from robotctl.kernel.state import CommandTopic, Health, OdometrySources, SecondOdometry
 from robotctl.kernel.types import ZERO, Cause, Odometry
 
 NOW_NS = 100_000_000_000

@@ -6,7 +6,7 @@ from math import inf, nan
 
 import pytest
 
-from robotctl.kernel.finite import finite_or_none
+from robotctl.kernel.codec import finite_or_none
 
 
 def test_a_number_stays_what_it_is() -> None:

@@ -8,9 +8,9 @@ from math import inf, nan
 import pytest
 
 from robotctl.kernel.geometry import Pose
-from robotctl.kernel.guard import Guarded
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
+from robotctl.kernel.state import Guarded
 from robotctl.kernel.types import (
     ZERO,
     Cause,

@@ -11,10 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.kernel.course import MAX_SILENCE_S, Course, Held
-from robotctl.kernel.lease import LeaseRequested
-from robotctl.kernel.limits import limit
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.tracking import limit
 from robotctl.kernel.types import (
     ZERO,
     DriveEnded,
@@ -26,6 +25,7 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
+from robotctl.kernel.types.events import LeaseRequested
 from robotctl.testing.kernels import Bench, ready
 
 MS = 1_000_000

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.types import ZERO, DriveRequested, ModeRequested, Phase, ResetRequested
+from robotctl.kernel.types.events import LeaseLost, LeaseRequested
 from robotctl.testing.kernels import Bench, moving, ready
 
 HOLDER, OTHER, ROS = 1, 2, 0

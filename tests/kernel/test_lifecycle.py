@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from robotctl.ipc.advice import cure_of
-from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.types.events import LifecycleChanged, LifecycleState
 from robotctl.testing.kernels import moving, ready, start
 
 STOPPED = [state for state in LifecycleState if state is not LifecycleState.ACTIVE]

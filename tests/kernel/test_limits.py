@@ -8,8 +8,8 @@ from math import inf, nan
 import pytest
 
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.limits import clamp, limit, within
 from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.tracking import clamp, limit, within
 from robotctl.kernel.types import ZERO, Cause, Tick, Twist
 from robotctl.testing.kernels import moving
 

@@ -11,6 +11,7 @@ from random import Random
 import pytest
 
 from robotctl.kernel.course import Course, Frame, Held
+from robotctl.kernel.drive import SETTLE_S, Progress, advanced
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
@@ -22,7 +23,6 @@ from robotctl.kernel.params import (
     VelocityLimits,
 )
 from robotctl.kernel.patterns import Pattern, PatternKind, path_of
-from robotctl.kernel.reference import SETTLE_S, Progress, advanced
 from robotctl.kernel.speed_plan import Leg, speed_plan
 from robotctl.kernel.types import (
     BatteryReceived,

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.kernel.health import Health, Scan
 from robotctl.kernel.input_checks import scan_lost
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.obstacles import (
@@ -23,6 +22,7 @@ from robotctl.kernel.obstacles import (
 )
 from robotctl.kernel.params import KernelParams, ScanParams, VelocityLimits
 from robotctl.kernel.safety_inputs import Use
+from robotctl.kernel.state import Health, Scan
 from robotctl.kernel.types import Cause, ScanReceived, Twist
 from robotctl.kernel.units import NS_PER_S
 from robotctl.testing.kernels import Bench, moving, ready, reset, start, stopped_by

@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
 from robotctl.kernel.parameters import Conflict, conflict
 from robotctl.kernel.params import CommandParams, Foreign, KernelParams, ScanParams, WhenIdle
 from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety_inputs import SafetyInput, Use
 from robotctl.kernel.types import Effect, Reply
+from robotctl.kernel.types.events import ParameterChanged, ParameterRequested
 from robotctl.testing.kernels import Bench, in_mode, moving, ready
 
 

@@ -11,15 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from robotctl.kernel.codec import from_json, to_json
+from robotctl.kernel.codec import Snapshot, from_json, to_json
 from robotctl.kernel.course import Course
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.lease import LeaseRequested
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.patterns import Pattern
-from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State, latched
 from robotctl.kernel.types import (
     ZERO,
@@ -39,6 +36,7 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
+from robotctl.kernel.types.events import LeaseRequested, ParameterRequested
 from robotctl.testing.kernels import TICK_NS, Bench, moving, ready
 from tests.support import strategies
 

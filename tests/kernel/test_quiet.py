@@ -9,12 +9,11 @@ from math import nan
 import pytest
 
 from robotctl.kernel.course import MAX_QUIET_S, Course, Held
-from robotctl.kernel.drive import Drive
+from robotctl.kernel.drive import Drive, Progress
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import VelocityLimits
 from robotctl.kernel.patterns import Pattern, named
-from robotctl.kernel.reference import Progress
 from robotctl.kernel.types import ZERO, PublishTwist, Twist
 from robotctl.testing.kernels import Bench, drive_simulated, ready
 

@@ -9,16 +9,12 @@ from math import cos, hypot, inf, isclose, isnan, pi, sin, sqrt
 import pytest
 
 from robotctl.kernel.course import PLAIN
-from robotctl.kernel.drive import Drive
-from robotctl.kernel.figure_eight import FigureEight, figure_eight
+from robotctl.kernel.drive import Drive, Progress, advanced, begun
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.params import KernelParams, VelocityLimits
-from robotctl.kernel.path import Path
-from robotctl.kernel.patterns import Pattern, PatternKind
-from robotctl.kernel.reference import Progress, advanced, begun
-from robotctl.kernel.routes import legs_for, path_for
-from robotctl.kernel.segments import Arc, Circle, Line, Turn
-from robotctl.kernel.speed_plan import Leg, speed_plan
+from robotctl.kernel.path import Arc, Circle, Line, Path, Turn
+from robotctl.kernel.patterns import FigureEight, Pattern, PatternKind, figure_eight
+from robotctl.kernel.speed_plan import Leg, legs_for, path_for, speed_plan
 from robotctl.kernel.tracking import Reference, track
 from tests.support.fed_kernel import lap_of
 

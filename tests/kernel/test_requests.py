@@ -7,12 +7,11 @@ from math import inf, nan
 
 import pytest
 
-from robotctl.kernel.drive import MAX_LAPS
+from robotctl.kernel.drive import MAX_LAPS, Progress
 from robotctl.kernel.kernel import MAX_WAITING, Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern, PatternKind
-from robotctl.kernel.reference import Progress
 from robotctl.kernel.remedies import RESETTING, Remedy
 from robotctl.kernel.state import latched
 from robotctl.kernel.types import (

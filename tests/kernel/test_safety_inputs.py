@@ -7,11 +7,11 @@ from math import inf, nan
 
 import pytest
 
-from robotctl.kernel.health import Health
 from robotctl.kernel.input_checks import estop_silent, is_any_required
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.safety_inputs import Reading, SafetyInput, SafetyInputParams, Use, with_reading
+from robotctl.kernel.state import Health
 from robotctl.kernel.types import Cause, SafetyInputReceived
 from robotctl.testing.kernels import Bench, moving, ready, reset, start, stopped_by
 

@@ -11,8 +11,7 @@ import pytest
 
 from robotctl import kernel
 from robotctl.kernel.drive import Drive
-from robotctl.kernel.health import Health
-from robotctl.kernel.state import State
+from robotctl.kernel.state import Health, State
 from robotctl.kernel.types import Effect, Event, changed
 
 

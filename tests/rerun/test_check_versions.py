@@ -15,9 +15,9 @@ import pytest
 
 from robotctl import __version__, retired
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.types import DriveRequested, Event, ModeRequested
+from robotctl.kernel.types.events import ParameterRequested
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording import Recorder, RecorderOptions

@@ -7,9 +7,9 @@ from math import inf, nan
 
 import pytest
 
+from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     BatteryReceived,

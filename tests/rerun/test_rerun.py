@@ -13,11 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.errors import UnreadableFile
-from robotctl.kernel.codec import to_json
+from robotctl.kernel.codec import Proof, Snapshot, to_json
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.kernel.types import (
     BatteryReceived,
     Event,

@@ -16,7 +16,6 @@ from robotctl.collection.indexing import rows_of
 from robotctl.config import Config, with_setting
 from robotctl.errors import ConfigError, UnreadableFile, UsageError
 from robotctl.kernel.course import Course, Held
-from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.types import (
@@ -26,6 +25,7 @@ from robotctl.kernel.types import (
     Event,
     ModeRequested,
 )
+from robotctl.kernel.types.events import LifecycleChanged, LifecycleState
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.rerun.recorded_settings import check_scope, parse_settings

@@ -14,7 +14,6 @@ from robotctl.errors import UnreadableFile
 from robotctl.kernel.course import Course, Held
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import ORIGIN
-from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.patterns import Pattern, PatternKind, named
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.types import (
@@ -30,6 +29,7 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
+from robotctl.kernel.types.events import LeaseLost, LeaseRequested
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.write.recording_file import RecordingFile
 from robotctl.rerun.check import check_recording

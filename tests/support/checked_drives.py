@@ -15,9 +15,7 @@ from robotctl.config import Config
 from robotctl.kernel.course import PLAIN, Course, Held
 from robotctl.kernel.fence import FenceParams
 from robotctl.kernel.geometry import Pose
-from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.types import (
@@ -32,6 +30,7 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
+from robotctl.kernel.types.events import LeaseLost, LeaseRequested, ParameterRequested
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, encode
 from robotctl.recording.keep.listing import recordings_in

@@ -10,7 +10,6 @@ from robotctl.kernel.command_types import TWIST_STAMPED
 from robotctl.kernel.course import PLAIN
 from robotctl.kernel.fence import FenceParams
 from robotctl.kernel.geometry import ORIGIN, Pose
-from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, ScanParams, TrackingParams
 from robotctl.kernel.path import Path
@@ -29,6 +28,7 @@ from robotctl.kernel.types import (
     SafetyInputReceived,
     ScanReceived,
 )
+from robotctl.kernel.types.events import LifecycleChanged, LifecycleState
 from robotctl.testing.kernels import TICK_NS, Bench
 
 

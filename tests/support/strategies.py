@@ -9,9 +9,6 @@ from hypothesis import strategies as st
 from robotctl.config import Config, flat
 from robotctl.kernel.course import Course, Frame, Held
 from robotctl.kernel.geometry import Pose
-from robotctl.kernel.lease import LeaseLost, LeaseRequested
-from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
-from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.parameters import kernel_leaves
 from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.safety_inputs import SafetyInput
@@ -37,6 +34,13 @@ from robotctl.kernel.types import (
     ScanReceived,
     Tick,
     Twist,
+)
+from robotctl.kernel.types.events import (
+    LeaseLost,
+    LeaseRequested,
+    LifecycleChanged,
+    LifecycleState,
+    ParameterRequested,
 )
 
 INT64 = st.integers(-(2**63), 2**63 - 1)

@@ -34,8 +34,8 @@ from robotctl.ipc.params import (
     SetModeParams,
 )
 from robotctl.ipc.request_handler import Method
+from robotctl.kernel.codec import finite_or_none
 from robotctl.kernel.course import PLAIN, Course, Held
-from robotctl.kernel.finite import finite_or_none
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind, SizeName
 from robotctl.kernel.safety import remedies_for

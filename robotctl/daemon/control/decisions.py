@@ -7,9 +7,7 @@ from typing import assert_never
 
 from robotctl.decisions.journal import DecisionKind
 from robotctl.decisions.log import DecisionLog
-from robotctl.kernel.lease import LeaseRequested
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
 from robotctl.kernel.patterns import named
 from robotctl.kernel.types import (
     DriveEnded,
@@ -23,6 +21,7 @@ from robotctl.kernel.types import (
     Reply,
     ResetRequested,
 )
+from robotctl.kernel.types.events import LeaseRequested, ParameterChanged, ParameterRequested
 
 Request = ModeRequested | ResetRequested | DriveRequested | ParameterRequested | LeaseRequested
 

@@ -9,11 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from robotctl.daemon.control.decisions import Request
-from robotctl.kernel.codec import to_json
+from robotctl.kernel.codec import Proof, Snapshot, to_json
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     DriveEnded,
@@ -22,6 +20,7 @@ from robotctl.kernel.types import (
     LoopStalled,
     Reply,
 )
+from robotctl.kernel.types.events import ParameterRequested
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, encode
 from robotctl.recording.format.names import MADE_BY

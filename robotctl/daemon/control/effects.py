@@ -13,7 +13,6 @@ from robotctl.daemon.control.latch import Latch
 from robotctl.daemon.control.robot_report import TrueErrors
 from robotctl.ipc.advice import advice
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameter_change import ParameterChanged
 from robotctl.kernel.safety import remedies_for
 from robotctl.kernel.types import (
     Cause,
@@ -26,6 +25,7 @@ from robotctl.kernel.types import (
     Reply,
     Twist,
 )
+from robotctl.kernel.types.events import ParameterChanged
 from robotctl.recording.format.recorded_events import RecordedEvent, noted_event
 
 _log = logging.getLogger(__name__)

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.daemon.waiting import until
-from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types import (
@@ -31,6 +30,7 @@ from robotctl.kernel.types import (
     ScanReceived,
     Twist,
 )
+from robotctl.kernel.types.events import LifecycleChanged, LifecycleState
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 

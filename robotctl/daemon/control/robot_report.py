@@ -11,17 +11,15 @@ from typing import NamedTuple
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.ipc.advice import advice, condition_of
 from robotctl.ipc.answers import ConditionAnswer, DriveFacts, DrivenPath, Preflight, RobotFacts
-from robotctl.kernel.battery import is_level
 from robotctl.kernel.checks import FOREIGN_COMMAND_S, foreign_command
+from robotctl.kernel.codec import finite_or_none
 from robotctl.kernel.drive import Drive, Score
-from robotctl.kernel.finite import finite_or_none
 from robotctl.kernel.geometry import Pose
-from robotctl.kernel.health import Health
 from robotctl.kernel.params import Foreign, KernelParams
 from robotctl.kernel.patterns import named
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import RULE_OF, remedies_for, start_conditions
-from robotctl.kernel.state import State
+from robotctl.kernel.state import Health, State, is_level
 from robotctl.kernel.types import Cause, DriveEnded
 from robotctl.kernel.units import NS_PER_S
 

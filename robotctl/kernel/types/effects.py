@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from math import nan
 
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameter_change import ParameterChanged
 from robotctl.kernel.remedies import Remedy
+from robotctl.kernel.types.events import ParameterChanged
 from robotctl.kernel.types.values import Cause, Twist
 
 

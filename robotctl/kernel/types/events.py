@@ -1,4 +1,4 @@
-"""The events: everything that `Kernel.step` takes.
+"""The events: everything that `Kernel.step` decides on, with leases and lifecycle states.
 
 Every event carries its steady time `t_ns` in nanoseconds: the kernel has no clock.
 """
@@ -6,15 +6,104 @@ Every event carries its steady time `t_ns` in nanoseconds: the kernel has no clo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
 
 from robotctl.kernel.command_types import TWIST
 from robotctl.kernel.course import PLAIN, Course
-from robotctl.kernel.lease import LeaseLost, LeaseRequested
-from robotctl.kernel.lifecycle import LifecycleChanged
-from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types.values import Cause, Odometry, Twist
+
+
+@dataclass(frozen=True, slots=True)
+class Lease:
+    """The holder by its number and its name, and why it took the lease."""
+
+    client: int
+    source: str
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseRequested:
+    """A client takes the lease, or releases it; it gets one `Reply`."""
+
+    t_ns: int
+    request_id: int
+    take: bool
+    client: int
+    source: str
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseLost:
+    """A holder is gone; `how` says how that was noticed."""
+
+    t_ns: int
+    client: int
+    how: str = "its connection closed"
+
+
+class MotionRequest(Protocol):
+    """A request that starts or steers motion; `client` is 0 for one without an identity."""
+
+    @property
+    def request_id(self) -> int:
+        """The id that its reply carries."""
+
+    @property
+    def client(self) -> int:
+        """The number of the client."""
+
+    @property
+    def source(self) -> str:
+        """The name of the client."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRequested:
+    """A request to change the parameter `key` from the text `old` to the text `new`.
+
+    It gets one `Reply`. A float is written as its repr. The kernel knows its own parameters; the
+    daemon has checked the values of all others.
+    """
+
+    t_ns: int
+    request_id: int
+    key: str
+    old: str
+    new: str
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterChanged:
+    """A parameter has a new value from now on."""
+
+    key: str
+    old: str
+    new: str
+    source: str
+
+
+class LifecycleState(Enum):
+    """The primary states of a managed node by their labels; motion starts in ACTIVE only."""
+
+    UNCONFIGURED = "unconfigured"
+    INACTIVE = "inactive"
+    ACTIVE = "active"
+    FINALIZED = "finalized"
+
+
+@dataclass(frozen=True, slots=True)
+class LifecycleChanged:
+    """The node that gates motion is in another state."""
+
+    t_ns: int
+    state: LifecycleState
+    source: str
 
 
 @dataclass(frozen=True, slots=True)
