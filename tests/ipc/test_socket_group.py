@@ -246,13 +246,13 @@ def test_a_socket_that_was_removed_is_made_again_for_the_group(base: Path, serve
 
 
 SEEN = """
-print(names(), killed(), [each.level.value for each in check_folders(runtime_folder())])
+print(names(), dead_robots(), [each.level.value for each in check_folders(runtime_folder())])
 """
 
 SEEN_IMPORTS = """
 import robotctl.trust
 from pathlib import Path
-from robotctl.cli.targets.robots import killed
+from robotctl.cli.commands.doctor.diagnosis import dead_robots
 from robotctl.cli.targets.robots import names
 from robotctl.doctor.machine import check_folders
 from robotctl.errors import Refused

@@ -91,13 +91,13 @@ def _disk(status: Status | None) -> Iterator[Finding]:
 
 
 def _killed() -> Iterator[Finding]:
-    for robot in _dead_robots():
+    for robot in dead_robots():
         text = f"the daemon of robot {robot} was killed, and its socket is left"
         cure = f"robotctl start --robot {robot} cleans up, and repairs the recording"
         yield warning("dead processes", text, cure)
 
 
-def _dead_robots() -> list[str]:
+def dead_robots() -> list[str]:
     """Return the robots whose socket is there, and whose lock no daemon holds."""
     found = []
     for robot in robots.names():
@@ -110,7 +110,7 @@ def _dead_robots() -> list[str]:
 def _remove_sockets() -> list[Path]:
     """Remove the sockets of killed daemons, each while its lock is held, and return them."""
     removed = []
-    for robot in _dead_robots():
+    for robot in dead_robots():
         with suppress(AlreadyRunning, UsageError), owned(lock_path(robot), robot):
             remove_stale(socket_path(robot))
             removed.append(socket_path(robot))
