@@ -1,12 +1,14 @@
-"""The files and clips of the flight recorder after one run of the daemon."""
+"""The files and clips of the flight recorder: whole, limited, and complete after a clean stop."""
 
 from __future__ import annotations
 
 import json
 import os
 import subprocess
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +16,16 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from robotctl.recording import read_info, read_messages
-from robotctl.recording.format.journal import EntryKind
+from robotctl.daemon.recording import recordings_folder
+from robotctl.kernel.patterns import PatternKind
+from robotctl.recording import Recorder, RecorderOptions, RecorderStats, read_info, read_messages
+from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
+from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from tests.support.bags import text
 from tests.support.recordings import read_strictly
-from tests.support.waiting import until
+from tests.support.waiting import loop_until, until
 from tests.support.world import PATIENT, Peer, Ran, World, journal_of, new_world, read_back
 
 MARK = "the door \x1b[2J opened"
@@ -226,3 +231,143 @@ def test_the_list_shows_a_live_recording_and_its_worst_event(flight: Flight) -> 
     assert (listed["live"], listed["worst"], listed["robot"]) == (True, "error", "robot")
     assert len(listed["clips"]) == 1
     assert json.dumps(flight.live).isprintable()
+
+
+@pytest.fixture
+def short_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make each chunk fill a file."""
+    options = partial(RecorderOptions, split_bytes=1)
+    monkeypatch.setattr(recordings_folder, "RecorderOptions", options)
+
+
+def files_of(world: World) -> list[Path]:
+    return sorted(world.recordings.glob("*/*.mcap"), key=number_of)
+
+
+def number_of(path: Path) -> int:
+    return int(path.stem.rpartition("_")[2])
+
+
+@pytest.mark.usefixtures("short_files")
+async def test_each_file_begins_with_a_snapshot_and_can_be_decided_again(
+    in_process: Callable[..., Any], world: World
+) -> None:
+    async with in_process(drive=PatternKind.CIRCLE) as daemon:
+        await loop_until(lambda: len(files_of(world)) > 5)
+        for _ in range(3):
+            await daemon.ask("record_split")
+    seqs = []
+    for path in files_of(world):
+        entries = [decode(m.data) for m in read_messages(path, {"/robotctl/journal"})]
+        assert entries[0].kind is EntryKind.SNAPSHOT
+        seqs += [entry.seq for entry in entries]
+        report = check_recording(path)
+        assert report.verdict is Verdict.SAME
+        assert not any("before the first snapshot" in note for note in report.notes)
+    assert seqs == list(range(len(seqs)))
+
+
+@pytest.mark.usefixtures("short_files")
+async def test_the_oldest_files_of_the_recording_that_goes_on_are_removed_as_well(
+    in_process: Callable[..., Any], world: World, tmp_path: Path
+) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text(f"{PATIENT}recording: {{max_total_gb: 0.0001}}\n")
+    async with in_process(config=config):
+        await loop_until(lambda: min(map(number_of, files_of(world)), default=0) >= 3)
+    files = files_of(world)
+    assert list(map(number_of, files)) == list(range(number_of(files[0]), number_of(files[-1]) + 1))
+    assert read_info(files[0].parent).missing == ()
+
+
+SLOW_DISK_S = 0.3
+"""How long the close of a recording takes here; meanwhile the peer sends 15 samples."""
+
+Closed = list[RecorderStats]
+
+
+@pytest.fixture
+def closed(monkeypatch: pytest.MonkeyPatch) -> Closed:
+    """The stats of each recorder, some time after its close."""
+    said: Closed = []
+
+    class ClosedSlowly(Recorder):
+        def close(self) -> RecorderStats:
+            super().close()
+            time.sleep(SLOW_DISK_S)
+            said.append(self.stats())
+            return said[-1]
+
+    monkeypatch.setattr(recordings_folder, "Recorder", ClosedSlowly)
+    return said
+
+
+@pytest.mark.parametrize("observe", [False, True])
+async def test_nothing_is_received_any_more_when_the_recording_is_finished(
+    in_process: Callable[..., Any],
+    world: World,
+    new_peer: Callable[[World], Peer],
+    closed: Closed,
+    observe: bool,
+) -> None:
+    peer = new_peer(world)
+    peer("be_a_robot")
+    peer("take_commands", kind="Twist")
+    async with in_process(observe=observe, sim=None if observe else False) as daemon:
+        await daemon.until(lambda status: count(status, "/odom") > 20)
+    assert [(stats.dropped, stats.queued) for stats in closed] == [(0, 0)]
+
+
+def count(status: Any, topic: str) -> int:
+    return sum(each["count"] for each in status["topics"] if each["name"] == topic)
+
+
+async def test_a_file_that_is_full_at_the_end_is_followed_by_none(
+    in_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: Closed = []
+
+    class FullAtEnd(Recorder):
+        def __init__(self, *given: Any, on_full: Callable[[Path], None], **options: Any) -> None:
+            super().__init__(*given, on_full=on_full, **options)
+            self.tell_full = on_full
+
+        def close(self) -> RecorderStats:
+            """Report a full file at the close; the loop gets the call after it."""
+            stats = super().close()
+            self.tell_full(stats.file)
+            time.sleep(SLOW_DISK_S)
+            said.append(self.stats())
+            return stats
+
+    monkeypatch.setattr(recordings_folder, "Recorder", FullAtEnd)
+    async with in_process():
+        pass
+    assert [stats.dropped for stats in said] == [0]
+
+
+async def test_the_publisher_stays_until_the_last_zero_is_acknowledged(
+    in_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published: list[int] = []
+
+    def acknowledged(velocity: VelocityPublisher) -> bool:
+        published.append(velocity.published)
+        return len(published) > 3
+
+    monkeypatch.setattr(VelocityPublisher, "is_acknowledged", acknowledged)
+    async with in_process():
+        pass
+    assert len(published) == 4
+    assert len(set(published)) == 1, "a command was sent after it"
+
+
+@pytest.mark.slow
+def test_a_hundred_clean_stops_lose_no_entry(world: World) -> None:
+    for _ in range(100):
+        world.ok("start", "--sim", "--config", str(world.patient))
+        world.ok("stop")
+        assert ", 0 dropped, 0 lost" in world.log()
+    for folder in world.recordings.iterdir():
+        journal = journal_of(read_back(folder)["/robotctl/journal"])
+        assert [entry.seq for entry in journal] == list(range(len(journal)))

@@ -1,31 +1,64 @@
-"""Control handles events in order, journals each, and carries out effects despite failures."""
+"""Control handles events in order, journals each, and carries out effects despite failures.
+
+A reply is sent after the latch is on the disk, and a cure names the robot.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import logging
+import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
-from robotctl.daemon.control.dispatcher import Control, Journal, PendingRequests
+import pytest
+
+from robotctl.daemon.api.recording import recording_methods
+from robotctl.daemon.api.status import StatusSource, common_methods
+from robotctl.daemon.command_line import DaemonOptions
+from robotctl.daemon.control import latch
+from robotctl.daemon.control.dispatcher import Control, Journal, PendingRequests, UnsavedReply
+from robotctl.daemon.control.effects import Effects
+from robotctl.daemon.control.latch import Latch, LatchedStop
+from robotctl.daemon.recording.flight_recorder import FlightRecorder
+from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.shutdown import send_zero, stand_still
+from robotctl.errors import Refused
+from robotctl.ipc.answers import RobotFacts
+from robotctl.ipc.method_names import STATUS
+from robotctl.ipc.params import MarkParams, NoParams
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     ZERO,
+    Cause,
+    DriveEnded,
+    DriveReport,
     Effect,
     LatchEmergencyStop,
+    ModeChanged,
     ModeRequested,
     PublishTwist,
+    ReleaseEmergencyStop,
     Reply,
     ResetRequested,
     Tick,
+    Twist,
 )
+from robotctl.recording import Recorder
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
+from robotctl.recording.format.names import EventKind
+from robotctl.recording.format.recorded_events import RecordedEvent
+from robotctl.recording.write.recorder import RecorderState, RecorderStats
+from robotctl.recording.write.recorder_options import TopicFilter
 from robotctl.rerun.rerun import first_divergence
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
+from robotctl.ros.tap.tap import Tap
 from robotctl.testing.kernels import moving
 from tests.support.waiting import loop_until
 
@@ -190,3 +223,180 @@ async def test_a_ramp_that_takes_too_long_is_cut() -> None:
     assert bench.control.state.mode is Mode.ERROR
     assert bench.control.state.command == ZERO
     assert first_divergence(bench.entries) is None
+
+
+REPLY = Reply(1, True, "Mode changed to EMERGENCY_STOP", Mode.EMERGENCY_STOP)
+
+
+class Recorded:
+    """Records what the effects do."""
+
+    def __init__(self, folder: Path) -> None:
+        self.latch_path = folder / "emergency-stop"
+        self.latch = Latch(self.latch_path)
+        self.requests = PendingRequests()
+        self.done: list[Any] = []
+        self.noted: list[RecordedEvent] = []
+        self.effects = Effects(
+            self.done.append, self.done.append, self.noted.append, self.latch, self.requests, "r2"
+        )
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Recorded:
+    return Recorded(tmp_path)
+
+
+async def test_a_stop_is_confirmed_when_it_is_on_the_disk(
+    recorded: Recorded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk, write = threading.Event(), latch.write
+
+    def write_slowly(path: Path, stop: LatchedStop) -> None:
+        disk.wait()
+        write(path, stop)
+
+    monkeypatch.setattr(latch, "write", write_slowly)
+    reply = recorded.requests.expect_reply(1)
+    recorded.effects.carry_out(LatchEmergencyStop("test"))
+    recorded.effects.carry_out(REPLY)
+    assert not reply.done()
+    disk.set()
+    assert await reply == REPLY
+    assert recorded.latch.read() == LatchedStop("test", Cause.OPERATOR_STOP)
+    await recorded.latch.close()
+
+
+async def test_the_latch_remembers_why_the_robot_stopped(recorded: Recorded) -> None:
+    recorded.effects.carry_out(LatchEmergencyStop("empty", Cause.BATTERY_LOW))
+    await recorded.latch.close()
+    assert recorded.latch.read() == LatchedStop("empty", Cause.BATTERY_LOW)
+
+
+async def test_a_stop_that_could_not_be_saved_is_confirmed_with_that(recorded: Recorded) -> None:
+    (recorded.latch_path.with_suffix(".new")).mkdir()
+    reply = recorded.requests.expect_reply(1)
+    recorded.effects.carry_out(LatchEmergencyStop("test"))
+    recorded.effects.carry_out(REPLY)
+    answer = await reply
+    assert isinstance(answer, UnsavedReply)
+    assert answer.ok
+    assert f"{REPLY.message}, but a restart would forget this stop: " in answer.message
+    refused = recorded.requests.expect_reply(2)
+    recorded.effects.carry_out(Reply(2, False, "no", Mode.EMERGENCY_STOP))
+    assert await refused == Reply(2, False, "no", Mode.EMERGENCY_STOP)
+    await recorded.latch.close()
+
+
+async def test_stops_errors_and_drive_ends_are_events_of_the_recording(recorded: Recorded) -> None:
+    for mode in Mode:
+        recorded.effects.carry_out(ModeChanged(Mode.IDLE, mode, f"to {mode.name}"))
+    report = DriveReport(2, 8.0, 0.01, 0.02, 0.005)
+    recorded.effects.carry_out(DriveEnded(1, True, "driven", report))
+    recorded.effects.carry_out(PublishTwist(Twist(0.1, 0.2)))
+    recorded.effects.carry_out(ReleaseEmergencyStop())
+    kinds = [(event.kind, event.text) for event in recorded.noted]
+    assert kinds == [
+        (EventKind.ERROR, "to ERROR"),
+        (EventKind.EMERGENCY_STOP, "to EMERGENCY_STOP"),
+        (EventKind.DRIVE_ENDED, "driven"),
+    ]
+    assert recorded.done == [*Mode, Twist(0.1, 0.2)]
+    await recorded.latch.close()
+
+
+async def test_the_log_names_the_robot_in_a_cure(
+    recorded: Recorded, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    failed = ModeChanged(Mode.IDLE, Mode.ERROR, "no disk: see robotctl logs", Cause.RECORDER_FAILED)
+    recorded.effects.carry_out(failed)
+    assert "IDLE -> ERROR: no disk: see robotctl logs --robot r2: restart after that" in caplog.text
+    assert "robotctl start --robot r2" in caplog.text
+    await recorded.latch.close()
+
+
+async def test_the_loop_turns_between_the_parts_of_a_status() -> None:
+    done: list[str] = []
+
+    def part(name: str) -> str:
+        done.append(name)
+        asyncio.get_running_loop().call_soon(done.append, "turn")
+        return name
+
+    source: Any = SimpleNamespace(
+        stats=lambda: part("counts"), status=lambda stats: part(f"answer from {stats}")
+    )
+    answer = await common_methods(source, asyncio.Event())[STATUS].handler(NoParams())
+
+    assert answer == "answer from counts"
+    assert done == ["counts", "turn", "answer from counts"]
+
+
+FAILURE = "the recorder failed: see robotctl logs"
+FAILURE_OF_R2 = f"{FAILURE} --robot r2"
+
+
+@pytest.fixture
+def robot_report() -> RecorderReport:
+    facts = {"topics": [], "recorder": {"file": "run.mcap"}}
+    fake = SimpleNamespace(
+        stats=lambda: None, facts=lambda _: facts, warnings=lambda _: iter([FAILURE])
+    )
+    return cast(RecorderReport, fake)
+
+
+async def test_a_failed_recorder_names_the_robot_in_its_cure(robot_report: RecorderReport) -> None:
+    stats = SimpleNamespace(received=1, written=1, dropped=0, file="run.mcap")
+    recorder = SimpleNamespace(
+        failure=FAILURE, report=robot_report, stats=lambda: stats, split=lambda: None
+    )
+    methods = recording_methods(cast(FlightRecorder, recorder), "r2")
+    status: Any = await methods["record_status"].handler(NoParams())
+    assert status["warnings"] == [FAILURE_OF_R2]
+    commit: Any = await methods["record_commit"].handler(NoParams())
+    assert commit["failure"] == FAILURE_OF_R2
+    for name, params in (("record_split", NoParams()), ("mark", MarkParams("here", "test"))):
+        with pytest.raises(Refused, match=f"{FAILURE_OF_R2}$"):
+            await methods[name].handler(params)
+
+
+def test_the_notes_of_a_start_name_the_robot_in_a_cure(robot_report: RecorderReport) -> None:
+    robot: Any = SimpleNamespace(
+        facts=lambda: dict.fromkeys(RobotFacts.__required_keys__),
+        remedies=lambda: (),
+        warnings=lambda: iter(()),
+    )
+    options = DaemonOptions("r2", None, Path(), None, None, 0)
+    source = StatusSource(options, robot_report, robot, "", [])
+    note = "moving is refused: no odometry: (robotctl status lists the topics)"
+    (told,) = source.summary([note])["notes"]
+    assert "(robotctl status --robot r2 lists the topics)" in told
+
+
+def test_diagnostics_on_ros_name_the_robot_in_a_cure() -> None:
+    failed = RecorderStats(
+        state=RecorderState.FAILED,
+        file=Path("run.mcap"),
+        bytes=0,
+        received=0,
+        written=0,
+        queued=0,
+        dropped=0,
+        lost=0,
+        unseen=0,
+        not_repeated=0,
+        no_memory=0,
+        failure=FAILURE,
+        warning="",
+        topics=(),
+    )
+    silent = SimpleNamespace(warnings=lambda: iter(()))
+    report = RecorderReport(
+        cast(Recorder, SimpleNamespace(stats=lambda: failed)),
+        cast(Tap, SimpleNamespace(unrecorded=silent, mismatches=silent)),
+        TopicFilter((), (), ()),
+        list,
+        "r2",
+    )
+    assert report.diagnosis(report.stats()).message == FAILURE_OF_R2

@@ -1,4 +1,4 @@
-"""Each failure in the daemon ends in zero velocity and ERROR, and is reported."""
+"""Each failure in the daemon ends in zero velocity, and is reported."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import os
 import re
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
@@ -19,9 +19,11 @@ import pytest
 from robotctl.daemon.app import serve
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.control.inputs import Inputs
+from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.daemon.control.watchdog import Watchdog
 from robotctl.daemon.recording.recorder_report import RecorderReport
-from robotctl.errors import Refused
+from robotctl.daemon.supervisor import OUT_OF_MEMORY
+from robotctl.errors import Refused, RobotctlError
 from robotctl.ipc.client import Client
 from robotctl.ipc.listener import Listener
 from robotctl.kernel.kernel import Kernel
@@ -33,7 +35,7 @@ from robotctl.ros.nodes.mode_service import ModeService
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from robotctl.ros.tap.tap import Tap
-from tests.support.waiting import until
+from tests.support.waiting import loop_until, until
 from tests.support.world import Peer, World, journal_of, read_back
 
 
@@ -348,3 +350,68 @@ async def test_a_fault_can_be_decided_again_from_the_journal(
 
 def _count(status: Any, topic: str) -> int:
     return int(next(entry["count"] for entry in status["topics"] if entry["name"] == topic))
+
+
+def test_a_fault_of_the_simulated_robot_stops_it_and_is_marked_in_the_recording(
+    world: World,
+) -> None:
+    world.ok("start", "--sim", "--drive", "circle")
+    told = world.answer("sim", "fault", "brownout", "--for", "1s")
+    assert told["mode"] == "EMERGENCY_STOP"
+    assert told["stopped_after_ms"] > 0.0
+    assert "the battery is at 10%" in told["message"]
+    assert "did not move" in world.ok("sim", "fault", "slip", "--for", "100ms")
+    world.ok("sim", "set", "battery=0.5")
+    wrong = world.robotctl("sim", "fault", "slip", "--for", "2h", "--json")
+    assert (wrong.exit_code, json.loads(wrong.out)["error"]["kind"]) == (2, "usage")
+    assert world.robotctl("sim", "set", "battery=2").exit_code == 2
+    world.ok("stop")
+    events = world.answer("info", "last")["events"]
+    marks = [each["text"] for each in events if each["kind"] == "mark"]
+    assert marks[0].startswith("simulated fault: brownout for 1 s")
+
+
+STILL = bytes(48)
+
+
+@pytest.mark.parametrize(
+    ("owner", "name"),
+    [
+        (RecorderReport, "sample"),  # a task
+        (Inputs, "odometry"),  # a callback of ROS
+        (VelocityPublisher, "publish"),  # an effect of the kernel
+        (RobotReport, "path"),  # a request
+    ],
+)
+async def test_without_memory_the_robot_stops_and_the_daemon_ends(
+    in_process: Callable[..., Any],
+    world: World,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    owner: Any,
+    name: str,
+) -> None:
+    original, armed = getattr(owner, name), [False]
+    failed: list[str] = []
+
+    def fail(*args: Any, **kwargs: Any) -> Any:
+        if armed[0] and len(failed) < 5:
+            failed.append(name)
+            raise MemoryError
+        return original(*args, **kwargs)
+
+    async def drive() -> None:
+        async with in_process(drive=PatternKind.CIRCLE) as daemon:
+            await daemon.until(lambda status: status["mode"] == "MOVING")
+            armed[0] = True
+            with suppress(RobotctlError):
+                await daemon.ask("path")
+            await loop_until(lambda: failed)
+
+    monkeypatch.setattr(owner, name, fail)
+    with pytest.raises(RobotctlError, match=OUT_OF_MEMORY):
+        await drive()
+    last = read_back(next(world.recordings.iterdir()))["/cmd_vel"][-1]
+    assert last.data[4:] == STILL
+    assert caplog.text.count("out of memory") < 5
+    assert "Traceback" not in caplog.text

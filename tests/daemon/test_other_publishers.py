@@ -1,24 +1,158 @@
-"""Nodes that publish commands or odometry while a daemon runs."""
+"""Other nodes that publish commands or odometry: heard, named, refused, let through."""
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
+from robotctl.daemon.control import inputs
+from robotctl.daemon.control.inputs import MAX_TOLD, NAMELESS, ForeignCommands, watch_graph
+from robotctl.kernel.types import (
+    CommandListenersSeen,
+    CommandPublishersSeen,
+    Event,
+    ForeignCommandHeard,
+)
 from robotctl.recording import read_messages
-from tests.support.waiting import until
-from tests.support.world import Peer, World, journal_of, new_world
+from tests.support.lines import Told, peer_command
+from tests.support.waiting import loop_until, until
+from tests.support.world import PATIENT, Peer, World, journal_of, new_world
 
-Event = dict[str, float]
+
+class Velocity:
+    """A command topic with publishers that a test sets; one publisher is ours."""
+
+    def __init__(self) -> None:
+        self.others: tuple[str, ...] = ()
+        self.taking: tuple[int, tuple[str, ...]] = (1, ())
+        self.calls: list[Event] = []
+        self.looks = 0
+
+    def other_publishers(self) -> tuple[str, ...]:
+        self.looks += 1
+        return self.others
+
+    def count_listeners(self) -> int:
+        return self.taking[0] + len(self.taking[1])
+
+    def listeners(self) -> tuple[int, tuple[str, ...]]:
+        return self.taking
+
+    def find_names(self) -> None:
+        pass
+
+    def dispatch(self, event: Event) -> None:
+        self.calls.append(event)
+
+
+async def look_again(velocity: Velocity, times: int) -> None:
+    """Wait until the publishers were counted again."""
+    looks = velocity.looks
+    await loop_until(lambda: velocity.looks > looks + times)
+
+
+async def test_other_publishers_are_events_when_they_appear_and_disappear(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(inputs, "PUBLISHER_POLL_S", 0.0)
+    velocity: Any = Velocity()
+    watching = asyncio.create_task(watch_graph(velocity, velocity, velocity.dispatch))
+
+    async def seen(*names: str) -> list[tuple[str, ...]]:
+        velocity.others = names
+        await look_again(velocity, 3)
+        return [call.names for call in velocity.calls if isinstance(call, CommandPublishersSeen)]
+
+    assert await seen() == []
+    assert await seen("/a") == [("/a",)]
+    assert await seen("/a", "/b") == [("/a",), ("/a", "/b")]
+    assert await seen() == [("/a",), ("/a", "/b"), ()]
+    watching.cancel()
+
+
+async def test_a_change_of_the_command_subscribers_is_an_event(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(inputs, "PUBLISHER_POLL_S", 0.0)
+    velocity: Any = Velocity()
+    watching = asyncio.create_task(watch_graph(velocity, velocity, velocity.dispatch))
+    told: list[tuple[int, tuple[str, ...]]] = []
+    for taking in ((0, ()), (1, ()), (0, ("x/msg/Other",)), (1, ("x/msg/Other",))):
+        velocity.taking = taking
+        told.append(taking)
+        await look_again(velocity, 12)
+        seen = [call for call in velocity.calls if isinstance(call, CommandListenersSeen)]
+        assert [(each.count, each.other_types) for each in seen] == told
+    watching.cancel()
+
+
+class Publishers:
+    """Node names by the gid of their publisher, and whether the robot moves."""
+
+    def __init__(self, *, moves: bool) -> None:
+        self.names = {b"theirs": "/teleop"}
+        self.events: list[Event] = []
+        self.heard = ForeignCommands(
+            b"ours", lambda gid: self.names.get(gid, ""), lambda: moves, self.events.append
+        ).heard
+
+    @property
+    def told(self) -> list[str]:
+        assert all(isinstance(event, ForeignCommandHeard) for event in self.events)
+        return [event.publisher for event in self.events]  # type: ignore[union-attr]
+
+
+def test_our_own_commands_are_not_foreign() -> None:
+    publishers = Publishers(moves=True)
+    publishers.heard(b"ours")
+    assert publishers.told == []
+
+
+def test_the_first_command_of_another_publisher_is_enough() -> None:
+    publishers = Publishers(moves=True)
+    publishers.heard(b"theirs")
+    assert publishers.told == ["/teleop"]
+
+
+def test_a_publisher_that_is_already_gone_is_reported() -> None:
+    publishers = Publishers(moves=True)
+    publishers.heard(b"gone")
+    assert publishers.told == [NAMELESS]
+
+
+def test_a_flood_of_one_publisher_hides_no_other() -> None:
+    publishers = Publishers(moves=False)
+    for gid in (b"theirs", b"theirs", b"gone", b"theirs"):
+        publishers.heard(gid)
+    assert publishers.told == ["/teleop", NAMELESS]
+
+
+def test_a_flood_of_new_publishers_gives_few_events() -> None:
+    publishers = Publishers(moves=False)
+    for number in range(1000):
+        publishers.heard(b"%d" % number)
+    assert 0 < len(publishers.told) <= 5 * MAX_TOLD
+
+
+def test_a_flood_to_an_idle_robot_gives_few_events() -> None:
+    publishers = Publishers(moves=False)
+    for _ in range(1000):
+        publishers.heard(b"theirs")
+    assert len(publishers.told) < 50
+
+
+EntryData = dict[str, float]
 NewPeer = Callable[[World], Peer]
 
 
 @pytest.fixture(scope="module")
-def world() -> Iterator[World]:
+def shared() -> Iterator[World]:
     """A world with one daemon, which simulates its robot."""
     with new_world() as made:
         made.ok("start", "--sim")
@@ -27,11 +161,11 @@ def world() -> Iterator[World]:
 
 
 @pytest.fixture
-def idle(world: World) -> World:
+def idle(shared: World) -> World:
     """The world, when nothing of an earlier test keeps its robot from driving."""
-    until(lambda: world.here("reset").exit_code == 0)
-    until(lambda: world.here("preflight").exit_code == 0)
-    return world
+    until(lambda: shared.here("reset").exit_code == 0)
+    until(lambda: shared.here("preflight").exit_code == 0)
+    return shared
 
 
 @pytest.fixture
@@ -41,7 +175,7 @@ def driving(idle: World) -> World:
     return idle
 
 
-def events(world: World, name: str) -> list[Event]:
+def events(world: World, name: str) -> list[EntryData]:
     """Return the journal entries with this name that are in the recording so far."""
     (recording,) = world.recordings.iterdir()
     entries = journal_of(list(read_messages(recording, {"/robotctl/journal"})))
@@ -104,3 +238,80 @@ def test_a_second_publisher_of_odometry_that_contradicts_stops_a_moving_robot(
     reason = driving.status()["mode_reason"]
     assert "odometry comes from two publishers, /simulated_robot and " in reason
     assert "m and " in reason
+
+
+SETTINGS = f"""{PATIENT}
+command: {{when_idle: silent, foreign: yield}}
+"""
+
+
+def test_others_drive_in_idle_and_a_start_waits_until_they_are_quiet(world: World) -> None:
+    settings = world.folder / "shared.yaml"
+    settings.write_text(SETTINGS)
+    world.ok("start", "--sim", "--config", str(settings))
+    joystick = Told(peer_command("tests.support.role_peers", "MuxPeer"), world.environment)
+    try:
+        joystick("want", topic="/cmd_vel", linear=0.2)
+        until(lambda: world.status()["velocity"]["linear"] > 0.18)
+        assert world.status()["mode"] == "IDLE"
+        until(lambda: _refused_by_name(world))
+        joystick("rest")
+        until(lambda: world.robotctl("set-mode", "moving").exit_code == 0)
+        joystick("want", topic="/cmd_vel", linear=0.2)
+        until(lambda: world.status()["mode"] == "ERROR")
+        assert "planner" in world.status()["mode_reason"]
+        joystick("rest")
+        until(lambda: world.status()["velocity"]["linear"] < 0.01)
+        until(lambda: world.robotctl("reset").exit_code == 0)
+    finally:
+        joystick.close()
+    world.ok("stop")
+    (report,) = world.answer("replay", "last", "--check")["recordings"]
+    assert report["verdict"] == "same"
+    assert [text for text in report["notes"] if "published as well" not in text] == []
+
+
+def _refused_by_name(world: World) -> bool:
+    """Whether a start is refused with the name of the node, which may come after its commands."""
+    refused = world.robotctl("set-mode", "moving")
+    assert refused.exit_code == 4, refused
+    return "planner" in refused.err
+
+
+GUARDED = f"""{PATIENT}
+guard: true
+guard_timeout_s: 2.0
+command.lock_topic: robotctl/lock
+"""
+"""A timeout that a busy machine keeps."""
+
+
+def test_a_planner_steers_in_moving_only_and_an_emergency_stop_locks_the_mux(world: World) -> None:
+    settings = world.folder / "guard.yaml"
+    settings.write_text(GUARDED)
+    world.ok("start", "--sim", "--config", str(settings))
+    planner = Told(peer_command("tests.support.role_peers", "MuxPeer"), world.environment)
+    try:
+        planner("mux", lock="/robotctl/lock", wanted="/cmd_vel_nav")
+        planner("want", topic="/cmd_vel_nav", linear=0.2)
+        until(lambda: planner("state")["passed"])
+        assert world.status()["velocity"]["linear"] < 0.01
+        assert "guarding cmd_vel_nav" in world.ok("set-mode", "moving")
+        until(lambda: world.status()["velocity"]["linear"] > 0.15)
+        world.ok("set-mode", "idle")
+        world.ok("set-mode", "moving")
+        until(lambda: world.status()["velocity"]["linear"] > 0.15)
+        planner("rest")
+        until(lambda: world.status()["velocity"]["linear"] < 0.01)
+        assert world.status()["mode"] == "MOVING"
+        world.ok("estop")
+        until(lambda: planner("state")["locked"])
+        world.ok("reset")
+        until(lambda: planner("state")["locked"] is False)
+    finally:
+        planner.close()
+    world.ok("stop")
+    (report,) = world.answer("replay", "last", "--check")["recordings"]
+    assert report["verdict"] == "same"
+    # What others want while the robot is not guarded is recorded, and is no input.
+    assert not [text for text in report["notes"] if "did not reach" in text]

@@ -1,21 +1,27 @@
-"""Parameters of a running daemon: listed, read, changed and refused, on the command line."""
+"""Parameters and log levels of a daemon: listed, read, changed and refused, each change told.
+
+By commands and by ROS services; a change of a parameter is the kernel's decision.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from robotctl.config import Config, flat, load
+from robotctl.config.ros_settings import node_of
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
+from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
 from tests.support.world import World, entries_of, new_world
 
 
 @pytest.fixture(scope="module")
-def world() -> Iterator[World]:
+def simulated() -> Iterator[World]:
     """A world with one daemon, which simulates its robot."""
     with new_world() as made:
         made.ok("start", "--sim")
@@ -23,8 +29,8 @@ def world() -> Iterator[World]:
         made.ok("stop")
 
 
-def test_every_key_is_listed_with_its_declaration(world: World) -> None:
-    listed = world.answer("param", "list")["parameters"]
+def test_every_key_is_listed_with_its_declaration(simulated: World) -> None:
+    listed = simulated.answer("param", "list")["parameters"]
     assert [each["key"] for each in listed] == list(flat(Config()))
     assert {each["key"]: each["default"] for each in listed} == flat(Config())
     (limit,) = (each for each in listed if each["key"] == "limits.linear_mps")
@@ -38,8 +44,8 @@ def test_every_key_is_listed_with_its_declaration(world: World) -> None:
         "about": "largest speed of a command",
     }
     assert all(each["about"] for each in listed)
-    assert "limits.linear_mps" in world.ok("param", "list")
-    assert world.ok("param", "get", "pattern.kind") == "square\n"
+    assert "limits.linear_mps" in simulated.ok("param", "list")
+    assert simulated.ok("param", "get", "pattern.kind") == "square\n"
 
 
 @pytest.mark.parametrize(
@@ -56,47 +62,194 @@ def test_every_key_is_listed_with_its_declaration(world: World) -> None:
     ],
 )
 def test_a_wrong_change_is_refused_by_name(
-    world: World, key: str, value: str, exit_code: int, said: str
+    simulated: World, key: str, value: str, exit_code: int, said: str
 ) -> None:
-    before = world.answer_here("param", "list")
-    ran = world.here("param", "set", key, value)
+    before = simulated.answer_here("param", "list")
+    ran = simulated.here("param", "set", key, value)
     assert ran.exit_code == exit_code, ran
     assert said in ran.err
-    assert world.answer_here("param", "list") == before
+    assert simulated.answer_here("param", "list") == before
 
 
-def test_an_unknown_key_is_refused_by_get(world: World) -> None:
-    ran = world.robotctl("param", "get", "limits.linear_mp")
+def test_an_unknown_key_is_refused_by_get(simulated: World) -> None:
+    ran = simulated.robotctl("param", "get", "limits.linear_mp")
     assert (ran.exit_code, "did you mean limits.linear_mps?" in ran.err) == (2, True)
 
 
-def test_a_limit_changes_between_two_drives_and_the_check_decides_across_it(world: World) -> None:
-    world.ok("set-mode", "moving")
-    refused = world.robotctl("param", "set", "limits.linear_mps", "0.2")
+def test_a_limit_changes_between_two_drives_and_the_check_decides_across_it(
+    simulated: World,
+) -> None:
+    simulated.ok("set-mode", "moving")
+    refused = simulated.robotctl("param", "set", "limits.linear_mps", "0.2")
     assert refused.exit_code == 4
     assert "limits.linear_mps does not change while the robot is MOVING: stop it" in refused.err
-    assert world.ok("param", "set", "pattern.size_m", "0.5") == "pattern.size_m: 1.0 -> 0.5\n"
-    world.ok("set-mode", "idle")
-    answer = world.answer("param", "set", "limits.linear_mps", "0.2")
+    assert simulated.ok("param", "set", "pattern.size_m", "0.5") == "pattern.size_m: 1.0 -> 0.5\n"
+    simulated.ok("set-mode", "idle")
+    answer = simulated.answer("param", "set", "limits.linear_mps", "0.2")
     assert (answer["old"], answer["new"]) == (0.6, 0.2)
-    assert world.ok("param", "set", "on_recorder_failure", "warn")
-    refused = world.robotctl("drive", "circle", "--speed", "0.5")
+    assert simulated.ok("param", "set", "on_recorder_failure", "warn")
+    refused = simulated.robotctl("drive", "circle", "--speed", "0.5")
     assert "0.5 m/s is above limits.linear_mps, 0.2 m/s" in refused.err
-    first = Path(world.answer("record", "split")["finished"])
-    world.ok("set-mode", "moving")
-    until(lambda: (world.status()["velocity"] or {"linear": 0.0})["linear"] > 0.05)
-    world.ok("set-mode", "idle")
-    second = Path(world.answer("record", "split")["finished"])
+    first = Path(simulated.answer("record", "split")["finished"])
+    simulated.ok("set-mode", "moving")
+    until(lambda: (simulated.status()["velocity"] or {"linear": 0.0})["linear"] > 0.05)
+    simulated.ok("set-mode", "idle")
+    second = Path(simulated.answer("record", "split")["finished"])
     for file in (first, second):
         report = check_recording(file)
         assert report.verdict is Verdict.SAME, report
     journal = [entry for file in (first, second) for entry in entries_of(file)]
     assert [e.name for e in journal].count("ParameterChanged") >= 3
-    assert "limits.linear_mps: 0.6 -> 0.2, by robotctl param set" in world.log()
+    assert "limits.linear_mps: 0.6 -> 0.2, by robotctl param set" in simulated.log()
 
 
-def test_a_dump_is_a_configuration_file(world: World, tmp_path: Path) -> None:
+def test_a_dump_is_a_configuration_file(simulated: World, tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
-    file.write_text(world.ok("param", "dump"))
-    values = {each["key"]: each["value"] for each in world.answer("param", "list")["parameters"]}
+    file.write_text(simulated.ok("param", "dump"))
+    values = {
+        each["key"]: each["value"] for each in simulated.answer("param", "list")["parameters"]
+    }
     assert flat(load(file)) == values
+
+
+OWN = {"start_type_description_service", "use_sim_time"}
+"""The parameters that rclpy declares on each node."""
+
+
+class Graph:
+    """A world with one daemon, and a peer with a parameter client."""
+
+    def __init__(self, world: World, peer: Told) -> None:
+        self.world = world
+        self.peer = peer
+
+    def value(self, key: str) -> Any:
+        """Return the value that the daemon's socket tells."""
+        return self.world.answer("param", "get", key)["value"]
+
+
+@pytest.fixture(scope="module")
+def graph() -> Iterator[Graph]:
+    with new_world() as world:
+        peer = Told(peer_command("tests.support.role_peers", "ParameterPeer"), world.environment)
+        try:
+            world.ok("start", "--sim")
+            until(lambda: len(peer("visible")) >= 4)
+            yield Graph(world, peer)
+            world.ok("stop")
+        finally:
+            peer.close()
+
+
+def test_each_visible_node_lists_its_keys_and_each_key_has_one_node(graph: Graph) -> None:
+    told = graph.peer("list_all")
+    listed = told["keys"]
+    nodes = {"velocity_publisher", "odom_subscriber", "mode_service", "simulated_robot"}
+    assert set(listed) == {f"/{name}" for name in nodes}
+    for name in nodes:
+        own = [key for key in flat(Config()) if node_of(key) == name]
+        assert sorted({*own, *OWN}) == listed[f"/{name}"]
+    declared = [key for keys in listed.values() for key in keys if key not in OWN]
+    assert sorted(declared) == sorted(flat(Config()))
+
+
+def test_a_node_tells_the_values_and_the_declaration(graph: Graph) -> None:
+    keys = ["limits.linear_mps", "pattern.kind", "rate_hz"]
+    assert graph.peer("get", node="/velocity_publisher", keys=keys) == [0.6, "square", 50.0]
+    assert graph.peer("get", node="/mode_service", keys=["recording.include"]) == [[]]
+    described = graph.peer("describe", node="/velocity_publisher", key="limits.linear_mps")
+    assert described == {
+        "type": 3,
+        "about": "largest speed of a command",
+        "allowed": "0.01 to 10 m/s; changes while the robot stands",
+        "read_only": False,
+        "range": [[0.01, 10.0]],
+    }
+    described = graph.peer("describe", node="/simulated_robot", key="sim.lag_s")
+    assert described["read_only"] is True
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "why"),
+    [
+        ("limits.linear_mp", 0.4, "/velocity_publisher has no parameter limits.linear_mp"),
+        ("odometry.timeout_s", 0.4, "/velocity_publisher has no parameter odometry.timeout_s"),
+        ("limits.linear_mps", "fast", "Wrong parameter type"),
+        ("limits.linear_mps", 1, "Wrong parameter type"),
+        ("limits.linear_mps", 11.0, "out of range"),
+        ("limits.linear_mps", float("nan"), "out of range"),
+        ("pattern.kind", "star", "use square, circle, figure-eight"),
+        ("rate_hz", 100.0, "read-only"),
+        ("command.frame_id", "base", "read-only"),
+    ],
+)
+def test_a_wrong_change_is_refused_with_the_reason(
+    graph: Graph, key: str, value: Any, why: str
+) -> None:
+    ((granted, reason),) = graph.peer("set", node="/velocity_publisher", values={key: value})
+    assert not granted
+    assert why in reason
+
+
+def test_a_change_by_a_service_and_one_by_the_command_line_are_seen_by_both(graph: Graph) -> None:
+    node, key = "/velocity_publisher", "limits.angular_rps"
+    assert graph.peer("set", node=node, values={key: 1.25}) == [[True, ""]]
+    assert graph.value(key) == 1.25
+    graph.world.ok("param", "set", key, "1.1")
+    assert graph.peer("get", node=node, keys=[key]) == [1.1]
+    until(lambda: len([e for e in graph.peer("events") if e[1] == key]) >= 2)
+    assert [e for e in graph.peer("events") if e[1] == key] == [[node, key, 1.25], [node, key, 1.1]]
+
+
+def test_several_values_are_set_all_or_none(graph: Graph) -> None:
+    node = "/mode_service"
+    both = {"battery.clear_level": 0.5, "battery.stop_level": 0.4}
+    assert graph.peer("set", node=node, values=both, atomically=True) == [[True, ""]]
+    wrong = {"battery.clear_level": 0.6, "battery.stop_level": 0.7}
+    ((granted, reason),) = graph.peer("set", node=node, values=wrong, atomically=True)
+    assert (granted, "use at least battery.stop_level" in reason) == (False, True)
+    assert graph.value("battery.clear_level") == 0.5
+
+
+def test_a_change_is_refused_by_name_while_the_robot_moves_and_recorded(graph: Graph) -> None:
+    node, key = "/velocity_publisher", "limits.linear_mps"
+    graph.world.ok("set-mode", "moving")
+    ((granted, reason),) = graph.peer("set", node=node, values={key: 0.2})
+    assert (granted, reason.startswith(f"{key} does not change while the robot is MOVING")) == (
+        False,
+        True,
+    )
+    assert graph.peer("set", node=node, values={"pattern.size_m": 0.5}) == [[True, ""]]
+    graph.world.ok("set-mode", "idle")
+    assert graph.peer("set", node=node, values={key: 0.2}) == [[True, ""]]
+    graph.world.ok("record", "split")
+    (folder,) = graph.world.recordings.iterdir()
+    journal = entries_of(folder / f"{folder.name}_0.mcap")  # the next one still grows
+    by = "by the ROS service /velocity_publisher/set_parameters"
+    assert any(e.name == "ParameterChanged" and by[3:] in e.data for e in journal)
+    assert by in graph.world.log()
+
+
+def test_the_log_is_on_rosout_and_each_node_sets_its_level(graph: Graph) -> None:
+    node = "/velocity_publisher"
+    assert graph.peer("levels", node=node, names=["mode_service", ""]) == [0, 20]
+    wanted = {"velocity_publisher": 10, "mode_service": 30, "rcl": 25}
+    granted = graph.peer("set_levels", node=node, levels=wanted)
+    assert granted == [[True, ""], [True, ""], [False, "Failed reason: Invalid logger level."]]
+    told = "log level of mode_service: UNSET -> WARN, by the ROS service"
+    line = [20, "mode_service", f"{told} /velocity_publisher/set_logger_levels"]
+    until(lambda: line in graph.peer("lines"))
+    published = [10, "velocity_publisher", "Publishing: linear.x=0.0, angular.z=0.0"]
+    until(lambda: published in graph.peer("lines"))
+    graph.world.ok("mark", "not told, because it is below the level")
+    back = {"velocity_publisher": 0, "mode_service": 0}
+    assert graph.peer("set_levels", node="/mode_service", levels=back) == [[True, ""]] * 2
+    graph.world.ok("mark", "told")
+    until(lambda: any(text.startswith("marked: told") for *_, text in graph.peer("lines")))
+    assert not any("below the level" in text for *_, text in graph.peer("lines"))
+    log = graph.world.log()
+    assert (told in log, "below the level" in log) == (True, False)
+    topics = {
+        each["name"]: each["written"] + each["queued"] for each in graph.world.status()["topics"]
+    }
+    assert topics["/rosout"] >= 3

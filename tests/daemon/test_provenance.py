@@ -1,10 +1,12 @@
-"""A recording names the software that made it; unknown versions never fail a start."""
+"""A recording names the software that made it, and is sealed; heads of the seal are passed on."""
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import os
 import subprocess
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -12,11 +14,17 @@ import pytest
 
 import robotctl
 from robotctl.config import Config
+from robotctl.daemon.recording import head_forwarder
+from robotctl.daemon.recording.head_forwarder import HeadForwarder
 from robotctl.daemon.recording.provenance import provenance, revision, revision_around
 from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.daemon.recording.software import CONTROL_PATH, DIGEST, software
-from robotctl.recording import read_info
+from robotctl.errors import ConfigError
+from robotctl.recording import Recording, read_info
 from robotctl.recording.format.names import FOXGLOVE_RECORD, SOFTWARE_RECORD
+from robotctl.recording.seal.keyring import Head
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import PATIENT, World
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -152,3 +160,118 @@ def test_each_file_names_the_software_and_the_device(tmp_path: Path) -> None:
         metadata = read_info(file).metadata
         assert metadata[SOFTWARE_RECORD] == software()
         assert metadata[FOXGLOVE_RECORD] == {"deviceName": "r2"}
+
+
+def written(world: World) -> int:
+    """Return how many messages are in the file."""
+    return int(world.answer("record", "status")["recorder"]["written"])
+
+
+def test_recordings_are_sealed_over_a_kill_and_a_restart(world: World) -> None:
+    world.ok("start", "--sim")
+    until(lambda: written(world) > 200)
+    (pid,) = world.processes()
+    world.kill(pid)
+    until(lambda: not world.processes())
+    (killed,) = world.recordings.iterdir()
+    ran = world.robotctl("verify", str(killed))
+    assert ran.exit_code == 0, ran
+    assert "not closed" in ran.out
+    world.ok("start", "--sim")
+    until(lambda: written(world) > 50)
+    world.ok("stop")
+    head = world.ok("key", "head").strip()
+    ran = world.robotctl("verify", str(world.recordings), "--head", head)
+    assert "broken" not in ran.out
+    assert "2 of 2 files" in ran.out
+    assert ran.exit_code in (0, 4), ran  # the second start may have repaired the first recording
+
+
+def test_without_a_place_for_the_key_the_robot_starts_and_says_so(world: World) -> None:
+    blocked = world.folder / "state" / "robotctl" / "robot" / "seal"
+    blocked.parent.mkdir(parents=True, mode=0o700)
+    blocked.write_text("")
+    world.ok("start", "--observe")
+    until(lambda: any("not sealed" in text for text in world.status()["warnings"]))
+    world.ok("stop")
+    (folder,) = world.recordings.iterdir()
+    with Recording(folder) as recording:
+        assert recording.info().missing == ()
+    assert world.robotctl("verify", str(folder)).exit_code == 4
+
+
+def test_heads_are_published_and_given_to_a_program(world: World) -> None:
+    kept = world.folder / "kept"
+    program = world.folder / "keep"
+    program.write_text(f"#!/bin/sh\necho $1 $2 >> {kept}\n")
+    program.chmod(0o700)
+    settings = f"recording.publish_heads: true\nrecording.head_command: {program}\n"
+    world.patient.write_text(PATIENT + settings)
+    world.ok("start", "--observe")
+    until(lambda: kept.exists() and kept.read_text())
+    until(lambda: any(each["name"] == "/robotctl/head" for each in world.status()["topics"]))
+    world.ok("stop")
+    (folder,) = world.recordings.iterdir()
+    head = kept.read_text().splitlines()[-1].split()[0]
+    assert head == world.ok("key", "head").strip()
+    assert world.robotctl("verify", str(folder), "--head", head).exit_code == 0
+
+
+def head(number: int) -> Head:
+    return Head(file=f"run_{number}.mcap", number=number, digest=f"{number:064x}")
+
+
+def writes_into(path: Path) -> str:
+    """Return a command line that appends its arguments to a file."""
+    program = f"import sys; open({str(path)!r}, 'a').write(' '.join(sys.argv[1:]) + chr(10))"
+    return f'{sys.executable} -c "{program}"'
+
+
+async def test_each_head_is_published_and_given_to_the_program(tmp_path: Path) -> None:
+    published: list[str] = []
+    forwarder = HeadForwarder(writes_into(tmp_path / "heads"), published.append)
+    forwarder.take(head(1))
+    await forwarder.finish()
+    assert published == [head(1).digest]
+    assert (tmp_path / "heads").read_text() == f"{head(1).digest} run_1.mcap\n"
+    assert forwarder.problem == ""
+
+
+async def test_of_heads_that_wait_the_newest_is_given(tmp_path: Path) -> None:
+    forwarder = HeadForwarder(writes_into(tmp_path / "heads"), None)
+    forwarder.take(head(1))
+    forwarder.take(head(2))
+    await forwarder.finish()
+    assert (tmp_path / "heads").read_text() == f"{head(2).digest} run_2.mcap\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [("/nowhere/at-all", "cannot be started"), ("false", "ended with 1")],
+)
+async def test_a_program_that_fails_is_told(command: str, says: str) -> None:
+    forwarder = HeadForwarder(command, None)
+    forwarder.take(head(1))
+    await forwarder.finish()
+    assert says in forwarder.problem
+
+
+async def test_a_program_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(head_forwarder, "LAST_TIMEOUT_S", 0.05)
+    forwarder = HeadForwarder(f'{sys.executable} -c "import time; time.sleep(600)"', None)
+    forwarder.take(head(1))
+    async with asyncio.timeout(DEADLINE_S):
+        await forwarder.finish()
+    assert "was ended" in forwarder.problem
+
+
+async def test_without_a_program_nothing_runs() -> None:
+    forwarder = HeadForwarder("", None)
+    forwarder.take(head(1))
+    await forwarder.finish()
+    assert forwarder.problem == ""
+
+
+def test_a_malformed_command_line_is_refused() -> None:
+    with pytest.raises(ConfigError, match="head_command"):
+        HeadForwarder('logger "', None)

@@ -1,4 +1,4 @@
-"""`robotctl why` with a real daemon: at once, after a kill, and after a restart."""
+"""`robotctl why` and the journal of decisions: who asked what, with which answer, and when."""
 
 from __future__ import annotations
 
@@ -9,10 +9,31 @@ from typing import Any
 
 import pytest
 
+from robotctl import __version__
 from robotctl.cli import app
+from robotctl.config import Config, flat
 from robotctl.daemon.api import recording
+from robotctl.daemon.control.decisions import Decisions, Request
+from robotctl.daemon.recording.software import DIGEST, software
+from robotctl.decisions.journal import DecisionKind, Entry, log_folder, read_log
 from robotctl.ipc.client import call
+from robotctl.ipc.method_names import RECORD_COMMIT
 from robotctl.ipc.params import NoParams
+from robotctl.kernel.geometry import ORIGIN
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.patterns import Pattern
+from robotctl.kernel.types import (
+    Cause,
+    DriveRequested,
+    ModeRequested,
+    Odometry,
+    OdomReceived,
+    PublishTwist,
+    ResetRequested,
+    Twist,
+)
+from robotctl.kernel.types.events import ParameterRequested
+from robotctl.testing.kernels import Bench, moving
 from tests.support.waiting import until
 from tests.support.world import World
 
@@ -104,3 +125,178 @@ async def test_what_the_disk_did_not_take_is_counted(
     answer: Any = await commit(NoParams())
     assert answer["uncommitted"] == uncommitted
     assert answer["failure"] == recorder.failure
+
+
+class KeptLog:
+    """Keeps the entries that it is told."""
+
+    def __init__(self) -> None:
+        self.entries: list[tuple[DecisionKind, dict[str, Any]]] = []
+
+    def add(self, kind: DecisionKind, **values: Any) -> None:
+        self.entries.append((kind, values))
+
+    def add_values(self, kind: DecisionKind, values: dict[str, Any]) -> None:
+        self.entries.append((kind, values))
+
+
+class Told:
+    """A kernel whose requests and effects are told to the journal of decisions."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.log = KeptLog()
+        self.decisions = Decisions(self.log)  # type: ignore[arg-type]
+        self.next_id = 1000
+
+    def ask(self, kind: type[Any], *values: Any) -> None:
+        self.next_id += 1
+        request: Request = kind(self.bench.t_ns, self.next_id, *values)
+        self.decisions.asked(request)
+        self.tell(self.bench.give(request))
+
+    def tell(self, effects: Any) -> None:
+        for effect in effects:
+            if not isinstance(effect, PublishTwist):
+                self.decisions.decided(effect)
+
+    def entries(self) -> list[tuple[DecisionKind, dict[str, Any]]]:
+        entries, self.log.entries = self.log.entries, []
+        return entries
+
+
+@pytest.fixture
+def told() -> Told:
+    return Told(moving())
+
+
+def test_a_stop_its_refusals_and_its_release_are_noted_with_who_asked(told: Told) -> None:
+    told.ask(ModeRequested, Mode.EMERGENCY_STOP, "a person")
+    assert told.entries() == [
+        (
+            DecisionKind.MODE,
+            {
+                "from": "MOVING",
+                "to": "EMERGENCY_STOP",
+                "reason": "requested by a person",
+                "cause": Cause.OPERATOR_STOP.value,
+                "latched": True,
+            },
+        ),
+        (
+            DecisionKind.REQUEST,
+            {
+                "asked": "EMERGENCY_STOP",
+                "by": "a person",
+                "answer": "Mode changed to EMERGENCY_STOP",
+            },
+        ),
+    ]
+    told.ask(ModeRequested, Mode.MOVING, "a script")
+    ((kind, values),) = told.entries()
+    assert (kind, values["asked"], values["by"]) == (DecisionKind.REFUSED, "MOVING", "a script")
+    told.ask(ResetRequested, "the person")
+    (_, change), (kind, values) = told.entries()
+    assert (change["to"], change["released"]) == ("IDLE", True)
+    assert (kind, values["asked"], values["by"]) == (DecisionKind.REQUEST, "reset", "the person")
+
+
+def test_a_fault_is_noted_with_its_cause(told: Told) -> None:
+    for _ in range(50):
+        told.bench.t_ns += 50_000_000
+        told.tell(told.bench.tick())
+    ((kind, values),) = told.entries()
+    assert (kind, values["to"]) == (DecisionKind.MODE, "ERROR")
+    assert values["cause"] in {cause.value for cause in Cause}
+
+
+def test_what_changes_nothing_is_not_noted(told: Told) -> None:
+    told.ask(ModeRequested, Mode.MOVING, "a node that asks again and again")
+    told.tell(told.bench.give(OdomReceived(told.bench.t_ns, Odometry(ORIGIN, Twist(), 1))))
+    assert told.entries() == []
+
+
+def test_a_drive_that_replaces_another_is_noted(told: Told) -> None:
+    told.ask(DriveRequested, Pattern(), 1, False, "first")
+    assert [kind for kind, _ in told.entries()] == [DecisionKind.REFUSED]
+    told.ask(DriveRequested, Pattern(), 1, True, "second")
+    assert [(kind, values["by"]) for kind, values in told.entries()] == [
+        (DecisionKind.REQUEST, "second")
+    ]
+
+
+def test_a_request_that_ramps_down_is_noted_when_it_is_answered(told: Told) -> None:
+    told.ask(ModeRequested, Mode.IDLE, "a person")
+    for _ in range(500):
+        told.tell(told.bench.tick())
+        if told.bench.state.mode is Mode.IDLE:
+            break
+        told.bench.odometry()
+    kinds = [(kind, values.get("by")) for kind, values in told.entries()]
+    assert kinds == [(DecisionKind.MODE, None), (DecisionKind.REQUEST, "a person")]
+
+
+def test_a_changed_setting_is_noted_with_who_changed_it_and_a_refusal_too(told: Told) -> None:
+    change = ("limits.linear_mps", "0.6", "0.3", "a person")
+    told.ask(ParameterRequested, *change)
+    ((kind, values),) = told.entries()
+    assert kind is DecisionKind.REFUSED  # while MOVING
+    assert (values["asked"], values["by"]) == ("limits.linear_mps = 0.3", "a person")
+    told.ask(ModeRequested, Mode.EMERGENCY_STOP, "a person")
+    told.entries()
+    told.ask(ParameterRequested, *change)
+    assert told.entries() == [
+        (
+            DecisionKind.PARAMETER,
+            {"key": "limits.linear_mps", "from": "0.6", "to": "0.3", "by": "a person"},
+        )
+    ]
+
+
+def of_kind(entries: list[Entry], kind: DecisionKind) -> list[Entry]:
+    return [entry for entry in entries if entry.kind == kind]
+
+
+def test_the_journal_outlives_daemons_and_names_who_did_what(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "ROS_DOMAIN_ID"):
+        monkeypatch.setenv(name, world.environment[name])
+    world.ok("start", "--sim")
+    call("robot", "set_mode", {"mode": 3, "source": "a person"})
+    assert world.robotctl("set-mode", "moving").exit_code == 4
+    world.ok("reset")
+    until(lambda: len(of_kind(read_log(log_folder("robot")).entries, DecisionKind.REQUEST)) == 2)
+    call("robot", RECORD_COMMIT)  # a kill before the first commit leaves nothing to check
+    world.kill(world.status()["pid"])
+    world.patient.write_text(f"{world.patient.read_text()}limits.linear_mps: 0.3\n")
+    world.ok("start", "--sim")
+    world.ok("stop")
+    proof = world.answer("evidence")["recordings"]
+    assert [each["check"] for each in proof] == ["same", "same"]
+    log = read_log(log_folder("robot"))
+    assert (log.broken, log.notes) == ([], [])
+    entries = log.entries
+    starts, (software_,) = (
+        of_kind(entries, DecisionKind.START),
+        of_kind(entries, DecisionKind.SOFTWARE),
+    )
+    assert [entry.values["version"] for entry in starts] == [__version__] * 2
+    assert software_.values[DIGEST] == software()[DIGEST]
+    first, second = of_kind(entries, DecisionKind.CONFIGURATION)
+    assert set(first.values) == set(flat(Config()))
+    changed = {key for key, value in first.values.items() if second.values[key] != value}
+    assert changed == {"limits.linear_mps"}
+    assert (
+        next(entry.values["by"] for entry in of_kind(entries, DecisionKind.REQUEST)) == "a person"
+    )
+    assert len(of_kind(entries, DecisionKind.REFUSED)) == 1
+    assert (
+        next(entry.values.get("latched") for entry in of_kind(entries, DecisionKind.MODE)) is True
+    )
+    # The first daemon was killed: only the second one notes its end.
+    assert entries[-1].kind == DecisionKind.END
+    assert len(of_kind(entries, DecisionKind.END)) == 1
+    assert {str(Path(entry.values["recording"]).parent) for entry in starts} == {
+        str(world.recordings)
+    }

@@ -1,12 +1,15 @@
-"""`robotctl start --ros-args`: as launch files give parameters, remaps, namespace and names."""
+"""Starts with ROS arguments, a second daemon of the same names, a group for the socket."""
 
 from __future__ import annotations
+
+import grp
 
 from robotctl.recording import Recording
 from robotctl.recording.format.names import INFO_RECORD
 from tests.support.lines import Told, peer_command
-from tests.support.waiting import until
-from tests.support.world import Peer, new_world
+from tests.support.users import as_root, process_of
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import Peer, World, new_world
 
 
 def test_a_start_takes_parameters_remaps_a_namespace_and_a_node_name() -> None:
@@ -63,3 +66,55 @@ def test_a_wrong_argument_is_refused_before_a_daemon_starts() -> None:
         ran = world.robotctl("status", "--ros-args", "-p", "a:=1")
         assert ran.exit_code == 2
         assert not world.sockets()
+
+
+def test_a_second_daemon_with_the_same_names_is_refused_and_disturbs_nobody() -> None:
+    with new_world() as world, new_world() as other:
+        other.environment["ROS_DOMAIN_ID"] = world.environment["ROS_DOMAIN_ID"]
+        world.may_lack = other.may_lack = "two daemons publish the same statuses"
+        world.ok("start", "--sim", "--drive", "circle")
+        ran = other.robotctl("start", "--sim")
+        assert ran.exit_code == 4, ran
+        assert "has the same nodes: /velocity_publisher, /odom_subscriber" in ran.err
+        assert "--robot NAME" in ran.err
+        assert world.status()["mode"] == "MOVING"
+        other.ok("start", "--sim", "--robot", "r2")
+        other.ok("stop", "--robot", "r2")
+        other.ok("start", "--no-sim", "--allow-same-names")
+        other.ok("stop")
+        world.ok("stop")
+
+
+MEMBER = 65502
+
+IMPORTS = """
+from robotctl.cli import app, quick
+from robotctl.cli.targets import robots
+"""
+
+
+@as_root
+def test_a_member_of_the_group_stops_the_robot_and_the_journal_names_the_user(world: World) -> None:
+    group = grp.getgrgid(100)
+    world.folder.chmod(0o711)
+    (world.folder / "run").chmod(0o711)
+    config = world.folder / "robot.yaml"
+    config.write_text(f"socket.group: {group.gr_name}\n")
+    started = world.ok("start", "--sim", "--config", str(config))
+    assert f"each member of group {group.gr_name} may give commands (socket.group)" in started
+    member = process_of(
+        MEMBER, [group.gr_gid], IMPORTS, "raise SystemExit(app.run(['estop']))", world.environment
+    )
+    out, err = member.communicate(timeout=DEADLINE_S)
+    assert (member.returncode, out.startswith("Mode changed to EMERGENCY_STOP")) == (0, True), err
+    assert f") of uid {MEMBER}: " in world.status()["mode_reason"]
+    world.ok("stop")
+
+
+def test_an_unknown_group_is_refused_by_name_and_nothing_starts(world: World) -> None:
+    config = world.folder / "robot.yaml"
+    config.write_text("socket.group: no_such_group\n")
+    refused = world.robotctl("start", "--sim", "--config", str(config))
+    assert refused.exit_code == 2
+    assert "there is no group 'no_such_group'" in refused.err
+    assert world.robotctl("status").exit_code == 3
