@@ -1,8 +1,8 @@
 """The live view: topics of a domain, for Foxglove and Lichtblick, over a guarded WebSocket.
 
-- `foxglove_messages`, `foxglove_requests`: the protocol, as bytes out and requests in.
-- `admission`: who may connect; `outbox`: what waits for one viewer, bounded.
-- `viewer`: one connection; `view_server`: all of them, and the channels; `listening`: its socket.
+- `foxglove`: the protocol, as bytes out and requests in.
+- `admission`: who may connect; `viewer`: one connection, and what waits for it, bounded.
+- `server`: all viewers, the channels, and the socket.
 - `live_view`: what feeds it from a ROS domain.
 - `remote_control`: what viewers may do to the robot with `--control`.
 - `serving`, `__main__`: the process around them, started by `robotctl view`.

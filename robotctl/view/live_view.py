@@ -7,8 +7,8 @@ from typing import Final
 
 from robotctl.ros.session import Session
 from robotctl.ros.tap.on_demand import OnDemandTap
-from robotctl.view.foxglove_messages import StatusLevel
-from robotctl.view.view_server import ViewServer
+from robotctl.view.foxglove import StatusLevel
+from robotctl.view.server import ViewServer
 
 _NODE: Final = "_view"
 """ROS tools hide names with an underscore."""

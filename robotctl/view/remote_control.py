@@ -17,15 +17,18 @@ from robotctl.ipc.method_names import HOLD, SET_MODE
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.command_types import TWIST
 from robotctl.kernel.course import MAX_SILENCE_S
-from robotctl.view.foxglove_messages import (
+from robotctl.view.foxglove import (
+    ClientMessage,
+    Offer,
+    ServiceCall,
     StatusLevel,
     ViewService,
+    WrongRequest,
     service_failure,
     service_response,
     status,
 )
-from robotctl.view.foxglove_requests import ClientMessage, Offer, ServiceCall, WrongRequest
-from robotctl.view.view_server import ViewServer
+from robotctl.view.server import ViewServer
 from robotctl.view.viewer import Viewer
 
 ESTOP: Final = ViewService(1, "/estop")

@@ -1,10 +1,13 @@
-"""A view from its start to its end: the domain, the server, and what ends both."""
+"""A view from its start to its end: the domain, the server, what ends both, and what fails."""
 
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import socket
+import sys
+import time
 from collections.abc import Callable, Coroutine
 from contextlib import ExitStack
 from typing import Any, Final
@@ -13,9 +16,35 @@ from urllib.parse import quote
 from robotctl.end_signals import end_signals
 from robotctl.processes import pidfd_of
 from robotctl.view.admission import Admission, new_token
-from robotctl.view.loop_failures import LoopFailures
+from robotctl.view.server import ViewServer
 from robotctl.view.view_job import ViewJob
-from robotctl.view.view_server import ViewServer
+
+_OUT_OF_DESCRIPTORS: Final = frozenset({errno.EMFILE, errno.ENFILE})
+
+SAID_AGAIN_S: Final = 60.0
+"""A lack that lasts is said once in this time; asyncio tries to accept each second."""
+
+
+class LoopFailures:
+    """The exception handler of the loop; without a free descriptor, new viewers wait."""
+
+    def __init__(self) -> None:
+        self._said_s = -SAID_AGAIN_S
+
+    def handle(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Say in one line that no descriptor is free; leave any other failure to asyncio."""
+        error = context.get("exception")
+        if not isinstance(error, OSError) or error.errno not in _OUT_OF_DESCRIPTORS:
+            loop.default_exception_handler(context)
+        elif (now_s := time.monotonic()) - self._said_s >= SAID_AGAIN_S:
+            self._said_s = now_s
+            print(
+                f"robotctl view: {error.strerror}: new viewers wait; raise the limit (ulimit -n), "
+                "or close other viewers",
+                file=sys.stderr,
+                flush=True,
+            )
+
 
 Report = Callable[[dict[str, Any]], None]
 

@@ -13,7 +13,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
 from robotctl.view.admission import Admission
-from robotctl.view.view_server import ViewServer
+from robotctl.view.server import ViewServer
 from tests.support.waiting import DEADLINE_S
 
 SDK = "foxglove.sdk.v1"

@@ -1,9 +1,14 @@
-"""The server of the view, by a client of the protocol over real sockets."""
+"""The server of the view, by a client of the protocol over real sockets.
+
+The socket of a view: what is refused says which option to change.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
+import os
 import random
 import socket
 import time
@@ -13,15 +18,14 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
 from robotctl.errors import Refused
-from robotctl.view import listening, view_server
 from robotctl.view.admission import Admission, new_token
-from robotctl.view.foxglove_messages import StatusLevel
-from robotctl.view.foxglove_requests import Offer
-from robotctl.view.outbox import MAX_MESSAGES
-from robotctl.view.view_server import MAX_OFFERS, ViewServer
-from robotctl.view.viewer import MAX_REQUEST_BYTES
+from robotctl.view.foxglove import Offer, StatusLevel
+from robotctl.view.server import MAX_OFFERS, ViewServer, listening_socket
+from robotctl.view.viewer import MAX_MESSAGES, MAX_REQUEST_BYTES
 from tests.support.view_client import STRING, TOKEN, Served, ViewClient, served, view_client
 from tests.support.waiting import loop_until
+
+SERVER = "robotctl.view.server"
 
 
 @pytest.mark.parametrize("subprotocol", ["foxglove.sdk.v1", "foxglove.websocket.v1"])
@@ -172,8 +176,8 @@ def _is_of(viewer: object, client: ViewClient) -> bool:
 
 
 async def test_a_viewer_that_takes_nothing_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(view_server, "STALL_S", 0.1)
-    monkeypatch.setattr(view_server, "PERIOD_S", 0.05)
+    monkeypatch.setattr(f"{SERVER}.STALL_S", 0.1)
+    monkeypatch.setattr(f"{SERVER}.PERIOD_S", 0.05)
     async with served() as view, view_client(view.url) as client:
         gone: list[int] = []
         channel = view.server.offer("/a", *STRING)
@@ -189,8 +193,8 @@ async def test_a_viewer_that_takes_nothing_is_disconnected(monkeypatch: pytest.M
 
 
 async def test_a_handshake_that_does_not_end_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(view_server, "HANDSHAKE_S", 0.1)
-    monkeypatch.setattr(view_server, "PERIOD_S", 0.05)
+    monkeypatch.setattr(f"{SERVER}.HANDSHAKE_S", 0.1)
+    monkeypatch.setattr(f"{SERVER}.PERIOD_S", 0.05)
     async with served() as view:
         reader, writer = await asyncio.open_connection("127.0.0.1", view.port)
         writer.write(b"GET / HTTP/1.1\r\nHost: ")
@@ -215,7 +219,7 @@ async def test_what_is_no_handshake_is_answered_or_ended(sent: bytes) -> None:
 
 
 async def test_too_many_viewers_are_told_to_try_later(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(view_server, "MAX_VIEWERS", 1)
+    monkeypatch.setattr(f"{SERVER}.MAX_VIEWERS", 1)
     async with served() as view, view_client(view.url) as first:
         await first.until(lambda: first.op("serverInfo"))
         with pytest.raises(ConnectionClosed, match="1 viewers are connected already"):
@@ -226,7 +230,7 @@ async def test_too_many_viewers_are_told_to_try_later(monkeypatch: pytest.Monkey
 async def test_a_connection_beyond_the_limit_is_ended_at_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(view_server, "MAX_CONNECTIONS", 1)
+    monkeypatch.setattr(f"{SERVER}.MAX_CONNECTIONS", 1)
     async with served() as view, view_client(view.url) as first:
         reader, writer = await asyncio.open_connection("127.0.0.1", view.port)
         async with asyncio.timeout(2.0):  # a handshake may take 5 s
@@ -239,7 +243,7 @@ async def test_a_connection_beyond_the_limit_is_ended_at_once(
 async def test_a_viewer_that_was_told_to_leave_gets_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(view_server, "MAX_VIEWERS", 0)
+    monkeypatch.setattr(f"{SERVER}.MAX_VIEWERS", 0)
     async with served() as view:
         subscribed: list[int] = []
         view.server.on_subscribed = subscribed.append
@@ -298,7 +302,7 @@ async def test_a_port_that_is_taken_is_named_and_the_usual_one_replaced(
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        monkeypatch.setattr(listening, "DEFAULT_PORT", port)
+        monkeypatch.setattr(f"{SERVER}.DEFAULT_PORT", port)
         server = ViewServer("test", Admission(TOKEN))
         with pytest.raises(Refused, match=f"port {port}.*--port"):
             await server.listen("127.0.0.1", port)
@@ -343,3 +347,23 @@ async def test_a_viewer_that_leaves_gets_the_end_of_the_closing_handshake() -> N
         await client.until(lambda: client.op("serverInfo"))
         await client.socket.close()
         assert client.socket.close_code == 1000
+
+
+@pytest.mark.parametrize("host", ["192.0.2.1", "no-such-name.invalid", "..", "a" * 70, ""])
+@pytest.mark.parametrize("port", [None, 0])
+def test_a_host_that_is_not_this_computer_is_named_with_its_option(
+    host: str, port: int | None
+) -> None:
+    with pytest.raises(Refused, match=r"cannot listen on .*--host") as caught:
+        listening_socket(host, port)
+    assert repr(host) in str(caught.value)
+    assert "port" not in str(caught.value)
+
+
+def test_no_other_process_gets_the_port_before_the_view_accepts() -> None:
+    """A port that is only bound can be bound twice, and the second view would fail at `listen`."""
+    with listening_socket("127.0.0.1", 0) as first, socket.socket() as other:
+        port = first.getsockname()[1]
+        with pytest.raises(Refused, match=os.strerror(errno.EADDRINUSE)):
+            listening_socket("127.0.0.1", port)
+        other.connect(("127.0.0.1", port))

@@ -1,18 +1,32 @@
-"""The server: its viewers, the channels it offers them, and the messages for each."""
+"""The server: its socket, its viewers, the channels it offers, and the messages for each."""
 
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 import secrets
+import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
+from robotctl.errors import Refused
 from robotctl.view.admission import Admission
-from robotctl.view.foxglove_messages import (
+from robotctl.view.foxglove import (
+    ClientMessage,
+    ClientOffers,
+    ClientWithdrawal,
+    Offer,
+    ServiceCall,
     StatusLevel,
+    Subscribe,
+    Unsubscribe,
+    ViewChannel,
+    ViewRequest,
     ViewService,
+    WrongRequest,
     advertise,
     advertise_services,
     message_head,
@@ -21,21 +35,145 @@ from robotctl.view.foxglove_messages import (
     status,
     unadvertise,
 )
-from robotctl.view.foxglove_requests import (
-    ClientMessage,
-    ClientOffers,
-    ClientWithdrawal,
-    Offer,
-    ServiceCall,
-    Subscribe,
-    Unsubscribe,
-    ViewRequest,
-    WrongRequest,
-)
-from robotctl.view.listening import listening_socket
-from robotctl.view.offered_channels import OfferedChannels
-from robotctl.view.outbox import BINARY, frame_head
-from robotctl.view.viewer import TRY_LATER, Viewer
+from robotctl.view.viewer import BINARY, TRY_LATER, Viewer, frame_head
+
+DEFAULT_PORT: Final = 8765
+"""The port that Foxglove proposes."""
+
+_Address = tuple[socket.AddressFamily, tuple[Any, ...]]
+"""Family, and the address as `bind` takes it, with any port."""
+
+
+def listening_socket(host: str, port: int | None) -> socket.socket:
+    """Return a socket that listens; None is DEFAULT_PORT, or a free port where that is taken.
+
+    Raises:
+        Refused: The address cannot be listened on.
+    """
+    address = _address_of(host)
+    try:
+        try:
+            return _listening(address, DEFAULT_PORT if port is None else port)
+        except OSError:
+            if port is not None:
+                raise
+            return _listening(address, 0)
+    except OSError as error:
+        if error.errno == errno.EADDRNOTAVAIL:
+            raise _no_host(host, os.strerror(error.errno)) from error
+        where = f"{host} port {DEFAULT_PORT if port is None else port}"
+        raise Refused(
+            f"the view cannot listen on {where} ({error.strerror or error})",
+            "choose another --port, or leave it out for a free one",
+        ) from error
+
+
+def _address_of(host: str) -> _Address:
+    """Return family and address of a host.
+
+    Raises:
+        Refused: It has none.
+    """
+    try:
+        found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    except OSError as error:
+        raise _no_host(host, error.strerror or str(error)) from error
+    except UnicodeError as error:  # a label of the name is empty or too long
+        raise _no_host(host, "it cannot be a name") from error
+    family, _, _, _, address = found[0]
+    return family, address
+
+
+def _listening(address: _Address, port: int) -> socket.socket:
+    """Return a socket that listens on a port of an address: no other process gets it from now on.
+
+    Raises:
+        OSError: It cannot be listened on.
+    """
+    family, (host, _, *rest) = address
+    sock = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((host, port, *rest))
+        sock.listen()
+    except BaseException:
+        sock.close()
+        raise
+    return sock
+
+
+def _no_host(host: str, reason: str) -> Refused:
+    """Return the error for a host on which no port can be listened on."""
+    return Refused(
+        f"the view cannot listen on {host!r} ({reason})",
+        "give an address of this computer as --host, or leave it out for 127.0.0.1",
+    )
+
+
+MAX_SUBSCRIPTIONS: Final = 10_000
+"""Limit on the subscriptions of one viewer."""
+
+
+class OfferedChannels:
+    """Channels by id, with their subscriptions; an id is never used again."""
+
+    def __init__(self) -> None:
+        self._channels: dict[int, ViewChannel] = {}
+        self._last_id = 0
+        self._subscribers: dict[int, dict[Viewer, int]] = {}
+        """Channel id -> viewer -> the viewer's subscription id."""
+
+    @property
+    def channels(self) -> Collection[ViewChannel]:
+        """The channels that are offered."""
+        return self._channels.values()
+
+    def offer(self, topic: str, type_name: str, definition: str) -> ViewChannel:
+        """Add a channel for a topic, and return it."""
+        self._last_id += 1
+        channel = ViewChannel(self._last_id, topic, type_name, definition)
+        self._channels[channel.id] = channel
+        return channel
+
+    def withdraw(self, channel_id: int) -> None:
+        """Remove a channel, and end its subscriptions."""
+        del self._channels[channel_id]
+        for viewer, subscription in self._subscribers.pop(channel_id, {}).items():
+            del viewer.subscriptions[subscription]
+
+    def subscribers(self, channel_id: int) -> Mapping[Viewer, int] | None:
+        """Return the subscribers of a channel with their subscription ids, None without any."""
+        return self._subscribers.get(channel_id)
+
+    def subscribe(self, viewer: Viewer, subscription: int, channel_id: int) -> bool:
+        """Begin a subscription, and return whether the channel is still offered.
+
+        Raises:
+            WrongRequest: The id is taken, the viewer has the channel, or has too many.
+        """
+        if channel_id not in self._channels:
+            return False
+        watching = self._subscribers.get(channel_id, {})
+        taken = subscription in viewer.subscriptions or viewer in watching
+        if taken or len(viewer.subscriptions) >= MAX_SUBSCRIPTIONS:
+            raise WrongRequest(f"subscription {subscription}: one a channel, each with its own id")
+        viewer.subscriptions[subscription] = channel_id
+        watching[viewer] = subscription
+        self._subscribers[channel_id] = watching
+        return True
+
+    def unsubscribe(self, viewer: Viewer, subscription: int) -> int | None:
+        """End a subscription; return its channel if that has no other subscriber, else None."""
+        channel_id = viewer.subscriptions.pop(subscription, None)
+        if channel_id is None:
+            return None
+        watching = self._subscribers[channel_id]
+        del watching[viewer]
+        if watching:
+            return None
+        del self._subscribers[channel_id]
+        return channel_id
+
 
 MAX_VIEWERS: Final = 128
 """Limit on viewers; further ones are told to try later."""
