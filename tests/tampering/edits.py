@@ -183,13 +183,6 @@ def still(message: Stored) -> Stored:
     return replace(message, data=message.data[:4] + bytes(48))
 
 
-def by_one_ulp(message: Stored, random: Random) -> Stored:
-    """Change the last bit of the forward velocity."""
-    data = bytearray(message.data)
-    data[4] ^= 1
-    return replace(message, data=bytes(data))
-
-
 MOTION = encode_twist(replace(decode_twist(bytes((0, 1, 0, 0)) + bytes(48)), linear=0.2))
 """A command to go forward."""
 
@@ -378,24 +371,10 @@ def not_last(message: Stored) -> bool:
     return message.sequence < 150
 
 
-def mode(message: Stored, random: Random) -> Stored:
-    """Show a mode that the robot never had."""
-    data = bytearray(message.data)
-    data[AT_MODE] = Mode.ERROR
-    return replace(message, data=bytes(data))
-
-
 def with_mode(message: Stored, shown: Mode) -> Stored:
     """Show a mode."""
     data = bytearray(message.data)
     data[AT_MODE] = shown.value
-    return replace(message, data=bytes(data))
-
-
-def shown_level(message: Stored, random: Random) -> Stored:
-    """Show another battery level."""
-    data = bytearray(message.data)
-    data[-9] ^= 1 << random.randrange(8)
     return replace(message, data=bytes(data))
 
 
@@ -409,19 +388,19 @@ def numbered(message: Stored, random: Random) -> Stored:
     return replace(message, sequence=message.sequence + 5_000)
 
 
-def requested(message: Stored, random: Random) -> Stored:
-    """Request another mode."""
-    data = bytearray(message.data)
-    data[AT_REQUESTED] ^= 1
-    return replace(message, data=bytes(data))
+def flipped(at: int) -> Callable[[Stored, Random], Stored]:
+    """Flip the last bit of the byte at this place."""
+
+    def change(message: Stored, random: Random) -> Stored:
+        data = bytearray(message.data)
+        data[at] ^= 1
+        return replace(message, data=bytes(data))
+
+    return change
 
 
-def granted(message: Stored, random: Random) -> Stored:
-    """Answer the opposite."""
-    data = bytearray(message.data)
-    data[AT_SUCCESS] ^= 1
-    return replace(message, data=bytes(data))
-
+by_one_ulp = flipped(4)
+"""Change the last bit of the forward velocity of a command."""
 
 FREQUENT = ("Tick", "OdomReceived", "SafetyInputReceived")
 

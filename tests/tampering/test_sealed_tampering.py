@@ -17,8 +17,7 @@ from robotctl.recording.read.whole_recording import RecordingProof, verify_recor
 from robotctl.recording.write import file_seal
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.recordings import Forger, keyring
-from tests.tampering.kinds import ACCEPTED, FORGED
-from tests.tampering.sources import recording_for, sources
+from tests.tampering.kinds import ACCEPTED, FORGED, recording_for
 from tests.tampering.test_tampering import edits
 
 ATTEMPTS = 60
@@ -28,11 +27,6 @@ MANY = 10_000
 @pytest.fixture(autouse=True)
 def _a_link_at_each_commit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(file_seal, "LINK_PERIOD_S", 0.0)
-
-
-@pytest.fixture(scope="module")
-def honest(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Contents]:
-    return sources(tmp_path_factory.mktemp("honest"))
 
 
 @pytest.fixture

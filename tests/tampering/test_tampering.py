@@ -18,10 +18,18 @@ from robotctl.rerun.check_report import Report, Verdict
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.heard_drives import COMMANDS
 from tests.tampering.edits import Kind
-from tests.tampering.kinds import ACCEPTED, FORGED, FOUND, ON_A_BUTTON, ONLY_IF_CLOSED
-from tests.tampering.sources import recording_for, sources
+from tests.tampering.kinds import (
+    ACCEPTED,
+    FORGED,
+    FOUND,
+    ON_A_BUTTON,
+    ONLY_IF_CLOSED,
+    recording_for,
+)
 
-ATTEMPTS = 200
+ATTEMPTS = len(FOUND) + len(ON_A_BUTTON) + len(ONLY_IF_CLOSED)
+"""Each kind is tried."""
+
 MANY = 10_000
 
 FLOOD = 30_000
@@ -29,11 +37,6 @@ FLOOD = 30_000
 
 CLOSED: tuple[str, ...] = ("stopped", "stalled", "pressed")
 EVERY = (*CLOSED, "killed")
-
-
-@pytest.fixture(scope="module")
-def honest(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Contents]:
-    return sources(tmp_path_factory.mktemp("honest"))
 
 
 def checked(folder: Path, contents: Contents) -> Report:

@@ -1,9 +1,10 @@
-"""Honest recordings that are edited, made without ROS."""
+"""The honest recordings that are edited, made without ROS."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
+
+import pytest
 
 from robotctl.config import Config
 from robotctl.kernel.params import KernelParams
@@ -54,8 +55,10 @@ BUTTON = Config(
 """The configuration of "pressed": with an emergency stop button."""
 
 
-def sources(folder: Path) -> dict[str, Contents]:
+@pytest.fixture(scope="package")
+def honest(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Contents]:
     """Return the recordings by name; "killed" was not closed."""
+    folder = tmp_path_factory.mktemp("honest")
     made = {
         name: heard_drive(
             folder / name,
@@ -71,10 +74,3 @@ def sources(folder: Path) -> dict[str, Contents]:
     last = max(i for i, each in enumerate(killed.messages) if b"Snapshot" in each.data[:60])
     del killed.messages[last]
     return {**made, "killed": killed}
-
-
-def recording_for(kind: str) -> str:
-    """Return the recording that an edit of this name needs."""
-    if "killed" in kind:
-        return "killed"
-    return "pressed" if "button" in kind else "stopped"
