@@ -28,13 +28,13 @@ import duckdb
 from recording.figures import Figure, Round, table
 from recording.heard_drive import record_drive
 
+from robotctl.base.processes.jobs import job_command
 from robotctl.collection.catalogue import CATALOGUE_NAME
 from robotctl.collection.database import name, text
 from robotctl.collection.index_file import index_path, stamp_of, table_columns, write_index
 from robotctl.collection.indexing import rows_of
 from robotctl.daemon.recording.indexer import INDEX
 from robotctl.kernel.types import DriveEnded
-from robotctl.processes.jobs import job_command
 from robotctl.recording import Recording, read_journal
 from robotctl.rerun.journal_values import read_effect
 

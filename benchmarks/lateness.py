@@ -36,11 +36,11 @@ from footprint import daemon, environment
 from recording import publisher
 from recording.figures import Figure, Round, table
 
+from robotctl.base.domains import reserved_domain
+from robotctl.base.processes import start
+from robotctl.base.processes.jobs import job_command
 from robotctl.daemon.recording.indexer import INDEX
-from robotctl.domains import reserved_domain
 from robotctl.kernel.types import Tick
-from robotctl.processes import start
-from robotctl.processes.jobs import job_command
 from robotctl.recording import Recording, read_journal
 from robotctl.ros import Ticker
 

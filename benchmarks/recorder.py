@@ -26,7 +26,7 @@ from recording import footer, live, memory, publisher, writers
 from recording.figures import Figure, Round, table
 from recording.live import Bench
 
-from robotctl.domains import reserved_domain
+from robotctl.base.domains import reserved_domain
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,8 @@ from replaying.listener import DEADLINE_S, listen, listening, subject
 from replaying.material import ODOMETRY, ODOMETRY_BYTES, QOS, ROBOTCTL, a_drive, write_steady
 from replaying.players import PLAYERS
 
-from robotctl import environment
-from robotctl.domains import reserved_domain
+from robotctl.base import environment
+from robotctl.base.domains import reserved_domain
 from robotctl.recording import Recording, read_info, read_messages
 
 ARRIVAL = ("steady", "drive")

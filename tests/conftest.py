@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from robotctl.domains import reserved_domain
-from robotctl.environment import prepare
+from robotctl.base.domains import reserved_domain
+from robotctl.base.environment import prepare
 from tests.support.isolation import FileSurroundings, start_once
 from tests.support.s3_server import s3_server
 from tests.support.waiting import loop_until

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 import robotctl
-from robotctl import errors
+from robotctl.base import errors
 
 ROOT = Path(robotctl.__file__).parent
 
@@ -27,9 +27,9 @@ PAGE = ROOT.parent / "docs" / "architecture.md"
 ROS_MODULES = {"rclpy", "ament_index_python", "rosidl_runtime_py", "robot_controller"}
 MESSAGE_SUFFIXES = ("_msgs", "_interfaces", "_srvs")
 PROTOCOL_MAY = {
-    "errors",
-    "paths",
-    "trust",
+    "base.errors",
+    "base.paths",
+    "base.trust",
     "ipc.answers",
     "ipc.method_names",
     "ipc.protocol",

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from robotctl import retired
+from robotctl.base import retired
+from robotctl.base.errors import ConfigError
 from robotctl.config import MAX_FILE_BYTES, Config, flat, load, with_setting
-from robotctl.errors import ConfigError
 from robotctl.kernel.patterns import PatternKind
 
 

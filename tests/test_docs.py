@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from robotctl import errors
+from robotctl.base import errors
+from robotctl.base.errors import ConfigError
 from robotctl.cli.registry import COMMANDS
 from robotctl.config import Config, flat, with_setting
-from robotctl.errors import ConfigError
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety import RULES
 

@@ -9,15 +9,15 @@ from contextlib import contextmanager
 
 import pytest
 
-from robotctl import domains
-from robotctl.domains import (
+from robotctl.base import domains
+from robotctl.base.domains import (
     DOMAINS,
     is_certainly_empty,
     participants_here,
     reserved_domain,
     wider_discovery,
 )
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
 
 NEVER = 65536 // 250
 """A domain whose ports do not exist."""

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.environment import prepare, without_foreign_ros
+from robotctl.base.environment import prepare, without_foreign_ros
 
 REPOSITORY = Path(__file__).parents[1]
 SOURCED = ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH")
 
 PROGRAM = """
 import os, sys
-from robotctl.environment import prepare
+from robotctl.base.environment import prepare
 print(prepare())
 import rclpy
 print(rclpy.__file__)
@@ -192,7 +192,7 @@ def test_fast_dds_announces_more_often_unless_the_user_configured_it(variable: s
     if variable:
         environment[variable] = "/mine.xml"
     program = (
-        "import os; from robotctl.environment import prepare; prepare();"
+        "import os; from robotctl.base.environment import prepare; prepare();"
         "print(os.environ.get('FASTRTPS_DEFAULT_PROFILES_FILE'))"
     )
     ran = subprocess.run(

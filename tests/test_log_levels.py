@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from robotctl.errors import UsageError
-from robotctl.log_levels import LogLevel, level_name, read_log_level
-from robotctl.ros_arguments import parse, with_log_levels
+from robotctl.base.errors import UsageError
+from robotctl.base.ros_arguments import LogLevel, level_name, parse, read_log_level, with_log_levels
 
 
 @pytest.mark.parametrize(

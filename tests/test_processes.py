@@ -20,10 +20,10 @@ from typing import Any
 import pytest
 
 import robotctl
+from robotctl.base.processes import Child, LineSplitter, program, readable_within, start
+from robotctl.base.processes.jobs import job_command, reports_of
 from robotctl.config import RecordingParams
 from robotctl.daemon.recording.black_box import BlackBox
-from robotctl.processes import Child, LineSplitter, program, readable_within, start
-from robotctl.processes.jobs import job_command, reports_of
 from robotctl.recording import read_info
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
@@ -37,7 +37,7 @@ ROBOTCTL = (sys.executable, "-c", "from robotctl.cli.app import main; main()")
 SAY = """
 import os, sys
 sys.path.insert(0, os.getcwd())
-from robotctl.processes import send_report, report_fd
+from robotctl.base.processes import send_report, report_fd
 fd = report_fd(sys.argv)
 """
 
@@ -60,7 +60,7 @@ if any(name in sys.orig_argv for name in {modules}):
 """Prints as Fast DDS does, before the process reports, and also lines that look like reports."""
 
 CHECKER = "robotctl.rerun.check_process"
-JOBS = "robotctl.processes"
+JOBS = "robotctl.base.processes"
 
 
 @contextmanager
@@ -259,8 +259,8 @@ def test_a_program_that_was_started_without_stdin_stdout_and_stderr_starts_child
     code = (
         "import os, sys\n"
         "for fd in (0, 1, 2): os.close(fd)\n"
-        "from robotctl.processes import start\n"
-        "script = 'from robotctl.processes import send_report, report_fd; import sys;'\n"
+        "from robotctl.base.processes import start\n"
+        "script = 'from robotctl.base.processes import send_report, report_fd; import sys;'\n"
         "script += 'sys.stdin.read(); send_report(report_fd(sys.argv), {})'\n"
         "child = start([sys.executable, '-c', script], with_stdin=True)\n"
         "child.close_stdin()\n"
@@ -305,7 +305,7 @@ def test_every_child_is_started_in_one_way() -> None:
     cli = root / "cli"  # what is foreign runs programs that are not ours
     foreign = (cli / "commands" / "boot.py", cli / "commands" / "lease.py")
     for path in root.rglob("*.py"):
-        if path not in foreign and not path.is_relative_to(root / "processes"):
+        if path not in foreign and not path.is_relative_to(root / "base" / "processes"):
             text = path.read_text(encoding="utf-8")
             assert "import subprocess" not in text, path
             assert "posix_spawn" not in text, path

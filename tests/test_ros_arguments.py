@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from robotctl import retired, ros_arguments
+from robotctl.base import retired, ros_arguments
+from robotctl.base.errors import ConfigError, UsageError
+from robotctl.base.ros_arguments import Remap
 from robotctl.config import Config, flat
 from robotctl.config.ros_settings import RosSettings, apply_arguments, check_parameter_files
 from robotctl.daemon.command_line import parse
-from robotctl.errors import ConfigError, UsageError
-from robotctl.ros_arguments import Remap
 
 
 def applied(*words: str, namespace: str = "") -> RosSettings:

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.base.errors import Refused, UsageError
+from robotctl.base.paths import chain_to, latch_path, make_private, runtime_folder, socket_path
 from robotctl.cli import app
 from robotctl.daemon.control.latch import Latch
-from robotctl.errors import Refused, UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.protocol import Peer
-from robotctl.paths import chain_to, latch_path, make_private, runtime_folder, socket_path
 from robotctl.replay.replay_guard import running_daemons
 from tests.support.waiting import DEADLINE_S
 
@@ -49,7 +49,7 @@ def tmp_base(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     tmp = Path(tempfile.mkdtemp(prefix="rt-", dir="/tmp"))
     tmp.chmod(0o1777)
     monkeypatch.delenv("XDG_RUNTIME_DIR")
-    monkeypatch.setattr("robotctl.paths.SHARED_FOLDER", tmp)
+    monkeypatch.setattr("robotctl.base.paths.SHARED_FOLDER", tmp)
     yield tmp / f"robotctl-{os.getuid()}"
     shutil.rmtree(tmp)
 

@@ -34,7 +34,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
-from robotctl import environment
+from robotctl.base import environment
 
 START_TIMEOUT_S = 60.0
 WARM_UP_S = 1.0

@@ -22,7 +22,7 @@ READ_AHEAD = 1000
 
 def play_with_robotctl(file: Path, domain_id: int) -> list[int]:
     """The player's own process, with a note of the time before each message is handed over."""
-    from robotctl.processes import REPORT_OPTION
+    from robotctl.base.processes import REPORT_OPTION
     from robotctl.replay import __main__ as process
     from robotctl.replay.job import Job
     from robotctl.ros.playback.playback import ReplaySession

@@ -15,7 +15,7 @@ from rclpy.qos import QoSProfile
 from robot_controller.srv import SetMode
 from std_srvs.srv import Trigger
 
-from robotctl.errors import RobotctlError
+from robotctl.base.errors import RobotctlError
 from robotctl.ipc.client import call
 from robotctl.kernel.modes import Mode
 from tests.support.waiting import until

@@ -10,7 +10,7 @@ import gc
 import os
 import sys
 
-from robotctl.streams import open_standard_streams
+from robotctl.base.own_process import open_standard_streams
 
 
 def main() -> None:

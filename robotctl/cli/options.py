@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
-from robotctl.paths import ROBOT_VARIABLE
+from robotctl.base.paths import ROBOT_VARIABLE
 from robotctl.profiles import Profile
 
 Robot = Annotated[

@@ -13,15 +13,15 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
+from robotctl.base.errors import RobotctlError, UsageError
+from robotctl.base.mode_names import MODES, find_mode
+from robotctl.base.paths import DEFAULT_ROBOT, ROBOT_VARIABLE
 from robotctl.cli.targets.requests import asked_by, lease_of_shell
 from robotctl.cli.ui.status import status_screen_lines
 from robotctl.cli.ui.text import json_text, printable
-from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import Client, call, command_for
 from robotctl.ipc.method_names import RESET, SET_MODE, STATUS, STOP
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
-from robotctl.mode_names import MODES, find_mode
-from robotctl.paths import DEFAULT_ROBOT, ROBOT_VARIABLE
 
 if TYPE_CHECKING:
     from robotctl.ipc.answers import ModeAnswer, Stopped
@@ -135,7 +135,7 @@ def stop(robot: str, as_json: bool) -> None:
 
 def stop_daemon(robot: str) -> Stopped:
     """Ask the daemon to end, and return its answer when its process has ended."""
-    from robotctl.processes import pidfd_of, readable_within
+    from robotctl.base.processes import pidfd_of, readable_within
 
     with Client(robot) as client, pidfd_of(client.daemon_pid) as process:
         answer = client.call(STOP)

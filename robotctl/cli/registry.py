@@ -8,9 +8,10 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from robotctl import __version__, retired, ros_arguments
+from robotctl import __version__
+from robotctl.base import retired, ros_arguments
+from robotctl.base.errors import IN_PARENTHESES, UsageError
 from robotctl.cli.options import ROS_WORD, new_app
-from robotctl.errors import IN_PARENTHESES, UsageError
 
 SECTIONS = {
     "Without a robot": ("demo", "sim", "doctor", "completion"),

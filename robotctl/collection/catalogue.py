@@ -14,6 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from robotctl.base.errors import Refused
+from robotctl.base.files import open_regular
+from robotctl.base.text import printable
 from robotctl.collection.database import database, file_of, parquet, patterns, text, write_parquet
 from robotctl.collection.index_file import (
     closed_files,
@@ -23,10 +26,7 @@ from robotctl.collection.index_file import (
     stamp_of,
     table_columns,
 )
-from robotctl.errors import Refused
-from robotctl.printable import printable
 from robotctl.recording.format.names import INDEX_FILE
-from robotctl.regular_file import open_regular
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection

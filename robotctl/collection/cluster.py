@@ -16,10 +16,10 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from robotctl.base.errors import IN_PARENTHESES, Refused, RobotctlError, UsageError
 from robotctl.collection.content import software_hash, software_name
 from robotctl.collection.jobs import Done
 from robotctl.collection.judging import Answers, Judged, Judging, ResultStore
-from robotctl.errors import IN_PARENTHESES, Refused, RobotctlError, UsageError
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import robotctl
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
+from robotctl.base.files import open_regular
 from robotctl.recording.disk.storage import is_being_written
 from robotctl.recording.format.names import MADE_BY
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.read.files import recording_files
-from robotctl.regular_file import open_regular
 
 if TYPE_CHECKING:
     from io import BufferedReader

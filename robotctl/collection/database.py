@@ -12,7 +12,7 @@ from glob import escape
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
-from robotctl.errors import UsageError
+from robotctl.base.errors import UsageError
 from robotctl.recording.disk.atomic_output import replaced_file
 
 if TYPE_CHECKING:

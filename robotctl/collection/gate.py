@@ -14,6 +14,9 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
 
+from robotctl.base.errors import ConfigError, Refused
+from robotctl.base.files import open_regular
+from robotctl.base.text import printable
 from robotctl.collection.content import software_hash
 from robotctl.collection.jobs import Done
 from robotctl.collection.judgement import (
@@ -26,9 +29,6 @@ from robotctl.collection.judgement import (
     totals_of,
 )
 from robotctl.collection.judging import Engine, Judging, ResultStore, judge_here
-from robotctl.errors import ConfigError, Refused
-from robotctl.printable import printable
-from robotctl.regular_file import open_regular
 
 MAX_BYTES: Final = 64 << 20
 

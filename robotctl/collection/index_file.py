@@ -16,12 +16,12 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, ClassVar, Final
 
+from robotctl.base.errors import Refused
+from robotctl.base.store import is_hash
 from robotctl.collection.database import file_of, name, text, write_parquet
-from robotctl.errors import Refused
 from robotctl.recording.disk.storage import is_being_written
 from robotctl.recording.format.names import INDEX_FILE, natural_order
 from robotctl.recording.format.rosbag2 import entries_of
-from robotctl.store import is_hash
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Final
 
+from robotctl.base.errors import RobotctlError, UnreadableFile
+from robotctl.base.processes.pipes import Report
 from robotctl.collection.index_file import (
     DriveRow,
     EventRow,
@@ -21,7 +23,6 @@ from robotctl.collection.index_file import (
     stamp_of,
     write_index,
 )
-from robotctl.errors import RobotctlError, UnreadableFile
 from robotctl.kernel.codec import finite_or_none, to_json
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
@@ -36,7 +37,6 @@ from robotctl.kernel.types import (
     Tick,
 )
 from robotctl.kernel.units import NS_PER_S
-from robotctl.processes.pipes import Report
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY, SOFTWARE_RECORD

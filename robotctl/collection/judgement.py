@@ -13,8 +13,8 @@ from typing import Any, Final, Generic, Literal, TypeVar
 import msgspec
 
 from robotctl import __version__
+from robotctl.base.errors import ConfigError, UnreadableFile
 from robotctl.collection.content import Content, read_content, software_hash
-from robotctl.errors import ConfigError, UnreadableFile
 from robotctl.recording.read.damage import noted_read_failures
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Divergence, Report, rounded

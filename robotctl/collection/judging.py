@@ -11,6 +11,10 @@ from pathlib import Path
 from typing import Any, Final
 from uuid import uuid4
 
+from robotctl.base.errors import Refused, RobotctlError, UnreadableFile
+from robotctl.base.files import open_regular
+from robotctl.base.store import StoreError
+from robotctl.base.store.folder_store import FolderStore
 from robotctl.collection.content import (
     BeingWritten,
     Content,
@@ -20,10 +24,6 @@ from robotctl.collection.content import (
 )
 from robotctl.collection.jobs import Done, Processes, local_processes, local_threads, results_of
 from robotctl.collection.judgement import Judgement, Typed, crashed, judge, key_of
-from robotctl.errors import Refused, RobotctlError, UnreadableFile
-from robotctl.regular_file import open_regular
-from robotctl.store import StoreError
-from robotctl.store.folder_store import FolderStore
 
 MAX_BYTES: Final = 64 << 20
 

@@ -15,6 +15,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from robotctl.base.errors import Refused, UsageError
 from robotctl.collection.catalogue import Catalogue
 from robotctl.collection.database import database, name, parquet
 from robotctl.collection.index_file import (
@@ -25,7 +26,6 @@ from robotctl.collection.index_file import (
     TopicRow,
     columns,
 )
-from robotctl.errors import Refused, UsageError
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection

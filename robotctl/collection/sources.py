@@ -18,16 +18,16 @@ from io import FileIO
 from pathlib import Path
 from typing import Final
 
-from robotctl.errors import Divergence, UnreadableFile
+from robotctl.base.errors import Divergence, UnreadableFile
+from robotctl.base.store import ObjectStore, StoredObject, hash_in, open_store, without_hashes
+from robotctl.base.text import printable
 from robotctl.kernel.units import NS_PER_S
-from robotctl.printable import printable
 from robotctl.recording.disk.access import reason_of
 from robotctl.recording.disk.storage import is_locked
 from robotctl.recording.format.names import INDEX_FILE, natural_order
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.keep.listing import CLIPS_FOLDER, is_own
-from robotctl.store import ObjectStore, StoredObject, hash_in, open_store, without_hashes
 
 SUFFIX: Final = ".mcap"
 

@@ -13,6 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from robotctl.base.errors import RobotctlError, UnreadableFile
+from robotctl.base.store import ObjectStore, Stamp, StoredObject, StoreError, without_hashes
+from robotctl.base.text import printable
 from robotctl.collection.sources import (
     REPLACED,
     STORED_PIECE_BYTES,
@@ -25,8 +28,6 @@ from robotctl.collection.sources import (
     open_regular_file,
     recording_of,
 )
-from robotctl.errors import RobotctlError, UnreadableFile
-from robotctl.printable import printable
 from robotctl.recording.disk.access import reason_of
 from robotctl.recording.keep.listing import CLIPS_FOLDER, CatalogFile, CatalogFolder
 from robotctl.recording.keep.retention import (
@@ -36,7 +37,6 @@ from robotctl.recording.keep.retention import (
     note_removal,
     withdraw_note,
 )
-from robotctl.store import ObjectStore, Stamp, StoredObject, StoreError, without_hashes
 
 GIVE_UP_AFTER: Final = 3
 """After this number of failures in a row the store counts as unreachable, and the run ends."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from statistics import fmean, linear_regression, median
 from typing import NamedTuple
 
-from robotctl.errors import Refused, UnreadableFile
+from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.kernel.course import Held
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.odometry import is_finite

@@ -16,6 +16,8 @@ from pathlib import Path
 from reprlib import repr as short_repr
 from typing import Any
 
+from robotctl.base.errors import ConfigError
+from robotctl.base.files import open_regular
 from robotctl.config.settings import (
     RATE_KEYS,
     Config,
@@ -23,8 +25,6 @@ from robotctl.config.settings import (
     warn_of_retired,
     with_setting,
 )
-from robotctl.errors import ConfigError
-from robotctl.regular_file import open_regular
 
 MAX_FILE_BYTES = 1_000_000
 """The largest file that is read."""

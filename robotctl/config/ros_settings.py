@@ -9,7 +9,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from robotctl import ros_arguments
+from robotctl.base import ros_arguments
+from robotctl.base.errors import ConfigError, UsageError
+from robotctl.base.ros_arguments import NO_ARGUMENTS, Assignment, Remap, RosArguments
 from robotctl.config.file import flatten, read_value, read_yaml
 from robotctl.config.settings import (
     Config,
@@ -19,8 +21,6 @@ from robotctl.config.settings import (
     warn_of_retired,
     with_setting,
 )
-from robotctl.errors import ConfigError, UsageError
-from robotctl.ros_arguments import NO_ARGUMENTS, Assignment, Remap, RosArguments
 
 MODE_SERVICE: Final = "mode_service"
 SIMULATED_ROBOT: Final = "simulated_robot"

@@ -13,8 +13,8 @@ from functools import cache
 from reprlib import repr as short_repr
 from typing import Any, get_type_hints
 
-from robotctl import retired
-from robotctl.errors import ConfigError
+from robotctl.base import retired
+from robotctl.base.errors import ConfigError
 from robotctl.kernel.fence import corners_of
 from robotctl.kernel.parameters import Leaf, conflict, leaves, value_at, with_value
 from robotctl.kernel.params import KernelParams

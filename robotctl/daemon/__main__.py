@@ -3,7 +3,7 @@
 import gc
 import sys
 
-from robotctl.errors import INTERRUPTED_EXIT_CODE
+from robotctl.base.errors import INTERRUPTED_EXIT_CODE
 
 gc.disable()  # until it is ready: imports make no garbage; a search takes a tenth more time
 try:

@@ -9,6 +9,9 @@ import time
 from contextlib import AsyncExitStack, ExitStack
 
 from robotctl import __version__
+from robotctl.base.domains import is_certainly_empty
+from robotctl.base.own_process import end_signals
+from robotctl.base.paths import chain_to, robot_state_folder, socket_path
 from robotctl.config import Config, load
 from robotctl.config.ros_settings import MODE_SERVICE
 from robotctl.daemon.command_choice import choose_command_type
@@ -24,13 +27,10 @@ from robotctl.daemon.same_names import refuse_same_names
 from robotctl.daemon.service_manager import ServiceManager, reporting
 from robotctl.daemon.supervisor import Supervisor
 from robotctl.daemon.waiting import DISCOVERY_S
-from robotctl.domains import is_certainly_empty
-from robotctl.end_signals import end_signals
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.listener import remove_stale, socket_group
 from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
-from robotctl.paths import chain_to, robot_state_folder, socket_path
 from robotctl.ros.session import RECORDER_NODE, Naming, ros_session
 
 

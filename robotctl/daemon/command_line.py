@@ -6,15 +6,14 @@ import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from robotctl import ros_arguments
+from robotctl.base import ros_arguments
+from robotctl.base.domains import requested_domain
+from robotctl.base.errors import UsageError
+from robotctl.base.paths import DEFAULT_ROBOT, check_namespace, check_robot_name, namespace_of
+from robotctl.base.ros_arguments import NO_ARGUMENTS, LogLevel, RosArguments, read_log_level
 from robotctl.config import PATTERN_HELP, Config, is_topic_pattern
 from robotctl.config.ros_settings import RosSettings, apply_arguments
-from robotctl.domains import requested_domain
-from robotctl.errors import UsageError
 from robotctl.kernel.patterns import PatternKind
-from robotctl.log_levels import LogLevel, read_log_level
-from robotctl.paths import DEFAULT_ROBOT, check_namespace, check_robot_name, namespace_of
-from robotctl.ros_arguments import NO_ARGUMENTS, RosArguments
 
 
 @dataclass(frozen=True, slots=True)

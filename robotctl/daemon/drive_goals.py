@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from robotctl.base.errors import UsageError
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.errors import UsageError
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.types import DriveRequested

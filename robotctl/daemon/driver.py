@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
+from robotctl.base.errors import RobotctlError
+from robotctl.base.paths import latch_path
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.daemon.api.lease import LeaseMethods
 from robotctl.daemon.api.parameters import parameter_methods
@@ -37,14 +39,12 @@ from robotctl.daemon.shutdown import send_zero, stand_still
 from robotctl.daemon.simulator import recorded_robot
 from robotctl.daemon.supervisor import Work
 from robotctl.daemon.waiting import until
-from robotctl.errors import RobotctlError
 from robotctl.ipc.advice import advice
 from robotctl.ipc.request_handler import Method
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.state import State, latched
 from robotctl.kernel.types import Odometry, Reply
-from robotctl.paths import latch_path
 from robotctl.ros.messages.command_type import CommandType
 from robotctl.ros.messages.qos import ODOMETRY
 from robotctl.ros.nodes.drive_action import DriveAction

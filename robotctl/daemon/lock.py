@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from robotctl.errors import IN_PARENTHESES, AlreadyRunning
+from robotctl.base.errors import IN_PARENTHESES, AlreadyRunning
+from robotctl.base.paths import make_private
 from robotctl.ipc.client import command_for
-from robotctl.paths import make_private
 
 PID_S = 1.0
 """How long the owner may take from the lock to writing its pid into the file."""

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from robotctl.base.errors import Refused
 from robotctl.config import Config, check_together, declarations, flat, with_setting, with_text
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.errors import Refused
 from robotctl.ipc.answers import ParameterAnswer
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.parameters import kernel_leaves

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robotctl.domains import is_on_this_machine_only
+from robotctl.base.domains import is_on_this_machine_only
 from robotctl.ros.executor import requester
 
 HOST = slice(4)

@@ -7,9 +7,9 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from robotctl.base.ros_arguments import LEVELS, LogLevel, level_name
 from robotctl.daemon.log.levels import LoggerLevels
 from robotctl.daemon.log.loop_handler import LoopHandler
-from robotctl.log_levels import LEVELS, LogLevel, level_name
 from robotctl.ros.nodes.node_services import LoggerServices, set_native_level
 from robotctl.ros.nodes.publishers import RosoutLine, RosoutPublisher
 from robotctl.ros.session import Session

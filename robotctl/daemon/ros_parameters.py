@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Container, Sequence
 from typing import Any
 
+from robotctl.base.errors import RobotctlError
 from robotctl.config import declarations, flat
 from robotctl.config.ros_settings import MODE_SERVICE, SIMULATED_ROBOT, node_of
 from robotctl.daemon.parameters import Parameters, Setting
-from robotctl.errors import RobotctlError
 from robotctl.ipc.advice import advice
 from robotctl.kernel.ranges import Change
 from robotctl.ros.nodes.node_services import Declared, ParameterServices

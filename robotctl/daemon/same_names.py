@@ -7,9 +7,9 @@ import time
 from collections import Counter
 from typing import Final
 
+from robotctl.base.errors import Refused
 from robotctl.config.ros_settings import MODE_SERVICE, NODES
 from robotctl.daemon.host import Host
-from robotctl.errors import Refused
 
 STABLE_S: Final = 0.6
 """No new node for this long: all are discovered. Daemons announce themselves every 0.5 s."""

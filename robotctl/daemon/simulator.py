@@ -7,9 +7,9 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 
+from robotctl.base.own_process import end_signals
 from robotctl.config import Config
 from robotctl.daemon.waiting import DISCOVERY_S, until
-from robotctl.end_signals import end_signals
 from robotctl.kernel.params import Stamping
 from robotctl.kernel.state import full_level
 from robotctl.ros.messages.command_type import PLAIN, CommandType, stamped

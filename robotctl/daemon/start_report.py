@@ -12,7 +12,7 @@ from contextlib import suppress
 from threading import Thread
 from typing import Any
 
-from robotctl.errors import RobotctlError
+from robotctl.base.errors import RobotctlError
 
 _log = logging.getLogger("robotctl")
 

@@ -7,15 +7,15 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from typing import Any
 
-from robotctl import environment, open_files
+from robotctl.base import environment, own_process
+from robotctl.base.errors import INTERRUPTED_EXIT_CODE, Refused, RobotctlError
+from robotctl.base.own_process import open_standard_streams
+from robotctl.base.paths import lock_path
 from robotctl.daemon import command_line as command_line
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.lock import owned
 from robotctl.daemon.log.lines import log_to_stderr
 from robotctl.daemon.start_report import StartReport
-from robotctl.errors import INTERRUPTED_EXIT_CODE, Refused, RobotctlError
-from robotctl.paths import lock_path
-from robotctl.streams import open_standard_streams
 
 
 def main(arguments: list[str]) -> int:
@@ -65,7 +65,8 @@ def allow_many_files() -> None:
         Refused: The limit cannot be raised far enough.
     """
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if most != resource.RLIM_INFINITY and most < open_files.LEAST:
-        text = f"this process may open {most} files, and a daemon needs {open_files.LEAST}"
-        raise Refused(text, open_files.CURE)
+    if most != resource.RLIM_INFINITY and most < own_process.LEAST_OPEN_FILES:
+        least = own_process.LEAST_OPEN_FILES
+        text = f"this process may open {most} files, and a daemon needs {least}"
+        raise Refused(text, own_process.MORE_OPEN_FILES)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))

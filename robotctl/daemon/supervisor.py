@@ -9,7 +9,7 @@ from collections.abc import Callable, Coroutine
 from mmap import MAP_ANONYMOUS, MAP_PRIVATE, mmap
 from typing import Any
 
-from robotctl.errors import RobotctlError
+from robotctl.base.errors import RobotctlError
 from robotctl.kernel.types import Cause, Event, FaultCleared, FaultReported
 
 _log = logging.getLogger(__name__)

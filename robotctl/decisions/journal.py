@@ -15,9 +15,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
+from robotctl.base.files import open_folder, open_regular
+from robotctl.base.paths import make_private, robot_state_folder
 from robotctl.kernel.units import DAY_S
-from robotctl.paths import make_private, robot_state_folder
-from robotctl.regular_file import open_folder, open_regular
 
 MAX_LINE_BYTES: Final = 32_768
 """No entry is longer; of a longer line a reader takes nothing."""

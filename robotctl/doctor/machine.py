@@ -24,11 +24,11 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
 
-from robotctl import open_files
-from robotctl.environment import RANGE, RMW, without_foreign_ros
-from robotctl.errors import RobotctlError
-from robotctl.paths import chain_to
-from robotctl.regular_file import open_regular
+from robotctl.base import own_process
+from robotctl.base.environment import RANGE, RMW, without_foreign_ros
+from robotctl.base.errors import RobotctlError
+from robotctl.base.files import open_regular
+from robotctl.base.paths import chain_to
 
 
 class Level(Enum):
@@ -156,14 +156,14 @@ def check_descriptors() -> Iterator[Finding]:
     check = "open files"
     _, limit = resource.getrlimit(resource.RLIMIT_NOFILE)  # to which a daemon raises its own
     told = f"a process may open {limit} at a time"
-    if limit == resource.RLIM_INFINITY or limit >= open_files.ENOUGH:
+    if limit == resource.RLIM_INFINITY or limit >= own_process.ENOUGH_OPEN_FILES:
         yield ok(check, told)
-    elif limit >= open_files.LEAST:
-        text = f"{told}: a daemon may need {open_files.ENOUGH}"
-        yield warning(check, text, open_files.CURE)
+    elif limit >= own_process.LEAST_OPEN_FILES:
+        text = f"{told}: a daemon may need {own_process.ENOUGH_OPEN_FILES}"
+        yield warning(check, text, own_process.MORE_OPEN_FILES)
     else:
-        text = f"{told}: a daemon needs {open_files.LEAST} to start"
-        yield fault(check, text, open_files.CURE)
+        text = f"{told}: a daemon needs {own_process.LEAST_OPEN_FILES} to start"
+        yield fault(check, text, own_process.MORE_OPEN_FILES)
 
 
 def check_priority(fifo_priority: int) -> Iterator[Finding]:

@@ -7,7 +7,7 @@ import struct
 import time
 from typing import Any, Self, TypeVar, overload
 
-from robotctl.errors import (
+from robotctl.base.errors import (
     IN_PARENTHESES,
     NoDaemon,
     Refused,
@@ -15,6 +15,8 @@ from robotctl.errors import (
     UsageError,
     error_for_exit_code,
 )
+from robotctl.base.paths import DEFAULT_ROBOT, chain_to, socket_path
+from robotctl.base.trust import user_text
 from robotctl.ipc.method_names import MethodName
 from robotctl.ipc.protocol import (
     MAX_RESPONSE_BYTES,
@@ -30,8 +32,6 @@ from robotctl.ipc.protocol import (
     parse_response,
     peer_of,
 )
-from robotctl.paths import DEFAULT_ROBOT, chain_to, socket_path
-from robotctl.trust import user_text
 
 CALL_DEADLINE_S = 12.0
 """Longer than the server's deadline of a call, so that the server can answer what was slow."""

@@ -16,10 +16,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from robotctl.errors import AlreadyRunning, RobotctlError, UsageError
+from robotctl.base.errors import AlreadyRunning, RobotctlError, UsageError
+from robotctl.base.paths import RUNTIME_VARIABLE, chain_to, make_private
+from robotctl.base.trust import PRIVATE_MODE, ROOT_UID, SHARED_MODE
 from robotctl.ipc.protocol import peer_of
-from robotctl.paths import RUNTIME_VARIABLE, chain_to, make_private
-from robotctl.trust import PRIVATE_MODE, ROOT_UID, SHARED_MODE
 
 SOCKET_MODE: Final = 0o660
 

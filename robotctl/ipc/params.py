@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta, Struct
 
-from robotctl.errors import UsageError
+from robotctl.base.errors import UsageError
 from robotctl.ipc.protocol import (
     MAX_GRAPH_NAME,
     MAX_MARK_LENGTH,

@@ -20,8 +20,8 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import Any, Final, NamedTuple, NoReturn
 
-from robotctl.errors import RobotctlError
-from robotctl.trust import ROOT_UID
+from robotctl.base.errors import RobotctlError
+from robotctl.base.trust import ROOT_UID
 
 PROTOCOL_VERSION = 1
 

@@ -15,7 +15,7 @@ from typing import Any, Generic, Self, TypeVar
 
 import msgspec
 
-from robotctl.errors import Refused, RobotctlError, UsageError
+from robotctl.base.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.answers import Hello
 from robotctl.ipc.listener import is_hung_up
 from robotctl.ipc.params import HelloParams, decode

@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
-from robotctl.errors import NoDaemon, Refused, RobotctlError
+from robotctl.base.errors import NoDaemon, Refused, RobotctlError
 from robotctl.ipc.listener import Listener, SocketGroup, is_readable, until_readable
 from robotctl.ipc.protocol import (
     MAX_REQUEST_BYTES,

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from math import acos, inf, isfinite, nan, pi, tau
 
+from robotctl.base.text import short_name
 from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.messages.cdr import CdrReader
-from robotctl.printable import short_name
 
 _PERCENTAGE = 6
 """The place of the level among the float32 fields that follow the header."""

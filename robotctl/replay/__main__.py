@@ -20,9 +20,9 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from robotctl import environment
-from robotctl.errors import RobotctlError
-from robotctl.processes import LineSplitter, report_fd, send_report
+from robotctl.base import environment
+from robotctl.base.errors import RobotctlError
+from robotctl.base.processes import LineSplitter, report_fd, send_report
 
 if TYPE_CHECKING:
     from robotctl.replay.replay_report import Emit

@@ -9,7 +9,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Self
 
-from robotctl.errors import UsageError
+from robotctl.base.errors import UsageError
 
 AS_FAST_AS_POSSIBLE = "max"
 MAX_RATE = 10_000.0

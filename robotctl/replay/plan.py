@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from robotctl.errors import UsageError
+from robotctl.base.errors import UsageError
 from robotctl.recording import TopicInfo
 from robotctl.replay.job import Job
 

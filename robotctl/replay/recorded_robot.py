@@ -9,7 +9,7 @@ from dataclasses import asdict
 from math import hypot, isfinite
 from typing import Any, Final
 
-from robotctl.errors import UsageError
+from robotctl.base.errors import UsageError
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Twist

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Final
 
-from robotctl.errors import IN_PARENTHESES, Refused, UnreadableFile
+from robotctl.base.errors import IN_PARENTHESES, Refused, UnreadableFile
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, TopicInfo
 from robotctl.replay import plan

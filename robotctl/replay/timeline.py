@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, Self
 
-from robotctl.errors import UsageError
+from robotctl.base.errors import UsageError
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Message, Recording, RecordingInfo
 from robotctl.replay.job import Job

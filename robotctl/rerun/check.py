@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
+from robotctl.base.store.remote_file import RemoteFile
 from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
@@ -27,7 +28,6 @@ from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.recording_ends import JournalOrigin, RecordingEnds
 from robotctl.rerun.rerun import Comparison, Rerun
 from robotctl.rerun.snapshot_proofs import JournalChain, SnapshotProofs
-from robotctl.store.remote_file import RemoteFile
 
 ALL_BYTES_BELOW: Final = 100_000_000
 """A recording below this size [bytes] is always read completely; that lasts a second."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from robotctl.processes import Child, program, start
+from robotctl.base.processes import Child, program, start
 from robotctl.rerun.check import Progress, check_recording
 from robotctl.rerun.check_report import Report
 

@@ -11,9 +11,9 @@ import sys
 import time
 from contextlib import suppress
 
-from robotctl.processes import report_fd, send_report
+from robotctl.base.processes import report_fd, send_report
+from robotctl.base.store.remote_file import path_of
 from robotctl.rerun.check import check_recording
-from robotctl.store.remote_file import path_of
 
 PROGRESS_PERIOD_S = 0.1
 

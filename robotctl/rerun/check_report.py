@@ -12,8 +12,8 @@ from typing import Any, Final
 from zlib import crc32
 
 from robotctl import __version__
-from robotctl.errors import Divergence as DivergenceError
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import Divergence as DivergenceError
+from robotctl.base.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
 from robotctl.kernel.state import State
 from robotctl.kernel.units import NS_PER_S

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from math import hypot
 from pathlib import Path
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.kernel.course import MAX_POINTS, Frame, Point
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode

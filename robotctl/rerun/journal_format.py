@@ -6,8 +6,8 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from robotctl import retired
-from robotctl.errors import UnreadableFile
+from robotctl.base import retired
+from robotctl.base.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.check_report import Report

@@ -10,9 +10,9 @@ from typing import Any, get_args
 
 import msgspec
 
-from robotctl import retired
+from robotctl.base import retired
+from robotctl.base.errors import ConfigError, UnreadableFile
 from robotctl.config import Config, check_all
-from robotctl.errors import ConfigError, UnreadableFile
 from robotctl.kernel.codec import Snapshot, from_json, to_json
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.params import KernelParams

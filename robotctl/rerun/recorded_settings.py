@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 
+from robotctl.base.errors import ConfigError, UsageError
 from robotctl.config import Config, check_together, with_text
-from robotctl.errors import ConfigError, UsageError
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.names import INFO_RECORD, PARAMETER_PREFIX
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, get_args
 import msgspec
 
 from robotctl import __version__
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.kernel.codec import Snapshot, to_json
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.state import State

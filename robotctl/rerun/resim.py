@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
+from robotctl.base.errors import UnreadableFile
 from robotctl.config import Config, flat
-from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import Snapshot, finite_or_none
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode

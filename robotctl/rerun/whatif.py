@@ -12,8 +12,8 @@ from math import sqrt
 from pathlib import Path
 from typing import Any
 
+from robotctl.base.errors import UnreadableFile
 from robotctl.config import Config, flat
-from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import Snapshot, finite_or_none
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode

@@ -10,7 +10,7 @@ from math import hypot, isfinite
 from statistics import median
 from typing import Final, NamedTuple
 
-from robotctl.errors import IN_PARENTHESES, UnreadableFile, UsageError
+from robotctl.base.errors import IN_PARENTHESES, UnreadableFile, UsageError
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.definition import (
     Definition,

@@ -7,7 +7,7 @@ from html import escape
 from math import isfinite
 from typing import Final
 
-from robotctl.printable import printable
+from robotctl.base.text import printable
 from robotctl.show.figure import Figure, Frame, Label, Point, Stroke, laid_out
 
 MAX_TEXT: Final = 240

@@ -10,7 +10,7 @@ from math import hypot, isfinite, sqrt
 from pathlib import Path
 from typing import Final
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.kernel import Kernel

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from robotctl import __version__
+from robotctl.base.errors import UnreadableFile
 from robotctl.config import Config, flat
 from robotctl.daemon.control.dispatcher import Journal
-from robotctl.errors import UnreadableFile
 from robotctl.kernel import command_types
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import Pattern

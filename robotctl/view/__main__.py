@@ -14,9 +14,9 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from typing import Any, Final
 
-from robotctl import environment
-from robotctl.errors import RobotctlError
-from robotctl.processes import report_fd, send_report
+from robotctl.base import environment
+from robotctl.base.errors import RobotctlError
+from robotctl.base.processes import report_fd, send_report
 from robotctl.view.serving import serve
 from robotctl.view.view_job import ViewJob
 

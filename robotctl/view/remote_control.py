@@ -11,7 +11,7 @@ from collections.abc import Coroutine
 from contextlib import ExitStack, suppress
 from typing import Any, Final
 
-from robotctl.errors import Refused, RobotctlError
+from robotctl.base.errors import Refused, RobotctlError
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.method_names import HOLD, SET_MODE
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
 from robotctl.view.admission import Admission
 from robotctl.view.foxglove import (
     ClientMessage,

@@ -13,8 +13,8 @@ from contextlib import ExitStack
 from typing import Any, Final
 from urllib.parse import quote
 
-from robotctl.end_signals import end_signals
-from robotctl.processes import pidfd_of
+from robotctl.base.own_process import end_signals
+from robotctl.base.processes import pidfd_of
 from robotctl.view.admission import Admission, new_token
 from robotctl.view.server import ViewServer
 from robotctl.view.view_job import ViewJob

@@ -15,12 +15,12 @@ from typing import Any
 import pytest
 
 import robotctl
+from robotctl.base.errors import NoDaemon
+from robotctl.base.processes import Child, start
 from robotctl.cli import app
 from robotctl.cli.targets import launch
 from robotctl.cli.ui import text
-from robotctl.errors import NoDaemon
 from robotctl.ipc.client import Client
-from robotctl.processes import Child, start
 
 FAKE_DAEMON = Path(__file__).with_name("fake_daemon.py")
 

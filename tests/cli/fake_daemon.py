@@ -19,11 +19,11 @@ from typing import Any
 from mcap.writer import Writer
 
 from robotctl import __version__
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
+from robotctl.base.paths import log_path, socket_path
 from robotctl.ipc.params import DriveParams, EndDriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.ipc.request_handler import Identity, Method
 from robotctl.ipc.server import ControlServer
-from robotctl.paths import log_path, socket_path
 
 MODES = ["IDLE", "MOVING", "ERROR", "EMERGENCY_STOP"]
 DRIVE_S = 0.3

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.errors import AlreadyRunning, UsageError
 from robotctl.cli.commands.boot import daemon_unit, me, sync_units
-from robotctl.errors import AlreadyRunning, UsageError
 
 Cli = Callable[..., Any]
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.paths import recordings_note_path
+from robotctl.base.paths import recordings_note_path
 from robotctl.recording import Recorder, read_info
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent

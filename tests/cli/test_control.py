@@ -15,7 +15,8 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from robotctl import processes
+from robotctl.base import processes
+from robotctl.base.mode_names import MODES
 from robotctl.cli import quick
 from robotctl.cli.commands.drive import tracking_lines
 from robotctl.cli.targets.driving import stop_drive
@@ -24,7 +25,6 @@ from robotctl.ipc.answers import DriveAnswer, Status
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
-from robotctl.mode_names import MODES
 from tests.support.waiting import until
 
 DRIVING = "robotctl.cli.targets.driving"

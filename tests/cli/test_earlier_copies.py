@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.store import has_hash_folders, hash_in, without_hashes
 from robotctl.recording.keep.listing import recordings_in
-from robotctl.store import has_hash_folders, hash_in, without_hashes
 
 Cli = Callable[..., Any]
 

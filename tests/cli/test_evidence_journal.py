@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.paths import make_private, seal_folder
 from robotctl.decisions import journal as files
 from robotctl.decisions import log as writer
 from robotctl.decisions.journal import (
@@ -23,7 +24,6 @@ from robotctl.decisions.journal import (
 )
 from robotctl.decisions.log import DecisionLog
 from robotctl.kernel.units import DAY_S, NS_PER_S
-from robotctl.paths import make_private, seal_folder
 from robotctl.recording import Recorder, RecorderOptions, Topic, read_info
 from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.seal.keyring import Keyring

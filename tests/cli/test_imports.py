@@ -54,5 +54,5 @@ def test_a_path_of_this_computer_needs_no_store() -> None:
     program = "import sys; from robotctl.cli.targets.recordings import recording_path as path"
     program += "; path('run.mcap'); print(*sys.modules)"
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
-    assert b"robotctl.store.remote_file" in ran.stdout
-    assert b"robotctl.store.folder_store" not in ran.stdout
+    assert b"robotctl.base.store.remote_file" in ran.stdout
+    assert b"robotctl.base.store.folder_store" not in ran.stdout

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.paths import make_private, seal_folder
+from robotctl.base.paths import make_private, seal_folder
 from robotctl.recording.seal.keyring import KEY_FILE, Keyring
 from tests.support.recordings import record_sealed
 

@@ -14,12 +14,12 @@ from typing import Any
 import pytest
 
 from robotctl import __version__
+from robotctl.base.errors import NoDaemon
+from robotctl.base.paths import lock_path, log_path
 from robotctl.cli.commands import logs, start
 from robotctl.cli.targets import launch
 from robotctl.daemon.lock import owned
-from robotctl.errors import NoDaemon
 from robotctl.ipc.client import call
-from robotctl.paths import lock_path, log_path
 from tests.support.waiting import until
 
 

@@ -11,9 +11,9 @@ import pytest
 import yaml
 from mcap.writer import Writer
 
+from robotctl.base.errors import UsageError
 from robotctl.cli.commands.service import parse_words
 from robotctl.cli.commands.topic.command import statistics
-from robotctl.errors import UsageError
 
 RECORDING = str(Path(__file__).parents[1] / "golden" / "stopped")
 

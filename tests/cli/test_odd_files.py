@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.errors import ConfigError, UsageError
+from robotctl.base.paths import log_path, make_private, recordings_note_path
 from robotctl.config import load
 from robotctl.daemon.command_line import parse
-from robotctl.errors import ConfigError, UsageError
-from robotctl.paths import log_path, make_private, recordings_note_path
 from robotctl.testing.drives import drive, record
 from tests.support.waiting import DEADLINE_S
 

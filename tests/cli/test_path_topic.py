@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.errors import Refused
 from robotctl.cli.commands.drive.paths import PATH_TYPE, path_in
-from robotctl.errors import Refused
 from robotctl.kernel.course import MAX_POINTS, Frame
 from robotctl.messages.definition import parse_definition
 from robotctl.messages.values import encode

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from robotctl.base.errors import UsageError
 from robotctl.cli import quick, registry
-from robotctl.errors import UsageError
 
 NAMES = ["status", "set_mode", "estop", "reset", "stop"]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.errors import UsageError
+from robotctl.base.errors import UsageError
 from robotctl.ipc.client import call
 
 BAD_REASONS = ["x" * 10_000, "a\nb", "\x1b[2J", "\u202etxt"]

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.cli.commands.drive.paths import read_waypoints
-from robotctl.errors import Refused, UnreadableFile
 from robotctl.kernel.course import Course, Frame, Point
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode

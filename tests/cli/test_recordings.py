@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.paths import recordings_note_path
 from robotctl.cli.ui import text
-from robotctl.paths import recordings_note_path
 from robotctl.recording import Recorder, Topic
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import ERRORS, RecordedEvent

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.errors import Interrupted, Refused
 from robotctl.cli.commands.recordings import remove
-from robotctl.errors import Interrupted, Refused
 from robotctl.recording import Recorder
 from robotctl.recording.keep.listing import CLIPS_FOLDER, set_kept
 from robotctl.testing.drives import TWIST

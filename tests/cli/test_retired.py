@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from robotctl import retired
+from robotctl.base import retired
 from robotctl.cli import app
 from robotctl.cli.registry import COMMANDS
 

@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.errors import UnreadableFile
+from robotctl.base.paths import make_private, seal_folder
 from robotctl.decisions.journal import DecisionKind, log_folder
 from robotctl.decisions.log import DecisionLog
-from robotctl.errors import UnreadableFile
-from robotctl.paths import make_private, seal_folder
 from robotctl.recording import Recorder, RecorderOptions, read_info
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.seal.keyring import Keyring

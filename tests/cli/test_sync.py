@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.errors import Interrupted, NoDaemon, Refused
 from robotctl.cli.commands import sync as sync_command
 from robotctl.cli.commands.sync import SyncPace
-from robotctl.errors import Interrupted, NoDaemon, Refused
 from robotctl.ipc.client import NoAnswer
 from robotctl.testing.drives import drive, record
 from tests.support.s3_server import environment
@@ -141,7 +141,7 @@ def test_a_full_disk_is_told_with_exit_code_6_and_the_rest_follows_later(
 def test_no_network_is_told_with_exit_code_6(
     cli: Cli, recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from robotctl.store import bucket
+    from robotctl.base.store import bucket
 
     for name, value in environment("http://127.0.0.1:9").items():
         monkeypatch.setenv(name, value)

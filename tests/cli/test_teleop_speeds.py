@@ -6,8 +6,8 @@ from typing import Any, cast
 
 import pytest
 
+from robotctl.base.errors import UsageError
 from robotctl.cli.commands.teleop.controls import STEP, Speeds, Wish
-from robotctl.errors import UsageError
 from robotctl.ipc.client import Client
 
 LIMITS = {"limits.linear_mps": 0.6, "limits.angular_rps": 1.5}

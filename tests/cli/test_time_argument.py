@@ -6,8 +6,8 @@ from datetime import datetime
 
 import pytest
 
+from robotctl.base.errors import UsageError
 from robotctl.cli.targets.recordings import parse_moment
-from robotctl.errors import UsageError
 
 START, END = "2026-01-01T23:50:00", "2026-01-02T00:20:00"
 

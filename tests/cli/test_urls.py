@@ -148,7 +148,7 @@ def test_a_recording_that_vanishes_during_a_check_is_told(cli: Cli, bucket: Faul
 def test_a_claimed_size_of_a_petabyte_ends_with_a_sentence(
     cli: Cli, bucket: FaultyBucket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.store.bucket.MAX_RETRIES", 1)
+    monkeypatch.setattr("robotctl.base.store.bucket.MAX_RETRIES", 1)
     bucket.lying_size = 10**15
     ran = cli("info", URL)
     assert ran.exit_code == 6

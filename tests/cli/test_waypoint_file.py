@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.base.errors import UnreadableFile, UsageError
 from robotctl.cli.commands.drive.paths import read_waypoints
-from robotctl.errors import UnreadableFile, UsageError
 from robotctl.kernel.course import MAX_POINTS, Course, Frame
 from robotctl.kernel.patterns import Pattern, path_of
 

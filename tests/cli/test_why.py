@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.paths import recordings_note_path
 from robotctl.kernel.types import ModeRequested, Twist
-from robotctl.paths import recordings_note_path
 from robotctl.recording import read_info
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested, record
 

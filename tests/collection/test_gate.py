@@ -19,13 +19,13 @@ from xml.etree import ElementTree
 
 import pytest
 
+from robotctl.base.errors import ConfigError
 from robotctl.collection import gate as gates
 from robotctl.collection import judgement, judging
 from robotctl.collection.gate import Baseline, GateReport, junit_text, read_baseline
 from robotctl.collection.jobs import local_processes, results_of
 from robotctl.collection.judgement import judge
 from robotctl.collection.judging import ResultStore
-from robotctl.errors import ConfigError
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import Effect, Event
 from robotctl.recording.read.source import LocalSource

@@ -17,6 +17,9 @@ from typing import IO, Any
 
 import pytest
 
+from robotctl.base.errors import Refused, UnreadableFile, UsageError
+from robotctl.base.processes import start
+from robotctl.base.processes.jobs import job_command
 from robotctl.collection import catalogue as catalogues
 from robotctl.collection import database as databases
 from robotctl.collection import questions
@@ -26,10 +29,7 @@ from robotctl.collection.index_file import files_of, index_path, stamp_of
 from robotctl.collection.indexing import index_recording
 from robotctl.collection.questions import Answer, ask, find, parse_condition
 from robotctl.daemon.recording.indexer import INDEX
-from robotctl.errors import Refused, UnreadableFile, UsageError
 from robotctl.kernel.types import DriveEnded, ModeRequested
-from robotctl.processes import start
-from robotctl.processes.jobs import job_command
 from robotctl.recording import Recorder, Recording, read_journal
 from robotctl.recording.disk.atomic_output import replaced_file
 from robotctl.recording.format.names import derived_files

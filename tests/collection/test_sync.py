@@ -15,6 +15,8 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
+from robotctl.base.errors import UnreadableFile
+from robotctl.base.store import Stamp, StoreFailed, open_store
 from robotctl.collection import sources
 from robotctl.collection.sources import (
     OF_THE_SYSTEM,
@@ -25,8 +27,6 @@ from robotctl.collection.sources import (
     stored_recordings,
 )
 from robotctl.collection.sync import GIVE_UP_AFTER, Synced, copy_recordings
-from robotctl.errors import UnreadableFile
-from robotctl.store import Stamp, StoreFailed, open_store
 from tests.collection.conftest import FIRST, SECOND, Run, copy_as, files_below, writing
 from tests.support.memory_store import MemoryStore, works
 

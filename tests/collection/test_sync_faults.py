@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.base.store import PART_BYTES, StoreFailed, open_store
 from robotctl.collection import sync
 from robotctl.collection.sources import Pace, local_recordings
 from robotctl.collection.sync import GIVE_UP_AFTER, Pruned, copy_recordings, prune
@@ -22,7 +23,6 @@ from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.keep.listing import set_kept
 from robotctl.recording.keep.retention import NOTES_FILE, RetentionPolicy
 from robotctl.recording.keep.tidy_job import TidyJob, tidy
-from robotctl.store import PART_BYTES, StoreFailed, open_store
 from tests.collection.conftest import FIRST, SECOND, Run, copy_as, files_below
 from tests.support.memory_store import MemoryStore, content
 from tests.support.s3_server import Application, Failing, environment, s3_server

@@ -8,6 +8,7 @@ from math import log
 
 import pytest
 
+from robotctl.base.errors import Refused
 from robotctl.commission.measure import (
     NEAR_S,
     Measured,
@@ -28,7 +29,6 @@ from robotctl.commission.propose import (
 )
 from robotctl.config import Config, flat
 from robotctl.config.settings import with_setting
-from robotctl.errors import Refused
 from robotctl.kernel.course import Course, Held
 from robotctl.kernel.geometry import Pose, wrap_angle
 from robotctl.kernel.modes import Mode

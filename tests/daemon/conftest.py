@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 import tests.support.rosidl_parser  # noqa: F401
+from robotctl.base.errors import NoDaemon
 from robotctl.daemon.command_line import DaemonOptions
-from robotctl.errors import NoDaemon
 from robotctl.ipc.client import call
 from tests.support.waiting import DEADLINE_S
 from tests.support.world import Peer, World, new_world

@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.processes import Child, jobs, start
 from robotctl.collection.catalogue import stamps_in
 from robotctl.collection.index_file import files_of, index_path, stamp_of
 from robotctl.config import RecordingParams
@@ -25,7 +26,6 @@ from robotctl.daemon.recording.black_box import DEFAULT_LIMITS, BlackBox, ClipLi
 from robotctl.daemon.recording.indexer import Indexer, has_grown
 from robotctl.daemon.recording.tidier import TIDY
 from robotctl.kernel.units import NS_PER_S
-from robotctl.processes import Child, jobs, start
 from robotctl.recording import Recorder, read_info
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent

@@ -16,6 +16,7 @@ from typing import Any, cast
 
 import pytest
 
+from robotctl.base.errors import Refused
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.status import StatusSource, common_methods
 from robotctl.daemon.command_line import DaemonOptions
@@ -26,7 +27,6 @@ from robotctl.daemon.control.latch import Latch, LatchedStop
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.shutdown import send_zero, stand_still
-from robotctl.errors import Refused
 from robotctl.ipc.answers import RobotFacts
 from robotctl.ipc.method_names import STATUS
 from robotctl.ipc.params import MarkParams, NoParams

@@ -13,13 +13,13 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.errors import AlreadyRunning, RobotctlError
+from robotctl.base.own_process import end_signals
 from robotctl.daemon import supervisor
 from robotctl.daemon.lock import owned
 from robotctl.daemon.service_manager import ServiceManager
 from robotctl.daemon.start_report import StartReport
 from robotctl.daemon.supervisor import MAX_DETAIL, Supervisor
-from robotctl.end_signals import end_signals
-from robotctl.errors import AlreadyRunning, RobotctlError
 from robotctl.kernel.types import Cause, Event, FaultReported
 from tests.support.waiting import DEADLINE_S, loop_until
 from tests.support.world import World

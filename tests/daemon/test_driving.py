@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.errors import Refused, UsageError
 from robotctl.daemon import remote_requests
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.daemon.control.inputs import Inputs
 from robotctl.daemon.control.robot_report import GroundTruth
 from robotctl.daemon.drive_goals import DriveGoals
 from robotctl.daemon.remote_requests import RemoteRequests
-from robotctl.errors import Refused, UsageError
 from robotctl.ipc.params import (
     DriveParams,
     DrivePathParams,

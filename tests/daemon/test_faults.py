@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.errors import Refused, RobotctlError
 from robotctl.daemon.app import serve
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.control.inputs import Inputs
@@ -23,7 +24,6 @@ from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.daemon.control.watchdog import Watchdog
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.supervisor import OUT_OF_MEMORY
-from robotctl.errors import Refused, RobotctlError
 from robotctl.ipc.client import Client
 from robotctl.ipc.listener import Listener
 from robotctl.kernel.kernel import Kernel

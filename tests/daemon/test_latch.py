@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.base.errors import UsageError
 from robotctl.daemon.control import latch as latch_module
 from robotctl.daemon.control.latch import Latch, LatchedStop
-from robotctl.errors import UsageError
 from robotctl.kernel.types import Cause
 from tests.support.waiting import loop_until
 

@@ -15,11 +15,11 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from robotctl.base.ros_arguments import LogLevel
 from robotctl.daemon.log.levels import MAX_NAME_LENGTH, MAX_NAMES, LoggerLevels
 from robotctl.daemon.log.lines import CAPACITY_BYTES, WRITTEN, PlainFormatter
 from robotctl.daemon.log.loop_handler import CAPACITY, LINES_PER_TURN, LoopHandler
 from robotctl.ipc.client import Client
-from robotctl.log_levels import LogLevel
 from tests.support.waiting import DEADLINE_S, loop_until, until
 from tests.support.world import World
 

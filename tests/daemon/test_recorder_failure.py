@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.config import Config
 from robotctl.daemon.recording import recordings_folder, topic_rates
 from robotctl.daemon.recording.recordings_folder import open_recorder
-from robotctl.errors import Refused, UnreadableFile
 from robotctl.kernel.patterns import PatternKind
 from robotctl.recording import Recorder, RecorderOptions, Recording, read_info, read_journal
 from robotctl.rerun.rerun import first_divergence

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.base.errors import UsageError
+from robotctl.base.paths import runtime_folder
 from robotctl.cli.commands.doctor import diagnosis
 from robotctl.doctor.machine import Finding, Level
-from robotctl.errors import UsageError
-from robotctl.paths import runtime_folder
 
 
 @pytest.fixture(autouse=True)

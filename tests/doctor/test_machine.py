@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.base.environment import RMW
+from robotctl.base.paths import runtime_folder, state_folder
 from robotctl.doctor import machine
 from robotctl.doctor.machine import (
     Finding,
@@ -24,8 +26,6 @@ from robotctl.doctor.machine import (
     check_range,
     check_shell,
 )
-from robotctl.environment import RMW
-from robotctl.paths import runtime_folder, state_folder
 from robotctl.recording.write.recorder_options import RecorderOptions
 from tests.support.users import as_root, process_of
 

@@ -21,7 +21,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from robot_controller.msg import RobotStatus
 
-from robotctl.errors import UsageError
+from robotctl.base.errors import UsageError
 from robotctl.kernel.modes import Mode
 from robotctl.ros.executables.mode_client import mode_of
 from robotctl.ros.executables.velocity_publisher import sweep_mps

@@ -18,8 +18,8 @@ from robot_controller.msg import RobotStatus
 from robot_controller.srv import SetMode
 
 from robot_controller.velocity_publisher import VelocityPublisher
+from robotctl.base.mode_names import MODES
 from robotctl.kernel.modes import Mode
-from robotctl.mode_names import MODES
 from tests.support.waiting import until
 
 ROOT = Path(__file__).parents[2]
@@ -60,7 +60,7 @@ class Heard:
 @pytest.fixture(scope="module")
 def heard() -> Iterator[Heard]:
     """A publisher and a listener for the tests of this module."""
-    from robotctl.domains import reserved_domain
+    from robotctl.base.domains import reserved_domain
 
     with reserved_domain() as number:
         context = Context()

@@ -9,7 +9,7 @@ from typing import Any, cast
 import msgspec
 import pytest
 
-from robotctl import errors
+from robotctl.base import errors
 from robotctl.config import Config, flat, load
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.daemon.api.lease import LeaseMethods

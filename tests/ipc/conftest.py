@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
+from robotctl.base.paths import socket_path
 from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.ipc.protocol import encode_request
 from robotctl.ipc.request_handler import ClientLimits, Identity, Method
 from robotctl.ipc.server import ControlServer
-from robotctl.paths import socket_path
 from tests.support.waiting import DEADLINE_S
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.errors import NoDaemon, Refused, RobotctlError, UsageError
+from robotctl.base.errors import NoDaemon, Refused, RobotctlError, UsageError
 from robotctl.ipc import client as client_module
 from robotctl.ipc.client import Client, NoAnswer, call
 from robotctl.ipc.request_handler import ClientLimits, Deadline, DeadlineMissed
@@ -101,7 +101,8 @@ def test_a_name_that_cannot_be_a_socket_is_a_usage_error(path: Path) -> None:
 def test_another_users_socket_is_named(path: Path) -> None:
     path.parent.mkdir(mode=0o700)
     program = (
-        "import os; from robotctl.ipc.client import call; from robotctl.errors import Refused\n"
+        "import os; from robotctl.ipc.client import call\n"
+        "from robotctl.base.errors import Refused\n"
         "os.setresuid(65534, 65534, 65534)\n"
         "try: call('robot', 'status')\n"
         "except Refused as error: print(error)\n"

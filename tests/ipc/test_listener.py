@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.errors import AlreadyRunning, UsageError
+from robotctl.base.errors import AlreadyRunning, UsageError
 from robotctl.ipc import listener
 from robotctl.ipc.protocol import encode_request
 from robotctl.ipc.request_handler import Identity

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.errors import UsageError
+from robotctl.base.errors import UsageError
 from robotctl.ipc.listener import SocketGroup, socket_group
 from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
@@ -32,7 +32,7 @@ from robotctl.ipc.params import ResetParams
 from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
 from robotctl.ipc.listener import SocketGroup
-from robotctl.paths import socket_path
+from robotctl.base.paths import socket_path
 """
 
 SERVER = """
@@ -50,11 +50,11 @@ asyncio.run(serve())
 """
 
 CLIENT_IMPORTS = """
-import robotctl.trust
+import robotctl.base.trust
 from pathlib import Path
-from robotctl.errors import RobotctlError
+from robotctl.base.errors import RobotctlError
 from robotctl.ipc.client import call
-robotctl.trust.SYSTEM_RUNTIME = Path(os.environ["UNITS"])
+robotctl.base.trust.SYSTEM_RUNTIME = Path(os.environ["UNITS"])
 """
 
 CLIENT = """
@@ -250,14 +250,14 @@ print(names(), dead_robots(), [each.level.value for each in check_folders(runtim
 """
 
 SEEN_IMPORTS = """
-import robotctl.trust
+import robotctl.base.trust
 from pathlib import Path
 from robotctl.cli.commands.doctor.diagnosis import dead_robots
 from robotctl.cli.targets.robots import names
 from robotctl.doctor.machine import check_folders
-from robotctl.errors import Refused
-from robotctl.paths import runtime_folder
-robotctl.trust.SYSTEM_RUNTIME = Path(os.environ["UNITS"])
+from robotctl.base.errors import Refused
+from robotctl.base.paths import runtime_folder
+robotctl.base.trust.SYSTEM_RUNTIME = Path(os.environ["UNITS"])
 """
 
 

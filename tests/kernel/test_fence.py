@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robotctl.base.errors import ConfigError
 from robotctl.config import Config, with_setting
-from robotctl.errors import ConfigError
 from robotctl.kernel.fence import FenceParams, corners_of, is_inside, left_by
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.modes import Mode

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from robotctl.base.errors import ConfigError
 from robotctl.config import check_together
-from robotctl.errors import ConfigError
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import CommandParams, Foreign, KernelParams, WhenIdle
 from robotctl.kernel.types import (

@@ -17,8 +17,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.errors import UsageError
-from robotctl.paths import check_namespace
+from robotctl.base.errors import UsageError
+from robotctl.base.paths import check_namespace
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from tests.launch.stand_in import Made, classes, stand_in

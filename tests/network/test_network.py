@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.domains import reserved_domain
+from robotctl.base.domains import reserved_domain
 from robotctl.kernel.modes import Mode
 from tests.support.network import Host, network, peer_on
 from tests.support.waiting import until

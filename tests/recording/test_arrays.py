@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robotctl.errors import UnreadableFile, UsageError
+from robotctl.base.errors import UnreadableFile, UsageError
 from robotctl.messages.definition import parse_definition
 from robotctl.messages.values import encode
 from robotctl.recording import Recorder, Topic, read_arrays, read_messages

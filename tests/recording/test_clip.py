@@ -19,8 +19,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
+from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.cli import app
-from robotctl.errors import Refused, UnreadableFile
 from robotctl.kernel.types import Twist
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.motion import encode_twist

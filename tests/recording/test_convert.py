@@ -36,7 +36,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 from zstandard import ZstdCompressor, ZstdDecompressor
 
-from robotctl.errors import Refused, UnreadableFile
+from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.recording import (
     Compression,
     Recorder,

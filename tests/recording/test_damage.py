@@ -24,7 +24,7 @@ from mcap.records import (
 )
 from mcap.writer import CompressionType, Writer
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.recording import Compression, Recording, read_info, read_messages
 from robotctl.recording.format.records import MAGIC, MESSAGE_HEAD
 from robotctl.recording.keep.clip import Moment, cut_clip

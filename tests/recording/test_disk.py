@@ -282,7 +282,7 @@ MEMBER = 65502
 
 IMPORTS = """
 from pathlib import Path
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.recording.read.reader import read_info
 from robotctl.recording.read.whole_file import read_whole_file
 """

@@ -35,7 +35,7 @@ from mcap.records import (
 )
 from mcap.writer import Writer
 
-from robotctl.errors import UnreadableFile, UsageError
+from robotctl.base.errors import UnreadableFile, UsageError
 from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording import Compression, read_info
 from robotctl.recording.disk.storage import DiskFile
@@ -290,7 +290,7 @@ MAX_MEMORY_KB = 256 << 10
 PROGRAM = """
 import json, sys, time
 from pathlib import Path
-from robotctl.errors import RobotctlError
+from robotctl.base.errors import RobotctlError
 from robotctl.recording.keep.listing import list_recording
 from robotctl.recording import read_info
 from robotctl.recording.keep.recover import recover

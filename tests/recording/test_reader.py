@@ -21,7 +21,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
+from robotctl.base.store.remote_file import path_of
 from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording import (
     Compression,
@@ -46,7 +47,6 @@ from robotctl.recording.read.journal_reader import journal_topic, read_journal
 from robotctl.recording.read.mcap_input import InputFile
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
-from robotctl.store.remote_file import path_of
 from robotctl.testing.drives import GID, JOURNAL, ODOMETRY, START_NS, TWIST, drive, record
 from tests.support.faulty_bucket import StoredFile, serving
 from tests.support.recordings import (

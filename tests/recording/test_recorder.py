@@ -22,7 +22,7 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 import robotctl.recording
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
 from robotctl.recording import (
     Compression,
     Recorder,

@@ -21,7 +21,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
 from robotctl.recording import (
     Compression,
     Recorder,

@@ -21,7 +21,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from zstandard import ZstdDecompressor
 
-from robotctl.errors import Refused, UnreadableFile
+from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.recording import Recorder, RecorderOptions, read_info, read_messages
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.names import EventKind

@@ -13,7 +13,7 @@ import yaml
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
 from robotctl.recording import (
     Compression,
     Recorder,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.recording import Compression, Recorder, RecorderOptions
 from robotctl.recording.read.whole_file import FileState, find_flip, read_whole_file
 from robotctl.recording.read.whole_recording import read_whole_recording

@@ -23,8 +23,8 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
+from robotctl.base.errors import ConfigError
 from robotctl.config import Config, with_setting
-from robotctl.errors import ConfigError
 from robotctl.recording import Compression, Recorder, RecorderOptions, Topic, read_messages
 from robotctl.recording.format.records import MESSAGE_HEAD, PlainMessage
 from robotctl.recording.read.damage import Damaged

@@ -17,10 +17,10 @@ from typing import Any
 import pytest
 
 import tests.support.rosidl_parser  # noqa: F401
+from robotctl.base.paths import make_private, runtime_folder, socket_path
 from robotctl.ipc.params import NoParams
 from robotctl.ipc.request_handler import Identity, Method
 from robotctl.ipc.server import ControlServer
-from robotctl.paths import make_private, runtime_folder, socket_path
 from robotctl.ros import AsyncioExecutor, RawTap
 from tests.support.waiting import DEADLINE_S
 

@@ -25,7 +25,7 @@ from rclpy.serialization import serialize_message
 from service_msgs.msg import ServiceEventInfo
 from std_srvs.srv import SetBool
 
-from robotctl.errors import UsageError
+from robotctl.base.errors import UsageError
 from robotctl.recording import TopicInfo
 from robotctl.replay import plan
 from robotctl.replay.job import Job, check_clock, check_regex, parse_remap

@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from robotctl.base.processes import program, start
 from robotctl.cli.commands.replay.play import PLAYER
-from robotctl.processes import program, start
 from robotctl.replay.job import Job
 from robotctl.replay.playback_control import RATES, Command
 from tests.support.bags import (

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from robotctl import __version__
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.kernel import drive as drive_module
 from robotctl.kernel import kernel as kernel_module
 from robotctl.kernel.geometry import Pose

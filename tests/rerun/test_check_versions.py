@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from robotctl import __version__, retired
+from robotctl import __version__
+from robotctl.base import retired
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.types import DriveRequested, Event, ModeRequested

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.recording import Compression, RecorderOptions
 from robotctl.recording.format.journal import JournalEntry, decode, encode
 from robotctl.rerun.check import check_recording

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.kernel.codec import Proof, Snapshot, to_json
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.kernel import Kernel

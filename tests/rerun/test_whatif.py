@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
+from robotctl.base.errors import ConfigError, UnreadableFile, UsageError
 from robotctl.collection.index_file import DriveRow
 from robotctl.collection.indexing import rows_of
 from robotctl.config import Config, with_setting
-from robotctl.errors import ConfigError, UnreadableFile, UsageError
 from robotctl.kernel.course import Course, Held
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern, PatternKind

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.kernel.course import Course, Held
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import ORIGIN

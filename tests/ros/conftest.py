@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 import tests.support.rosidl_parser  # noqa: F401
-from robotctl.domains import reserved_domain
+from robotctl.base.domains import reserved_domain
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import until as wait_until
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.store import ObjectStore, open_store
+from robotctl.base.store import ObjectStore, open_store
 from tests.support.faulty_bucket import FaultyBucket, serving
 from tests.support.s3_server import environment
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.errors import UsageError
-from robotctl.store import (
+from robotctl.base.errors import UsageError
+from robotctl.base.store import (
     AccessDenied,
     NoSuchObject,
     ObjectChanged,
@@ -23,7 +23,7 @@ from robotctl.store import (
     is_url,
     open_store,
 )
-from robotctl.store.bucket import RequestLoop, profile_keys
+from robotctl.base.store.bucket import RequestLoop, profile_keys
 from tests.support.faulty_bucket import FaultyBucket, Moved
 from tests.support.waiting import loop_until, until
 
@@ -44,7 +44,7 @@ def test_failures_of_five_percent_and_short_answers_are_not_noticed(bucket: Faul
 def test_a_store_that_only_fails_is_an_error_after_some_tries(
     bucket: FaultyBucket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.store.bucket.MAX_RETRIES", 2)
+    monkeypatch.setattr("robotctl.base.store.bucket.MAX_RETRIES", 2)
     bucket["run.mcap"] = b"0123456789"
     store = open_store(ROBOTS)
     found = store.head("run.mcap")
@@ -76,7 +76,7 @@ def test_an_object_that_vanishes_is_named(bucket: FaultyBucket) -> None:
 def test_a_claimed_size_takes_no_memory(
     bucket: FaultyBucket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.store.bucket.MAX_RETRIES", 1)
+    monkeypatch.setattr("robotctl.base.store.bucket.MAX_RETRIES", 1)
     bucket["run.mcap"] = b"0123456789"
     bucket.lying_size = 10**15
     store = open_store(ROBOTS)
@@ -131,7 +131,7 @@ def test_a_connection_without_encryption_must_be_asked_for(
 
 def test_a_server_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AWS_ALLOW_HTTP", "true")
-    monkeypatch.setattr("robotctl.store.bucket.MAX_RETRIES", 0)
+    monkeypatch.setattr("robotctl.base.store.bucket.MAX_RETRIES", 0)
     with pytest.raises(StoreFailed, match="refuses the connection: check the network"):
         open_store("http://127.0.0.1:9").head("run.mcap")
 
@@ -179,7 +179,7 @@ def test_ctrl_c_ends_a_request_at_once_and_quietly(bucket: FaultyBucket) -> None
         time.sleep(3)
 
     bucket.before = hang
-    program = "from robotctl.store import open_store; open_store('s3://robots').head('x')"
+    program = "from robotctl.base.store import open_store; open_store('s3://robots').head('x')"
     with subprocess.Popen(
         [sys.executable, "-c", program], env=dict(os.environ), stderr=subprocess.PIPE
     ) as process:

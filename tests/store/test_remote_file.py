@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.errors import UsageError
-from robotctl.store import StoreError, StoreFailed
-from robotctl.store.remote_file import MAX_READ_BYTES, RangeReader, RemoteFile, path_of
+from robotctl.base.errors import UsageError
+from robotctl.base.store import StoreError, StoreFailed
+from robotctl.base.store.remote_file import MAX_READ_BYTES, RangeReader, RemoteFile, path_of
 
 KIB = 1 << 10
 MIB = 1 << 20

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.store import NoSuchObject, ObjectChanged, ObjectStore, Stamp, StoreError
-from robotctl.store.folder_store import unfinished_file
+from robotctl.base.store import NoSuchObject, ObjectChanged, ObjectStore, Stamp, StoreError
+from robotctl.base.store.folder_store import unfinished_file
 from tests.support.memory_store import content
 
 
@@ -100,7 +100,7 @@ def test_a_name_that_leads_elsewhere_is_no_name(store: ObjectStore, key: str) ->
 WRITER = """
 import sys
 from pathlib import Path
-from robotctl.store.folder_store import unfinished_file
+from robotctl.base.store.folder_store import unfinished_file
 with unfinished_file(Path(sys.argv[1])) as file:
     file.write(bytes(100_000))
     print("written", flush=True)

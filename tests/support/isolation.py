@@ -20,7 +20,7 @@ import pytest
 from obstore import list_with_delimiter_async
 from obstore.store import MemoryStore
 
-from robotctl.store.bucket import requests
+from robotctl.base.store.bucket import requests
 
 Surroundings = Mapping[str, str]
 """What was found, by what and where it is: `environ HOME` -> `/root`."""

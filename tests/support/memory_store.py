@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from robotctl.store import NoSuchObject, ObjectChanged, ObjectStore, Stamp, StoredObject
+from robotctl.base.store import NoSuchObject, ObjectChanged, ObjectStore, Stamp, StoredObject
 
 
 def works(request: str, key: str) -> None:

@@ -24,9 +24,9 @@ from typing import Any
 import pytest
 from ament_index_python.packages import get_package_prefix
 
+from robotctl.base.domains import reserved_domain
+from robotctl.base.errors import UnreadableFile
 from robotctl.cli import app
-from robotctl.domains import reserved_domain
-from robotctl.errors import UnreadableFile
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import STATUS
 from robotctl.recording import Recording, read_journal

@@ -6,8 +6,8 @@ import socket
 
 import pytest
 
+from robotctl.base.errors import UsageError
 from robotctl.cli.commands.view import view
-from robotctl.errors import UsageError
 from robotctl.view.admission import KNOWN_ORIGINS, Admission
 from robotctl.view.view_job import is_origin
 

@@ -17,7 +17,7 @@ from contextlib import suppress
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
 from robotctl.view.admission import Admission, new_token
 from robotctl.view.foxglove import Offer, StatusLevel
 from robotctl.view.server import MAX_OFFERS, ViewServer, listening_socket

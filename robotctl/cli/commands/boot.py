@@ -15,11 +15,8 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.ui.output import print_answer
-from robotctl.cli.ui.text import printable
-from robotctl.errors import Refused, RobotctlError, UsageError
-from robotctl.paths import (
+from robotctl.base.errors import Refused, RobotctlError, UsageError
+from robotctl.base.paths import (
     DEFAULT_ROBOT,
     RUNTIME_VARIABLE,
     STATE_VARIABLE,
@@ -27,6 +24,9 @@ from robotctl.paths import (
     state_folder,
     unit_runtime_base,
 )
+from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import printable
 
 app = new_app()
 boot = new_app()
@@ -365,7 +365,7 @@ def _command_words(command: str, words: list[str]) -> list[str]:
     Raises:
         UsageError: The command would refuse them, or they do not belong into a unit.
     """
-    from robotctl.store import is_url
+    from robotctl.base.store import is_url
 
     for word in words:
         name = word.partition("=")[0]

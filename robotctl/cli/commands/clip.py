@@ -10,6 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.base.errors import (
+    IN_PARENTHESES,
+    RecoveredWithLoss,
+    Refused,
+    UnreadableFile,
+    UsageError,
+)
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.targets.recordings import (
     RecordedBy,
@@ -21,7 +28,6 @@ from robotctl.cli.targets.recordings import (
 )
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import duration, moment, printable, short_path
-from robotctl.errors import IN_PARENTHESES, RecoveredWithLoss, Refused, UnreadableFile, UsageError
 from robotctl.kernel.units import DAY_S, NS_PER_S
 from robotctl.recording.format.names import CLIP_KINDS, EventKind
 

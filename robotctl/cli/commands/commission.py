@@ -15,6 +15,8 @@ from typing import Annotated, Any
 
 import typer
 
+from robotctl.base.errors import Refused, RobotctlError, UsageError
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.targets.driving import (
     CLOSING_SIGNALS,
@@ -26,7 +28,6 @@ from robotctl.cli.targets.interrupts import Background, interrupted_by
 from robotctl.cli.targets.requests import asked_by, lease_of_shell
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import printable, short_path
-from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.answers import DriveAnswer
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import (
@@ -40,7 +41,6 @@ from robotctl.ipc.method_names import (
 )
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
-from robotctl.paths import DEFAULT_ROBOT
 
 COMMAND = "commission"
 

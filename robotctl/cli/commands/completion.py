@@ -10,12 +10,12 @@ from typing import Annotated, Any, Final
 
 import typer
 
+from robotctl.base.errors import Refused
+from robotctl.base.mode_names import MODES
 from robotctl.cli.commands.drive import MOTIONS
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import short_path
-from robotctl.errors import Refused
-from robotctl.mode_names import MODES
 
 app = new_app()
 group = new_app()

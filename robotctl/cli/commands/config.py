@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
+from robotctl.base.errors import UsageError
 from robotctl.cli.options import ConfigFile, Json, ProfileName, new_app
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import json_text, short_path
 from robotctl.config import Config, Declaration, declarations, flat, load
-from robotctl.errors import UsageError
 
 
 def show(config: ConfigFile = None, profile: ProfileName = None, as_json: Json = False) -> None:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.base.errors import RecoveredWithLoss, UsageError
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.targets.interrupts import interrupted_by
 from robotctl.cli.targets.recordings import RecordedBy, RecordingsFolder, find_recording
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import printable, short_path
-from robotctl.errors import RecoveredWithLoss, UsageError
 from robotctl.recording.format.names import Compression
 
 if TYPE_CHECKING:

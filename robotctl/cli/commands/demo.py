@@ -15,6 +15,8 @@ from typing import Annotated, Any
 
 import typer
 
+from robotctl.base.domains import reserved_domain
+from robotctl.base.errors import NoDaemon, RobotctlError
 from robotctl.cli.commands.drive import tracking_lines
 from robotctl.cli.commands.drive.running import write_picture
 from robotctl.cli.commands.watch import POLL_S, polled_until, show
@@ -33,8 +35,6 @@ from robotctl.cli.ui.text import (
     size,
     terminal_lines,
 )
-from robotctl.domains import reserved_domain
-from robotctl.errors import NoDaemon, RobotctlError
 from robotctl.ipc.answers import DriveAnswer, Status
 from robotctl.ipc.client import call, command_for
 from robotctl.ipc.method_names import DRIVE, PATH, STATUS

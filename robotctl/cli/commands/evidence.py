@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from robotctl.base.errors import Divergence, Refused, RobotctlError, UnreadableFile
+from robotctl.base.paths import DEFAULT_ROBOT, check_robot_name
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.targets.recordings import noted_folders, parse_since
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import moment, printable, row, short_path, size
-from robotctl.errors import Divergence, Refused, RobotctlError, UnreadableFile
 from robotctl.ipc.client import command_for
-from robotctl.paths import DEFAULT_ROBOT, check_robot_name
 
 if TYPE_CHECKING:
     from robotctl.decisions.evidence import Evidence

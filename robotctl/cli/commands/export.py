@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from robotctl.base.errors import RecoveredWithLoss, UsageError
 from robotctl.cli.options import new_app
 from robotctl.cli.targets.interrupts import interrupted_by
 from robotctl.cli.targets.recordings import (
@@ -21,7 +22,6 @@ from robotctl.cli.targets.recordings import (
 )
 from robotctl.cli.ui.output import Progress, print_answer, progress_bar
 from robotctl.cli.ui.text import printable, short_path
-from robotctl.errors import RecoveredWithLoss, UsageError
 
 if TYPE_CHECKING:
     from robotctl.recording.read.info import RecordingInfo

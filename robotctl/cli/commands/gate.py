@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.base.errors import Divergence, Refused, RobotctlError, UnreadableFile, UsageError
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.targets.recordings import recording_path, recordings_folder
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import elided, row, short_path
-from robotctl.errors import Divergence, Refused, RobotctlError, UnreadableFile, UsageError
 
 if TYPE_CHECKING:
     from robotctl.collection.gate import Baseline, GateReport

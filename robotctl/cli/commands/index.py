@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
+from robotctl.base.errors import UnreadableFile
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.targets.recordings import open_catalogue
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import short_path, size
-from robotctl.errors import UnreadableFile
 
 app = new_app()
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.base.errors import UnreadableFile
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.targets.recordings import (
     RecordedBy,
@@ -18,7 +19,6 @@ from robotctl.cli.targets.recordings import (
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.status import TopicLines
 from robotctl.cli.ui.text import duration, moment, printable, short_path, size
-from robotctl.errors import UnreadableFile
 
 if TYPE_CHECKING:
     from robotctl.recording import RecordingInfo

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from robotctl.base.errors import Refused
+from robotctl.base.paths import DEFAULT_ROBOT, chain_to, make_private, seal_folder
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import moment, printable, short_path
-from robotctl.errors import Refused
-from robotctl.paths import DEFAULT_ROBOT, chain_to, make_private, seal_folder
 
 if TYPE_CHECKING:
     from robotctl.recording.seal.keyring import StoredKey

@@ -12,17 +12,17 @@ from typing import Annotated
 
 import typer
 
+from robotctl.base.errors import UsageError
+from robotctl.base.paths import DEFAULT_ROBOT, LEASE_VARIABLE
 from robotctl.cli.options import Json, Reason, Robot, new_app
 from robotctl.cli.targets.driving import CLOSING_SIGNALS, POLL_S, HeldLease
 from robotctl.cli.targets.interrupts import ignoring, interrupted_by
 from robotctl.cli.targets.requests import checked_reason, own_token, request_source
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import printable
-from robotctl.errors import UsageError
 from robotctl.ipc.answers import LeaseStatus
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import LEASE_RELEASE, LEASE_STATUS
-from robotctl.paths import DEFAULT_ROBOT, LEASE_VARIABLE
 
 app = new_app()
 group = new_app()

@@ -16,14 +16,14 @@ from typing import Annotated, TextIO
 
 import typer
 
+from robotctl.base.errors import NoDaemon
+from robotctl.base.files import open_regular
+from robotctl.base.paths import DEFAULT_ROBOT, chain_to, log_path
+from robotctl.base.text import without_colours
 from robotctl.cli.options import Robot, new_app
 from robotctl.cli.targets.recordings import parse_since
 from robotctl.cli.ui.text import printable
-from robotctl.errors import NoDaemon
 from robotctl.kernel.units import NS_PER_S
-from robotctl.paths import DEFAULT_ROBOT, chain_to, log_path
-from robotctl.printable import without_colours
-from robotctl.regular_file import open_regular
 
 app = new_app()
 

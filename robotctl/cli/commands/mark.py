@@ -6,15 +6,15 @@ from typing import Annotated
 
 import typer
 
+from robotctl.base.errors import UsageError
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.targets.requests import request_source
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import moment, printable
-from robotctl.errors import UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import MARK
 from robotctl.ipc.protocol import MAX_MARK_LENGTH
-from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
 

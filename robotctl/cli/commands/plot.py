@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from robotctl.base.errors import RecoveredWithLoss, Refused, UsageError
 from robotctl.cli.options import new_app
 from robotctl.cli.targets.recordings import RecordedBy, RecordingsFolder, find_recording
 from robotctl.cli.ui.output import progress_bar
 from robotctl.cli.ui.text import can_show_braille, elided, is_terminal, printable, short_path
-from robotctl.errors import RecoveredWithLoss, Refused, UsageError
 
 if TYPE_CHECKING:
     from robotctl.show.series import FieldSeries

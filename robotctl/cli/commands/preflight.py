@@ -8,14 +8,14 @@ from typing import Annotated
 
 import typer
 
+from robotctl.base.errors import Refused
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import printable
-from robotctl.errors import Refused
 from robotctl.ipc.answers import Preflight
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import PREFLIGHT
-from robotctl.paths import DEFAULT_ROBOT
 
 POLL_S = 0.2
 

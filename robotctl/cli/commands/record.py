@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import (
@@ -17,7 +18,6 @@ from robotctl.cli.ui.text import (
 from robotctl.ipc.answers import CountsAnswer, RecordStatus
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import RECORD_SPLIT, RECORD_STATUS
-from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
 group = new_app()

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.base.errors import IN_PARENTHESES, Interrupted, Refused, UsageError
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import Json, given_options, new_app
 from robotctl.cli.targets.recordings import (
     RecordedBy,
@@ -29,10 +31,8 @@ from robotctl.cli.ui.text import (
     short_path,
     size,
 )
-from robotctl.errors import IN_PARENTHESES, Interrupted, Refused, UsageError
 from robotctl.ipc.client import command_for
 from robotctl.kernel.units import NS_PER_S
-from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
     from robotctl.recording.keep.listing import ListedRecording

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.base.errors import RecoveredWithLoss
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.targets.recordings import RecordedBy, RecordingsFolder, find_recording
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import short_path
-from robotctl.errors import RecoveredWithLoss
 
 if TYPE_CHECKING:
     from robotctl.recording.keep.recover import RecoveryReport

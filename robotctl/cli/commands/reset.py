@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli import quick
 from robotctl.cli.options import Json, Reason, Robot, new_app
-from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
 

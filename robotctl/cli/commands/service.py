@@ -8,12 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
+from robotctl.base.errors import UsageError
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import All, DomainId, Json, Robot, Types, new_app
 from robotctl.cli.targets.ros_view import ros_view
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.ros_text import left_out_lines, message_lines, name_lines, plain_json, shown
-from robotctl.errors import UsageError
-from robotctl.paths import DEFAULT_ROBOT
 
 SERVICE_S = 5.0
 """How long to look for the service."""

@@ -9,14 +9,14 @@ from typing import Annotated
 
 import typer
 
+from robotctl.base.errors import UsageError
+from robotctl.base.paths import DEFAULT_ROBOT, check_namespace, check_robot_name, namespace_of
 from robotctl.cli.options import ConfigFile, DomainId, Json, Namespace, Robot, new_app
 from robotctl.cli.targets.requests import request_source
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import printable
-from robotctl.errors import UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import SIM_FAULT, SIM_SET
-from robotctl.paths import DEFAULT_ROBOT, check_namespace, check_robot_name, namespace_of
 from robotctl.sim.robot import MAX_FAULT_S, SimFault
 
 app = new_app()
@@ -49,16 +49,16 @@ def sim(
     """
     if context.invoked_subcommand is not None:
         return
-    from robotctl import environment
+    from robotctl.base import environment
 
     note = environment.prepare()
     if note:
         print(f"note: {note}", file=sys.stderr)
     import asyncio
 
+    from robotctl.base.domains import requested_domain
     from robotctl.config import Config, load
     from robotctl.daemon.simulator import simulate
-    from robotctl.domains import requested_domain
 
     domain = requested_domain(domain_id) or 0
     name = check_robot_name(robot)

@@ -9,7 +9,11 @@ from typing import Annotated, Any
 
 import typer
 
-from robotctl import __version__, ros_arguments
+from robotctl import __version__
+from robotctl.base import ros_arguments
+from robotctl.base.errors import RobotctlError, UsageError
+from robotctl.base.paths import DEFAULT_ROBOT, check_namespace, check_robot_name
+from robotctl.base.ros_arguments import read_log_level
 from robotctl.cli.options import (
     ConfigFile,
     DomainId,
@@ -31,12 +35,9 @@ from robotctl.cli.targets.launch import (
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.status import mode_text
 from robotctl.cli.ui.text import printable, short_path
-from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.client import command_for
 from robotctl.kernel.patterns import PatternKind
-from robotctl.log_levels import read_log_level
-from robotctl.paths import DEFAULT_ROBOT, check_namespace, check_robot_name
 
 app = new_app()
 

@@ -11,11 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Self
 
 import typer
 
-from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.targets.recordings import RecordingsFolder, recordings_folder
-from robotctl.cli.ui.output import print_answer, progress_bar
-from robotctl.cli.ui.text import row, short_path, size
-from robotctl.errors import (
+from robotctl.base.errors import (
     IN_PARENTHESES,
     Divergence,
     Interrupted,
@@ -25,9 +21,13 @@ from robotctl.errors import (
     UnreadableFile,
     UsageError,
 )
+from robotctl.base.paths import DEFAULT_ROBOT
+from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.targets.recordings import RecordingsFolder, recordings_folder
+from robotctl.cli.ui.output import print_answer, progress_bar
+from robotctl.cli.ui.text import row, short_path, size
 from robotctl.ipc.client import NoAnswer, call
 from robotctl.ipc.method_names import STATUS
-from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
     from robotctl.collection.sources import OfferedRecording
@@ -94,10 +94,10 @@ def sync(
       robotctl sync s3://bucket/robots/one --max-age-days 7
       robotctl sync s3://bucket/robots/one ./one
     """
+    from robotctl.base.store import is_url, open_store
     from robotctl.collection.sync import Pruned, copy_recordings, prune
     from robotctl.kernel.units import DAY_S, NS_PER_S
     from robotctl.recording.keep.retention import RetentionPolicy
-    from robotctl.store import is_url, open_store
 
     source, target = _ends(places, folder, robot)
     policy = RetentionPolicy(
@@ -134,7 +134,7 @@ def _ends(places: list[str], folder: Path | None, robot: str) -> tuple[str, str]
     Raises:
         UsageError: There are more or less than two, or one is wrong.
     """
-    from robotctl.store import is_url, parse_url
+    from robotctl.base.store import is_url, parse_url
 
     if len(places) > 2:
         raise UsageError(f"{len(places)} places are too many", "give [FROM] TO")
@@ -155,7 +155,7 @@ def _ends(places: list[str], folder: Path | None, robot: str) -> tuple[str, str]
 
 def _check_folder(target: Path, source: str) -> None:
     """Raise UsageError for a folder that is not there, as an unmounted disk, or the wrong one."""
-    from robotctl.store import is_url
+    from robotctl.base.store import is_url
 
     if not target.parent.is_dir() or (target.exists() and not target.is_dir()):
         raise UsageError(f"{target}: no such folder", "mount the disk, or create it")
@@ -164,8 +164,8 @@ def _check_folder(target: Path, source: str) -> None:
 
 
 def _offered(source: str) -> list[OfferedRecording]:
+    from robotctl.base.store import has_hash_folders, is_url
     from robotctl.collection.sources import local_recordings, stored_recordings
-    from robotctl.store import has_hash_folders, is_url
 
     if is_url(source) or has_hash_folders(Path(source)):
         return stored_recordings(source)

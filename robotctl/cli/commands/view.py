@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
+from robotctl.base.errors import UsageError
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.errors import UsageError
-from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
 

@@ -8,6 +8,8 @@ import time
 from collections.abc import Iterator
 from typing import Any, Final
 
+from robotctl.base.errors import Refused, RobotctlError
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.quick import mode_number
 from robotctl.cli.targets.interrupts import Background
@@ -15,12 +17,10 @@ from robotctl.cli.targets.requests import asked_by, lease_of_shell
 from robotctl.cli.ui.keys import Keyboard
 from robotctl.cli.ui.status import HEADER, status_line
 from robotctl.cli.ui.text import is_terminal
-from robotctl.errors import Refused, RobotctlError
 from robotctl.ipc.answers import DrivenPath, Status
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.method_names import PATH, SET_MODE, STATUS
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
-from robotctl.paths import DEFAULT_ROBOT
 
 POLL_S = 0.1
 LINE_S = 1.0

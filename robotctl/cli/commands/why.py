@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.base.errors import Refused, UnreadableFile
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.targets.recordings import (
     LAST,
@@ -25,10 +27,8 @@ from robotctl.cli.targets.recordings import (
 )
 from robotctl.cli.ui.output import Progress, print_answer, progress_bar
 from robotctl.cli.ui.text import row, short_path
-from robotctl.errors import Refused, UnreadableFile
 from robotctl.ipc.advice import advice, cure_of, for_robot
 from robotctl.kernel.units import NS_PER_S
-from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
     from robotctl.rerun.incident import Incident

@@ -18,9 +18,9 @@ from math import inf
 from types import TracebackType
 from typing import Any, Final, Self
 
+from robotctl.base.errors import Interrupted, RobotctlError
 from robotctl.cli.targets.interrupts import Background, ignoring
 from robotctl.cli.targets.requests import request_source
-from robotctl.errors import Interrupted, RobotctlError
 from robotctl.ipc.answers import DriveAnswer, LeaseAnswer
 from robotctl.ipc.client import Client, call, command_for
 from robotctl.ipc.method_names import END_DRIVE, LEASE_KEEP, LEASE_RELEASE, LEASE_TAKE, SET_MODE

@@ -12,12 +12,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, cast
 
-from robotctl import ros_arguments
-from robotctl.cli.targets.interrupts import interrupted_by
-from robotctl.cli.ui.text import json_text, printable
-from robotctl.daemon.lock import is_owned
-from robotctl.environment import RANGE
-from robotctl.errors import (
+from robotctl.base import ros_arguments
+from robotctl.base.environment import RANGE
+from robotctl.base.errors import (
     IN_PARENTHESES,
     AlreadyRunning,
     Interrupted,
@@ -27,11 +24,14 @@ from robotctl.errors import (
     UsageError,
     error_for_exit_code,
 )
+from robotctl.base.paths import lock_path, log_path, make_private
+from robotctl.base.processes import Child, program, start
+from robotctl.cli.targets.interrupts import interrupted_by
+from robotctl.cli.ui.text import json_text, printable
+from robotctl.daemon.lock import is_owned
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.client import call, command_for
 from robotctl.ipc.method_names import STATUS
-from robotctl.paths import lock_path, log_path, make_private
-from robotctl.processes import Child, program, start
 from robotctl.view.view_job import LiveTarget, ViewJob
 
 DAEMON = program("robotctl.daemon")

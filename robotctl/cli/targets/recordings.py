@@ -14,21 +14,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robotctl.cli.ui.output import progress_bar
-from robotctl.cli.ui.text import short_path
-from robotctl.errors import IN_PARENTHESES, NoDaemon, Refused, RobotctlError, UsageError
-from robotctl.ipc.answers import Committed
-from robotctl.ipc.client import Client, command_for
-from robotctl.ipc.method_names import RECORD_COMMIT
-from robotctl.kernel.units import DAY_S, NS_PER_S
-from robotctl.paths import (
+from robotctl.base.errors import IN_PARENTHESES, NoDaemon, Refused, RobotctlError, UsageError
+from robotctl.base.files import open_regular
+from robotctl.base.paths import (
     DEFAULT_ROBOT,
     ROBOT_VARIABLE,
     chain_to,
     recordings_note_path,
     state_folder,
 )
-from robotctl.regular_file import open_regular
+from robotctl.cli.ui.output import progress_bar
+from robotctl.cli.ui.text import short_path
+from robotctl.ipc.answers import Committed
+from robotctl.ipc.client import Client, command_for
+from robotctl.ipc.method_names import RECORD_COMMIT
+from robotctl.kernel.units import DAY_S, NS_PER_S
 
 if TYPE_CHECKING:
     from robotctl.collection.catalogue import Catalogue
@@ -92,7 +92,7 @@ def file_path(text: str) -> Path:
     Raises:
         UsageError: It is another URL.
     """
-    from robotctl.store.remote_file import path_of
+    from robotctl.base.store.remote_file import path_of
 
     return path_of(text)
 
@@ -103,7 +103,7 @@ def recording_path(text: str) -> Path:
     Raises:
         UsageError: It is a URL.
     """
-    from robotctl.store.remote_file import RemoteFile, not_here
+    from robotctl.base.store.remote_file import RemoteFile, not_here
 
     path = file_path(text)
     if isinstance(path, RemoteFile):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import re
 
-from robotctl.errors import UsageError
+from robotctl.base.errors import UsageError
+from robotctl.base.paths import LEASE_VARIABLE
 from robotctl.ipc.protocol import MAX_REASON, REASON_PATTERN
-from robotctl.paths import LEASE_VARIABLE
 
 _LENGTHS = range(16, 65)
 

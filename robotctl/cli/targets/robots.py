@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import NamedTuple, TypedDict, TypeVar
 
+from robotctl.base.errors import NoDaemon, Refused, RobotctlError
+from robotctl.base.paths import runtime_folder
 from robotctl.cli.targets.interrupts import Background
-from robotctl.errors import NoDaemon, Refused, RobotctlError
 from robotctl.ipc.answers import Status
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.method_names import SET_MODE, STATUS
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
-from robotctl.paths import runtime_folder
 
 SUFFIX = ".sock"
 

@@ -11,16 +11,16 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
-from robotctl.domains import requested_domain
-from robotctl.environment import RANGE
-from robotctl.errors import NoDaemon, RobotctlError, UsageError, error_for_exit_code
+from robotctl.base.domains import requested_domain
+from robotctl.base.environment import RANGE
+from robotctl.base.errors import NoDaemon, RobotctlError, UsageError, error_for_exit_code
+from robotctl.base.paths import namespace_of
+from robotctl.base.processes import Child, program, start
+from robotctl.base.unknown_name import only_type, unknown_name
 from robotctl.ipc.answers import Graph, GraphNode, GraphTopic
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import GRAPH, GRAPH_NODE, GRAPH_TOPIC, STATUS
 from robotctl.ipc.protocol import MAX_GRAPH_NAME
-from robotctl.paths import namespace_of
-from robotctl.processes import Child, program, start
-from robotctl.unknown_name import only_type, unknown_name
 
 QUERY: Final = "robotctl.ros.queries"
 """The module of the process that looks at ROS."""

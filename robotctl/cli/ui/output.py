@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Final, TextIO
 
+from robotctl.base.errors import IN_PARENTHESES, Interrupted, RobotctlError, UsageError
 from robotctl.cli.ui.text import is_terminal, json_text, printable
-from robotctl.errors import IN_PARENTHESES, Interrupted, RobotctlError, UsageError
 
 
 def report(error: BaseException, *, as_json: bool) -> int:

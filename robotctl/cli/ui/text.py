@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from robotctl.printable import printable as printable
+from robotctl.base.text import printable as printable
 
 COLUMNS = 80
 

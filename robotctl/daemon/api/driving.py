@@ -7,11 +7,12 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from robotctl.base.errors import Refused, UsageError
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.daemon.api.lease import HoldMethods
 from robotctl.daemon.api.status import granted
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import GroundTruth, RobotReport
-from robotctl.errors import Refused, UsageError
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import DriveAnswer, DrivenPath, ModeAnswer, Preflight
 from robotctl.ipc.method_names import (
@@ -47,7 +48,6 @@ from robotctl.kernel.types import (
     Reply,
     ResetRequested,
 )
-from robotctl.paths import DEFAULT_ROBOT
 
 
 def default_laps(kind: PatternKind, *, wait: bool) -> int:

@@ -8,9 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from robotctl.base.errors import Refused
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.daemon.api.status import granted
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.errors import Refused
 from robotctl.ipc.answers import HoldAnswer, LeaseAnswer, LeaseKept, LeaseStatus
 from robotctl.ipc.method_names import HOLD, LEASE_KEEP, LEASE_RELEASE, LEASE_STATUS, LEASE_TAKE
 from robotctl.ipc.params import (
@@ -24,7 +25,6 @@ from robotctl.ipc.request_handler import Method
 from robotctl.kernel.course import MAX_SILENCE_S, Course, Held
 from robotctl.kernel.types import DriveRequested, HoldReceived, Twist
 from robotctl.kernel.types.events import LeaseLost, LeaseRequested
-from robotctl.paths import DEFAULT_ROBOT
 
 
 class HoldMethods:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from robotctl.base.errors import Refused
 from robotctl.config import Config, flat
 from robotctl.daemon.parameters import Parameters, listed
-from robotctl.errors import Refused
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import ParameterList, ParameterSet
 from robotctl.ipc.method_names import PARAM_LIST, PARAM_SET

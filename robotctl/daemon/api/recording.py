@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from robotctl.base.errors import Refused
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.waiting import until
-from robotctl.errors import Refused
 from robotctl.ipc.advice import for_robot
 from robotctl.ipc.answers import Committed, FileSplit, Marked, RecordStatus
 from robotctl.ipc.method_names import MARK, RECORD_COMMIT, RECORD_SPLIT, RECORD_STATUS

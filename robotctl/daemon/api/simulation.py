@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from robotctl.base.errors import Refused, UsageError
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.errors import Refused, UsageError
 from robotctl.ipc.answers import SimFaulted, SimSet
 from robotctl.ipc.method_names import SIM_FAULT, SIM_SET
 from robotctl.ipc.params import SimFaultParams, SimSetParams

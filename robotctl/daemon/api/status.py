@@ -9,11 +9,12 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Protocol, cast
 
 from robotctl import __version__
+from robotctl.base.domains import discovery_range, wider_discovery
+from robotctl.base.errors import Refused, RobotctlError, UsageError
+from robotctl.base.paths import log_path, socket_path
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.control.dispatcher import UnsavedReply
 from robotctl.daemon.recording.recorder_report import RecorderReport
-from robotctl.domains import discovery_range, wider_discovery
-from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.advice import advice, for_robot
 from robotctl.ipc.answers import (
     Graph,
@@ -30,7 +31,6 @@ from robotctl.ipc.params import GraphNameParams, NoParams
 from robotctl.ipc.request_handler import Method
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.types import Reply
-from robotctl.paths import log_path, socket_path
 from robotctl.recording import RecorderStats
 from robotctl.ros.graph.overview import node_facts, overview, topic_facts
 from robotctl.ros.tap.tap import Tap

@@ -15,11 +15,11 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import NamedTuple
 
+from robotctl.base.files import open_folder, open_regular
+from robotctl.base.paths import chain_to, make_private
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety import RULES
 from robotctl.kernel.types import Cause
-from robotctl.paths import chain_to, make_private
-from robotctl.regular_file import open_folder, open_regular
 
 MAX_BYTES = 4096
 """A reason is a sentence: of a longer file only this much is read."""

@@ -6,8 +6,8 @@ import logging
 from collections.abc import Iterable
 from typing import Final
 
-from robotctl.log_levels import LEVELS, UNSET, LogLevel, level_name
-from robotctl.printable import printable
+from robotctl.base.ros_arguments import LEVELS, UNSET, LogLevel, level_name
+from robotctl.base.text import printable
 
 PACKAGE: Final = "robotctl"
 """The parent of the loggers of all our modules."""

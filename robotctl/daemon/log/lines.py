@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from logging.handlers import QueueHandler, QueueListener
 from typing import Any, Final
 
-from robotctl.printable import printable, without_colours
+from robotctl.base.text import printable, without_colours
 
 CAPACITY_BYTES: Final = 1024 * 1024
 """Size of the queue: the largest pipe that Linux grants (/proc/sys/fs/pipe-max-size)."""

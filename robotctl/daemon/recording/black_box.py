@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from robotctl.base.processes.jobs import JobFailed, job_command, run_job
 from robotctl.config import RecordingParams
 from robotctl.kernel.units import NS_PER_S
-from robotctl.processes.jobs import JobFailed, job_command, run_job
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep.clip import Moment

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from shutil import rmtree
 
+from robotctl.base.paths import log_path
 from robotctl.config import Config, flat
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.black_box import BlackBox
@@ -26,7 +27,6 @@ from robotctl.daemon.recording.tidier import Tidier
 from robotctl.daemon.recording.topic_sinks import TopicSinks
 from robotctl.daemon.supervisor import Work
 from robotctl.ipc.advice import for_robot
-from robotctl.paths import log_path
 from robotctl.recording import RecorderStats, Topic
 from robotctl.recording.format import foxglove
 from robotctl.recording.format.names import EventKind

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from subprocess import DEVNULL
 
-from robotctl.errors import ConfigError
+from robotctl.base.errors import ConfigError
 from robotctl.recording.seal.keyring import Head
 
 _log = logging.getLogger(__name__)

@@ -13,8 +13,8 @@ from pwd import getpwuid
 from typing import Final
 
 import robotctl
-from robotctl.environment import DISTRO, RMW
-from robotctl.regular_file import open_regular
+from robotctl.base.environment import DISTRO, RMW
+from robotctl.base.files import open_regular
 
 MAX_GIT_BYTES: Final = 4 << 20
 """A larger file of git is not read."""

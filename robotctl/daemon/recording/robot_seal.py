@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from robotctl.paths import make_private, seal_folder
+from robotctl.base.paths import make_private, seal_folder
 from robotctl.recording.format.seal_records import Link, Opening, SealOfFile
 from robotctl.recording.seal.keyring import Head, Keyring
 

@@ -9,7 +9,7 @@ from contextlib import aclosing
 from pathlib import Path
 from typing import Final
 
-from robotctl.processes.jobs import JobFailed, job_command, job_reports
+from robotctl.base.processes.jobs import JobFailed, job_command, job_reports
 from robotctl.recording.keep.retention import RetentionPolicy, TidyNote
 from robotctl.recording.keep.tidy_job import TidyJob
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 import yaml
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.recording.convert.sources import ConvertibleFile, Progress, Sources
 from robotctl.recording.disk.atomic_output import atomic_output
 from robotctl.recording.disk.storage import DiskFile

@@ -14,6 +14,7 @@ from urllib.parse import quote
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
+from robotctl.base.files import open_regular
 from robotctl.recording.convert.installed_definition import installed_definition
 from robotctl.recording.format.names import PROFILE, natural_order
 from robotctl.recording.format.records import MAX_TIME_NS, PlainMessage
@@ -36,7 +37,6 @@ from robotctl.recording.read.messages import OpenFile, find_shortfalls
 from robotctl.recording.read.read_limits import ReadLimits, ReadTally
 from robotctl.recording.read.readable_file import ReadableFile
 from robotctl.recording.read.source import SUFFIX, unpack_zstd_file
-from robotctl.regular_file import open_regular
 
 
 class ConvertibleFile(Protocol):

@@ -12,7 +12,7 @@ from shutil import rmtree
 from tempfile import mkdtemp
 from typing import IO
 
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
 from robotctl.recording.disk.access import (
     cure_of,
     open_private,

@@ -11,7 +11,7 @@ from fcntl import LOCK_EX, LOCK_NB, LOCK_SH, LOCK_UN, flock
 from pathlib import Path
 from typing import Protocol
 
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
 from robotctl.recording.disk.access import open_private
 
 Buffer = bytes | bytearray | memoryview

@@ -8,7 +8,7 @@ from enum import IntEnum
 from typing import Final, NamedTuple
 from zlib import crc32
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.messages.cdr import ENCAPSULATION, LITTLE_ENDIAN
 
 TOPIC = "robotctl/journal"

@@ -16,11 +16,11 @@ from functools import lru_cache
 from io import TextIOWrapper
 from pathlib import Path
 
+from robotctl.base.files import open_regular
+from robotctl.base.store.remote_file import RemoteFile
+from robotctl.base.store.url import is_hash
 from robotctl.recording.disk.access import open_private, share_like
 from robotctl.recording.format.topics import Topic
-from robotctl.regular_file import open_regular
-from robotctl.store.remote_file import RemoteFile
-from robotctl.store.url import is_hash
 
 METADATA_FILE = "metadata.yaml"
 METADATA_RECORD = "rosbag2"

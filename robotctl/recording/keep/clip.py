@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mcap.records import Channel, Metadata, Schema
 
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
 from robotctl.recording.disk.access import share_like
 from robotctl.recording.disk.storage import new_file
 from robotctl.recording.format.names import (

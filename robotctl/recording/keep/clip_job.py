@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
+from robotctl.base.processes.pipes import Report
+from robotctl.base.store.remote_file import RemoteFile
 from robotctl.kernel.units import NS_PER_S
-from robotctl.processes.pipes import Report
 from robotctl.recording.disk.access import is_shared, make_folder
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.keep.clip import Clip, Moment, Progress, cut_clip
 from robotctl.recording.keep.listing import CLIPS_FOLDER, ListedRecording, list_recording
 from robotctl.recording.read.reader import Recording
-from robotctl.store.remote_file import RemoteFile
 
 PATIENCE_S = 3.0
 """How long to wait for a live recording to contain messages that are due."""

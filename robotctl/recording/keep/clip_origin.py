@@ -11,7 +11,7 @@ from typing import Final
 
 from mcap.records import Channel, Schema
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.recording.format.names import (
     CLIP_RECORD,
     CONVERSION_RECORD,

@@ -13,7 +13,7 @@ from shutil import rmtree
 
 from mcap.opcode import Opcode
 
-from robotctl.errors import Refused, UnreadableFile
+from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.recording.disk.access import is_shared, make_folder, share_like
 from robotctl.recording.disk.storage import DiskFile, Storage, new_file
 from robotctl.recording.format.names import LIBRARY, RECOVERY_RECORD, Compression

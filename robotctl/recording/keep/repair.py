@@ -14,7 +14,7 @@ from pathlib import Path
 from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 
-from robotctl.errors import RobotctlError
+from robotctl.base.errors import RobotctlError
 from robotctl.recording.disk.access import reason_of
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.names import LEDGER_RECORD, RECOVERY_RECORD, Compression

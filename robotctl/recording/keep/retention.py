@@ -11,6 +11,7 @@ from fcntl import LOCK_EX, flock
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from robotctl.base.files import open_folder, open_regular
 from robotctl.kernel.units import DAY_S
 from robotctl.recording.disk.access import open_private
 from robotctl.recording.disk.atomic_output import replaced_file
@@ -27,7 +28,6 @@ from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import FileIndex
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
-from robotctl.regular_file import open_folder, open_regular
 
 
 def rewrite_metadata(folder: Path, files: Sequence[Path]) -> None:

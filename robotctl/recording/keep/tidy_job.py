@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from robotctl.processes.pipes import Report
+from robotctl.base.processes.pipes import Report
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.keep.retention import (
     RetentionPolicy,

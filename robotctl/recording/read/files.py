@@ -6,12 +6,12 @@ from pathlib import Path
 from shlex import quote
 from stat import S_ISDIR, S_ISREG
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
+from robotctl.base.files import open_regular
 from robotctl.recording.format.names import natural_order
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE, entries_of, files_in, read_metadata
 from robotctl.recording.read.source import SUFFIX
-from robotctl.regular_file import open_regular
 
 SQLITE_SUFFIX = ".db3"
 """Suffix of the files of rosbag2's sqlite3 storage."""

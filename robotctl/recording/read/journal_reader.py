@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import dropwhile
 from typing import NamedTuple
 
-from robotctl.errors import IN_PARENTHESES, UnreadableFile
+from robotctl.base.errors import IN_PARENTHESES, UnreadableFile
+from robotctl.base.paths import DEFAULT_ROBOT, namespace_of
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import JOURNAL_ENTRY
-from robotctl.paths import DEFAULT_ROBOT, namespace_of
 from robotctl.recording.format.journal import (
     SHADOW_TOPIC,
     TOPIC,

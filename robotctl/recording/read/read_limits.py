@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Final, Self
 
-from robotctl.errors import UsageError
+from robotctl.base.errors import UsageError
 
 VARIABLE: Final = "ROBOTCTL_READ_LIMITS"
 """Environment variable: a factor for all limits here."""

@@ -14,7 +14,7 @@ from typing import Self
 
 from mcap.records import Channel, Metadata, Schema
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.recording.format.names import CLIP_RECORD, LEDGER_RECORD
 from robotctl.recording.format.records import type_name_of
 from robotctl.recording.read.damage import BeyondLimit, Damaged

@@ -9,8 +9,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from robotctl.errors import RobotctlError
-from robotctl.paths import check_robot_name, seal_folder, state_folder
+from robotctl.base.errors import RobotctlError
+from robotctl.base.paths import check_robot_name, seal_folder, state_folder
 from robotctl.recording.format.seal_records import Opening
 from robotctl.recording.read.seal_check import SealOfRead
 from robotctl.recording.read.source import SUFFIX

@@ -14,10 +14,10 @@ from typing import Final, Protocol
 
 from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
+from robotctl.base.store.remote_file import RemoteFile
 from robotctl.recording.disk.storage import is_locked
 from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.read_limits import ReadLimits
-from robotctl.store.remote_file import RemoteFile
 
 SUFFIX: Final = ".zstd"
 """Suffix of a file that rosbag2 compressed."""

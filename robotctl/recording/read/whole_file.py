@@ -18,7 +18,7 @@ from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Footer, MetadataIndex
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.recording.format.names import (
     CLIP_RECORD,
     CONVERSION_RECORD,

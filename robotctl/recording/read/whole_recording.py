@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mcap.records import Channel
 
-from robotctl.errors import UnreadableFile
+from robotctl.base.errors import UnreadableFile
 from robotctl.recording.format.names import LEDGER_RECORD
 from robotctl.recording.format.rosbag2 import (
     METADATA_RECORD,

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from robotctl.base.files import open_regular
 from robotctl.recording.format.seal_records import Opening
 from robotctl.recording.seal.keyring import HEADS_FILE, Head
-from robotctl.regular_file import open_regular
 
 _MAX_BYTES: Final = 256 << 20
 

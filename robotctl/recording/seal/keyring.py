@@ -22,9 +22,9 @@ from fcntl import LOCK_EX, flock
 from pathlib import Path
 from typing import Any, Final, Self
 
+from robotctl.base.files import open_regular
 from robotctl.recording.disk.access import open_private
 from robotctl.recording.format.seal_records import NO_DIGEST, Link, Opening, SealOfFile
-from robotctl.regular_file import open_regular
 
 SEED_BYTES: Final = 32
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from robotctl.errors import UnreadableFile, UsageError
+from robotctl.base.errors import UnreadableFile, UsageError
 from robotctl.messages.definition import NUMBERS
 from robotctl.messages.fields import Column, ColumnKind, parse_path
 from robotctl.messages.values import WrongValue

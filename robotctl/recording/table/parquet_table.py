@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from robotctl.errors import RobotctlError, UnreadableFile, UsageError
+from robotctl.base.errors import RobotctlError, UnreadableFile, UsageError
 from robotctl.messages.definition import NUMBERS, TEXT, WIDE_TEXT
 from robotctl.messages.fields import Column, ColumnKind
 from robotctl.recording.table.text_tables import json_of

@@ -6,14 +6,14 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
-from robotctl.errors import UnreadableFile, UsageError
+from robotctl.base.errors import UnreadableFile, UsageError
+from robotctl.base.unknown_name import unknown_name
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.definition import Definition, UnreadableType, parse_definition
 from robotctl.messages.fields import Column, ColumnKind, FlatDecoder
 from robotctl.recording.read.info import RecordingInfo, TopicInfo
 from robotctl.recording.read.messages import ALWAYS, Window
 from robotctl.recording.read.reader import Recording
-from robotctl.unknown_name import unknown_name
 
 _ENCODING = "cdr"
 

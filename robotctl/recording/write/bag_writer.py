@@ -10,7 +10,7 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Final
 
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
 from robotctl.recording.disk.access import cure_of, make_folder, reason_of
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.records import PlainMessage

@@ -17,7 +17,7 @@ from typing import Final
 
 from mcap.opcode import Opcode
 
-from robotctl.errors import Refused
+from robotctl.base.errors import Refused
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.disk.storage import Buffer
 from robotctl.recording.format.recorded_events import RecordedEvent

@@ -9,10 +9,10 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
-from robotctl import environment
-from robotctl.errors import RobotctlError
-from robotctl.ros_arguments import with_log_levels
-from robotctl.streams import open_standard_streams
+from robotctl.base import environment
+from robotctl.base.errors import RobotctlError
+from robotctl.base.own_process import open_standard_streams
+from robotctl.base.ros_arguments import with_log_levels
 
 
 def velocity_publisher() -> int:

@@ -20,8 +20,8 @@ from robot_controller.msg import RobotStatus
 from robot_controller.srv import SetMode
 from std_srvs.srv import Trigger
 
-from robotctl.domains import is_certainly_empty, requested_domain
-from robotctl.errors import Refused, UsageError
+from robotctl.base.domains import is_certainly_empty, requested_domain
+from robotctl.base.errors import Refused, UsageError
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode
 from robotctl.ros.executables.process import LOGGER_SERVICES, run_node
 from robotctl.ros.graph.discovery import Discovery

@@ -11,10 +11,10 @@ from typing import Final, TypeVar
 from rclpy.context import Context
 from rclpy.node import Node
 
+from robotctl.base.domains import requested_domain
+from robotctl.base.errors import UsageError
+from robotctl.base.own_process import end_signals
 from robotctl.config.ros_settings import check_parameter_files
-from robotctl.domains import requested_domain
-from robotctl.end_signals import end_signals
-from robotctl.errors import UsageError
 from robotctl.ros.context import BAD_ARGUMENTS, close_context
 from robotctl.ros.executor import AsyncioExecutor, run
 

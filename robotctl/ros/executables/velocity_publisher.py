@@ -14,10 +14,10 @@ from rclpy.duration import Duration
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 
-from robotctl.domains import wider_discovery
+from robotctl.base.domains import wider_discovery
+from robotctl.base.text import short_name
 from robotctl.kernel.types import ZERO
 from robotctl.kernel.types import Twist as Velocity
-from robotctl.printable import short_name
 from robotctl.ros.executables.process import LOGGER_SERVICES, run_node
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.endpoints import TOOL_NODES, full_name, gid_of

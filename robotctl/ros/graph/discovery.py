@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 
 from rclpy.node import Node
 
-from robotctl.domains import is_on_this_machine_only, participants_here
+from robotctl.base.domains import is_on_this_machine_only, participants_here
 from robotctl.messages.cdr import CdrReader
 from robotctl.ros.executor import RclCallFailed, rcutils
 from robotctl.ros.graph import endpoints

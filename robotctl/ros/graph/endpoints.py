@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile
 from rclpy.utilities import get_rmw_implementation_identifier
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-from robotctl.printable import printable
+from robotctl.base.text import printable
 from robotctl.ros.graph import rcl_graph
 from robotctl.ros.graph.rcl_graph import Gid, Role
 

@@ -32,9 +32,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
 
+from robotctl.base.text import printable
 from robotctl.kernel.ranges import Range
 from robotctl.kernel.types.events import LifecycleState
-from robotctl.printable import printable
 from robotctl.ros.messages import qos
 
 

@@ -9,9 +9,9 @@ from typing import Any
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.qos import QoSProfile
 
+from robotctl.base.text import short_name
 from robotctl.kernel.types import Odometry
 from robotctl.messages.motion import FRAME_AT, frame_bytes, frame_id_of, read_odometry
-from robotctl.printable import short_name
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph.endpoints import publisher_names
 from robotctl.ros.messages import qos

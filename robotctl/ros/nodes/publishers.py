@@ -18,9 +18,9 @@ from rclpy.serialization import serialize_message
 from robot_controller.msg import JournalEntry
 from std_msgs.msg import Bool, String
 
+from robotctl.base.text import printable
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.units import NS_PER_S
-from robotctl.printable import printable
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import OwnTopic
 from robotctl.ros.session import Session

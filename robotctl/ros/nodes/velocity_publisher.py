@@ -9,8 +9,8 @@ from typing import Any
 
 from rclpy.duration import Duration
 
+from robotctl.base.text import short_name
 from robotctl.kernel.types import ZERO, Twist
-from robotctl.printable import short_name
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.endpoints import TOOL_NODES, full_name, gid_of, node_of

@@ -23,10 +23,10 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from robotctl.domains import is_certainly_empty
+from robotctl.base.domains import is_certainly_empty
+from robotctl.base.text import short_name
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import JOURNAL_ENTRY
-from robotctl.printable import short_name
 from robotctl.ros.context import close_context, open_context
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages.classes import UnusableType, is_installed, message_class, parse_type_name

@@ -15,9 +15,9 @@ import sys
 from contextlib import suppress
 from functools import partial
 
-from robotctl import environment
-from robotctl.errors import RobotctlError
-from robotctl.processes import report_fd, send_report
+from robotctl.base import environment
+from robotctl.base.errors import RobotctlError
+from robotctl.base.processes import report_fd, send_report
 
 
 def main(arguments: list[str]) -> int:

@@ -14,10 +14,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 
-from robotctl.errors import NoDaemon, Refused, UsageError
+from robotctl.base.errors import NoDaemon, Refused, UsageError
+from robotctl.base.processes import readable_within
+from robotctl.base.unknown_name import only_type, unknown_name
 from robotctl.messages.definition import Definition, UnreadableType, parse_definition
 from robotctl.messages.values import WrongValue, decode, encode, filled
-from robotctl.processes import readable_within
 from robotctl.ros.context import close_context, open_context
 from robotctl.ros.executor import AsyncioExecutor, RawTap
 from robotctl.ros.graph import endpoints
@@ -27,7 +28,6 @@ from robotctl.ros.graph.overview import node_facts, overview, services, topic_fa
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, UnusableType, message_class
 from robotctl.ros.messages.type_definition import definition_of, holds_bytes
-from robotctl.unknown_name import only_type, unknown_name
 
 Send = Callable[[dict[str, Any]], None]
 """Sends a report."""

@@ -7,7 +7,7 @@ from typing import Final, Protocol
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from robotctl.printable import short_name
+from robotctl.base.text import short_name
 from robotctl.ros.executor import ViewSink, announcements
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.changes import GraphChanges

@@ -13,7 +13,7 @@ from typing import Final
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from robotctl.printable import printable, short_name
+from robotctl.base.text import printable, short_name
 from robotctl.ros.executor import ViewSink, announcements
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.changes import GraphChanges

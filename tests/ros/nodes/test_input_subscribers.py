@@ -18,13 +18,13 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, Joy
 from std_msgs.msg import Bool
 
+from robotctl.base.text import MAX_NAME
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.params import CommandQos, OdometryQos
 from robotctl.kernel.safety_inputs import SafetyInput, SafetyInputParams, Use
 from robotctl.kernel.types import ZERO, Odometry
 from robotctl.messages.inputs import MAX_DIAGNOSES, Diagnoses
 from robotctl.messages.motion import OdometryEncoder
-from robotctl.printable import MAX_NAME
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.command_type import PLAIN
 from robotctl.ros.nodes import odom_subscriber

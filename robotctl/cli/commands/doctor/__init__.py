@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
+from robotctl.base.errors import Refused
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import ConfigFile, DomainId, Json, Robot, new_app
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import printable
 from robotctl.doctor.machine import Finding, Level
-from robotctl.errors import Refused
-from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
 

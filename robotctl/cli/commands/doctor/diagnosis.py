@@ -10,6 +10,16 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+from robotctl.base.domains import discovery_range, requested_domain, wider_discovery
+from robotctl.base.environment import RANGE, limit_discovery
+from robotctl.base.errors import AlreadyRunning, RobotctlError, UsageError
+from robotctl.base.paths import (
+    check_robot_name,
+    lock_path,
+    runtime_folder,
+    socket_path,
+    state_folder,
+)
 from robotctl.cli.targets import robots
 from robotctl.cli.targets.robots import RobotDaemon
 from robotctl.cli.targets.ros_view import RosView, ros_view
@@ -17,14 +27,10 @@ from robotctl.config import Config, load
 from robotctl.daemon.lock import is_owned, owned
 from robotctl.doctor import graph_checks, machine
 from robotctl.doctor.machine import Finding, Level, fault, ok, warning
-from robotctl.domains import discovery_range, requested_domain, wider_discovery
-from robotctl.environment import RANGE, limit_discovery
-from robotctl.errors import AlreadyRunning, RobotctlError, UsageError
 from robotctl.ipc.answers import GraphTopic, Status
 from robotctl.ipc.client import call
 from robotctl.ipc.listener import remove_stale
 from robotctl.ipc.method_names import STATUS
-from robotctl.paths import check_robot_name, lock_path, runtime_folder, socket_path, state_folder
 
 DEFINITIONS = {"msg": ("msg", "idl"), "srv": ("srv", "idl"), "action": ("action", "idl")}
 """The files that define a type, by its kind."""

@@ -8,12 +8,13 @@ from typing import Annotated, Any
 
 import typer
 
+from robotctl.base.errors import UsageError
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.commands.drive.running import drive_and_wait, tracking_lines
 from robotctl.cli.options import Json, Reason, Robot, new_app
 from robotctl.cli.targets.requests import asked_by, lease_of_shell
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import number, printable
-from robotctl.errors import UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import DRIVE, DRIVE_PATH, DRIVE_VELOCITY
 from robotctl.ipc.protocol import MAX_REASON
@@ -36,7 +37,6 @@ from robotctl.kernel.patterns import (
     PatternKind,
     SizeName,
 )
-from robotctl.paths import DEFAULT_ROBOT
 
 PATTERNS = ", ".join(kind.value for kind in PatternKind)
 PATH, VELOCITY = "path", "velocity"

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from robotctl.base.errors import RobotctlError
 from robotctl.cli.commands.watch import polled_until, show
 from robotctl.cli.targets.driving import (
     CLOSING_SIGNALS,
@@ -17,7 +18,6 @@ from robotctl.cli.targets.driving import (
 from robotctl.cli.targets.interrupts import Background, interrupted_by
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import is_terminal, number, printable, short_path
-from robotctl.errors import RobotctlError
 from robotctl.ipc.answers import DriveAnswer
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import PATH, STATUS, MethodName

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.base.errors import UsageError
 from robotctl.cli.commands.find.opening import OpenAs, open_as, shown_row
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.targets.recordings import open_catalogue
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import columns, elided, moment, printable, row
-from robotctl.errors import UsageError
 
 if TYPE_CHECKING:
     from robotctl.collection.questions import Answer

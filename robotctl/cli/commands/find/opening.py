@@ -10,7 +10,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
-from robotctl.errors import Refused, UsageError
+from robotctl.base.errors import Refused, UsageError
 from robotctl.kernel.units import NS_PER_S
 
 AROUND_DRIVE_S: Final = (2.0, 2.0)

@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import All, DomainId, Json, Robot, new_app
 from robotctl.cli.targets.ros_view import ros_view
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.ros_text import is_hidden, left_out_lines
 from robotctl.cli.ui.text import printable
 from robotctl.ipc.answers import GraphNode
-from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
 group = new_app()

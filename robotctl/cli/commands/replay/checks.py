@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from robotctl.base.errors import Divergence, RobotctlError, UnreadableFile, UsageError
 from robotctl.cli.commands.replay.select_recordings import (
     LABEL_WIDTH,
     select_recordings,
@@ -13,7 +14,6 @@ from robotctl.cli.commands.replay.select_recordings import (
 )
 from robotctl.cli.ui.output import Progress, print_answer, progress_bar
 from robotctl.cli.ui.text import duration, number, printable, row, short_path
-from robotctl.errors import Divergence, RobotctlError, UnreadableFile, UsageError
 from robotctl.kernel.modes import Mode
 from robotctl.rerun.check_many import check_recordings
 from robotctl.rerun.check_report import Verdict

@@ -9,13 +9,13 @@ from typing import Annotated
 
 import typer
 
+from robotctl.base.domains import requested_domain
+from robotctl.base.errors import UsageError
+from robotctl.base.paths import DEFAULT_ROBOT, check_robot_name
 from robotctl.cli.options import Json, given_options, new_app
 from robotctl.cli.targets.interrupts import interrupted_by
 from robotctl.cli.targets.recordings import RecordedBy, file_path, find_recording
 from robotctl.cli.ui.text import short_path
-from robotctl.domains import requested_domain
-from robotctl.errors import UsageError
-from robotctl.paths import DEFAULT_ROBOT, check_robot_name
 
 app = new_app()
 

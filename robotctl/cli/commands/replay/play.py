@@ -9,12 +9,12 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from robotctl.base.errors import Interrupted, RobotctlError, UsageError, error_for_exit_code
+from robotctl.base.processes import Child, program, start
 from robotctl.cli.commands.replay.screen import Screen, screen, summary_lines
 from robotctl.cli.ui.keys import Keyboard
 from robotctl.cli.ui.output import print_answer
-from robotctl.errors import Interrupted, RobotctlError, UsageError, error_for_exit_code
 from robotctl.kernel.units import NS_PER_S
-from robotctl.processes import Child, program, start
 from robotctl.recording import Recording
 from robotctl.replay.job import Job
 from robotctl.replay.playback_control import Command, PlaybackControl, carry_out

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from robotctl.base.errors import Refused, UnreadableFile, UsageError
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.targets.recordings import (
     RecordedBy,
@@ -16,7 +17,6 @@ from robotctl.cli.targets.recordings import (
 )
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import row, short_path, size
-from robotctl.errors import Refused, UnreadableFile, UsageError
 from robotctl.recording.format.names import PAGE_FILE
 
 if TYPE_CHECKING:

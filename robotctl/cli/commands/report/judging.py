@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
+from robotctl.base.errors import UnreadableFile
 from robotctl.cli.commands.verify.report import verified
 from robotctl.cli.commands.why import FoundIncident, as_object
 from robotctl.cli.ui.output import progress_bar
 from robotctl.cli.ui.text import duration, size
-from robotctl.errors import UnreadableFile
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.names import EventKind
 from robotctl.rerun import find_incident

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, cast
 
 import typer
 
+from robotctl.base.errors import RobotctlError, UsageError
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.commands.teleop.controls import (
     JOY,
     STAND,
@@ -43,13 +45,11 @@ from robotctl.cli.ui.keys import (
     TerminalAnswers,
 )
 from robotctl.cli.ui.text import is_terminal, printable
-from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import Client, command_for
 from robotctl.ipc.method_names import SET_MODE, STATUS
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.course import MAX_SILENCE_S
 from robotctl.kernel.patterns import MAX_SPEED_MPS, MIN_SPEED_MPS
-from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

@@ -10,9 +10,9 @@ from math import isfinite
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, Protocol
 
+from robotctl.base.errors import Refused, UsageError
 from robotctl.cli.targets.ros_view import MessageListener
 from robotctl.cli.ui.keys import ANSWER, Key, KeyEvent
-from robotctl.errors import Refused, UsageError
 from robotctl.ipc.client import Client
 from robotctl.ipc.method_names import HOLD, PARAM_LIST
 from robotctl.kernel.course import MAX_SILENCE_S

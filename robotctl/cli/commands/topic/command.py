@@ -12,16 +12,16 @@ from typing import Annotated, Any, Final
 
 import typer
 
+from robotctl.base.errors import Refused, UsageError
+from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import All, DomainId, Json, Robot, Types
 from robotctl.cli.targets.recordings import find_recording
 from robotctl.cli.targets.ros_view import ros_view
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.ros_text import is_hidden, left_out_lines, name_lines, shown
 from robotctl.cli.ui.text import json_text, moment, printable
-from robotctl.errors import Refused, UsageError
 from robotctl.ipc.answers import GraphEndpoint, GraphTopic
 from robotctl.kernel.units import NS_PER_S
-from robotctl.paths import DEFAULT_ROBOT
 
 RecordedFile = Annotated[
     str,

@@ -6,10 +6,10 @@ import struct
 from collections.abc import Iterator
 from typing import Any
 
+from robotctl.base.errors import UnreadableFile, UsageError
 from robotctl.cli.targets.recordings import find_recording
 from robotctl.cli.ui.ros_text import SHOWN_LENGTH, message_lines, plain_json
 from robotctl.cli.ui.text import json_text
-from robotctl.errors import UnreadableFile, UsageError
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.definition import UnreadableType, parse_definition
 from robotctl.messages.fields import parse_path, value_at

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
+from robotctl.base.errors import Divergence, NotSealed, RobotctlError, UnreadableFile, UsageError
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.targets.recordings import RecordedBy, file_path
 from robotctl.cli.ui.output import print_answer
-from robotctl.errors import Divergence, NotSealed, RobotctlError, UnreadableFile, UsageError
 
 app = new_app()
 

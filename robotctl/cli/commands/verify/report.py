@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from robotctl.base.errors import Divergence, NotSealed, RobotctlError, UnreadableFile
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import moment, row, short_path, size
-from robotctl.errors import Divergence, NotSealed, RobotctlError, UnreadableFile
 from robotctl.recording.read.seal_chain import Chain, KnownHeads, SealedFile, check_chain, find_head
 from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.source import SUFFIX

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
-from robotctl.errors import UnreadableFile
-from robotctl.printable import short_name
+from robotctl.base.errors import UnreadableFile
+from robotctl.base.text import short_name
 
 PART_BYTES: Final = 8 << 20
 """The parts of a large object that are sent at once; S3 allows 10,000 of at least 5 MiB."""

@@ -1,4 +1,4 @@
-"""`python -m robotctl.processes WORK JOB --report-fd N`: do a job at the lowest CPU priority.
+"""`python -m robotctl.base.processes WORK JOB --report-fd N`: do a job at the lowest CPU priority.
 
 WORK is `module:function`. The function gets the JSON object JOB, and a function that sends a
 report, one line of JSON on N. An error of robotctl becomes the report {"error"}; it goes to stderr
@@ -16,8 +16,8 @@ import json  # noqa: E402
 from functools import partial  # noqa: E402
 from importlib import import_module  # noqa: E402
 
-from robotctl.errors import RobotctlError  # noqa: E402
-from robotctl.processes.pipes import report_fd, send_report  # noqa: E402
+from robotctl.base.errors import RobotctlError  # noqa: E402
+from robotctl.base.processes.pipes import report_fd, send_report  # noqa: E402
 
 
 def main(arguments: list[str]) -> int:

@@ -14,8 +14,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from robotctl.processes.child import Child, program, start
-    from robotctl.processes.pipes import (
+    from robotctl.base.processes.child import Child, program, start
+    from robotctl.base.processes.pipes import (
         REPORT_OPTION,
         LineSplitter,
         pidfd_of,

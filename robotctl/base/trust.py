@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from robotctl.errors import UsageError
+from robotctl.base.errors import UsageError
 
 ROOT_UID: Final = 0
 

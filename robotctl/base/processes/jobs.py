@@ -8,7 +8,7 @@ from collections.abc import AsyncGenerator, Sequence
 from contextlib import aclosing, suppress
 from typing import Any, Final
 
-from robotctl.processes.child import Child, program, start
+from robotctl.base.processes.child import Child, program, start
 
 _END_S: Final = 1.0
 """How long a process may take to end after its last report."""
@@ -20,7 +20,7 @@ class JobFailed(Exception):
 
 def job_command(work: str, job: dict[str, Any]) -> tuple[str, ...]:
     """Return the command that does a job; `work` is the `module:function` that gets it."""
-    return (*program("robotctl.processes"), work, json.dumps(job))
+    return (*program("robotctl.base.processes"), work, json.dumps(job))
 
 
 async def run_job(command: Sequence[str]) -> list[dict[str, Any]]:

@@ -53,7 +53,7 @@ def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
             os.environ[_PREFIXES] = os.pathsep.join([*prefixes, sys.prefix])
     limit_discovery()
     if not any(variable in os.environ for variable in _PROFILES):
-        os.environ[_PROFILES[0]] = str(Path(__file__).with_name("ros") / "fastdds.xml")
+        os.environ[_PROFILES[0]] = str(Path(__file__).parents[1] / "ros" / "fastdds.xml")
     return note
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 
-from robotctl.errors import UsageError
-from robotctl.printable import printable, short_name
+from robotctl.base.errors import UsageError
+from robotctl.base.text import printable, short_name
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> tuple[str, str]:

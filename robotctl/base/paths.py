@@ -6,8 +6,8 @@ import os
 import re
 from pathlib import Path
 
-from robotctl.errors import UsageError
-from robotctl.trust import SYSTEM_RUNTIME, UNIT_PREFIX, FolderChain
+from robotctl.base.errors import UsageError
+from robotctl.base.trust import SYSTEM_RUNTIME, UNIT_PREFIX, FolderChain
 
 DEFAULT_ROBOT = "robot"
 MAX_SOCKET_PATH_BYTES = 107

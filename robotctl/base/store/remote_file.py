@@ -11,8 +11,8 @@ from pathlib import Path, PosixPath
 from shlex import quote
 from typing import Any, Final, Self
 
-from robotctl.errors import UsageError
-from robotctl.store import ObjectStore, StoredObject, StoreError, is_url, open_store, parse_url
+from robotctl.base.errors import UsageError
+from robotctl.base.store import ObjectStore, StoredObject, StoreError, is_url, open_store, parse_url
 
 SUFFIX: Final = ".mcap"
 

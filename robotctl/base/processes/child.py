@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from robotctl.processes.pipes import (
+from robotctl.base.processes.pipes import (
     REPORT_OPTION,
     LineSplitter,
     decoded,

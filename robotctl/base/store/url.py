@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import unquote, urlsplit
 
-from robotctl.errors import UsageError
-from robotctl.printable import short_name
+from robotctl.base.errors import UsageError
+from robotctl.base.text import short_name
 
 _URL: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from robotctl.errors import Refused, UsageError
+from robotctl.base.errors import Refused, UsageError
 
 MAX_DOMAIN_ID = 232
 """The last ROS domain whose ports exist (DDSI-RTPS 2.5, 9.6.2.3)."""

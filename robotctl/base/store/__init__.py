@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from robotctl.store.objects import (
+from robotctl.base.store.objects import (
     PART_BYTES,
     AccessDenied,
     NoSuchObject,
@@ -22,7 +22,14 @@ from robotctl.store.objects import (
     StoreError,
     StoreFailed,
 )
-from robotctl.store.url import has_hash_folders, hash_in, is_hash, is_url, parse_url, without_hashes
+from robotctl.base.store.url import (
+    has_hash_folders,
+    hash_in,
+    is_hash,
+    is_url,
+    parse_url,
+    without_hashes,
+)
 
 __all__ = [
     "PART_BYTES",
@@ -53,13 +60,13 @@ def open_store(place: str) -> ObjectStore:
     Raises:
         UsageError: It is no URL of a store, or what URLs need is not installed.
     """
-    from robotctl.store.folder_store import FolderStore
+    from robotctl.base.store.folder_store import FolderStore
 
     if not is_url(place):
         return FolderStore(Path(place))
     url = parse_url(place)
     if url.scheme == "file":
         return FolderStore(Path("/", url.path))
-    from robotctl.store.bucket import RemoteStore
+    from robotctl.base.store.bucket import RemoteStore
 
     return RemoteStore(url)

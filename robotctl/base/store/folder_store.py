@@ -12,9 +12,8 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import IO, Final
 
-from robotctl.printable import printable
-from robotctl.regular_file import open_folder
-from robotctl.store.objects import (
+from robotctl.base.files import open_folder
+from robotctl.base.store.objects import (
     NO_STAMP,
     AccessDenied,
     NoSuchObject,
@@ -26,6 +25,7 @@ from robotctl.store.objects import (
     check_key,
     short_answer,
 )
+from robotctl.base.text import printable
 
 PREFIX: Final = ".unfinished-"
 

@@ -1,4 +1,4 @@
-"""`--ros-args` of a command line: parameters, files of them, remaps, names, and levels of the log.
+"""`--ros-args` of a command line: parameters, files of them, remaps, names, levels of the log.
 
 The syntax is that of rcl (https://design.ros2.org/articles/ros_command_line_arguments.html). Each
 argument is checked here, so that a wrong one is named before a node exists.
@@ -10,9 +10,45 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 
-from robotctl.errors import UsageError
-from robotctl.log_levels import LogLevel, read_log_level
+from robotctl.base.errors import UsageError
+
+LEVELS: Final = {"DEBUG": 10, "INFO": 20, "WARN": 30, "ERROR": 40, "FATAL": 50}
+"""The numbers of rcl_interfaces/msg/Log, which are also those of `logging`."""
+
+UNSET: Final = 0
+"""The level of a logger that takes the level of its parent."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogLevel:
+    """A level for a logger; `logger` is "" for all that have no level of their own."""
+
+    logger: str
+    level: int
+
+
+def read_log_level(text: str) -> LogLevel:
+    """Return the meaning of a `--log-level LEVEL` or `--log-level LOGGER:=LEVEL`.
+
+    Raises:
+        UsageError: The text has another form, or there is no such level.
+    """
+    logger, sign, name = text.rpartition(":=")
+    level = LEVELS.get(name.upper())
+    if level is None or (sign and not logger.strip()):
+        names = ", ".join(LEVELS).lower()
+        raise UsageError(f"--log-level {text!r} is not allowed", f"use {names}, or LOGGER:=LEVEL")
+    return LogLevel(logger.strip(), level)
+
+
+def level_name(level: int) -> str:
+    """Return the name of the highest ROS level up to this one, "UNSET" below all."""
+    return max((each, name) for name, each in {"UNSET": UNSET, **LEVELS}.items() if each <= level)[
+        1
+    ]
+
 
 BEGIN, END = "--ros-args", "--"
 LOG_LEVEL = "--log-level"

@@ -26,9 +26,8 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
-from robotctl.errors import UsageError
-from robotctl.printable import printable, short_name
-from robotctl.store.objects import (
+from robotctl.base.errors import UsageError
+from robotctl.base.store.objects import (
     NO_STAMP,
     PART_BYTES,
     AccessDenied,
@@ -42,7 +41,8 @@ from robotctl.store.objects import (
     check_key,
     short_answer,
 )
-from robotctl.store.url import StoreUrl
+from robotctl.base.store.url import StoreUrl
+from robotctl.base.text import printable, short_name
 
 if TYPE_CHECKING:
     from obstore import Attributes, GetOptions, ObjectMeta

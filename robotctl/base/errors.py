@@ -1,0 +1,168 @@
+"""The errors that users can see; each class has its own exit code.
+
+    RobotctlError            1   internal, unexpected
+    |-- UsageError           2   a wrong argument
+    |   `-- ConfigError      2   a wrong configuration file or key
+    |-- NoDaemon             3   no daemon answers for this robot
+    |-- Refused              4   a condition does not hold; nothing was changed
+    |-- AlreadyRunning       5   another process owns this robot
+    |-- UnreadableFile       6   nothing can be read from the file
+    |-- Divergence           7   a re-run decided differently from the recording
+    |-- RecoveredWithLoss    8   a file was recovered, but not all of it
+    `-- Interrupted        130   ended by Ctrl-C or a signal
+
+The text of an error says what happened and what to do about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+INTERRUPTED_EXIT_CODE = 130
+
+IN_PARENTHESES = "{cause} ({cure})"
+"""The form of a sentence with the cure in parentheses after the cause."""
+
+
+class RobotctlError(Exception):
+    """The base class; raised itself for an internal error of robotctl.
+
+    `str(error)` is the sentence for people. `cause` is what happened, and `cure` what to do about
+    it; if `cure` is empty, `cause` may contain both. `answer` is the partial result: the numbers
+    of a drive that was stopped, or the readable part of a damaged file.
+    """
+
+    exit_code: ClassVar[int] = 1
+    kind: ClassVar[str] = "internal"
+    """The name of the exit code in `--json`; it never changes."""
+
+    def __init__(
+        self,
+        cause: str = "",
+        cure: str = "",
+        *,
+        sentence: str = "{cause}: {cure}",
+        answer: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Make the text of `cause` and `cure`, joined in the form of `sentence`."""
+        super().__init__(sentence.format(cause=cause, cure=cure) if cure else cause)
+        self.cause = cause
+        self.cure = cure
+        self.answer: Mapping[str, Any] = answer or {}
+
+    def details(self) -> dict[str, Any]:
+        """Return what another process gets in addition to exit code and text."""
+        details: dict[str, Any] = {}
+        if self.cure:
+            details |= {"cause": self.cause, "cure": self.cure}
+        if self.answer:
+            details["answer"] = dict(self.answer)
+        return details
+
+    def as_object(self) -> dict[str, Any]:
+        """Return what `--json` prints as `error`."""
+        return {
+            "kind": self.kind,
+            "message": str(self) or self.kind,
+            "cause": self.cause or self.kind,
+            "cure": self.cure or None,
+            "exit_code": self.exit_code,
+        }
+
+
+class UsageError(RobotctlError):
+    """An argument that is not allowed."""
+
+    exit_code = 2
+    kind = "usage"
+
+
+class ConfigError(UsageError):
+    """A configuration file that is missing, malformed, or has a value that is not allowed."""
+
+
+class NoDaemon(RobotctlError):
+    """A request that no daemon answers on the robot's socket."""
+
+    exit_code = 3
+    kind = "no_daemon"
+
+
+class Refused(RobotctlError):
+    """A request whose condition does not hold; the text names the condition and the cure."""
+
+    exit_code = 4
+    kind = "refused"
+
+
+class NotSealed(RobotctlError):
+    """A recording that is whole, but whose origin no signature proves."""
+
+    exit_code = 4
+    kind = "not_sealed"
+
+
+class AlreadyRunning(RobotctlError):
+    """A start while another process owns the robot's name; the text has its pid."""
+
+    exit_code = 5
+    kind = "already_running"
+
+
+class UnreadableFile(RobotctlError):
+    """A file from which nothing, or not everything, can be read."""
+
+    exit_code = 6
+    kind = "unreadable_file"
+
+
+class Divergence(RobotctlError):
+    """A re-run that decided differently from the recording, or found a broken promise."""
+
+    exit_code = 7
+    kind = "divergence"
+
+
+class RecoveredWithLoss(RobotctlError):
+    """A damaged file that was recovered, but not completely."""
+
+    exit_code = 8
+    kind = "recovered_with_loss"
+
+
+class Interrupted(RobotctlError):
+    """A command that was ended by Ctrl-C or a signal; an empty text is not printed."""
+
+    exit_code = INTERRUPTED_EXIT_CODE
+    kind = "interrupted"
+
+
+_KINDS = (
+    UsageError,
+    NoDaemon,
+    Refused,
+    AlreadyRunning,
+    UnreadableFile,
+    Divergence,
+    RecoveredWithLoss,
+    Interrupted,
+)
+
+
+def error_for_exit_code(
+    exit_code: int, text: str, details: Mapping[str, Any] | None = None
+) -> RobotctlError:
+    """Return the error that another process sent as exit code, text and `details()`.
+
+    Details of an unknown form, such as those of another version, are ignored.
+    """
+    kinds = {kind.exit_code: kind for kind in _KINDS}
+    error = kinds.get(exit_code, RobotctlError)(text)
+    details = details or {}
+    cause, cure, answer = (details.get(name) for name in ("cause", "cure", "answer"))
+    if isinstance(cause, str) and isinstance(cure, str):
+        error.cause, error.cure = cause or text, cure
+    if isinstance(answer, dict):
+        error.answer = answer
+    return error
