@@ -175,8 +175,7 @@ class _Copy:
             return  # a list of files comes after them
         for file in (each for each in files if _is_replaced(each.key)):
             found = self._there.get(file.key, [])
-            is_there = any(_is_as_new(each, file) for each in found)
-            if not (is_there or (found and self._more_is_there())):
+            if not (_has_as_new(found, file) or (found and self._more_is_there())):
                 self._send(file)
 
     def _more_is_there(self) -> bool:
@@ -231,8 +230,15 @@ def _is_replaced(key: str) -> bool:
     return key.rpartition("/")[2] in REPLACED
 
 
-def _is_as_new(there: StoredObject, here: LocalFile | StoredFile) -> bool:
-    return there.size_bytes == here.size_bytes and there.modified_ns >= here.modified_ns
+def _has_as_new(there: Sequence[StoredObject], here: LocalFile | StoredFile) -> bool:
+    """Return whether one of the objects has the size of the file, and is not older.
+
+    A listing tells when an object was stored, only its stamp when its content was written.
+    """
+    same = [each for each in there if each.size_bytes == here.size_bytes]
+    if isinstance(here, StoredFile) and any(each.modified_ns < here.modified_ns for each in same):
+        here = here.with_stamp()
+    return any(each.modified_ns >= here.modified_ns for each in same)
 
 
 def _wrong_content(store: ObjectStore, key: str) -> WrongContent:

@@ -93,6 +93,8 @@ def test_what_comes_back_from_a_bucket_is_as_it_was_with_its_time(
     for name, value in environment(s3_endpoint).items():
         monkeypatch.setenv(name, value)
     (recording / f"{NAME}_1.mcap").write_bytes((recording / f"{NAME}_0.mcap").read_bytes() * 400)
+    for path in recording.iterdir():
+        os.utime(path, (1_700_000_000, 1_700_000_000))  # a bucket lists when it was stored
     url = f"s3://robots/{tmp_path.name}"
     assert cli("sync", url).exit_code == 0
     back = tmp_path / "back"
