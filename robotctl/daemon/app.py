@@ -17,7 +17,7 @@ from robotctl.config.ros_settings import MODE_SERVICE
 from robotctl.daemon.command_choice import choose_command_type
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.decision_notes import noted, open_decision_log
-from robotctl.daemon.driver import Driver
+from robotctl.daemon.driver import build
 from robotctl.daemon.host import DaemonKind, Host, Ready
 from robotctl.daemon.log.levels import LoggerLevels
 from robotctl.daemon.observer import Observer
@@ -94,11 +94,9 @@ async def serve(
         host.warnings.append(host.decisions.warning)
         if not options.observe:
             await refuse_same_names(host)
-        daemon: DaemonKind
-        if options.observe:
-            daemon = Observer(host)
-        else:
-            daemon = Driver(host, await choose_command_type(host))
+        daemon: DaemonKind = (
+            Observer(host) if options.observe else build(host, await choose_command_type(host))
+        )
         session.last.enter_context(published_log(session, levels))
         session.last.push_async_callback(daemon.recorder.close)  # when no message comes any more
         identity = Identity(options.robot, __version__, os.getpid())

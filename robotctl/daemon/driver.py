@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -61,190 +62,210 @@ READY_S = 10.0
 subscriber of the command. Discovery by Fast DDS takes up to 2.6 s; a robot may still boot."""
 
 
+@dataclass(slots=True)
 class Driver:
-    """A daemon that connects kernel, ROS roles and recorder."""
+    """A daemon that drives a robot: its wired parts, as `build` makes them."""
 
-    def __init__(self, host: Host, command: CommandType) -> None:
-        self._host = host
-        self._command = command
-        session, params, robot = host.session, host.config.kernel, host.options.robot
-        latch = Latch(latch_path(robot))
-        session.last.push_async_callback(latch.close)
-        host.warnings.append(latch.warning)
-        stop = latch.read()
-        first = State() if stop is None else latched(*stop)
-        kernel = Kernel(params, with_lifecycle(first, autostart=host.config.autostart))
-        self.recorder = FlightRecorder(
-            host.options,
-            host.config,
-            session,
-            lambda: kernel.state.mode.name,
-            on_failure=lambda detail: self._inputs.recorder_failed(detail),
-            on_file=lambda: self._control.journal_snapshot(time.monotonic_ns()),
-        )
-        tap = self.recorder.tap
-        for topic in (command_topic(params.command.topic, command), STATUS, *CALLS):
-            tap.subscribe_own(topic)
-        self._velocity = VelocityPublisher(
-            session, params.command.topic, command, lambda: self._control.state.silent
-        )
-        self._watchdog = Watchdog(params.rate_hz, self._velocity)
-        requests = PendingRequests()
-        truth = GroundTruth()
-        decisions = Decisions(host.decisions, self.recorder.show_event)
-        self._control = Control(
-            kernel,
-            Journal(
-                self.recorder.open_journal(JournalPublisher(session)),
-                lambda: self._velocity.accounted,
-            ),
-            Effects(
-                self._velocity.publish,
-                lambda mode: self._shown.show(mode),
-                self.recorder.note,
-                latch,
-                requests,
-                robot,
-                lambda change: self._parameters.changed(change),
-                decisions.decided,
-                truth.errors,
-                lambda ended: self._robot_report.drive_ended(ended),
-            ).carry_out,
-            requests,
-            host.supervisor.callback_failed,
-            partial(urgent_event, self._watchdog),
-            decisions.asked,
-        )
-        self._parameters = Parameters(host.config, self._control, self.recorder.reconfigure)
-        self._loop = ControlLoop(params.rate_hz, self._control, self._watchdog, self._velocity)
-        host.supervisor.report_to(self._control.dispatch)
-        self._robot_report = RobotReport(self._control, truth)
-        self._status = StatusSource(
-            host.options,
-            self.recorder.report,
-            self._robot_report,
-            session.scheduling,
-            host.warnings,
-        )
-        self._diagnostics = Diagnostics(session, robot, self.recorder.report, self._status)
-        self.recorder.health.on_news = self._diagnostics.publish
-        if host.config.on_topic_trouble == "refuse":
-            self.recorder.health.on_troubles = host.supervisor.topics_in_trouble
-        remote = RemoteRequests(self._velocity.gid)
-        self._inputs = Inputs(self._control, self._robot_report, remote.is_remote)
-        self._odometry = OdomSubscriber(
-            session,
-            params.odometry.topic,
-            self._take_odometry,
-            self._inputs.odometry_source,
-            ODOMETRY[params.odometry.qos],
-        )
-        create_input_roles(session, params, robot, self._inputs, command)
-        self._modes = ModeService(session, robot, self._inputs.service_call, self._say)
-        lock = CommandLock(self._modes.node, params.command.lock_topic)
-        self._shown = ShownStatus(self._modes, self._control, self._robot_report, lock)
-        self._last_zero = LastZero(self._velocity, self._modes, self.recorder.received)
-        follow_lifecycle(self._modes.node, self._inputs, autostart=host.config.autostart)
-        self._simulated: SimulatedRobot | None = None
-        self._leases = LeaseMethods(self._control, robot)
-        self._driving = DrivingMethods(
-            self._control, self._robot_report, robot, self._leases.client_of
-        )
-        goals = DriveGoals(self._control, self._driving, remote.is_remote)
-        session.last.callback(DriveAction(self._modes.node, goals.begin, self._say).close)
+    host: Host
+    command: CommandType
+    recorder: FlightRecorder
+    velocity: VelocityPublisher
+    watchdog: Watchdog
+    control: Control
+    loop: ControlLoop
+    parameters: Parameters
+    report: RobotReport
+    status: StatusSource
+    diagnostics: Diagnostics
+    odometry: OdomSubscriber
+    shown: ShownStatus
+    last_zero: LastZero
+    leases: LeaseMethods
+    driving: DrivingMethods
+    simulated: SimulatedRobot | None = None
+    """Made by `run`, where the daemon simulates the robot."""
 
     def methods(self) -> Mapping[str, Method[Any]]:
         """Return the methods of the control socket."""
+        robot = self.host.options.robot
         return {
-            **common_methods(self._status, self._host.stop),
-            **recording_methods(self.recorder, self._host.options.robot),
+            **common_methods(self.status, self.host.stop),
+            **recording_methods(self.recorder, robot),
             **graph_methods(self.recorder.tap),
-            **self._driving.table(),
-            **self._leases.table(),
-            **simulation_methods(lambda: self._simulated, self._control, self.recorder.mark),
-            **parameter_methods(self._parameters, self._host.options.robot),
+            **self.driving.table(),
+            **self.leases.table(),
+            **simulation_methods(lambda: self.simulated, self.control, self.recorder.mark),
+            **parameter_methods(self.parameters, robot),
         }
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
         """Run every task until the daemon is stopped."""
-        self._control.journal_snapshot(time.monotonic_ns())
+        self._journal_snapshot()
         # Without a last snapshot, a check could not tell whether the last entries are there.
-        self._host.session.last.callback(
-            lambda: self._control.journal_snapshot(time.monotonic_ns())
-        )
-        sim = self._host.options.sim
+        self.host.session.last.callback(self._journal_snapshot)
+        sim = self.host.options.sim
         if sim is None:
-            sim = self._host.alone or not await has_odometry_publisher(
-                self._odometry, self._host.stop, self._host.discovered_by_s
+            sim = self.host.alone or not await has_odometry_publisher(
+                self.odometry, self.host.stop, self.host.discovered_by_s
             )
             if not sim:
-                notes = [*notes, f"no simulator: {self._odometry.topic} has a publisher already"]
-        self._robot_report.sim = sim
+                notes = [*notes, f"no simulator: {self.odometry.topic} has a publisher already"]
+        self.report.sim = sim
         work = {**self._work(sim), "socket": server.serve}
-        serve_parameters(self._host.session, self._parameters, self._host.options.robot)
-        async with running(self._host.supervisor, work):
-            with self._watchdog:
+        serve_parameters(self.host.session, self.parameters, self.host.options.robot)
+        async with running(self.host.supervisor, work):
+            with self.watchdog:
                 ready = await self._become_ready(notes, on_ready)
-                await self._host.stop.wait()
+                await self.host.stop.wait()
                 _log.info("stopping")
-                await stand_still(self._control, lambda: self._velocity.published)
-        await self._last_zero.arrived()
+                await stand_still(self.control, lambda: self.velocity.published)
+        await self.last_zero.arrived()
         if not ready:
             raise RobotctlError("the daemon was stopped before it was ready")
 
     def mode(self) -> str:
         """Return the name of the mode."""
-        return self._control.state.mode.name
+        return self.control.state.mode.name
 
     async def stop_robot(self) -> None:
         """Send a last zero, and record it."""
         try:
-            send_zero(self._control, self._velocity)
-            await self._last_zero.arrived()
+            send_zero(self.control, self.velocity)
+            await self.last_zero.arrived()
         except Exception:  # noqa: BLE001 - the first failure is the one to report
             _log.exception("no last zero could be sent")
 
-    # Tasks
+    def _journal_snapshot(self) -> None:
+        self.control.journal_snapshot(time.monotonic_ns())
 
     def _work(self, sim: bool) -> dict[str, Work]:
         work: dict[str, Work] = {
-            "control": lambda: self._loop.run(self._odometry.look),
+            "control": lambda: self.loop.run(self.odometry.look),
             **self.recorder.work(),
-            "diagnostics": self._diagnostics.run,
+            "diagnostics": self.diagnostics.run,
             "graph watch": partial(
-                watch_graph, self._velocity, self._odometry, self._control.dispatch
+                watch_graph, self.velocity, self.odometry, self.control.dispatch
             ),
-            "status": self._shown.run,
+            "status": self.shown.run,
         }
         if sim:
-            self._simulated = recorded_robot(
-                self._host.session, self._host.config, self._command, self.recorder.tap
+            self.simulated = recorded_robot(
+                self.host.session, self.host.config, self.command, self.recorder.tap
             )
-            self._robot_report.ground_truth.truth = self._simulated.truth
-            work["simulated robot"] = self._simulated.run
+            self.report.ground_truth.truth = self.simulated.truth
+            work["simulated robot"] = self.simulated.run
         return work
 
-    def _take_odometry(self, odometry: Odometry, source: int, sequence: int) -> None:
-        self._loop.look_at_commands()  # twice as often as the ticks alone
-        self._inputs.odometry(odometry, source, sequence)
-
-    # Start
-
     async def _become_ready(self, notes: list[str], on_ready: Ready) -> bool:
-        stop = self._host.stop
-        await until(lambda: not self._robot_report.missing() or stop.is_set(), READY_S)
+        stop, drive = self.host.stop, self.host.options.drive
+        await until(lambda: not self.report.missing() or stop.is_set(), READY_S)
         if stop.is_set():
             return False
-        notes = [
-            *notes,
-            *(f"no robot to drive yet: {text}" for text in self._robot_report.missing()),
-        ]
-        if self._host.options.drive is not None:
-            reply = await self._driving.begin(self._host.options.drive, "robotctl start --drive")
-            notes = [*notes, self._say(reply)]
-        on_ready(self._status.summary(notes))
+        notes = [*notes, *(f"no robot to drive yet: {text}" for text in self.report.missing())]
+        if drive is not None:
+            reply = await self.driving.begin(drive, "robotctl start --drive")
+            notes = [*notes, _sentence(reply, self.host.options.robot)]
+        on_ready(self.status.summary(notes))
         _log.info("ready")
         return True
 
-    def _say(self, reply: Reply) -> str:
-        return advice(reply.message, reply.remedies, self._host.options.robot).sentence
+
+def build(host: Host, command: CommandType) -> Driver:
+    """Wire kernel, ROS roles and recorder.
+
+    A part is made after those that it uses. The two that use later ones, control and recorder, get
+    those as attributes, before any event comes.
+    """
+    session, params, robot = host.session, host.config.kernel, host.options.robot
+    say = partial(_sentence, robot=robot)
+    latch = Latch(latch_path(robot))
+    session.last.push_async_callback(latch.close)
+    host.warnings.append(latch.warning)
+    stop = latch.read()
+    first = State() if stop is None else latched(*stop)
+    kernel = Kernel(params, with_lifecycle(first, autostart=host.config.autostart))
+    recorder = FlightRecorder(host.options, host.config, session, lambda: kernel.state.mode.name)
+    for topic in (command_topic(params.command.topic, command), STATUS, *CALLS):
+        recorder.tap.subscribe_own(topic)
+    velocity = VelocityPublisher(
+        session, params.command.topic, command, lambda: kernel.state.silent
+    )
+    watchdog = Watchdog(params.rate_hz, velocity)
+    requests, truth = PendingRequests(), GroundTruth()
+    decisions = Decisions(host.decisions, recorder.show_event)
+    control = Control(
+        kernel,
+        Journal(recorder.open_journal(JournalPublisher(session)), lambda: velocity.accounted),
+        requests,
+        host.supervisor.callback_failed,
+        partial(urgent_event, watchdog),
+        decisions.asked,
+    )
+    parameters = Parameters(host.config, control, recorder.reconfigure)
+    loop = ControlLoop(params.rate_hz, control, watchdog, velocity)
+    host.supervisor.report_to(control.dispatch)
+    report = RobotReport(control, truth)
+    status = StatusSource(host.options, recorder.report, report, session.scheduling, host.warnings)
+    diagnostics = Diagnostics(session, robot, recorder.report, status)
+    remote = RemoteRequests(velocity.gid)
+    inputs = Inputs(control, report, remote.is_remote)
+
+    def hear_odometry(odometry: Odometry, source: int, sequence: int) -> None:
+        loop.look_at_commands()  # twice as often as the ticks alone
+        inputs.odometry(odometry, source, sequence)
+
+    odometry = OdomSubscriber(
+        session,
+        params.odometry.topic,
+        hear_odometry,
+        inputs.odometry_source,
+        ODOMETRY[params.odometry.qos],
+    )
+    create_input_roles(session, params, robot, inputs, command)
+    modes = ModeService(session, robot, inputs.service_call, say)
+    shown = ShownStatus(modes, control, report, CommandLock(modes.node, params.command.lock_topic))
+    follow_lifecycle(modes.node, inputs, autostart=host.config.autostart)
+    leases = LeaseMethods(control, robot)
+    driving = DrivingMethods(control, report, robot, leases.client_of)
+    goals = DriveGoals(control, driving, remote.is_remote)
+    session.last.callback(DriveAction(modes.node, goals.begin, say).close)
+    control.carry_out = Effects(
+        velocity.publish,
+        shown.show,
+        recorder.note,
+        latch,
+        requests,
+        robot,
+        parameters.changed,
+        decisions.decided,
+        truth.errors,
+        report.drive_ended,
+    ).carry_out
+    recorder.on_failure = inputs.recorder_failed
+    recorder.on_file = lambda: control.journal_snapshot(time.monotonic_ns())
+    recorder.health.on_news = diagnostics.publish
+    if host.config.on_topic_trouble == "refuse":
+        recorder.health.on_troubles = host.supervisor.topics_in_trouble
+    return Driver(
+        host=host,
+        command=command,
+        recorder=recorder,
+        velocity=velocity,
+        watchdog=watchdog,
+        control=control,
+        loop=loop,
+        parameters=parameters,
+        report=report,
+        status=status,
+        diagnostics=diagnostics,
+        odometry=odometry,
+        shown=shown,
+        last_zero=LastZero(velocity, modes, recorder.received),
+        leases=leases,
+        driving=driving,
+    )
+
+
+def _sentence(reply: Reply, robot: str) -> str:
+    """Return what a reply says, with its cure."""
+    return advice(reply.message, reply.remedies, robot).sentence

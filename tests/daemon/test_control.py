@@ -75,10 +75,10 @@ class Bench:
         self.control = Control(
             Kernel(params or KernelParams(), state),
             Journal(lambda serialized, seq: self.entries.append(decode(serialized))),
-            lambda effect: self.do(effect),
             self.requests,
             lambda error, where: self.failures.append(where),
         )
+        self.control.carry_out = lambda effect: self.do(effect)
         self.control.journal_snapshot(0)
 
     @property

@@ -147,7 +147,6 @@ class Control:
         self,
         kernel: Kernel,
         journal: Journal,
-        carry_out: Callable[[Effect], None],
         requests: PendingRequests,
         on_failure: Callable[[Exception, str], None],
         urgent: Callable[[], Event | None] = lambda: None,
@@ -161,7 +160,9 @@ class Control:
         """
         self._kernel = kernel
         self._journal = journal
-        self._carry_out = carry_out
+        self.carry_out: Callable[[Effect], None] = _nothing_yet
+        """Carries out an effect; set before the first event, by who makes the parts for it."""
+
         self._requests = requests
         self._on_failure = on_failure
         self._urgent = urgent
@@ -248,7 +249,7 @@ class Control:
             if problem and isinstance(effect, Reply):
                 done = replace(effect, ok=False, message=f"{effect.message}, but {problem}")
             try:
-                self._carry_out(done)
+                self.carry_out(done)
             except Exception as error:  # noqa: BLE001 - the other effects must still happen
                 problem = f"{type(effect).__name__} failed: {error}"
                 self._tell(error, problem)
@@ -260,3 +261,7 @@ class Control:
         if problem != self._failing:  # once, and not at each tick
             self._failing = problem
             self._on_failure(error, problem)
+
+
+def _nothing_yet(effect: Effect) -> None:
+    raise AssertionError(f"nothing carries out {effect} yet")

@@ -53,21 +53,21 @@ class FlightRecorder:
         config: Config,
         session: Session,
         mode: Callable[[], str],
-        on_failure: Callable[[str], None] = lambda detail: None,
-        on_file: Callable[[], None] = lambda: None,
     ) -> None:
         """Start to record.
 
-        `mode()` is called from any thread. In the loop, `on_failure(detail)` is called when
-        recording has failed and the configuration stops the robot then, and `on_file()` when a
-        later file needs a journal snapshot, so that it can be read alone.
+        `mode()` is called from any thread.
 
         Raises:
             Refused: The recording cannot be written.
         """
         self._robot = options.robot
-        self._on_failure = on_failure
-        self._on_file = on_file
+        self.on_failure: Callable[[str], None] = lambda detail: None
+        """Called in the loop when recording has failed and the configuration stops the robot."""
+
+        self.on_file: Callable[[], None] = lambda: None
+        """Called in the loop when a later file needs a journal snapshot, to be read alone."""
+
         self._closing = False
         self._must_record = config.on_recorder_failure == "stop"
         self._config = config
@@ -185,7 +185,7 @@ class FlightRecorder:
     def split(self) -> None:
         """Start the next file, without a gap; return before it is open."""
         self._recorder.split()
-        self._on_file()
+        self.on_file()
 
     def stats(self) -> RecorderStats:
         """Return the message counts so far."""
@@ -232,7 +232,7 @@ class FlightRecorder:
     def _failed(self, detail: str) -> None:
         _log.error("%s", for_robot(detail, self._robot))
         if self._must_record:
-            self._on_failure(detail)
+            self.on_failure(detail)
 
     def _file_full(self, _: Path) -> None:
         if not self._closing:
