@@ -87,7 +87,7 @@ def path_text(steps: Steps | list[str | int]) -> str:
 class LeafField:
     """A field that is a number or a text, or a list of any length.
 
-    `steps` lead to its value (see `cdr.field_path`). A list of numbers or texts is one leaf, and so
+    `steps` lead to its value. A list of numbers or texts is one leaf, and so
     is a sequence of messages: its length is known only of a message.
     """
 

@@ -1,8 +1,7 @@
 """teleop: drive by hand, with keys or a gamepad that must be held.
 
-- `held_keys`, `gamepad`: what the operator wants now.
-- `holding`: asks the daemon for it, again and again.
-- `session`: the loop around both; `screen`: what is shown.
+- `command`: declares the options; the session from start to end, and what it shows.
+- `controls`: what the operator wants now, by keys or gamepad, and how the daemon is asked for it.
 """
 
 from robotctl.cli.commands.teleop.command import app
