@@ -138,7 +138,7 @@ class World:
             "PYTHONUNBUFFERED": "1",
         }
         self.inside: tuple[str, ...] = ()
-        """What a command line begins with, to run on another host (tests.support.network)."""
+        """What a command line begins with, to run on another host (`Host.inside`)."""
 
         self.may_lack = ""
         """Why recordings of this world may be incomplete, "" if they must not."""
