@@ -30,7 +30,7 @@ from robotctl.messages import cdr
 from robotctl.messages.definition import parse_definition, rihs01_hash
 from robotctl.messages.motion import encode_twist
 from robotctl.recording import Recorder, RecorderOptions, Topic
-from robotctl.recording.convert.installed_definition import installed_definition
+from robotctl.recording.convert.sources import installed_definition
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
 from robotctl.recording.format.names import PARAMETER_PREFIX
 from robotctl.recording.format.recorded_events import RecordedEvent, noted_event

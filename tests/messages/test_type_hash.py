@@ -20,7 +20,7 @@ from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.messages.cdr import ENCAPSULATION
 from robotctl.messages.definition import parse_definition, rihs01_hash
 from robotctl.messages.inputs import MAX_STATUSES, MAX_VALUES, reader_of
-from robotctl.recording.convert.installed_definition import installed_definition
+from robotctl.recording.convert.sources import installed_definition
 from robotctl.rerun.recording_ends import HASHES
 from robotctl.testing.hearing import safety_message
 from tests.support.heard_drives import EVENTS

@@ -21,7 +21,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ENCAPSULATION
 from robotctl.messages.definition import parse_definition, rihs01_hash
 from robotctl.messages.inputs import MESSAGE_TYPES
-from robotctl.recording.convert.installed_definition import installed_definition
+from robotctl.recording.convert.sources import installed_definition
 from robotctl.recording.format.journal import decode
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
 from robotctl.rerun.closed_loop import closed_loop

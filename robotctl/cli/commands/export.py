@@ -166,7 +166,7 @@ def _told(
 
 
 def _print(form: TableFormat, table: TopicTable, rows: Iterable[Row]) -> int:
-    from robotctl.recording.table.text_tables import write_csv, write_json_lines
+    from robotctl.recording.table.topic_table import write_csv, write_json_lines
 
     if form is TableFormat.JSON:
         return write_json_lines(table.columns, rows, sys.stdout)
@@ -181,7 +181,7 @@ def _write(
     form: TableFormat, table: TopicTable, rows: Iterable[Row], output: Path, source: Path
 ) -> int:
     from robotctl.recording.disk.atomic_output import atomic_output
-    from robotctl.recording.table.text_tables import write_csv, write_json_lines
+    from robotctl.recording.table.topic_table import write_csv, write_json_lines
 
     with atomic_output(output, source) as unfinished:
         if form is TableFormat.PARQUET:

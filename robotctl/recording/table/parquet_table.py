@@ -15,8 +15,7 @@ import numpy as np
 from robotctl.base.errors import RobotctlError, UnreadableFile, UsageError
 from robotctl.messages.definition import NUMBERS, TEXT, WIDE_TEXT
 from robotctl.messages.fields import Column, ColumnKind
-from robotctl.recording.table.text_tables import json_of
-from robotctl.recording.table.topic_table import Row
+from robotctl.recording.table.topic_table import Row, json_of
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
