@@ -1,4 +1,8 @@
-"""status, set-mode, estop, reset, stop and drive, against a fake daemon."""
+"""status, set-mode, estop, reset, stop and drive, against a fake daemon.
+
+A background call ends even if the thread that waits for it is interrupted.
+Reasons of requests, and commands about every robot of a user, against fake daemons.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +11,20 @@ import os
 import pty
 import signal
 import subprocess
+import sys
+import threading
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import pytest
 from PIL import Image
 
 from robotctl.base import processes
+from robotctl.base.errors import UsageError
 from robotctl.base.mode_names import MODES
 from robotctl.cli import quick
 from robotctl.cli.commands.drive import tracking_lines
@@ -25,7 +34,7 @@ from robotctl.ipc.answers import DriveAnswer, Status
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
-from tests.support.waiting import until
+from tests.support.waiting import DEADLINE_S, until
 
 DRIVING = "robotctl.cli.targets.driving"
 PICTURE = Path("recordings/robot_20260101_120000/path.png")
@@ -336,3 +345,121 @@ def test_the_command_line_knows_the_modes_of_the_kernel() -> None:
     names = {mode.name.lower().replace("_", "-"): mode.value for mode in Mode}
     assert names == MODES
     assert Mode.EMERGENCY_STOP == EMERGENCY_STOP_MODE
+
+
+def started(work: Callable[[], dict[str, Any]]) -> Background[dict[str, Any]]:
+    background = Background(work)
+    background.start()
+    return background
+
+
+def test_what_the_work_returns_or_raises_comes_out() -> None:
+    def fail() -> dict[str, Any]:
+        raise ZeroDivisionError("no")
+
+    assert started(lambda: {"laps": 1}).result() == {"laps": 1}
+    with pytest.raises(ZeroDivisionError, match="no"):
+        started(fail).result()
+
+
+def test_the_work_ends_even_if_the_waiting_thread_is_interrupted_at_any_step() -> None:
+    for step in count(1):
+        release = threading.Event()
+
+        def work(release: threading.Event = release) -> dict[str, Any]:
+            release.wait()
+            return {}
+
+        working = started(work)
+
+        def is_done(working: Background[dict[str, Any]] = working) -> bool:
+            return working.is_done
+
+        was_interrupted = interrupted_at(step, is_done)
+        release.set()
+        until(is_done)
+        working.join(DEADLINE_S)
+        assert not working.is_alive()
+        if not was_interrupted:
+            assert step > 1, "there was no step to interrupt"
+            return
+
+
+def interrupted_at(step: int, ask: Any) -> bool:
+    """Call `ask` and interrupt it at a line or a return; return False if it has fewer of them."""
+    left = step
+
+    def trace(frame: FrameType, event: str, argument: object) -> Any:
+        nonlocal left
+        left -= event in ("line", "return")
+        if left == 0:
+            left = -1
+            raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        ask()
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+    return False
+
+
+BAD_REASONS = ["x" * 10_000, "a\nb", "\x1b[2J", "\u202etxt"]
+
+
+@pytest.mark.parametrize("reason", BAD_REASONS, ids=["10 kB", "line", "escape", "direction"])
+def test_a_reason_that_cannot_be_kept_is_refused_by_name_and_delays_no_stop(
+    reason: str, daemon: None, cli: Callable[..., Any]
+) -> None:
+    for words in (("set-mode", "moving"), ("drive", "square"), ("reset",)):
+        ran = cli(*words, "--reason", reason)
+        assert (ran.exit_code, mode()) == (2, "IDLE")
+        assert "--reason" in ran.err
+    stopped = cli("estop", "--reason", reason)
+    assert (stopped.exit_code, mode()) == (2, "EMERGENCY_STOP")
+    assert "was stopped, but the reason was left out: --reason" in stopped.err
+
+
+def test_a_reason_stands_where_the_mode_is_explained(daemon: None, cli: Callable[..., Any]) -> None:
+    assert cli("estop", "--reason", "a child ran in").exit_code == 0
+    assert call("robot", "status")["mode_reason"].endswith(": a child ran in")
+
+
+@pytest.mark.parametrize("reason", BAD_REASONS, ids=["10 kB", "line", "escape", "direction"])
+def test_the_socket_takes_no_such_reason_either(reason: str, daemon: None) -> None:
+    with pytest.raises(UsageError, match=r"reason: .* without control characters"):
+        call("robot", "set_mode", {"mode": 0, "source": "test", "reason": reason})
+
+
+def test_estop_of_one_robot_names_the_others_that_move_and_all_stops_them(
+    daemon: None, cli: Callable[..., Any]
+) -> None:
+    assert cli("start", "--robot", "r2").exit_code == 0
+    for robot in ("robot", "r2"):
+        assert cli("set-mode", "moving", "--robot", robot).exit_code == 0
+    stopped = cli("estop")
+    assert "still MOVING: r2 (all robots: robotctl estop --all)" in stopped.out
+    assert json.loads(cli("estop", "--json").out)["others_moving"] == ["r2"]
+    listed = {each["robot"]: each for each in json.loads(cli("ps", "--json").out)["robots"]}
+    assert {name: each["mode"] for name, each in listed.items()} == {
+        "r2": "MOVING",
+        "robot": "EMERGENCY_STOP",
+    }
+    assert listed["r2"]["pid"]
+    assert listed["r2"]["recording"].endswith(".mcap")
+    everybody = cli("estop", "--all", "--reason", "fire")
+    assert everybody.exit_code == 0
+    assert sorted(line.split(":")[0] for line in everybody.out.splitlines()) == ["r2", "robot"]
+    assert call("r2", "status")["mode"] == "EMERGENCY_STOP"
+    assert "EMERGENCY_STOP" in cli("ps").out
+
+
+@pytest.mark.usefixtures("home")
+def test_where_no_daemon_runs_ps_says_so_and_a_stop_of_all_fails(cli: Callable[..., Any]) -> None:
+    assert cli("ps").out == "no daemon runs\n"
+    assert json.loads(cli("ps", "--json").out) == {"robots": []}
+    assert cli("estop", "--all").exit_code == 3

@@ -1,19 +1,45 @@
-"""`robotctl evidence`: one report from the journal of decisions and the recordings."""
+"""`robotctl evidence`: one report from the journal of decisions and the recordings.
+
+Recordings show which entries the journal of decisions must hold, whatever times it tells.
+`verify` of a folder and `evidence` agree on a file that stands in the place of a sealed one.
+"""
 
 from __future__ import annotations
 
 import json
+import shutil
+import time
 from collections.abc import Callable
+from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from robotctl.decisions.journal import DecisionKind, files_of, head_of, log_folder
+from robotctl.base.errors import UnreadableFile
+from robotctl.base.paths import make_private, seal_folder
+from robotctl.decisions import journal as files
+from robotctl.decisions import log as writer
+from robotctl.decisions.journal import (
+    DecisionKind,
+    files_of,
+    hash_of,
+    head_of,
+    log_folder,
+    read_log,
+)
 from robotctl.decisions.log import DecisionLog
-from robotctl.recording import Recorder, Topic
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording import Recorder, RecorderOptions, Topic, read_info
+from robotctl.recording.format.names import INFO_RECORD
+from robotctl.recording.keep.recover import recover
+from robotctl.recording.seal.keyring import Keyring
 from robotctl.testing.drives import drive, record
+from tests.support.edited_recordings import contents_of, write_contents
+from tests.support.recordings import keyring
+from tests.support.waiting import until
 
 Cli = Callable[..., Any]
 
@@ -209,3 +235,285 @@ def test_entries_that_are_cut_off_the_end_are_missed_by_the_next_recording(
     told = report(cli, "--no-check", exit_code=7)
     (sentence,) = told["journal"]["broken"]
     assert sentence.startswith("robot_20270116_080000 knows an entry that is not there")
+
+
+NOW_NS = time.time_ns()
+YEAR_2100_NS = 4_102_444_800 * NS_PER_S
+NAMES = ("robot_20260101_120000", "robot_20260102_120000", "robot_20260103_120000")
+
+
+@pytest.fixture
+def small_files(monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of the journal, whose files hold few entries."""
+    monkeypatch.setattr(writer, "END_S", 30.0)
+    monkeypatch.setattr(files, "FILE_BYTES", 250)
+    monkeypatch.setattr(writer, "FILE_BYTES", 250)
+    return log_folder("robot")
+
+
+def make(journal: Path, runs: Path, days_ago: tuple[float, ...], keep_years: float = 5.0) -> None:
+    """Let a daemon record, stop once and end, so many days ago each."""
+    keys = Keyring(make_private(seal_folder("robot")), "robot")
+    for name, days in zip(NAMES, days_ago, strict=True):
+        now_ns = NOW_NS - round(days * DAY_NS)
+        noted = {
+            "robot": "robot",
+            "decisions": head_of(journal),
+            "parameter.decisions.keep_years": str(keep_years),
+        }
+        recorder = Recorder(
+            runs / name,
+            RecorderOptions(sealer=keys),
+            metadata=lambda noted=noted: noted,  # type: ignore[misc]
+            on_failure=pytest.fail,
+        )
+        number = recorder.add_topic(Topic("/mark", "std_msgs/msg/Empty"))
+        recorder.write(number, bytes(4), now_ns, now_ns, 1, bytes(16))
+        log = DecisionLog(journal, 0.0, now_ns=lambda now_ns=now_ns: now_ns)  # type: ignore[misc]
+        log.add(DecisionKind.START, by="ada", version="1", recording=str(runs / name))
+        log.add_values(DecisionKind.MODE, {"from": "MOVING", "to": "EMERGENCY_STOP"})
+        log.add(DecisionKind.END)
+        log.close()
+        recorder.close()
+
+
+def rewrite(journal: Path, keep: Callable[[bytes], bool], first_ns: int | None = None) -> None:
+    """Leave entries out, and make the chain right again."""
+    prev = ""
+    for path in files_of(journal):
+        lines = []
+        for line in filter(keep, path.read_bytes().splitlines()):
+            entry = json.loads(line) | {"prev": prev}
+            if first_ns is not None and not prev:
+                entry["time_ns"] = first_ns
+            lines.append(json.dumps(entry, separators=(",", ":")).encode())
+            prev = hash_of(lines[-1])
+        path.write_bytes(b"".join(line + b"\n" for line in lines))
+    assert read_log(journal).broken == []
+
+
+def times_of(path: Path) -> list[int]:
+    return [json.loads(line)["time_ns"] for line in path.read_bytes().splitlines()]
+
+
+def journal_report(cli: Cli, *options: str, exit_code: int = 0) -> Any:
+    ran = cli("evidence", "--no-check", "--json", *options)
+    assert ran.exit_code == exit_code, ran
+    return json.loads(ran.out)
+
+
+@pytest.mark.parametrize("first_ns", [None, 0, YEAR_2100_NS])
+def test_a_journal_that_was_made_again_without_its_stops_exits_with_7(
+    small_files: Path, tmp_path: Path, cli: Cli, first_ns: int | None
+) -> None:
+    make(small_files, tmp_path / "runs", (3, 2, 1))
+    assert len(journal_report(cli)["stops"]) == 3
+    rewrite(small_files, lambda line: b"EMERGENCY_STOP" not in line, first_ns)
+    found = journal_report(cli, exit_code=7)
+    assert [each["named"] for each in found["recordings"]] == [True] * 3
+    assert "knows an entry that is not there" in found["journal"]["broken"][0]
+
+
+def test_recordings_whose_entries_were_removed_are_told_all_the_same(
+    small_files: Path, tmp_path: Path, cli: Cli
+) -> None:
+    make(small_files, tmp_path / "runs", (3, 2, 1))
+    rewrite(small_files, lambda line: NAMES[2].encode() in line)
+    found = journal_report(cli, exit_code=7)
+    named = [(Path(each["path"]).name, each["named"]) for each in found["recordings"]]
+    assert named == [(NAMES[2], True), (NAMES[0], False), (NAMES[1], False)]
+
+
+def test_entries_that_are_older_than_they_are_kept_are_not_missed(
+    small_files: Path, tmp_path: Path, cli: Cli
+) -> None:
+    year = 365.25
+    make(small_files, tmp_path / "runs", (9 * year, 8 * year, year))
+    oldest_ns = NOW_NS - 5 * year * DAY_NS
+    removed = [path for path in files_of(small_files) if times_of(path)[-1] < oldest_ns]
+    for path in removed:
+        path.unlink()
+    second = read_info(tmp_path / "runs" / NAMES[1]).metadata[INFO_RECORD]
+    assert second["decisions"] not in read_log(small_files).heads
+    assert times_of(files_of(small_files)[0])[0] < oldest_ns
+    found = journal_report(cli)
+    assert found["journal"]["broken"] == []
+
+
+def test_a_recording_that_retention_did_not_remove_is_missing(
+    small_files: Path, tmp_path: Path, cli: Cli
+) -> None:
+    make(small_files, tmp_path / "runs", (3, 2, 1))
+    log = DecisionLog(small_files, 0.0)
+    log.add(DecisionKind.REMOVED, file=str(tmp_path / "runs" / NAMES[0] / f"{NAMES[0]}_0.mcap"))
+    log.close()
+    for name in NAMES[:2]:
+        shutil.rmtree(tmp_path / "runs" / name)
+    states = [each["state"] for each in journal_report(cli)["recordings"]]
+    assert states == ["removed", "missing", "there"]
+
+
+def test_since_asks_the_recordings_for_their_times_and_not_the_journal_alone(
+    small_files: Path, tmp_path: Path, cli: Cli
+) -> None:
+    make(small_files, tmp_path / "runs", (3, 2, 1))
+    for path in files_of(small_files):  # as if all entries were from 1970
+        lines = [json.loads(line) | {"time_ns": 1} for line in path.read_bytes().splitlines()]
+        path.write_bytes(b"".join(json.dumps(line).encode() + b"\n" for line in lines))
+    found = journal_report(cli, "--since", "60h", exit_code=7)
+    assert [Path(each["path"]).name for each in found["recordings"]] == list(NAMES[1:])
+
+
+FIRST, SECOND = "robot_20260101_120000", "robot_20260102_120000"
+
+
+@pytest.fixture
+def sealed_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two sealed recordings that a journal of decisions names; `early.mcap` is an early copy
+    of the first.
+    """
+    monkeypatch.setattr("robotctl.decisions.log.END_S", 30.0)
+    monkeypatch.setattr(  # it takes seconds, and tells nothing of the seal
+        "robotctl.rerun.check_many.check_recordings",
+        lambda paths, on_progress: [{"verdict": "same"} for _ in paths],
+    )
+    folder = tmp_path / "runs"
+    keys = Keyring(make_private(seal_folder("robot")), "robot")
+    options = RecorderOptions(chunk_bytes=1 << 12, flush_s=0.005, sealer=keys)
+    log = DecisionLog(log_folder("robot"), 0.0)
+    written = drive(0.5)
+    numbers = count()
+
+    def copied() -> int:
+        shutil.copy(file_of(folder), tmp_path / "early.mcap")
+        with suppress(UnreadableFile):  # it is being written
+            return read_info(tmp_path / "early.mcap").message_count
+        return 0
+
+    def copy_early(recorder: Recorder, _: int) -> None:
+        half = len(written) // 2
+        if next(numbers) == half:
+            until(lambda: copied() == half)
+
+    for name in (FIRST, SECOND):
+        log.add(DecisionKind.START, by="ada", version="1", recording=str(folder / name))
+        record(folder / name, written, options=options, beside=copy_early)
+        log.add(DecisionKind.END)
+    log.close()
+    return folder
+
+
+def file_of(runs: Path, name: str = FIRST) -> Path:
+    return runs / name / f"{name}_0.mcap"
+
+
+def early(runs: Path) -> None:
+    (runs / FIRST / "metadata.yaml").unlink()
+    (runs.parent / "early.mcap").replace(file_of(runs))
+
+
+def another(runs: Path) -> None:
+    (runs / FIRST / "metadata.yaml").unlink()
+    file_of(runs, SECOND).replace(file_of(runs))
+    shutil.rmtree(runs / SECOND)
+
+
+def sealed_again(runs: Path) -> None:
+    contents = contents_of(file_of(runs))
+    shutil.rmtree(runs / FIRST)
+    write_contents(runs / FIRST, contents, keyring(runs.parent / "attacker"))
+
+
+def sealed_by_another_name(runs: Path) -> None:
+    contents = contents_of(file_of(runs))
+    shutil.rmtree(runs / FIRST)
+    write_contents(runs / FIRST, contents, keyring(runs.parent / "attacker", "nobody"))
+
+
+def without_a_seal(runs: Path) -> None:
+    contents = contents_of(file_of(runs))
+    shutil.rmtree(runs / FIRST)
+    write_contents(runs / FIRST, contents)
+
+
+def test_sealed_recordings_of_the_journal_exit_with_0(sealed_runs: Path, cli: Cli) -> None:
+    assert cli("verify", str(sealed_runs)).exit_code == 0
+    ran = cli("evidence")
+    assert ran.exit_code == 0, ran
+    assert ran.out.count("verify sealed, check same") == 2
+    assert "this machine's list of keys knows 2 of 2 files" in ran.out
+
+
+@pytest.mark.parametrize(
+    ("put", "sentence"),
+    [
+        (early, "this machine knows another end of it"),
+        (another, f"knows {FIRST}_0.mcap with another key"),
+        (sealed_again, f"knows {FIRST}_0.mcap with another key"),
+        (sealed_by_another_name, f"knows {FIRST}_0.mcap with another key"),
+        (without_a_seal, "knows a seal of it, which is not there"),
+    ],
+)
+def test_what_stands_in_the_place_of_a_sealed_file_exits_with_7(
+    sealed_runs: Path, cli: Cli, put: Callable[[Path], None], sentence: str
+) -> None:
+    put(sealed_runs)
+    for command in (("verify", str(sealed_runs)), ("evidence",)):
+        ran = cli(*command)
+        assert ran.exit_code == 7, ran
+        assert sentence in " ".join(ran.out.split())
+    items = json.loads(cli("evidence", "--json").out)["recordings"]
+    assert items[0]["verify"] == "broken"
+
+
+def test_two_copies_of_a_file_break_the_chain_of_both(sealed_runs: Path, cli: Cli) -> None:
+    (sealed_runs / FIRST / "metadata.yaml").unlink()
+    shutil.copy(file_of(sealed_runs, SECOND), file_of(sealed_runs))
+    shutil.rmtree(seal_folder("robot"))
+    ran = cli("evidence", "--json")
+    assert ran.exit_code == 7
+    assert "have the same place in the chain" in json.loads(ran.out)["verify"]["wrong"][0]
+
+
+def test_recordings_may_be_verified_together_with_a_copy_of_them(
+    sealed_runs: Path, cli: Cli, tmp_path: Path
+) -> None:
+    shutil.copytree(sealed_runs, tmp_path / "copy")
+    ran = cli("verify", str(sealed_runs), str(tmp_path / "copy"))
+    assert ran.exit_code == 0, ran
+
+
+def test_verify_names_a_file_of_another_recording_also_without_a_list(
+    sealed_runs: Path, cli: Cli
+) -> None:
+    another(sealed_runs)
+    shutil.rmtree(seal_folder("robot"))
+    ran = cli("verify", str(sealed_runs))
+    assert ran.exit_code == 0
+    assert f"{FIRST}_0.mcap: it was sealed as {SECOND}_0.mcap" in " ".join(ran.out.split())
+
+
+def test_a_renamed_folder_and_a_copy_elsewhere_stay_sealed(
+    sealed_runs: Path, cli: Cli, tmp_path: Path
+) -> None:
+    shutil.copytree(sealed_runs / FIRST, tmp_path / "copy" / "accident")
+    ran = cli("verify", str(tmp_path / "copy"))
+    assert ran.exit_code == 0
+    assert "it was sealed as" not in ran.out
+    shutil.copy(file_of(sealed_runs), tmp_path / "stop.mcap")
+    ran = cli("verify", str(tmp_path / "stop.mcap"))
+    assert ran.exit_code == 0
+    assert f"stop.mcap: it was sealed as {FIRST}_0.mcap: it was renamed" in ran.out
+
+
+def test_a_repaired_copy_is_no_forgery_but_evidence_misses_its_seal(
+    sealed_runs: Path, cli: Cli, tmp_path: Path
+) -> None:
+    recover(file_of(sealed_runs), tmp_path / "copy.mcap")
+    assert cli("verify", str(tmp_path / "copy.mcap")).exit_code == 4
+    (sealed_runs / FIRST / "metadata.yaml").unlink()
+    (tmp_path / "copy.mcap").replace(file_of(sealed_runs))
+    assert cli("verify", str(sealed_runs)).exit_code == 4
+    ran = cli("evidence")
+    assert ran.exit_code == 6
+    assert "this machine knows its end, which no copy proves" in " ".join(ran.out.split())

@@ -1,4 +1,7 @@
-"""start, stop and logs: start returns when the daemon is ready, or says why it failed."""
+"""start, stop and logs: start returns when the daemon is ready, or says why it failed.
+
+What `robotctl view` refuses.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +23,7 @@ from robotctl.cli.commands import logs, start
 from robotctl.cli.targets import launch
 from robotctl.daemon.lock import owned
 from robotctl.ipc.client import call
+from tests.cli.conftest import Ran
 from tests.support.waiting import until
 
 
@@ -361,3 +365,24 @@ def test_the_daemon_is_not_imported_from_the_working_directory(
     ran = subprocess.run(program, cwd=tmp_path, capture_output=True, text=True)
     assert ran.stdout.strip().startswith(str(Path(os.__file__).parent)), ran.stderr
     assert command[0] == sys.executable
+
+
+def test_wrong_options_are_refused_at_once(cli: Callable[..., Ran]) -> None:
+    ran = cli("view", "--port", "99999")
+    assert ran.exit_code == 2
+    assert "--port 99999" in ran.err
+
+
+def test_without_the_extra_the_cure_is_told(
+    cli: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(launch, "find_spec", lambda name: None)
+    ran = cli("view")
+    assert ran.exit_code == 4
+    assert "pip install 'robotctl[view]'" in ran.err
+
+
+def test_without_a_daemon_it_says_how_to_start_one(cli: Callable[..., Ran]) -> None:
+    ran = cli("view")
+    assert ran.exit_code == 3
+    assert "robotctl start" in ran.err

@@ -1,19 +1,30 @@
-"""recordings and recover find the folder of the daemon and show its contents."""
+"""recordings and recover find the folder of the daemon and show its contents.
+
+`recordings rm` removes what robotctl recorded, after a question, and nothing else.
+Times as users type them, in a recording that begins before midnight and ends after it.
+"""
 
 from __future__ import annotations
 
 import json
+import os
+import pty
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from robotctl.base.errors import Interrupted, Refused, UsageError
 from robotctl.base.paths import recordings_note_path
+from robotctl.cli.commands.recordings import remove
+from robotctl.cli.targets.recordings import parse_moment
 from robotctl.cli.ui import text
 from robotctl.recording import Recorder, Topic
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import ERRORS, RecordedEvent
+from robotctl.recording.keep.listing import CLIPS_FOLDER, set_kept
 from robotctl.testing.drives import START_NS, TWIST
 from tests.support.recordings import read_strictly, write_numbered
 
@@ -325,3 +336,119 @@ def test_bags_of_rosbag2_are_shown_recovered_and_cut(cli: Cli, tmp_path: Path) -
     listed = json.loads(cli("recordings", "--recordings", str(SAMPLES), "--json").out)
     assert all(each["readable"] and not each["damage"] for each in listed["recordings"])
     assert len(listed["recordings"]) == len(list(SAMPLES.iterdir()))
+
+
+NAME = "robot_20260101_120000"
+
+
+@pytest.fixture
+def open_recorder(tmp_path: Path) -> Recorder:
+    recorder = Recorder(tmp_path / "cwd" / "recordings" / NAME, on_failure=pytest.fail)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 10))
+    return recorder
+
+
+@pytest.fixture
+def with_clips(open_recorder: Recorder) -> Path:
+    file = open_recorder.close().file
+    clips = file.parent / CLIPS_FOLDER
+    clips.mkdir()
+    (clips / "estop.mcap").write_bytes(file.read_bytes())
+    return file.parent
+
+
+def test_a_recording_goes_with_its_clips(with_clips: Path, cli: Cli) -> None:
+    ran = cli("recordings", "rm", NAME, "--yes", "--json")
+    assert ran.exit_code == 0
+    assert json.loads(ran.out)["removed_bytes"] > 1000
+    assert not with_clips.exists()
+
+
+def test_what_others_put_into_the_folder_stays(with_clips: Path, cli: Cli) -> None:
+    (with_clips / "notes.txt").write_text("mine")
+    assert cli("recordings", "rm", NAME, "-y").exit_code == 0
+    assert [path.name for path in with_clips.iterdir()] == ["notes.txt"]
+
+
+def test_without_a_terminal_nothing_is_removed_unasked(with_clips: Path, cli: Cli) -> None:
+    ran = cli("recordings", "rm", "last")
+    assert (ran.exit_code, "give --yes" in ran.err) == (2, True)
+    assert with_clips.exists()
+
+
+@pytest.mark.parametrize(("answer", "is_removed"), [("y", True), ("n", False), ("", False)])
+def test_only_yes_means_yes(
+    answer: str, is_removed: bool, with_clips: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours, theirs = pty.openpty()
+    os.write(ours, f"{answer}\n".encode())
+    with os.fdopen(theirs, closefd=True) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        if is_removed:
+            assert remove(with_clips, without_asking=False) > 0
+        else:
+            with pytest.raises(Interrupted, match="nothing was removed"):
+                remove(with_clips, without_asking=False)
+    os.close(ours)
+    assert with_clips.exists() is not is_removed
+
+
+def test_a_kept_recording_is_refused(with_clips: Path, cli: Cli) -> None:
+    set_kept(with_clips, True)
+    ran = cli("recordings", "rm", NAME, "--yes")
+    assert (ran.exit_code, f"recordings unkeep {NAME}" in ran.err) == (4, True)
+    assert with_clips.exists()
+
+
+def test_a_recording_that_is_being_written_is_refused(open_recorder: Recorder, cli: Cli) -> None:
+    ran = cli("recordings", "rm", NAME, "--yes")
+    assert (ran.exit_code, "is being recorded" in ran.err) == (4, True)
+    assert open_recorder.close().file.exists()
+
+
+def test_a_folder_without_a_recording_and_a_link_are_refused(with_clips: Path) -> None:
+    link = with_clips.parent / "link"
+    link.symlink_to(with_clips)
+    empty = with_clips.parent / "empty"
+    empty.mkdir()
+    for path in (
+        link,
+        empty,
+        with_clips.parent / "none",
+        next(with_clips.glob("*.mcap")),
+    ):
+        with pytest.raises(Refused, match="is not the folder of a recording"):
+            remove(path, without_asking=True)
+    assert with_clips.exists()
+
+
+START, END = "2026-01-01T23:50:00", "2026-01-02T00:20:00"
+
+
+def ns(local_time: str) -> int:
+    return round(datetime.fromisoformat(local_time).timestamp()) * 10**9
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("60", "2026-01-01T23:51:00"),
+        ("23:55", "2026-01-01T23:55:00"),
+        ("00:10:00", "2026-01-02T00:10:00"),
+        ("00:20", END),
+        ("00:21", "2026-01-01T00:21:00"),
+        ("23:49:59", "2026-01-01T23:49:59"),
+        ("2026-01-01T00:10", "2026-01-01T00:10:00"),
+        ("2026-01-03", "2026-01-03T00:00:00"),
+    ],
+)
+def test_a_time_of_day_is_that_of_the_next_day_only_where_the_recording_holds_it(
+    text: str, meant: str
+) -> None:
+    assert parse_moment(text, ns(START), ns(END)) == ns(meant)
+
+
+@pytest.mark.parametrize("text", ["noon", "", "25:00", "-1", "nan", "1e300", "2026-13-01"])
+def test_what_is_no_time_is_a_usage_error(text: str) -> None:
+    with pytest.raises(UsageError, match="give seconds into the recording"):
+        parse_moment(text, ns(START), ns(END))

@@ -1,9 +1,14 @@
-"""`robotctl sync`: to a folder and to S3, with its exit codes."""
+"""`robotctl sync`: to a folder and to S3, with its exit codes.
+
+Copies of an earlier `robotctl sync`, each file in a folder named by its hash, are read.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import shutil
 import sys
 import threading
 import time
@@ -14,9 +19,11 @@ from typing import Any
 import pytest
 
 from robotctl.base.errors import Interrupted, NoDaemon, Refused
+from robotctl.base.store import has_hash_folders, hash_in, without_hashes
 from robotctl.cli.commands import sync as sync_command
 from robotctl.cli.commands.sync import SyncPace
 from robotctl.ipc.client import NoAnswer
+from robotctl.recording.keep.listing import recordings_in
 from robotctl.testing.drives import drive, record
 from tests.support.s3_server import environment
 
@@ -27,7 +34,7 @@ NAME = "robot_20260101_120000"
 
 
 @pytest.fixture
-def recording(tmp_path: Path) -> Path:
+def own_recording(tmp_path: Path) -> Path:
     return record(tmp_path / "cwd" / "recordings" / NAME, drive(0.3))
 
 
@@ -36,7 +43,7 @@ def stored(store: Path, file: str) -> Path:
     return store / NAME / file
 
 
-def test_a_folder_takes_recordings_once(cli: Cli, recording: Path, tmp_path: Path) -> None:
+def test_a_folder_takes_recordings_once(cli: Cli, own_recording: Path, tmp_path: Path) -> None:
     usb = tmp_path / "usb"
     dry = cli("sync", str(usb), "--dry-run")
     assert (dry.exit_code, usb.exists()) == (0, False)
@@ -48,12 +55,12 @@ def test_a_folder_takes_recordings_once(cli: Cli, recording: Path, tmp_path: Pat
     assert json.loads(again.out)["copied"] == []
     assert cli("sync", str(usb), "--recordings", "recordings", "extra").exit_code == 2
     data = stored(usb, f"{NAME}_0.mcap")
-    assert data.read_bytes() == (recording / data.name).read_bytes()
+    assert data.read_bytes() == (own_recording / data.name).read_bytes()
 
 
 def test_a_bucket_takes_recordings_and_they_go_here(
     cli: Cli,
-    recording: Path,
+    own_recording: Path,
     s3_endpoint: str,
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
@@ -61,20 +68,20 @@ def test_a_bucket_takes_recordings_and_they_go_here(
     for name, value in environment(s3_endpoint).items():
         monkeypatch.setenv(name, value)
     url = f"s3://robots/{tmp_path.name}"
-    large = recording / f"{NAME}_1.mcap"  # goes in several parts
-    large.write_bytes((recording / f"{NAME}_0.mcap").read_bytes() + bytes(17 << 20))
+    large = own_recording / f"{NAME}_1.mcap"  # goes in several parts
+    large.write_bytes((own_recording / f"{NAME}_0.mcap").read_bytes() + bytes(17 << 20))
     ran = cli("sync", url, "--max-total-gb", "0", "--json")
     assert (ran.exit_code, ran.err) == (0, "")
     answer = json.loads(ran.out)
     assert (answer["complete"], len(answer["copied"])) == ([NAME], 3)
     assert [Path(each).name for each in answer["removed"]] == [f"{NAME}_0.mcap", large.name]
-    assert not recording.exists()
+    assert not own_recording.exists()
 
 
 def test_what_is_not_copied_is_told_with_exit_code_6(
-    cli: Cli, recording: Path, tmp_path: Path
+    cli: Cli, own_recording: Path, tmp_path: Path
 ) -> None:
-    (recording / f"{NAME}_1.mcap").symlink_to("/dev/null")
+    (own_recording / f"{NAME}_1.mcap").symlink_to("/dev/null")
     ran = cli("sync", str(tmp_path / "usb"))
     assert ran.exit_code == 6
     assert f"{NAME}: {NAME}_1.mcap is left out: it is a link" in " ".join(ran.out.split())
@@ -85,22 +92,24 @@ def test_what_is_not_copied_is_told_with_exit_code_6(
 
 def test_what_comes_back_from_a_bucket_is_as_it_was_with_its_time(
     cli: Cli,
-    recording: Path,
+    own_recording: Path,
     s3_endpoint: str,
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
     for name, value in environment(s3_endpoint).items():
         monkeypatch.setenv(name, value)
-    (recording / f"{NAME}_1.mcap").write_bytes((recording / f"{NAME}_0.mcap").read_bytes() * 400)
-    for path in recording.iterdir():
+    (own_recording / f"{NAME}_1.mcap").write_bytes(
+        (own_recording / f"{NAME}_0.mcap").read_bytes() * 400
+    )
+    for path in own_recording.iterdir():
         os.utime(path, (1_700_000_000, 1_700_000_000))  # a bucket lists when it was stored
     url = f"s3://robots/{tmp_path.name}"
     assert cli("sync", url).exit_code == 0
     back = tmp_path / "back"
     for place, target in ((url, back), (f"{url}/{NAME}", tmp_path / "one")):
         assert cli("sync", place, str(target)).exit_code == 0
-        for path in recording.iterdir():
+        for path in own_recording.iterdir():
             copy = target / NAME / path.name
             assert copy.read_bytes() == path.read_bytes()
             assert copy.stat().st_mtime_ns == path.stat().st_mtime_ns
@@ -113,7 +122,7 @@ def test_what_comes_back_from_a_bucket_is_as_it_was_with_its_time(
 
 
 def test_an_object_that_was_changed_is_told_with_exit_code_7(
-    cli: Cli, recording: Path, tmp_path: Path
+    cli: Cli, own_recording: Path, tmp_path: Path
 ) -> None:
     usb = tmp_path / "usb"
     cli("sync", str(usb))
@@ -122,11 +131,11 @@ def test_an_object_that_was_changed_is_told_with_exit_code_7(
     ran = cli("sync", str(usb), "--max-age-days", "0")
     assert ran.exit_code == 7
     assert "has other content than the file here" in " ".join(ran.out.split())
-    assert (recording / data.name).exists()
+    assert (own_recording / data.name).exists()
 
 
 def test_a_full_disk_is_told_with_exit_code_6_and_the_rest_follows_later(
-    cli: Cli, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cli: Cli, own_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
@@ -141,7 +150,7 @@ def test_a_full_disk_is_told_with_exit_code_6_and_the_rest_follows_later(
 
 
 def test_no_network_is_told_with_exit_code_6(
-    cli: Cli, recording: Path, monkeypatch: pytest.MonkeyPatch
+    cli: Cli, own_recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from robotctl.base.store import bucket
 
@@ -154,16 +163,20 @@ def test_no_network_is_told_with_exit_code_6(
 
 
 def test_a_folder_that_cannot_be_the_target_is_refused(
-    cli: Cli, recording: Path, tmp_path: Path
+    cli: Cli, own_recording: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "file").touch()
-    for wrong in (tmp_path / "not" / "mounted", tmp_path / "file", recording.parent / "copy"):
+    for wrong in (
+        tmp_path / "not" / "mounted",
+        tmp_path / "file",
+        own_recording.parent / "copy",
+    ):
         assert cli("sync", str(wrong)).exit_code == 2
     assert cli("sync", "").exit_code == 2
 
 
 def test_without_the_extra_a_url_is_one_sentence_with_its_cure(
-    cli: Cli, recording: Path, monkeypatch: pytest.MonkeyPatch
+    cli: Cli, own_recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "obstore", None)
     ran = cli("sync", "s3://robots/one")
@@ -171,15 +184,15 @@ def test_without_the_extra_a_url_is_one_sentence_with_its_cure(
     assert "pip install 'robotctl[store]'" in ran.err
 
 
-def test_the_limit_is_kept(cli: Cli, recording: Path, tmp_path: Path) -> None:
-    megabits = sum(path.stat().st_size for path in recording.iterdir()) * 8e-6
+def test_the_limit_is_kept(cli: Cli, own_recording: Path, tmp_path: Path) -> None:
+    megabits = sum(path.stat().st_size for path in own_recording.iterdir()) * 8e-6
     begun_s = time.monotonic()
     cli("sync", str(tmp_path / "usb"), "--limit-mbps", str(megabits))
     assert time.monotonic() - begun_s >= 0.5, "a second, but for the first burst"
 
 
 def test_while_the_robot_moves_nothing_is_sent(
-    cli: Cli, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cli: Cli, own_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     modes = ["MOVING", "MOVING", "IDLE"]
     seen: list[bool] = []
@@ -196,7 +209,7 @@ def test_while_the_robot_moves_nothing_is_sent(
     assert seen[:3] == [False, False, False]
 
 
-def test_without_a_daemon_nothing_waits(cli: Cli, recording: Path, tmp_path: Path) -> None:
+def test_without_a_daemon_nothing_waits(cli: Cli, own_recording: Path, tmp_path: Path) -> None:
     assert cli("sync", str(tmp_path / "usb"), "--pause-while-moving").exit_code == 0
 
 
@@ -258,3 +271,61 @@ def test_a_daemon_that_cannot_be_asked_at_all_is_told_at_once(
     answers(Refused("the socket belongs to another user"))
     with pytest.raises(Refused, match="another user"), SyncPace(None, "robot"):
         pass
+
+
+SHA = "0123456789abcdef" * 4
+
+
+def copy_of(recording: Path, target: Path) -> Path:
+    """Copy the files of a recording as RECORDING/SHA256/FILE."""
+    for path in recording.iterdir():
+        copy = target / hashlib.sha256(path.read_bytes()).hexdigest() / path.name
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, copy)
+    return target
+
+
+def test_a_name_is_that_of_the_file_without_its_hash(tmp_path: Path) -> None:
+    assert without_hashes(f"run/{SHA}/clips/a.mcap") == "run/clips/a.mcap"
+    assert (hash_in(f"run/{SHA}/a.mcap"), hash_in("run/a.mcap")) == (SHA, "")
+    (tmp_path / "usb" / "run" / SHA).mkdir(parents=True)
+    (tmp_path / "plain" / "run" / "clips").mkdir(parents=True)
+    assert has_hash_folders(tmp_path / "usb")
+    assert has_hash_folders(tmp_path / "usb" / "run")
+    assert not has_hash_folders(tmp_path / "plain")
+    assert not has_hash_folders(tmp_path / "gone")
+
+
+@pytest.fixture
+def copies(tmp_path: Path) -> Path:
+    golden = Path(__file__).parents[1] / "golden" / "stopped"
+    copy_of(golden, tmp_path / "usb" / "robot_20261122_041522")
+    return golden
+
+
+def test_each_command_says_of_a_copy_what_it_says_of_the_recording(
+    cli: Cli, copies: Path, tmp_path: Path
+) -> None:
+    copy = tmp_path / "usb" / "robot_20261122_041522"
+    for command in ("verify", "replay --check", "why", "info"):
+        here, there = cli(*command.split(), str(copies)), cli(*command.split(), str(copy))
+        assert (there.exit_code, there.err) == (here.exit_code, here.err)
+        assert there.out.replace(str(copy), str(copies)) == here.out
+    (file,) = copies.glob("*.mcap")
+    info = json.loads(cli("info", str(copy), "--json").out)
+    assert [Path(each).name for each in info["files"]] == [file.name]
+    assert recordings_in(copy.parent) == [copy]
+    (checked,) = json.loads(cli("replay", "--check", str(copy.parent), "--json").out)["recordings"]
+    assert checked["path"] == str(copy)
+    (gated,) = json.loads(cli("gate", "--in", str(copy.parent), "--json").out)["recordings"]
+    assert Path(gated["path"]).name == copy.name
+
+
+def test_the_newest_of_a_name_counts(copies: Path, cli: Cli, tmp_path: Path) -> None:
+    copy = tmp_path / "usb" / "robot_20261122_041522"
+    older = copy / SHA / "metadata.yaml"
+    older.parent.mkdir()
+    older.write_text("rosbag2_bagfile_information:\n")
+
+    os.utime(older, (1, 1))
+    assert cli("info", str(copy)).exit_code == 0

@@ -1,4 +1,8 @@
-"""`robotctl verify`: what it prints, and its exit code."""
+"""`robotctl verify`: what it prints, and its exit code.
+
+`robotctl key`: what it shows, and that it never shows a secret.
+No command reports a file as complete if a power cut has left zeros in it.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +14,12 @@ from typing import Any
 import pytest
 from mcap.writer import Writer
 
+from robotctl.base.paths import make_private, seal_folder
 from robotctl.recording import Recorder
-from robotctl.testing.drives import TWIST
-from tests.support.recordings import write_numbered
+from robotctl.recording.seal.keyring import KEY_FILE, Keyring
+from robotctl.testing.drives import TWIST, drive, record
+from robotctl.testing.faults import chunks_of, zero
+from tests.support.recordings import record_sealed, write_numbered
 
 Cli = Callable[..., Any]
 
@@ -73,3 +80,120 @@ def test_the_gravest_recording_determines_the_exit_code(
 ) -> None:
     (tmp_path / "x.mcap").write_bytes(b"nothing")
     assert cli("verify", str(recording), str(tmp_path / "x.mcap")).exit_code == 6
+
+
+@pytest.fixture
+def keys() -> Keyring:
+    return Keyring(make_private(seal_folder("robot")), "robot")
+
+
+def test_a_robot_that_never_started_has_no_key(cli: Cli) -> None:
+    for command in ("show", "head", "rotate"):
+        ran = cli("key", command)
+        assert ran.exit_code == 4
+        assert "no key yet" in ran.err
+        assert not seal_folder("robot").exists()
+
+
+def test_key_and_head_are_shown_without_the_secret(cli: Cli, keys: Keyring, tmp_path: Path) -> None:
+    record_sealed(tmp_path / "run", keys)
+    stored = keys.load()
+    assert stored is not None
+    shown = cli("key", "show")
+    assert shown.exit_code == 0
+    assert stored.root in shown.out
+    assert cli("key", "head").out == f"{stored.head.digest}\n"
+    assert json.loads(cli("key", "head", "--json").out)["file"] == "run_0.mcap"
+    assert stored.seed not in shown.out + cli("key", "show", "--json").out
+
+
+def test_a_head_that_is_known_proves_the_end(cli: Cli, keys: Keyring, tmp_path: Path) -> None:
+    record_sealed(tmp_path / "run", keys)
+    head = cli("key", "head").out.strip()
+    ran = cli("verify", str(tmp_path / "run"), "--head", head)
+    assert ran.exit_code == 0
+    assert "the given head is in run_0.mcap" in ran.out
+    assert "this machine's list of keys knows 1 of 1 files" in ran.out
+    other = "0" * 63 + "1"
+    assert cli("verify", str(tmp_path / "run"), "--head", other).exit_code == 7
+    assert cli("verify", str(tmp_path / "run"), "--head", "12").exit_code == 2
+
+
+def test_a_file_whose_end_this_machine_knows_otherwise_was_cut(
+    cli: Cli, keys: Keyring, tmp_path: Path
+) -> None:
+    record_sealed(tmp_path / "run", keys)
+    heads = seal_folder("robot") / "heads.jsonl"
+    lines = [json.loads(line) for line in heads.read_text().splitlines()]
+    lines[-1]["closed"]["digest"] = "0" * 64
+    heads.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    ran = cli("verify", str(tmp_path / "run"))
+    assert ran.exit_code == 7
+    assert "a tail was cut or changed" in ran.out
+
+
+def test_a_file_that_was_removed_is_named_by_the_list(
+    cli: Cli, keys: Keyring, tmp_path: Path
+) -> None:
+    _, second, _ = record_sealed(tmp_path / "run", keys, splits=2)
+    second.unlink()
+    ran = cli("verify", str(tmp_path / "run"))
+    assert "file 2 is not here, between run_0.mcap and run_2.mcap" in ran.out
+    assert "knows file 2: it was run_1.mcap" in ran.out
+
+
+def test_rotate_begins_a_new_chain(cli: Cli, keys: Keyring) -> None:
+    before = keys.create()
+    assert cli("key", "rotate").exit_code == 0
+    after = keys.load()
+    assert after is not None
+    assert after.root != before.root
+
+
+def test_a_damaged_key_is_refused_with_the_path(cli: Cli, keys: Keyring) -> None:
+    keys.create()
+    (seal_folder("robot") / KEY_FILE).write_text("?")
+    ran = cli("key", "show")
+    assert ran.exit_code == 4
+    assert KEY_FILE in ran.err
+
+
+ZEROS = "the chunk was replaced by zeros, which a power cut can cause"
+
+
+@pytest.fixture(scope="module")
+def zeroed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    (path,) = record(tmp_path_factory.mktemp("cut") / "run", drive(3.0)).glob("*.mcap")
+    chunks = chunks_of(path.read_bytes())
+    assert len(chunks) > 4
+    zero(path, *chunks[len(chunks) // 2])
+    return path
+
+
+def test_recover_exits_with_8(zeroed: Path, tmp_path: Path, cli: Callable[..., Any]) -> None:
+    ran = cli("recover", str(zeroed), "-o", str(tmp_path / "out.mcap"))
+    assert ran.exit_code == 8
+    assert "nothing lost" not in ran.out
+    assert ZEROS in ran.err
+
+
+def test_clip_exits_with_8(zeroed: Path, tmp_path: Path, cli: Callable[..., Any]) -> None:
+    options = ("--before", "86400", "--after", "86400", "-o", str(tmp_path / "clip.mcap"))
+    ran = cli("clip", str(zeroed), "--at", "1", *options)
+    assert ran.exit_code == 8, ran.err
+    assert ZEROS in ran.err
+
+
+@pytest.mark.parametrize("options", [("--check",), ("--what-if", "tracking.k_y=8")])
+def test_a_check_is_incomplete(
+    zeroed: Path, cli: Callable[..., Any], options: tuple[str, ...]
+) -> None:
+    ran = cli("replay", str(zeroed), "--json", *options)
+    assert ran.exit_code == 6, ran.err
+    assert ZEROS in ran.out
+
+
+def test_why_says_what_is_missing(zeroed: Path, cli: Callable[..., Any]) -> None:
+    ran = cli("why", str(zeroed), "--json")
+    missing = json.loads(ran.out)["missing"] if ran.exit_code == 0 else [ran.err]
+    assert any(ZEROS in sentence for sentence in missing)

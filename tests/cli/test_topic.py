@@ -1,19 +1,29 @@
-"""`topic`, `node` and `service` on recordings, and what they refuse before they look at ROS."""
+"""`topic`, `node` and `service` on recordings, and what they refuse before they look at ROS.
+
+What `topic echo` prints is YAML that says the same as the message, and harms no terminal.
+Topics fit into 80 columns and remain distinguishable.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from mcap.writer import Writer
 
 from robotctl.base.errors import UsageError
 from robotctl.cli.commands.service import parse_words
 from robotctl.cli.commands.topic.command import statistics
+from robotctl.cli.ui import status
+from robotctl.cli.ui.ros_text import message_lines, plain_json
+from robotctl.cli.ui.status import TopicLines
 
 RECORDING = str(Path(__file__).parents[1] / "golden" / "stopped")
 
@@ -163,3 +173,120 @@ def test_the_rate_is_of_the_periods_between_messages() -> None:
     }
     assert statistics([5]) is None
     assert statistics([5, 5]) is None
+
+
+SCALARS = st.one_of(
+    st.booleans(), st.integers(-(2**63), 2**64 - 1), st.floats(allow_nan=False), st.text()
+)
+NAMES = st.from_regex(r"[a-z][a-z_0-9]{0,5}", fullmatch=True).filter(
+    lambda name: name not in ("y", "n", "yes", "no", "on", "off", "true", "false", "null")
+)
+VALUES: st.SearchStrategy[Any] = st.recursive(
+    SCALARS,
+    lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(NAMES, inner, max_size=3)),
+    max_leaves=12,
+)
+
+
+@settings(max_examples=40)
+@given(st.dictionaries(NAMES, VALUES, max_size=4))
+def test_any_message_is_read_back_from_its_lines(message: dict[str, Any]) -> None:
+    lines = list(message_lines(message, None))
+    assert all(line.isprintable() for line in lines)
+    assert yaml.safe_load("\n".join(lines)) == message
+
+
+def test_it_has_the_form_of_ros2_topic_echo() -> None:
+    message = {
+        "header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "odom"},
+        "covariance": [0.5, 1e-05],
+        "points": [{"x": 1.0, "y": nan}, {"x": -inf, "y": 2.0}],
+        "data": b"\x01\x02",
+        "none": [],
+        "empty": {},
+        "text": "",
+    }
+    assert list(message_lines(message)) == [
+        "header:",
+        "  stamp:",
+        "    sec: 1",
+        "    nanosec: 2",
+        "  frame_id: odom",
+        "covariance:",
+        "- 0.5",
+        "- 1.0e-05",
+        "points:",
+        "- x: 1.0",
+        "  y: .nan",
+        "- x: -.inf",
+        "  y: 2.0",
+        "data:",
+        "- 1",
+        "- 2",
+        "none: []",
+        "empty: {}",
+        "text: ''",
+    ]
+
+
+def test_long_lists_and_texts_are_cut_unless_all_is_wanted() -> None:
+    message = {"data": bytes(200), "text": "a" * 200}
+    lines = list(message_lines(message))
+    assert lines[-2:] == ["- '...'", f"text: '{'a' * 128}...'"]
+    assert len(lines) == 1 + 128 + 2
+    assert len(list(message_lines(message, None))) == 1 + 200 + 1
+
+
+@pytest.mark.parametrize("text", ["\x1b[2J", "a\nb", "\u202e", "\x9b31m", "é", "yes", "1", "- a"])
+def test_no_text_reaches_the_terminal_as_it_is_or_becomes_something_else(text: str) -> None:
+    (line,) = message_lines({"text": text})
+    assert line.isprintable()
+    assert yaml.safe_load(line) == {"text": text}
+
+
+def test_json_holds_no_number_that_json_does_not_know() -> None:
+    assert plain_json({"a": [nan, inf, 1.5], "b": b"\x01"}) == {"a": [None, None, 1.5], "b": [1]}
+
+
+SERVICE_EVENT = "/set_mode/_service_event"
+SERVICE_EVENT_TYPE = "robot_controller/srv/SetMode_Event"
+
+
+@pytest.mark.usefixtures("wide_terminal")
+def test_short_names_leave_the_types_their_room() -> None:
+    table = TopicLines([("/odom", ""), (SERVICE_EVENT, "")])
+    row = table.row(SERVICE_EVENT, SERVICE_EVENT_TYPE, 3, 0.5)
+    assert row.split() == [SERVICE_EVENT, SERVICE_EVENT_TYPE, "3", "0.5"]
+
+
+@pytest.mark.usefixtures("wide_terminal")
+def test_a_long_name_takes_its_room_from_the_types() -> None:
+    name = f"/demo_12345{SERVICE_EVENT}"
+    table = TopicLines([("/odom", ""), (name, "")])
+    row = table.row(name, SERVICE_EVENT_TYPE, 3, 0.5)
+    assert row.split() == [name, "robot_contr..etMode_Event", "3", "0.5"]
+    assert table.row("/odom", "nav_msgs/msg/Odometry", 3, 0.5).split()[1] == "nav_msgs/Odometry"
+
+
+@given(name=st.text(max_size=100), type_name=st.text(max_size=100))
+@pytest.mark.usefixtures("wide_terminal")
+def test_every_line_has_80_columns_and_the_same_ones(name: str, type_name: str) -> None:
+    table = TopicLines([(name, type_name)])
+    row = table.row(name, type_name, 12_345_678, 99_999.9)
+    assert len(row) == len(table.header) == 80
+    assert row.endswith(" 12345678 99999.9")
+
+
+@pytest.mark.usefixtures("wide_terminal")
+def test_a_narrow_terminal_gets_narrow_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(status, "columns", lambda: 60)
+    table = TopicLines([(SERVICE_EVENT, "")])
+    row = table.row(SERVICE_EVENT, SERVICE_EVENT_TYPE, 3, 0.5)
+    assert len(row) == len(table.header) == 60
+    assert row.split()[0] == SERVICE_EVENT
+
+
+@pytest.mark.parametrize(("rate_hz", "shown"), [(1e9, "1.0e+09"), (None, "unknown")])
+@pytest.mark.usefixtures("wide_terminal")
+def test_a_rate_keeps_to_its_column(rate_hz: float | None, shown: str) -> None:
+    assert TopicLines([]).row("/odom", "", 1, rate_hz).endswith(f" {shown}")

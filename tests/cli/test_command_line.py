@@ -1,0 +1,327 @@
+"""What every command line does: the quick way and typer, words of other tools, --json.
+
+Quick commands import no library that they do not need.
+Words that people bring are answered with a command, and common options may stand first.
+What a version retired answers with what to use instead.
+Every command has --json, or a reason why no machine reads it.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import typer
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from robotctl.base import retired
+from robotctl.base.errors import UsageError
+from robotctl.cli import app, quick, registry
+from robotctl.cli.app import behind_the_command
+from robotctl.cli.registry import COMMANDS, other_words
+from robotctl.kernel.patterns import PatternKind
+
+NAMES = ["status", "set_mode", "estop", "reset", "stop"]
+
+words = st.sampled_from(
+    [
+        "status",
+        "set-mode",
+        "estop",
+        "reset",
+        "stop",
+        "start",
+        "moving",
+        "7",
+        "--json",
+        "--robot",
+        "--reason",
+        "--all",
+        "smoke",
+        "--robot=r2",
+        "--robot=",
+        "r2",
+        "-h",
+        "--help",
+        "--no-json",
+        "--js",
+        "-x",
+        "--",
+        "-",
+        "",
+    ]
+)
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Replace the actions, and return the list of their calls."""
+    seen: list[Any] = []
+    for name in NAMES:
+
+        def record(*arguments: Any, name: str = name) -> None:
+            seen.append((name, *arguments))
+
+        monkeypatch.setattr(quick, name, record)
+        if name in quick._WITHOUT_ARGUMENT:
+            monkeypatch.setitem(quick._WITHOUT_ARGUMENT, name, record)
+    return seen
+
+
+def by_typer(arguments: list[str], calls: list[Any]) -> Any:
+    """Return the call that typer makes, or None if it refuses the arguments."""
+    calls.clear()
+    try:
+        registry.dispatch(arguments)
+    except UsageError:
+        return None
+    return calls[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "call"),
+    [
+        ("status", ("status", "robot", False)),
+        ("status --json", ("status", "robot", True)),
+        ("set-mode moving", ("set_mode", "moving", "robot", False, "")),
+        ("set-mode --robot r2 IDLE --json", ("set_mode", "IDLE", "r2", True, "")),
+        ("estop --robot r2", ("estop", "r2", False, "", False)),
+        ("reset", ("reset", "robot", False, "")),
+        ("estop --reason smoke", ("estop", "robot", False, "smoke", False)),
+        ("estop --all", ("estop", "robot", False, "", True)),
+        ("stop", ("stop", "robot", False)),
+    ],
+)
+def test_what_is_spelt_plainly_takes_the_short_way(
+    arguments: str, call: object, calls: list[Any]
+) -> None:
+    command = quick.match(arguments.split())
+    assert command is not None
+    command()
+    assert calls == [call]
+    assert by_typer(arguments.split(), calls) == call
+
+
+@pytest.mark.parametrize(
+    "arguments", ["", "--help", "status --help", "status x", "set-mode", "--json status", "drive x"]
+)
+def test_everything_else_is_left_to_typer(arguments: str) -> None:
+    assert quick.match(arguments.split()) is None
+
+
+@settings(
+    max_examples=300,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+@given(first=st.sampled_from(["status", "set-mode", "estop", "stop"]), rest=st.lists(words))
+def test_both_ways_agree(first: str, rest: list[str], calls: list[Any]) -> None:
+    arguments = [first, *rest]
+    command = quick.match(arguments)
+    if command is not None:
+        calls.clear()
+        command()
+        quickly = calls[0]
+        assert by_typer(arguments, calls) == quickly
+
+
+@pytest.mark.parametrize("name", ["r2", ""])
+def test_both_ways_take_the_robot_from_the_environment(
+    name: str, calls: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROBOTCTL_ROBOT", name)
+    command = quick.match(["estop"])
+    assert command is not None
+    command()
+    assert calls == [("estop", name or "robot", False, "", False)]
+    assert by_typer(["estop"], calls) == ("estop", name or "robot", False, "", False)
+
+
+HEAVY = {"rclpy", "rich", "msgspec", "pydantic", "numpy", "mcap", "yaml", "asyncio"}
+
+PROGRAM = """
+import sys
+from robotctl.cli.app import run
+before = set(sys.modules)
+assert run(sys.argv[1:]) == 0
+print("imported", *{module.partition(".")[0] for module in sys.modules})
+"""
+
+
+def imported_by(*arguments: str) -> set[str]:
+    """Return the top-level modules that a command line imports in a new interpreter."""
+    program = [sys.executable, "-c", PROGRAM, *arguments]
+    ran = subprocess.run(program, capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    return set(ran.stdout.splitlines()[-1].split()[1:])
+
+
+def test_help_imports_no_heavy_library() -> None:
+    assert not imported_by("--help") & HEAVY
+
+
+@pytest.mark.parametrize(
+    "arguments", [["status"], ["set-mode", "moving"], ["estop"], ["reset"], ["stop", "--json"]]
+)
+def test_what_controls_the_robot_imports_not_even_typer(arguments: list[str], daemon: None) -> None:
+    assert not imported_by(*arguments) & (HEAVY | {"typer", "dataclasses", "inspect"})
+
+
+@pytest.mark.parametrize("arguments", [["status", "--help"], ["drive", "square"]])
+def test_other_commands_import_no_heavy_library(arguments: list[str], daemon: None) -> None:
+    assert not imported_by(*arguments) & (HEAVY - {"pydantic"})
+
+
+STARTS = """
+import sys
+from robotctl.cli import app
+app._parse_and_run = lambda _: print("imported", *sys.modules)
+assert app.run(sys.argv[1:]) == 0
+"""
+
+
+def test_a_path_of_this_computer_needs_no_store() -> None:
+    program = "import sys; from robotctl.cli.targets.recordings import recording_path as path"
+    program += "; path('run.mcap'); print(*sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
+    assert b"robotctl.base.store.remote_file" in ran.stdout
+    assert b"robotctl.base.store.folder_store" not in ran.stdout
+
+
+@pytest.mark.parametrize("word", ["list", "kill", "run", "bag", "figure8", "rm", "circle"])
+def test_a_word_of_another_tool_is_answered_with_the_command(
+    word: str, cli: Callable[..., Any]
+) -> None:
+    ran = cli(word)
+    assert (ran.exit_code, ran.out) == (2, "")
+    assert ran.err == f"robotctl: No such command '{word}': {other_words()[word]}\n"
+
+
+def test_every_pattern_is_such_a_word() -> None:
+    assert {kind.value.replace("_", "-") for kind in PatternKind} <= set(other_words())
+
+
+def test_the_words_are_no_commands_and_lead_to_commands_that_exist() -> None:
+    assert not set(other_words()) & set(COMMANDS)
+    root: Any = typer.main.get_command(registry.app)
+    for text in other_words().values():
+        for line in re.findall(r"`robotctl ([^`]+)`", text):
+            words = line.split()
+            command = root.get_command(None, words[0])
+            assert command is not None, line
+            if hasattr(command, "commands") and words[1:]:
+                assert words[1] in command.commands, line
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        ("--robot r2 status", "status --robot r2"),
+        ("--json --robot=r2 topic list", "topic list --json --robot=r2"),
+        ("--robot r2 replay f -- x", "replay f --robot r2 -- x"),
+        ("--robot r2 start --ros-args -p a:=1", "start --robot r2 --ros-args -p a:=1"),
+        ("--json", "--json"),
+        ("--robot", "--robot"),
+        ("--robot status", "--robot status"),
+        ("--json --version", "--json --version"),
+        ("--debug-x status", "--debug-x status"),
+        ("status --robot r2", "status --robot r2"),
+        ("", ""),
+    ],
+)
+def test_common_options_may_stand_before_the_command(given: str, meant: str) -> None:
+    assert behind_the_command(given.split()) == meant.split()
+
+
+def test_an_emergency_stop_with_the_robot_first_takes_the_short_way() -> None:
+    assert quick.match(behind_the_command(["--robot", "r2", "estop"])) is not None
+
+
+def test_the_error_names_the_robot_that_was_given_first(cli: Callable[..., Any]) -> None:
+    ran = cli("--robot", "r2", "status")
+    assert (ran.exit_code, "robot 'r2'" in ran.err) == (3, True)
+
+
+def test_a_retired_command_names_what_replaces_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(retired, "COMMANDS", {"steer": "use: robotctl drive"})
+    assert app.run(["steer", "left"]) == 2
+    assert "use: robotctl drive" in capsys.readouterr().err
+
+
+def test_a_retired_option_names_what_replaces_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(retired, "OPTIONS", {("info", "--steer"): "use: robotctl drive"})
+    assert app.run(["info", "last", "--steer"]) == 2
+    assert "--steer is retired: use: robotctl drive" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("command", "option"), sorted(retired.OPTIONS))
+def test_each_retired_option_answers_so(
+    command: str, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert app.run([*command.split(), option]) == 2
+    assert retired.OPTIONS[command, option] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", sorted(retired.ARGUMENTS))
+def test_each_retired_argument_answers_so(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.run([*command.split(), "word"]) == 2
+    assert retired.ARGUMENTS[command] in capsys.readouterr().err
+
+
+def test_no_command_of_today_is_retired() -> None:
+    assert not set(retired.COMMANDS) & set(COMMANDS)
+
+
+WITHOUT: dict[str, str] = {
+    "completion show": "it prints a script that a shell reads",
+    "completion words": "it answers a shell, one word a line",
+    "plot": "it draws; `robotctl export --json` writes the numbers",
+    "sim": "it runs the simulated robot until Ctrl-C",
+    "teleop": "it is driven by hand, with keys or a gamepad, and draws a screen",
+    "lease take": "its output is that of the command that it runs",
+}
+
+
+def commands() -> Iterator[tuple[str, Any]]:
+    """Yield each command with its full name; a group only if it can be called by itself."""
+    root: Any = typer.main.get_command(registry.app)
+    context = root.make_context("robotctl", [], resilient_parsing=True)
+
+    def walk(command: Any, name: str) -> Iterator[tuple[str, Any]]:
+        is_group = hasattr(command, "list_commands")
+        if name and (not is_group or command.invoke_without_command):
+            yield name, command
+        for inner in command.list_commands(context) if is_group else ():
+            yield from walk(command.get_command(context, inner), f"{name} {inner}".strip())
+
+    return walk(root, "")
+
+
+WALKED = dict(commands())
+
+
+def options_of(command: Any) -> set[str]:
+    return {option for parameter in command.params for option in parameter.opts}
+
+
+def test_the_walk_finds_groups_and_what_is_in_them() -> None:
+    assert {"status", "recordings", "recordings rm", "topic echo"} <= set(WALKED)
+    assert {name.split()[0] for name in WALKED} == set(registry.COMMANDS)
+
+
+@pytest.mark.parametrize("name", WALKED)
+def test_a_command_has_json_or_a_reason(name: str) -> None:
+    has_json = "--json" in options_of(WALKED[name])
+    assert has_json == (name not in WITHOUT), f"{name}: give it --json, or a reason here"
+
+
+def test_each_reason_is_that_of_a_command() -> None:
+    assert set(WITHOUT) <= set(WALKED)

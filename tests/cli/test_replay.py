@@ -1,0 +1,357 @@
+"""`replay --check` on the command line: what it prints, and its exit code.
+
+`replay --what-if` and `--resim` on the command line.
+Keys control a replay, and the terminal settings are restored in every case.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.recording.format.journal import JournalEntry
+from robotctl.testing.drives import Written, drive, drive_requested, record
+from tests.support.bags import Line, odometry, status, write_bag
+from tests.support.terminals import CODE, Terminal
+
+Cli = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def written() -> list[Written]:
+    return drive(1.0)
+
+
+def diverging(written: list[Written]) -> list[Written]:
+    """Return the same drive with another last command."""
+    changed = list(written)
+    position = max(
+        i
+        for i, each in enumerate(changed)
+        if isinstance(each, JournalEntry) and each.name == "PublishTwist"
+    )
+    entry = changed[position]
+    assert isinstance(entry, JournalEntry)
+    changed[position] = entry._replace(data=entry.data.replace('"angular":0.0', '"angular":0.5'))
+    return changed
+
+
+def test_a_recording_that_is_decided_the_same_is_said_in_two_lines(
+    cli: Cli, written: list[Written]
+) -> None:
+    record(Path("run"), written)
+    ran = cli("replay", "run", "--check")
+    assert ran.exit_code == 0
+    first, second = ran.out.splitlines()
+    assert first.split() == ["same", "run"]
+    assert "bit for bit" in second
+
+
+def test_many_are_checked_and_the_gravest_decides_the_exit_code(
+    cli: Cli, written: list[Written]
+) -> None:
+    record(Path("recordings/a"), written)
+    record(Path("recordings/b"), written)
+    assert cli("replay", "recordings", "--check").exit_code == 0
+    Path("recordings/c").mkdir()
+    Path("recordings/c/c_0.mcap").write_bytes(b"no recording")
+    ran = cli("replay", "recordings", "--check", "--json")
+    assert ran.exit_code == 6
+    assert [each["verdict"] for each in json.loads(ran.out)["recordings"]] == [
+        *("same", "same"),
+        "incomplete",
+    ]
+    record(Path("recordings/d"), diverging(written))
+    ran = cli("replay", "recordings", "--check")
+    assert ran.exit_code == 7
+    assert "1 of 4 recordings would be decided differently" in ran.err
+
+
+@pytest.mark.usefixtures("wide_terminal")
+def test_a_divergence_is_told_with_what_led_to_it(cli: Cli, written: list[Written]) -> None:
+    record(Path("run"), diverging(written))
+    ran = cli("replay", "run", "--check")
+    assert ran.exit_code == 7
+    told = " ".join(ran.out.split())
+    assert "before MOVING, driving a square, command 0." in told
+    assert 'event Tick {"t_ns":' in told
+    assert "differs twist.angular: recorded 0.5, decided 0.0" in told
+    assert max(map(len, ran.out.splitlines())) <= 80
+    found = json.loads(cli("replay", "run", "--check", "--json").out)["recordings"][0]["divergence"]
+    assert found["mode"] == "MOVING"
+    assert found["state"]["drive"]["pattern"]["kind"] == "square"
+
+
+def test_what_cannot_be_read_is_no_success(cli: Cli) -> None:
+    Path("empty.mcap").touch()
+    ran = cli("replay", "nowhere", "empty.mcap", "--check")
+    assert ran.exit_code == 6
+    assert "2 of 2 recordings could not be checked completely" in ran.err
+    assert "it is empty" in ran.out
+
+
+def test_no_ros_is_imported(written: list[Written]) -> None:
+    record(Path("run"), written)
+    program = """
+import sys
+from robotctl.cli.app import run
+assert run(["replay", "run", "--check"]) == 0
+assert "rclpy" not in sys.modules
+"""
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+
+
+def test_the_last_recording_may_be_meant(cli: Cli, written: list[Written]) -> None:
+    record(Path("recordings/robot_20260101_120000"), written)
+    ran = cli("replay", "last", "--check")
+    assert ran.exit_code == 0
+    assert "robot_20260101_120000" in ran.out
+
+
+def test_other_files_in_a_glob_are_skipped_with_a_line_each(
+    cli: Cli, written: list[Written]
+) -> None:
+    record(Path("recordings/a"), written)
+    Path("recordings/README").write_text("where recordings go\n")
+    Path("recordings/notes").mkdir()
+    Path("recordings/notes/path.png").touch()
+    os.mkfifo("recordings/pipe")
+    glob = sorted(map(str, Path("recordings").iterdir()))
+    ran = cli("replay", *glob, "--check")
+    assert (ran.exit_code, ran.err) == (0, "")
+    assert ran.out.splitlines()[2:] == [
+        f"skipped     recordings/{name}: not a recording" for name in ("README", "notes", "pipe")
+    ]
+    answer = json.loads(cli("replay", *glob, "--check", "--json").out)
+    assert answer["skipped"] == [f"recordings/{name}" for name in ("README", "notes", "pipe")]
+    assert len(answer["recordings"]) == answer["same"] == 1
+
+
+@pytest.mark.parametrize("name", ["torn.mcap", "bag", "nowhere", "packed.mcap.zstd"])
+def test_what_may_be_a_recording_is_not_skipped(
+    name: str, cli: Cli, written: list[Written]
+) -> None:
+    record(Path("whole"), written)
+    Path("torn.mcap").write_bytes(b"nothing")
+    Path("packed.mcap.zstd").write_bytes(b"nothing")
+    Path("bag").mkdir()
+    Path("bag/metadata.yaml").touch()
+    ran = cli("replay", "whole", name, "--check")
+    assert ran.exit_code == 6
+    assert f"incomplete  {name}\n" in ran.out
+
+
+def test_a_recording_under_another_name_is_known_by_its_first_bytes(
+    cli: Cli, written: list[Written]
+) -> None:
+    (file,) = record(Path("whole"), written).glob("*.mcap")
+    file.rename("renamed.bin")
+    record(Path("other"), written)
+    assert cli("replay", "other", "renamed.bin", "--check").out.count("same ") == 2
+
+
+def test_nothing_but_other_files_is_an_error(cli: Cli) -> None:
+    Path("README").touch()
+    Path("NOTES").touch()
+    assert cli("replay", "README", "--check").exit_code == 6
+    ran = cli("replay", "README", "NOTES", "--check")
+    assert ran.exit_code == 6
+    assert "skipped" not in ran.out
+
+
+@pytest.fixture(scope="module")
+def square() -> list[Written]:
+    return drive(23.0, requests=[drive_requested(laps=1)])
+
+
+@pytest.mark.usefixtures("wide_terminal")
+def test_an_open_loop_says_that_the_robot_does_not_react(cli: Cli, square: list[Written]) -> None:
+    record(Path("run"), square)
+    ran = cli("replay", "run", "--what-if", "tracking.k_y=8")
+    assert ran.exit_code == 0
+    assert "The robot does not react here" in ran.out
+    assert "tracking.k_y                        20.0             8" in ran.out
+    assert max(map(len, ran.out.splitlines())) <= 80
+    found = json.loads(cli("replay", "run", "--what-if", "tracking.k_y=8", "--json").out)
+    assert found["recordings"][0]["angular_rps"]["max"] > 0.0
+
+
+def test_a_closed_loop_shows_the_error_before_and_after(cli: Cli, square: list[Written]) -> None:
+    record(Path("run"), square)
+    command = ("replay", "run", "--resim", "--what-if", "sim.lag_s=0.3")
+    ran = cli(*command)
+    assert ran.exit_code == 0
+    (header,) = [line for line in ran.out.splitlines() if "drive 1" in line]
+    assert header.split() == ["drive", "1", "recorded", "simulated", "what", "if"]
+    (rms,) = [line for line in ran.out.splitlines() if "off track RMS" in line]
+    _, simulated, other = map(float, rms.split("[m]")[1].split())
+    assert other > simulated
+    found = json.loads(cli(*command, "--json").out)["recordings"][0]["drives"][0]
+    assert found["what_if"]["cross_track_rms_m"] == pytest.approx(other, abs=1e-4)
+
+
+def test_a_wrong_key_is_wrong_usage(cli: Cli, square: list[Written]) -> None:
+    record(Path("run"), square)
+    for setting in ("tracking.k=8", "tracking.k_y=nan", "sim.lag_s=1"):
+        assert cli("replay", "run", "--what-if", setting).exit_code == 2
+    assert cli("replay", "run", "--check", "--resim").exit_code == 2
+
+
+def test_a_gap_is_told_and_no_success(cli: Cli, square: list[Written]) -> None:
+    entries = [each for each in square if isinstance(each, JournalEntry)]
+    record(Path("run"), [*entries[:100], *entries[103:]])
+    ran = cli("replay", "run", "--what-if", "tracking.k_y=8")
+    assert ran.exit_code == 6
+    assert "missing: the journal lacks the entries 100 to 102" in ran.out
+
+
+def test_settings_may_stand_one_behind_the_other(cli: Cli, square: list[Written]) -> None:
+    record(Path("run"), square)
+    ran = cli("replay", "run", "--what-if", "tracking.k_y=8", "tracking.k_x=2", "--json")
+    assert ran.exit_code == 0
+    assert set(json.loads(ran.out)["recordings"][0]["settings"]) == {
+        *("tracking.k_y", "tracking.k_x")
+    }
+    assert cli("replay", "--what-if", "tracking.k_y=8", "tracking.k_x=2").exit_code == 2
+
+
+@pytest.mark.parametrize("mode", [["--check"], ["--resim"], ["--what-if", "tracking.k_y=8"]])
+def test_an_option_that_says_how_to_play_is_refused(
+    cli: Cli, square: list[Written], mode: list[str]
+) -> None:
+    record(Path("run"), square)
+    ran = cli("replay", "run", *mode, "--rate", "2")
+    assert ran.exit_code == 2
+    assert "--rate is only for playing" in ran.err
+
+
+def test_other_files_in_a_glob_are_skipped(cli: Cli, square: list[Written]) -> None:
+    record(Path("recordings/a"), square)
+    Path("recordings/README").touch()
+    command = ("replay", "recordings/README", "recordings/a", "--what-if", "tracking.k_y=8")
+    ran = cli(*command)
+    assert (ran.exit_code, ran.err) == (0, "")
+    assert ran.out.splitlines()[-1] == "skipped     recordings/README: not a recording"
+    assert json.loads(cli(*command, "--json").out)["skipped"] == ["recordings/README"]
+
+
+def straight_ahead(seconds: int) -> list[Line]:
+    """Return the messages at 10 Hz of a robot that drives straight ahead."""
+    return [status(0, 1), *(odometry(n * 100.0, n * 0.01) for n in range(10 * seconds))]
+
+
+@pytest.fixture
+def long_file(tmp_path: Path) -> Path:
+    return write_bag(tmp_path / "run.mcap", straight_ahead(600))
+
+
+@pytest.fixture
+def terminal() -> Iterator[Callable[..., Terminal]]:
+    started: list[Terminal] = []
+
+    def start(*arguments: object, **options: Any) -> Terminal:
+        started.append(Terminal(*arguments, **options))
+        return started[-1]
+
+    yield start
+    for each in started:
+        each.close()
+
+
+def test_keys_pause_step_and_change_the_rate(terminal: Any, long_file: Path) -> None:
+    viewing = terminal("replay", long_file, "--draw-only", "--paused")
+    viewing.until(r"0\.0 of 9 min 59 s +x1 +paused")
+    viewing.press("n")
+    viewing.press("n")
+    viewing.until(r"0\.2 of .* paused")
+    viewing.press("+")
+    viewing.until(r"x1\.5 +paused")
+    viewing.press("--")
+    viewing.until(r"x0\.7 +paused")
+    viewing.press(" ")
+    viewing.until(r"\d\.\d of 9 min 59 s +x0\.7 +\r")
+    assert not viewing.is_cooked()
+    viewing.press("q")
+    assert viewing.end() == 0
+    assert viewing.is_cooked()
+
+
+@pytest.mark.parametrize(
+    ("number", "exit_code"),
+    [(signal.SIGINT, 130), (signal.SIGTERM, 130), (signal.SIGHUP, 130), (signal.SIGQUIT, 130)],
+)
+def test_a_signal_ends_it_and_the_terminal_is_as_before(
+    number: signal.Signals, exit_code: int, terminal: Any, long_file: Path
+) -> None:
+    viewing = terminal("replay", long_file, "--draw-only")
+    viewing.until("space pause")
+    os.kill(viewing.pid, number)
+    assert viewing.end() == exit_code
+    assert viewing.is_cooked()
+
+
+SHELL = """
+import os, signal, sys, termios
+signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+pid = os.fork()
+if pid == 0:
+    os.setpgid(0, 0)
+    os.tcsetpgrp(0, os.getpid())
+    signal.signal(signal.SIGTTOU, signal.SIG_DFL)
+    os.execv(sys.executable, [sys.executable, "-c", *sys.argv[1:]])
+
+def wait():
+    _, status = os.waitpid(pid, os.WUNTRACED)
+    os.tcsetpgrp(0, os.getpgrp())
+    flags = termios.tcgetattr(0)[3]
+    cooked = bool(flags & termios.ECHO) and bool(flags & termios.ICANON)
+    said = "stopped" if os.WIFSTOPPED(status) else os.waitstatus_to_exitcode(status)
+    print("SHELL:", said, cooked, flush=True)
+
+wait()
+sys.stdin.readline()
+os.tcsetpgrp(0, pid)
+os.kill(-pid, signal.SIGCONT)
+wait()
+"""
+"""Job control of a shell for one command: it is stopped, continued by a line, and ends."""
+
+
+def test_ctrl_z_gives_the_terminal_back_and_fg_takes_it_again(
+    terminal: Any, long_file: Path
+) -> None:
+    shell = terminal("replay", long_file, "--draw-only", program=(SHELL, CODE))
+    shell.until(r"\d\.\d of 9 min")
+    shell.press("\x1a")
+    shell.until("SHELL: stopped True")
+    shell.press("fg\n")
+    shell.until("space pause")
+    shell.press(" ")
+    shell.until("paused")
+    shell.press("q")
+    shell.until("SHELL: 0 True")
+
+
+def test_the_view_imports_nothing_of_ros(tmp_path: Path) -> None:
+    file = write_bag(tmp_path / "run.mcap", straight_ahead(1))
+    program = (
+        "import sys; from robotctl.cli.app import run; code = run(sys.argv[1:]);"
+        "print(code, *sorted(n for n in sys.modules if n in ('rclpy', 'numpy', 'robotctl.ros')))"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", program, "replay", str(file), "--draw-only", "--rate", "10"],
+        capture_output=True,
+        text=True,
+    )
+    lines = ran.stdout.splitlines()
+    assert lines[-1] == "0", ran
+    assert "MOVING  x 0" in lines[0]
