@@ -58,7 +58,7 @@ def test_the_readme_names_every_command() -> None:
 
 
 def test_every_module_of_commands_is_a_command() -> None:
-    modules = (ROOT / "robotctl" / "cli" / "commands").glob("[a-z]*")
+    modules = (ROOT / "robotctl" / "cli" / "commands").glob("[a-z]*/[a-z]*")
     assert {path.stem.replace("_", "-") for path in modules} == set(COMMANDS)
 
 

@@ -294,7 +294,7 @@ def test_lines_come_out_of_pieces() -> None:
 
 
 def test_every_child_is_started_in_one_way() -> None:
-    from robotctl.cli.commands.replay import play
+    from robotctl.cli.commands.recordings.replay import play
     from robotctl.cli.targets import launch
     from robotctl.rerun import check_many as checking
 
@@ -303,7 +303,7 @@ def test_every_child_is_started_in_one_way() -> None:
     assert all(each[:3] == (sys.executable, "-P", "-m") for each in programs)
     root = Path(robotctl.__file__).parent
     cli = root / "cli"  # what is foreign runs programs that are not ours
-    foreign = (cli / "commands" / "boot.py", cli / "commands" / "lease.py")
+    foreign = (cli / "commands" / "daemon" / "boot.py", cli / "commands" / "robot" / "lease.py")
     for path in root.rglob("*.py"):
         if path not in foreign and not path.is_relative_to(root / "base" / "processes"):
             text = path.read_text(encoding="utf-8")

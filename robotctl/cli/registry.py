@@ -47,9 +47,17 @@ SECTIONS = {
     ),
     "Many recordings": ("index", "find", "gate", "sync"),
 }
-"""The sections of the help, with their commands; each command is a module of `commands`."""
+"""The sections of the help, with their commands."""
 
 COMMANDS = tuple(name for names in SECTIONS.values() for name in names)
+
+
+def module_of(command: str) -> str:
+    """Return the module of a command below `commands`: in the folder of its section."""
+    section = next(title for title, names in SECTIONS.items() if command in names)
+    folder = section.removeprefix("The ").lower().replace(" ", "_")
+    return f"{folder}.{command.replace('-', '_')}"
+
 
 OTHER_WORDS = {
     "list": "`robotctl ps` lists robots, `robotctl recordings` recordings, "
@@ -84,7 +92,7 @@ OTHER_WORDS = {
 
 def other_words() -> dict[str, str]:
     """Return OTHER_WORDS, and those of `robotctl drive`."""
-    from robotctl.cli.commands.drive import MOTIONS
+    from robotctl.cli.commands.robot.drive import MOTIONS
 
     return OTHER_WORDS | {word: f"`robotctl drive {word}`" for word in MOTIONS}
 
@@ -122,7 +130,7 @@ class LazyGroup(TyperGroup):
                 raise UsageError(f"No such command {cmd_name!r}", cure)
             self.commands = {name: self.get_command(ctx, name) for name in COMMANDS}
             return None
-        module = importlib.import_module(f"robotctl.cli.commands.{cmd_name.replace('-', '_')}")
+        module = importlib.import_module(f"robotctl.cli.commands.{module_of(cmd_name)}")
         group = typer.main.get_group(module.app)
         return group.commands[cmd_name]
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from robotctl.base.errors import AlreadyRunning, UsageError
-from robotctl.cli.commands.boot import daemon_unit, me, sync_units
+from robotctl.cli.commands.daemon.boot import daemon_unit, me, sync_units
 
 Cli = Callable[..., Any]
 

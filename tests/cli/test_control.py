@@ -27,7 +27,7 @@ from robotctl.base import processes
 from robotctl.base.errors import UsageError
 from robotctl.base.mode_names import MODES
 from robotctl.cli import quick
-from robotctl.cli.commands.drive import tracking_lines
+from robotctl.cli.commands.robot.drive import tracking_lines
 from robotctl.cli.targets.driving import stop_drive
 from robotctl.cli.targets.interrupts import Background
 from robotctl.ipc.answers import DriveAnswer, Status

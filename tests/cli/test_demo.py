@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.commands import demo
-from robotctl.cli.commands.demo import CONFIG
+from robotctl.cli.commands.without_a_robot import demo
+from robotctl.cli.commands.without_a_robot.demo import CONFIG
 from robotctl.cli.ui import text
 from robotctl.config import Config, load
 from robotctl.ipc.client import call

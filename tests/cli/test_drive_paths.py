@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from robotctl.base.errors import Refused, UnreadableFile, UsageError
-from robotctl.cli.commands.drive.paths import PATH_TYPE, path_in, read_waypoints
+from robotctl.cli.commands.robot.drive.paths import PATH_TYPE, path_in, read_waypoints
 from robotctl.kernel.course import MAX_POINTS, Course, Frame, Point
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from mcap.writer import Writer
 
-from robotctl.cli.commands.info import qos_text
+from robotctl.cli.commands.recordings.info import qos_text
 
 QOS = """\
 - history: keep_last

@@ -159,7 +159,7 @@ def test_nothing_else_than_a_picture_is_written(
 def test_a_terminal_without_braille_gets_stars(
     cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from robotctl.cli.commands import plot
+    from robotctl.cli.commands.recordings import plot
 
     monkeypatch.setattr(plot, "can_show_braille", lambda: False)
     out = cli("plot", "run.mcap", "/t", "x").out

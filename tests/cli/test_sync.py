@@ -20,8 +20,8 @@ import pytest
 
 from robotctl.base.errors import Interrupted, NoDaemon, Refused
 from robotctl.base.store import has_hash_folders, hash_in, without_hashes
-from robotctl.cli.commands import sync as sync_command
-from robotctl.cli.commands.sync import SyncPace
+from robotctl.cli.commands.many_recordings import sync as sync_command
+from robotctl.cli.commands.many_recordings.sync import SyncPace
 from robotctl.ipc.client import NoAnswer
 from robotctl.recording.keep.listing import recordings_in
 from robotctl.testing.drives import drive, record

@@ -20,9 +20,14 @@ from rich.console import Console
 from rich.live import Live
 
 from robotctl.base.errors import UsageError
-from robotctl.cli.commands.teleop import controls as module
-from robotctl.cli.commands.teleop.command import KEYS, WITH_RELEASES, WITHOUT_RELEASES, view_below
-from robotctl.cli.commands.teleop.controls import (
+from robotctl.cli.commands.robot.teleop import controls as module
+from robotctl.cli.commands.robot.teleop.command import (
+    KEYS,
+    WITH_RELEASES,
+    WITHOUT_RELEASES,
+    view_below,
+)
+from robotctl.cli.commands.robot.teleop.controls import (
     JOY,
     MAX_AT_ONCE,
     SILENT_S,

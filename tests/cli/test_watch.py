@@ -17,7 +17,7 @@ import pytest
 from rich.console import Console
 
 from robotctl.base.errors import Refused
-from robotctl.cli.commands import watch
+from robotctl.cli.commands.daemon import watch
 from robotctl.cli.targets.interrupts import Background
 from robotctl.cli.ui.panels import History, drive_map, live_view, sparkline
 from robotctl.cli.ui.status import HEADER, status_line

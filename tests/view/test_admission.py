@@ -7,7 +7,7 @@ import socket
 import pytest
 
 from robotctl.base.errors import UsageError
-from robotctl.cli.commands.view import view
+from robotctl.cli.commands.daemon.view import view
 from robotctl.view.admission import KNOWN_ORIGINS, Admission
 from robotctl.view.view_job import is_origin
 

@@ -1,0 +1,160 @@
+"""The options of `find`, and its answers."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robotctl.base.errors import UsageError
+from robotctl.cli.commands.many_recordings.find.opening import OpenAs, open_as, shown_row
+from robotctl.cli.options import Json, new_app
+from robotctl.cli.targets.recordings import open_catalogue
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import columns, elided, moment, printable, row
+
+if TYPE_CHECKING:
+    from robotctl.collection.questions import Answer
+
+app = new_app()
+
+SHOWN = {
+    "drives": ("recording", "drive", "pattern", "laps", "max_error_m", "ended"),
+    "recordings": ("recording", "duration_s", "laps", "stops", "max_error_m", "check", "verify"),
+    "events": ("recording", "start_ns", "event", "text"),
+    "topics": ("recording", "topic", "messages", "lost", "rate_hz"),
+}
+"""The columns that a terminal shows of each table; `--json` has all."""
+
+LEAST_WIDTH = 10
+
+
+@app.command()
+def find(
+    condition: Annotated[
+        str,
+        typer.Argument(help="Such as 'laps >= 1 and max_error_m > 0.1' [default: every row]."),
+    ] = "",
+    folder: Annotated[
+        str | None,
+        typer.Option(
+            "--in",
+            metavar="DIR",
+            help="A folder of recordings [default: ./recordings, or the daemon's, or the last "
+            "daemon's].",
+        ),
+    ] = None,
+    recordings: Annotated[
+        bool, typer.Option("--recordings", help="A row per recording, not per drive.")
+    ] = False,
+    events: Annotated[
+        bool, typer.Option("--events", help="A row per change of mode, refusal, stop or mark.")
+    ] = False,
+    topics: Annotated[bool, typer.Option("--topics", help="A row per topic of a recording.")] = (
+        False
+    ),
+    sort: Annotated[
+        str,
+        typer.Option(
+            metavar="COLUMN", help="Sort by it; -COLUMN: the largest first [default: by time]."
+        ),
+    ] = "",
+    limit: Annotated[int, typer.Option(min=0, help="The most rows that are shown; 0: all.")] = 0,
+    sql: Annotated[
+        str | None,
+        typer.Option(
+            "--sql",
+            metavar="QUERY",
+            help="Ask in SQL: tables recordings, drives, events, topics, samples.",
+        ),
+    ] = None,
+    open_row: Annotated[
+        int | None, typer.Option("--open", metavar="N", help="Open row N of the answer.")
+    ] = None,
+    open_kind: Annotated[
+        OpenAs, typer.Option("--as", help="How to open it, at its moment.")
+    ] = OpenAs.REPORT,
+    as_json: Json = False,
+) -> None:
+    """Find drives in many recordings by a condition.
+
+    Answers come from the indexes (see `robotctl index`), which are made first where they are
+    missing or old. The condition compares columns with < <= == != >= >, and joins them with
+    and, or, not. `--json` shows all columns. Needs the extra robotctl[parquet].
+
+    `--open N` does for row N what `report` or `clip` does, and prints what that prints: where
+    the page or the clip is. A browser shows the page at the moment if
+    there is a display.
+
+    \b
+    Examples:
+      robotctl find "laps >= 1 and max_error_m > 0.1"
+      robotctl find "check != 'same'" --recordings --in /data/robots
+      robotctl find --sort -max_error_m --limit 3 --json
+      robotctl find --sort -max_error_m --open 1
+      robotctl find "mode == 'EMERGENCY_STOP'" --events --open 2 --as clip
+      robotctl find --sql "SELECT cause, count(*) FROM drives GROUP BY cause"
+    """
+    wanted = [
+        name
+        for name, is_wanted in (("recordings", recordings), ("events", events), ("topics", topics))
+        if is_wanted
+    ]
+    if len(wanted) > 1:
+        raise UsageError(f"--{wanted[0]} and --{wanted[1]} are two tables", "give one of them")
+    table = wanted[0] if wanted else "drives"
+    if sql is not None and (condition or wanted):
+        raise UsageError("--sql is a whole question", "give no condition and no table beside it")
+    from robotctl.collection.questions import ask
+    from robotctl.collection.questions import find as find_rows
+
+    with open_catalogue(folder, quiet=as_json) as (place, catalogue):
+        if sql is not None:
+            found = ask(catalogue, sql)
+        else:
+            found = find_rows(catalogue, table, condition, sort, limit)
+    left_out = catalogue.left_out
+    if not as_json:
+        for sentence in left_out:
+            print(f"robotctl: {sentence}", file=sys.stderr)
+    if open_row is not None:
+        open_as(shown_row(found.as_objects(), open_row, place), open_kind, as_json=as_json)
+        return
+    shown = found.columns if sql is not None else SHOWN[table]
+    answer = {"rows": found.as_objects(), "left_out": left_out}
+    print_answer(answer, _lines(found, shown), as_json=as_json)
+
+
+def _lines(found: Answer, shown: tuple[str, ...]) -> Iterator[str]:
+    places = [found.columns.index(each) for each in shown]
+    width = columns()
+    table = [
+        (list(shown[:-1]), shown[-1]),
+        *(
+            _cells([_text(found.columns[each], values[each]) for each in places], width)
+            for values in found.rows
+        ),
+    ]
+    widths = [max(len(cells[number]) for cells, _ in table) for number in range(len(shown) - 1)]
+    for cells, last in table:
+        label = "".join(f"{cell:{wide}}  " for cell, wide in zip(cells, widths, strict=True))
+        wraps = len(label) + LEAST_WIDTH <= width < len(label) + len(last)
+        yield from row(label, last) if wraps else [f"{label}{last}"]
+    yield f"{len(found.rows)} row{'' if len(found.rows) == 1 else 's'}"
+
+
+def _cells(texts: list[str], width: int) -> tuple[list[str], str]:
+    """Return the cells of a row: those that are cut on a terminal, and the last one."""
+    return [elided(each, width // 3) for each in texts[:-1]], texts[-1]
+
+
+def _text(column: str, value: Any) -> str:
+    if value is None:
+        return "-"
+    if column == "start_ns":
+        return moment(value)
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return printable(str(value))

@@ -1,0 +1,246 @@
+"""Play a recording: publish it on ROS with its original timing, or draw it in the terminal."""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from robotctl.base.errors import Interrupted, RobotctlError, UsageError, error_for_exit_code
+from robotctl.base.processes import Child, program, start
+from robotctl.cli.commands.recordings.replay.screen import Screen, screen, summary_lines
+from robotctl.cli.ui.keys import Keyboard
+from robotctl.cli.ui.output import print_answer
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording import Recording
+from robotctl.replay.job import Job
+from robotctl.replay.playback_control import Command, PlaybackControl, carry_out
+from robotctl.replay.recorded_robot import RecordedRobot
+from robotctl.replay.timeline import Span, span_of
+
+KEYS: Final = {
+    " ": Command.TOGGLE,
+    "+": Command.FASTER,
+    "=": Command.FASTER,
+    "-": Command.SLOWER,
+    "n": Command.NEXT,
+}
+"""All keys but QUIT; `=` is the plus key without Shift."""
+
+QUIT: Final = "q"
+
+
+PLAYER: Final = "robotctl.replay"
+"""The module of the process that plays."""
+
+END_DEADLINE_S = 15.0
+"""How long the player may take to remove its publishers from the graph and exit."""
+
+
+@dataclass(slots=True)
+class PlayerReport:
+    """What the player process has reported so far."""
+
+    summary: dict[str, Any] = field(default_factory=dict)
+    error: RobotctlError | None = None
+    interrupted: bool = False
+    """Whether Ctrl-C or a signal has ended the replay."""
+    ended: bool = False
+    """Whether the player will report nothing more."""
+
+
+def play_in_process(
+    job: Job, open_screen: Callable[[], AbstractContextManager[Screen]]
+) -> PlayerReport:
+    """Play the job in a child process, and return its report; the first Ctrl-C asks it to end.
+
+    The screen is opened while the process joins ROS.
+
+    Raises:
+        RobotctlError: The process ended without a report.
+        KeyboardInterrupt: Ctrl-C was pressed a second time.
+    """
+    report = PlayerReport()
+    child = start(program(PLAYER), with_stdin=True)
+    try:
+        with suppress(BrokenPipeError):  # it has ended; the loop below notices
+            child.send(f"{job.to_json()}\n".encode())
+        with open_screen() as screen:
+            player = _Player(child, report, screen)
+            with Keyboard(player.suspend, player.resume) as keyboard:
+                while not report.ended:
+                    try:
+                        player.wait_for_input(keyboard)
+                    except KeyboardInterrupt:
+                        if report.interrupted:
+                            raise
+                        report.interrupted = True
+                        child.close_stdin()
+    finally:
+        exit_code = child.close(END_DEADLINE_S)
+    if not (report.summary or report.error or report.interrupted):
+        raise RobotctlError(
+            f"the player ended with exit code {exit_code} before the replay was over "
+            "(see why with: robotctl --debug replay ...)"
+        )
+    return report
+
+
+class _Player:
+    """The player process, with the report, the screen and the pause of its replay."""
+
+    def __init__(self, child: Child, report: PlayerReport, screen: Screen) -> None:
+        self._child = child
+        self._report = report
+        self._screen = screen
+        self._paused = False
+        self._was_playing = False
+
+    def wait_for_input(self, keyboard: Keyboard) -> None:
+        """Wait for the player or the keyboard, and handle what comes."""
+        child = self._child
+        patience_s = None if child.has_stdin else END_DEADLINE_S
+        ready, _, _ = select.select([child.fileno(), *keyboard.sources], [], [], patience_s)
+        self._report.ended = not ready
+        if child.fileno() in ready:
+            try:
+                for report in child.receive():
+                    self._handle(report)
+            except EOFError:
+                self._report.ended = True
+        if not set(ready).isdisjoint(keyboard.sources):
+            for key in keyboard.read():
+                self._press(key)
+
+    def suspend(self) -> None:
+        """Pause the player while this process is stopped."""
+        self._was_playing = not self._paused
+        self._send(Command.PAUSE)
+        self._screen.suspend()
+
+    def resume(self) -> None:
+        """Continue, unless the replay was paused before `suspend`."""
+        self._screen.resume()
+        if self._was_playing:
+            self._send(Command.RESUME)
+
+    def _handle(self, report: dict[str, Any]) -> None:
+        if "error" in report:
+            self._report.error = error_for_exit_code(report["exit_code"], report["error"], report)
+        if "progress" in report:
+            self._paused = report["progress"]["paused"]
+        self._report.summary = report.get("summary", self._report.summary)
+        self._screen.show(report)
+
+    def _press(self, key: str) -> None:
+        if key == QUIT:
+            self._child.close_stdin()
+        elif key in KEYS:
+            self._send(KEYS[key])
+
+    def _send(self, command: Command) -> None:
+        with suppress(BrokenPipeError):  # it has ended; `wait_for_input` notices
+            self._child.send(command.line())
+
+
+def play_command(job: Job, *, draw: bool, as_json: bool) -> None:
+    """Publish a recording to ROS, and print the summary; `draw` draws the recorded robot.
+
+    Raises:
+        Interrupted: Ctrl-C or a signal ended the replay.
+        RobotctlError: The player failed; the error has its exit code.
+    """
+
+    @contextmanager
+    def open_screen() -> Iterator[Screen]:
+        with ExitStack() as stack:
+            robot = None
+            if draw:
+                robot, _ = stack.enter_context(recorded_robot(job))
+            yield stack.enter_context(screen(robot, quiet=as_json))
+
+    report = play_in_process(job, open_screen)
+    error = Interrupted() if report.interrupted else report.error
+    if report.summary:
+        lines = summary_lines(report.summary)
+        print_answer(report.summary, lines, as_json=as_json, error=error)
+    elif error is not None:
+        raise error
+
+
+PERIOD_S: Final = 0.1
+"""How often the robot is drawn."""
+
+
+def draw_command(job: Job, *, quiet: bool) -> None:
+    """Show the recording at the job's rate until its end or the quit key.
+
+    Raises:
+        UsageError: The rate is `max`, or the recording has nothing to draw.
+    """
+    if job.rate is None:
+        raise UsageError("--draw-only cannot draw at --rate max", "give --rate a number")
+    with recorded_robot(job) as (robot, span), screen(robot, quiet=quiet) as shown:
+        viewer = _Viewer(job, robot, shown)
+        shown.show({"start": {"length_s": span.length_ns / NS_PER_S}})
+        with Keyboard(viewer.suspend, viewer.resume) as keyboard:
+            while not viewer.quit and (job.loop or viewer.position_ns <= span.length_ns):
+                shown.show({"progress": viewer.progress()})
+                ready, _, _ = select.select(keyboard.sources, [], [], PERIOD_S)
+                for key in keyboard.read() if ready else "":
+                    viewer.press(key)
+        viewer.control.pause()
+        shown.show({"progress": viewer.progress()})
+
+
+@contextmanager
+def recorded_robot(job: Job) -> Iterator[tuple[RecordedRobot, Span]]:
+    """Open the recording, and yield its robot and the span of the recording that is played."""
+    with Recording(job.file) as recording:
+        span = span_of(recording.info(), job)
+        yield RecordedRobot(recording, span, loop=job.loop), span
+
+
+class _Viewer:
+    """The position in the recording, controlled by keys."""
+
+    def __init__(self, job: Job, robot: RecordedRobot, screen: Screen) -> None:
+        self.quit = False
+        self.control = PlaybackControl(job.rate, time.monotonic_ns, paused=job.paused)
+        self.control.begin(time.monotonic_ns() + round(job.delay_s * NS_PER_S))
+        self._was_playing = False
+        self._robot = robot
+        self._screen = screen
+
+    @property
+    def position_ns(self) -> int:
+        return self.control.schedule.position_ns(time.monotonic_ns())
+
+    def progress(self) -> dict[str, Any]:
+        """Return position, rate and pause in the form that the player process sends."""
+        schedule = self.control.schedule
+        position_s = self.position_ns / NS_PER_S
+        return {"position_s": position_s, "rate": schedule.rate, "paused": schedule.paused}
+
+    def press(self, key: str) -> None:
+        self.quit = self.quit or key == QUIT
+        if key in KEYS:
+            carry_out(KEYS[key], self.control)
+        next_ns = self._robot.next_ns
+        if next_ns is not None and self.control.takes_step(next_ns):
+            self._robot.advance(next_ns)
+
+    def suspend(self) -> None:
+        """Pause while this process is stopped."""
+        self._was_playing = not self.control.schedule.paused
+        self.control.pause()
+        self._screen.suspend()
+
+    def resume(self) -> None:
+        """Continue, unless the replay was paused before `suspend`."""
+        self._screen.resume()
+        if self._was_playing:
+            self.control.resume()

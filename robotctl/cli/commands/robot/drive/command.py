@@ -1,0 +1,346 @@
+"""The options of `robotctl drive`, and what they request."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from math import ceil, degrees, isfinite, radians
+from typing import Annotated, Any
+
+import typer
+
+from robotctl.base.errors import UsageError
+from robotctl.base.paths import DEFAULT_ROBOT
+from robotctl.cli.commands.robot.drive.running import drive_and_wait, tracking_lines
+from robotctl.cli.options import Json, Reason, Robot, new_app
+from robotctl.cli.targets.requests import asked_by, lease_of_shell
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.text import number, printable
+from robotctl.ipc.client import call
+from robotctl.ipc.method_names import DRIVE, DRIVE_PATH, DRIVE_VELOCITY
+from robotctl.ipc.protocol import MAX_REASON
+from robotctl.kernel.course import (
+    MAX_ANGLE_RAD,
+    MAX_CORNER_M,
+    MAX_HELD_S,
+    MIN_ANGLE_RAD,
+    MIN_CORNER_M,
+    MIN_HELD_S,
+    Frame,
+)
+from robotctl.kernel.drive import MAX_LAPS
+from robotctl.kernel.patterns import (
+    MAX_SIZE_M,
+    MAX_SPEED_MPS,
+    MIN_SIZE_M,
+    MIN_SPEED_MPS,
+    SHAPES,
+    PatternKind,
+    SizeName,
+)
+
+PATTERNS = ", ".join(kind.value for kind in PatternKind)
+PATH, VELOCITY = "path", "velocity"
+MOTIONS = (*(kind.value for kind in PatternKind), PATH, VELOCITY)
+
+FOLLOWED = frozenset({"laps", "speed", "reverse", "open-loop"})
+"""The options of every motion that follows a path."""
+
+_OWNERS = {
+    "frame": "the path of a file",
+    "topic": "a path",
+    "for": "a velocity",
+    "corner": "a rounded-square or a path",
+    "angle": "an arc or a turn",
+}
+"""The motions that have an option which others lack."""
+
+
+def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") -> list[str]:
+    """Return what is given after the motion; a path may be that of a topic.
+
+    Raises:
+        UsageError: There is no such motion, or too much or too little is given.
+    """
+    values = list(given or ())
+    for value in (motion, *values):
+        if value.startswith("-") and not _is_float(value):
+            raise UsageError(f"No such option: {printable(value)}")
+    if motion not in MOTIONS:
+        shown = f"{printable(motion)!r} is not one of"
+        wrong = shown if motion else "Missing argument 'PATTERN'. Choose from:"
+        raise UsageError(f"{wrong} {', '.join(MOTIONS)}")
+    if motion == VELOCITY:
+        if len(values) != 2 or not all(map(_is_number, values)):
+            raise UsageError("a velocity is two numbers", "such as robotctl drive velocity 0.2 0")
+    elif motion == PATH and topic:
+        if values:
+            raise UsageError("a path has one FILE or one --topic, not both")
+    elif motion == PATH and (len(values) != 1 or not values[0]):
+        cure = "use CSV with the header x,y, YAML, or a recording"
+        raise UsageError("a path has one FILE" if any(values) else "a path needs a FILE", cure)
+    elif motion != PATH and values:
+        raise UsageError(f"a {motion} has no file", "use robotctl drive path FILE")
+    return values
+
+
+def options_of(pattern: PatternKind) -> frozenset[str]:
+    """Return the options that fit a pattern."""
+    shape = SHAPES[pattern]
+    size = {shape.size_name.value} if shape.size_name else set()
+    corner = {"corner"} if shape.has_corner else set()
+    return FOLLOWED | size | corner | ({"angle"} if shape.has_angle else set())
+
+
+def cure_of(pattern: PatternKind) -> str:
+    """Return which size a pattern has, "" if it has none."""
+    name = SHAPES[pattern].size_name
+    return f"use --{name.value}" if name else ""
+
+
+def refuse_options(
+    what: str, options: Mapping[str, object], *, allowed: Collection[str], cure: str = ""
+) -> None:
+    """Check which options are given; `cure` says which size to use instead of another.
+
+    Raises:
+        UsageError: One of them does not fit.
+    """
+    for name, value in options.items():
+        if value is not None and name not in allowed:
+            if name in _OWNERS:
+                cure = f"it is for {_OWNERS[name]}"
+            elif name in FOLLOWED:
+                cure = ""
+            raise UsageError(f"{what} has no --{name}", cure)
+
+
+def path_params(robot: str, values: Sequence[str], frame: Frame) -> dict[str, Any]:
+    """Return what a path takes beyond every drive.
+
+    Raises:
+        UsageError: There is no such file.
+        Refused: It is `last`, and the robot has no recording.
+        UnreadableFile: The file holds no path.
+    """
+    from robotctl.cli.commands.robot.drive.paths import read_waypoints
+
+    return {"points": read_waypoints(values[0], frame, robot), "frame": frame.value}
+
+
+def topic_params(robot: str, topic: str, reason: str) -> dict[str, Any]:
+    """Wait for a path on a topic, and return what it takes beyond every drive.
+
+    Raises:
+        Refused: The message holds no path that can be driven.
+    """
+    from robotctl.cli.commands.robot.drive.paths import heard_path
+
+    name, points, frame = heard_path(robot, topic)
+    reason = reason or f"the path of {name}"[:MAX_REASON]
+    return {"points": points, "frame": frame.value, "reason": reason}
+
+
+def velocity_params(values: Sequence[str], duration: str | None) -> dict[str, Any]:
+    """Return what a velocity takes beyond every drive.
+
+    Raises:
+        UsageError: There is no duration, or it is not allowed.
+    """
+    seconds = (duration or "").removesuffix("s")
+    for_s = float(seconds) if _is_number(seconds) else 0.0
+    if not MIN_HELD_S <= for_s <= MAX_HELD_S:
+        text = f"--for {printable(duration)}" if duration else "a velocity needs --for"
+        raise UsageError(text, f"use {MIN_HELD_S:g} to {MAX_HELD_S:g} s, such as --for 2s")
+    linear_mps, angular_rps = map(float, values)
+    return {"linear_mps": linear_mps, "angular_rps": angular_rps, "for_s": for_s}
+
+
+def _is_number(text: str) -> bool:
+    return _is_float(text) and isfinite(float(text))
+
+
+def _is_float(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+app = new_app()
+
+MIN_ANGLE_DEG = ceil(100.0 * degrees(MIN_ANGLE_RAD)) / 100.0
+MAX_ANGLE_DEG = float(int(degrees(MAX_ANGLE_RAD)))
+
+
+@app.command(context_settings={"ignore_unknown_options": True})
+def drive(
+    motion: Annotated[
+        str, typer.Argument(metavar="PATTERN", help=f"One of {PATTERNS}; or {PATH}, {VELOCITY}.")
+    ] = "",
+    given: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[FILE | V W]",
+            help="Of a path: CSV with the header x,y, YAML, or a recording by its path or name; "
+            "last: the newest one in which the robot drove. Of a velocity: forward in m/s, to the "
+            "left in rad/s.",
+        ),
+    ] = None,
+    duration: Annotated[
+        str | None, typer.Option("--for", metavar="S", help="How long to command a velocity, 2s.")
+    ] = None,
+    side: Annotated[
+        float | None, typer.Option(metavar="M", help="Side of a square, in metres.")
+    ] = None,
+    radius: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Radius of a circle, a loop or an arc, in metres."),
+    ] = None,
+    length: Annotated[
+        float | None, typer.Option(metavar="M", help="Length of the line, in metres.")
+    ] = None,
+    angle: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="How far to turn, in degrees; to the left if positive."),
+    ] = None,
+    corner: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Radius of the corners of a rounded-square; on a path, how far before a corner "
+            "its arc begins, 0 to stop and turn at each point. In metres.",
+        ),
+    ] = None,
+    laps: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Number of laps; 0: until stopped [default: 0; 1 with --wait, and where the "
+            "pattern does not end where it begins].",
+        ),
+    ] = None,
+    reverse: Annotated[
+        bool,
+        typer.Option(
+            "--reverse",
+            help="Drive rear first: a pattern lies behind the robot, the points of a path stay.",
+        ),
+    ] = False,
+    topic: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="Of a path: the next nav_msgs/Path on this topic."),
+    ] = "",
+    frame: Annotated[
+        Frame, typer.Option(help="Where the points of a path are: start is the present pose.")
+    ] = Frame.START,
+    open_loop: Annotated[
+        bool, typer.Option("--open-loop", help="Do not correct by odometry, for comparison.")
+    ] = False,
+    speed: Annotated[
+        float | None, typer.Option(metavar="M/S", help="Speed along the path.")
+    ] = None,
+    wait: Annotated[
+        bool,
+        typer.Option(
+            "--wait",
+            help="Wait for the end, print the tracking error and draw path.png; Ctrl-C stops.",
+        ),
+    ] = False,
+    reason: Reason = "",
+    replace: Annotated[bool, typer.Option("--replace", help="Replace the current drive.")] = False,
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
+    """Drive a pattern, such as a square, a line or a turn on the spot, or a path.
+
+    Size and speed default to the daemon's configuration. With --wait the drive ends with this
+    command: Ctrl-C, SIGHUP, SIGTERM and a lost connection ramp the robot down, and a second
+    Ctrl-C is the emergency stop. path.png beside the recording shows the last drive. Without
+    --wait the robot continues after this command.
+
+    \b
+    Examples:
+      robotctl drive square
+      robotctl drive square --side 2 --laps 3 --wait
+      robotctl drive circle --radius 0.5 --speed 0.2 --replace
+      robotctl drive rounded-square --side 1 --corner 0.1 --wait
+      robotctl drive line --length 2 --reverse
+      robotctl drive turn --angle -90
+      robotctl drive path points.csv --wait
+      robotctl drive path last --speed 0.3
+      robotctl drive path --topic plan
+      robotctl drive velocity 0.2 -0.5 --for 2s
+    """
+    values = checked_values(motion, given, topic)
+    _check("--speed", speed, MIN_SPEED_MPS, MAX_SPEED_MPS, " m/s")
+    _check("--laps", laps, 0, MAX_LAPS)
+    sizes = {SizeName.SIDE: side, SizeName.RADIUS: radius, SizeName.LENGTH: length}
+    options: dict[str, float | str | bool | None] = {
+        **{name.value: size for name, size in sizes.items()},
+        "corner": corner,
+        "angle": angle,
+        "for": duration,
+        "topic": topic or None,
+        "frame": None if frame is Frame.START else frame.value,
+        "laps": laps,
+        "speed": speed,
+        "reverse": reverse or None,
+        "open-loop": open_loop or None,
+    }
+    params: dict[str, Any] = {
+        "replace": replace,
+        "wait": wait,
+        **asked_by("drive", reason),
+        **lease_of_shell(),
+    }
+    followed = {
+        "corner_m": corner,
+        "reverse": reverse,
+        "open_loop": open_loop,
+        "laps": laps,
+        "speed_mps": speed,
+    }
+    method = DRIVE
+    if motion == VELOCITY:
+        refuse_options("a velocity", options, allowed={"for"})
+        method, params = DRIVE_VELOCITY, params | velocity_params(values, duration)
+    elif motion == PATH:
+        own = {"corner", "topic"} if topic else {"corner", "frame"}
+        what = "a path of a topic" if topic else "a path"
+        refuse_options(what, options, allowed=FOLLOWED | own)
+        _check("--corner", corner, 0.0, MAX_CORNER_M, " m")
+        path = topic_params(robot, topic, reason) if topic else path_params(robot, values, frame)
+        method, params = DRIVE_PATH, params | followed | path
+    else:
+        pattern = PatternKind(motion)
+        refuse_options(f"a {motion}", options, allowed=options_of(pattern), cure=cure_of(pattern))
+        for name, size in sizes.items():
+            _check(f"--{name.value}", size, MIN_SIZE_M, MAX_SIZE_M, " m")
+        _check("--corner", corner, MIN_CORNER_M, MAX_CORNER_M, " m")
+        if angle is not None and not MIN_ANGLE_DEG <= abs(angle) <= MAX_ANGLE_DEG:
+            cure = f"use {MIN_ANGLE_DEG:g} to {MAX_ANGLE_DEG:g} degrees, with a minus to the right"
+            raise UsageError(f"--angle {angle:g}", cure)
+        params |= followed
+        params |= {"pattern": motion, "side_m": side, "radius_m": radius, "length_m": length}
+        params["angle_rad"] = None if angle is None else radians(angle)
+    if wait:
+        answer = drive_and_wait(robot, method, params, as_json=as_json)
+    else:
+        answer = {**call(robot, method, params)}
+    lines = [printable(answer.get("message", "done"))]
+    if wait and motion == VELOCITY:
+        lines.append(f"  driven      {number(answer.get('distance_m'), '.3f')} m")
+    elif wait:
+        lines += tracking_lines(answer)
+    print_answer(answer, lines, as_json=as_json)
+
+
+def _check(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:
+    """Check a value; the daemon's own limits may be lower.
+
+    Raises:
+        UsageError: It is out of range.
+    """
+    if value is not None and not low <= value <= high:  # NaN is refused, too
+        raise UsageError(f"{option} {value:g}", f"use {low:g} to {high:g}{unit}")
