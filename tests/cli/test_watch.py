@@ -18,9 +18,9 @@ from rich.console import Console
 
 from robotctl.base.errors import Refused
 from robotctl.cli.commands.daemon import watch
+from robotctl.cli.commands.daemon.watch import HEADER, status_line
 from robotctl.cli.targets.interrupts import Background
 from robotctl.cli.ui.panels import History, drive_map, live_view, sparkline
-from robotctl.cli.ui.status import HEADER, status_line
 from robotctl.ipc.answers import DrivenPath
 from robotctl.ipc.client import call
 from tests.support.terminals import Terminal

@@ -1,9 +1,9 @@
-"""The status of a daemon as text: one screen 80 columns wide, or one row of a table."""
+"""The status of a daemon as text: one screen 80 columns wide."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robotctl.cli.ui.text import (
     UNLIMITED,
@@ -17,7 +17,9 @@ from robotctl.cli.ui.text import (
     short_path,
     size,
 )
-from robotctl.ipc.answers import Status
+
+if TYPE_CHECKING:  # `robotctl status` starts without it
+    from robotctl.ipc.answers import Status
 
 _MIN_NAME_WIDTH, _COUNT_WIDTH, _RATE_WIDTH = 24, 8, 7
 _INDENT_AND_GAPS = 5
@@ -174,30 +176,3 @@ def battery_text(status: Status) -> str:
     """Return the battery level in percent."""
     battery = status.get("battery")
     return "unknown" if battery is None else f"{number(battery, '.0%')}".replace("%", " %")
-
-
-_ROW = "{:>8} {:<14} {:>8} {:>8} {:>7} {:>7} {:>7} {:>8} {:>5}"
-HEADER = _ROW.format(
-    "up [s]", "mode", "x [m]", "y [m]", "theta", "v [m/s]", "battery", "written", "lost"
-)
-
-
-def status_line(status: Status) -> str:
-    """Return mode, pose, speed, battery and recorder in the columns of HEADER; `-` is unknown."""
-    pose: Mapping[str, Any] = status["pose"] or {}
-    velocity: Mapping[str, Any] = status["velocity"] or {}
-    recorder = status["recorder"]
-    cells = (
-        _cell(status.get("uptime_s"), ".1f"),
-        "observing" if is_observer(status) else printable(status.get("mode")),
-        *(_cell(pose.get(key), ".3f") for key in ("x", "y", "theta")),
-        _cell(velocity.get("linear"), ".3f"),
-        _cell(status.get("battery"), ".0%"),
-        _cell(recorder.get("written"), "d"),
-        _cell(recorder.get("lost"), "d"),
-    )
-    return _ROW.format(*cells)
-
-
-def _cell(value: Any, form: str) -> str:
-    return "-" if value is None else number(value, form)

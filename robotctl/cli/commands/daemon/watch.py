@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import select
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from robotctl.base.errors import Refused, RobotctlError
@@ -15,8 +15,8 @@ from robotctl.cli.quick import mode_number
 from robotctl.cli.targets.interrupts import Background
 from robotctl.cli.targets.requests import asked_by, lease_of_shell
 from robotctl.cli.ui.keys import Keyboard
-from robotctl.cli.ui.status import HEADER, status_line
-from robotctl.cli.ui.text import is_terminal
+from robotctl.cli.ui.status import is_observer
+from robotctl.cli.ui.text import is_terminal, number, printable
 from robotctl.ipc.answers import DrivenPath, Status
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.method_names import PATH, SET_MODE, STATUS
@@ -25,6 +25,33 @@ from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 POLL_S = 0.1
 LINE_S = 1.0
 """The period without a terminal, so that a log file gets one line per second."""
+
+
+_ROW = "{:>8} {:<14} {:>8} {:>8} {:>7} {:>7} {:>7} {:>8} {:>5}"
+HEADER = _ROW.format(
+    "up [s]", "mode", "x [m]", "y [m]", "theta", "v [m/s]", "battery", "written", "lost"
+)
+
+
+def status_line(status: Status) -> str:
+    """Return mode, pose, speed, battery and recorder in the columns of HEADER; `-` is unknown."""
+    pose: Mapping[str, Any] = status["pose"] or {}
+    velocity: Mapping[str, Any] = status["velocity"] or {}
+    recorder = status["recorder"]
+    cells = (
+        _cell(status.get("uptime_s"), ".1f"),
+        "observing" if is_observer(status) else printable(status.get("mode")),
+        *(_cell(pose.get(key), ".3f") for key in ("x", "y", "theta")),
+        _cell(velocity.get("linear"), ".3f"),
+        _cell(status.get("battery"), ".0%"),
+        _cell(recorder.get("written"), "d"),
+        _cell(recorder.get("lost"), "d"),
+    )
+    return _ROW.format(*cells)
+
+
+def _cell(value: Any, form: str) -> str:
+    return "-" if value is None else number(value, form)
 
 
 def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
