@@ -6,32 +6,168 @@ import asyncio
 import gc
 import os
 import time
-from contextlib import AsyncExitStack, ExitStack
+from collections import Counter
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, ExitStack, asynccontextmanager
+from dataclasses import replace
+from typing import Final
 
 from robotctl import __version__
 from robotctl.base.domains import is_certainly_empty
+from robotctl.base.errors import Refused
 from robotctl.base.own_process import end_signals
 from robotctl.base.paths import chain_to, robot_state_folder, socket_path
-from robotctl.config import Config, load
-from robotctl.config.ros_settings import MODE_SERVICE
-from robotctl.daemon.command_choice import choose_command_type
+from robotctl.config import Config, flat, load
+from robotctl.config.ros_settings import MODE_SERVICE, NODES
 from robotctl.daemon.command_line import DaemonOptions
-from robotctl.daemon.decision_notes import noted, open_decision_log
 from robotctl.daemon.driver import build
 from robotctl.daemon.host import DaemonKind, Host, Ready
 from robotctl.daemon.log.levels import LoggerLevels
 from robotctl.daemon.observer import Observer
+from robotctl.daemon.recording.flight_recorder import FlightRecorder
+from robotctl.daemon.recording.provenance import provenance
 from robotctl.daemon.recording.recordings_folder import save_recordings_path
+from robotctl.daemon.recording.software import DIGEST, software
 from robotctl.daemon.ros_logs import apply_levels, published_log, serve_logger_levels
-from robotctl.daemon.same_names import refuse_same_names
 from robotctl.daemon.service_manager import ServiceManager, reporting
 from robotctl.daemon.supervisor import Supervisor
-from robotctl.daemon.waiting import DISCOVERY_S
+from robotctl.daemon.waiting import DISCOVERY_S, until
+from robotctl.decisions.journal import YEAR_S, DecisionKind, log_folder
+from robotctl.decisions.log import DecisionLog
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.listener import remove_stale, socket_group
 from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
+from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
+from robotctl.kernel.params import CommandParams, Stamping
+from robotctl.ros.graph import endpoints
+from robotctl.ros.messages.command_type import PLAIN, CommandType, stamped
+from robotctl.ros.messages.qos import COMMANDS
+from robotctl.ros.nodes.velocity_publisher import is_monitor
 from robotctl.ros.session import RECORDER_NODE, Naming, ros_session
+
+PROBE_NODE = "_command_probe"
+"""ROS tools hide names with a leading underscore; the node lives until a base is found."""
+
+
+async def choose_command_type(host: Host) -> CommandType:
+    """Return the configured type; for `auto`, the one that the subscribers of the topic take.
+
+    Where no base is found until the end of discovery, or none is looked for, that is Twist.
+    """
+    command = host.config.kernel.command
+    looks = not (host.alone or host.options.sim)
+    if command.stamped is Stamping.AUTO and looks:
+        chosen = await _taken_type(host, command)
+    else:
+        chosen = stamped(command.frame_id) if command.stamped is Stamping.TRUE else PLAIN
+    return replace(chosen, qos=COMMANDS[command.qos])
+
+
+async def _taken_type(host: Host, command: CommandParams) -> CommandType:
+    node = host.session.node(PROBE_NODE)
+
+    def taken() -> frozenset[str]:
+        found = endpoints.subscriptions(node, host.session.resolve(command.topic))
+        types = (each.topic_type for each in found if not is_monitor(each.node_name))
+        return COMMAND_TYPES.intersection(types)
+
+    try:
+        remaining_s = host.discovered_by_s - time.monotonic()
+        await until(lambda: bool(taken()) or host.stop.is_set(), remaining_s)
+        return stamped(command.frame_id) if taken() == {TWIST_STAMPED} else PLAIN
+    finally:
+        host.session.remove(node)
+
+
+STABLE_S: Final = 0.6
+"""No new node for this long: all are discovered. Daemons announce themselves every 0.5 s."""
+
+LOOK_S: Final = 0.05
+
+
+async def refuse_same_names(host: Host) -> None:
+    """Wait until the other nodes of the domain are discovered; refuse a second mode service.
+
+    Both would serve the same requests and command the same robot. It is looked for before this
+    daemon has a publisher that could disturb the other one.
+
+    Raises:
+        Refused: Another daemon has the names, and the options do not allow that.
+    """
+    options = host.options
+    if host.alone or options.allow_same_names:
+        return
+    names = options.ros.node_names
+    own = {node: f"{options.namespace}/{names.get(node, node)}" for node in NODES}
+    node = host.session.helper()
+    before: Counter[str] = Counter()
+    changed = time.monotonic()
+    while not host.stop.is_set():
+        found = Counter(
+            f"{namespace.rstrip('/')}/{name}"
+            for name, namespace in node.get_node_names_and_namespaces()
+        )
+        if own[MODE_SERVICE] in found:
+            same = ", ".join(name for name in own.values() if name in found)
+            raise Refused(
+                f"another daemon in ROS domain {options.domain_id} has the same nodes: {same}",
+                "give this one another name (--robot NAME) or domain (--domain-id N); "
+                "--allow-same-names starts it all the same",
+            )
+        now = time.monotonic()
+        if found != before:
+            before, changed = found, now
+        is_stable = found.total() > 1 and now - changed >= STABLE_S
+        if is_stable or now >= host.discovered_by_s:
+            return
+        await asyncio.sleep(LOOK_S)
+
+
+OF_ONE_START: Final = ("directory", "git.directory", "user")
+"""What the start itself tells; it is no part of the software's identity."""
+
+
+def open_decision_log(options: DaemonOptions, config: Config) -> DecisionLog:
+    """Return the robot's journal of decisions; nothing is written yet."""
+    return DecisionLog(log_folder(options.robot), config.decisions.keep_years * YEAR_S)
+
+
+def _note_start(
+    log: DecisionLog, options: DaemonOptions, config: Config, recorder: FlightRecorder
+) -> None:
+    """Note who started the daemon, and software and configuration where they have changed."""
+    known = provenance()
+    log.add(
+        DecisionKind.START,
+        by=f"{known['user']}, pid {os.getpid()}",
+        version=__version__,
+        software=software().get(DIGEST, "")[:16],
+        recording=str(recorder.folder),
+        observe=options.observe,
+        config=None if options.config is None else str(options.config),
+    )
+    identity = {key: value for key, value in known.items() if key not in OF_ONE_START}
+    log.add_values(DecisionKind.SOFTWARE, {**identity, DIGEST: software().get(DIGEST, "")})
+    log.add_values(DecisionKind.CONFIGURATION, flat(config))
+
+
+@asynccontextmanager
+async def noted(
+    log: DecisionLog, options: DaemonOptions, config: Config, recorder: FlightRecorder
+) -> AsyncIterator[None]:
+    """Note start and end around a block; the end waits for the disk, for a moment."""
+    _note_start(log, options, config, recorder)
+    recorder.tidier.on_removed = lambda path: log.add(DecisionKind.REMOVED, file=path)
+    failure: dict[str, str] = {}
+    try:
+        yield
+    except BaseException as error:
+        failure = {"failure": str(error) or type(error).__name__}
+        raise
+    finally:
+        log.add(DecisionKind.END, **failure)
+        await asyncio.to_thread(log.close)
 
 
 async def serve(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -17,26 +17,23 @@ from robotctl.daemon.api.parameters import parameter_methods
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.simulation import simulation_methods
 from robotctl.daemon.api.status import StatusSource, common_methods, graph_methods
+from robotctl.daemon.control.control_loop import ControlLoop, Watchdog, urgent_event
 from robotctl.daemon.control.decisions import Decisions
 from robotctl.daemon.control.dispatcher import Control, Journal, PendingRequests
 from robotctl.daemon.control.effects import Effects
-from robotctl.daemon.control.inputs import Inputs, has_odometry_publisher, watch_graph
+from robotctl.daemon.control.inputs import (
+    Inputs,
+    RemoteRequests,
+    has_odometry_publisher,
+    watch_graph,
+)
 from robotctl.daemon.control.latch import Latch
-from robotctl.daemon.control.robot_report import GroundTruth, RobotReport
-from robotctl.daemon.control.watchdog import Watchdog
-from robotctl.daemon.control_loop import ControlLoop, urgent_event
-from robotctl.daemon.diagnostics import Diagnostics
+from robotctl.daemon.control.robot_report import GroundTruth, RobotReport, ShownStatus
 from robotctl.daemon.drive_goals import DriveGoals
-from robotctl.daemon.host import Host, Ready, running
-from robotctl.daemon.input_roles import create_input_roles
-from robotctl.daemon.last_zero import LastZero
-from robotctl.daemon.node_lifecycle import follow_lifecycle, with_lifecycle
-from robotctl.daemon.parameters import Parameters
+from robotctl.daemon.host import Diagnostics, Host, Ready, running
+from robotctl.daemon.parameters import Parameters, serve_parameters
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
-from robotctl.daemon.remote_requests import RemoteRequests
-from robotctl.daemon.ros_parameters import serve_parameters
-from robotctl.daemon.shown_status import ShownStatus
-from robotctl.daemon.shutdown import send_zero, stand_still
+from robotctl.daemon.shutdown import LastZero, send_zero, stand_still
 from robotctl.daemon.simulator import recorded_robot
 from robotctl.daemon.supervisor import Work
 from robotctl.daemon.waiting import until
@@ -44,16 +41,55 @@ from robotctl.ipc.advice import advice
 from robotctl.ipc.request_handler import Method
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.state import State, latched
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.safety_inputs import Use
+from robotctl.kernel.state import Health, State, latched
 from robotctl.kernel.types import Odometry, Reply
+from robotctl.kernel.types.events import LifecycleState
 from robotctl.ros.messages.command_type import CommandType
 from robotctl.ros.messages.qos import ODOMETRY
 from robotctl.ros.nodes.drive_action import DriveAction
+from robotctl.ros.nodes.input_subscribers import (
+    BatterySubscriber,
+    GuardSubscriber,
+    SafetyInputs,
+    ScanSubscriber,
+)
 from robotctl.ros.nodes.mode_service import CALLS, STATUS, ModeService
+from robotctl.ros.nodes.node_services import ManagedNode
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.publishers import CommandLock, JournalPublisher
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher, command_topic
+from robotctl.ros.session import Session
+
+
+def create_input_roles(
+    session: Session, params: KernelParams, robot: str, inputs: Inputs, command: CommandType
+) -> None:
+    """Subscribe to each input that is configured, and pass it to `inputs`."""
+    if params.battery.topic:
+        BatterySubscriber(session, params.battery.topic, inputs.battery)
+    if params.scan.use is not Use.OFF:
+        ScanSubscriber(session, params.scan.topic, inputs.scan)
+    if params.guard:
+        GuardSubscriber(session, params.guard_topic, command, inputs.guarded_command)
+    SafetyInputs(session, params.inputs, robot, inputs.safety_input)
+
+
+def with_lifecycle(state: State, *, autostart: bool) -> State:
+    """Return the first state of a kernel whose node is activated at once, or is not configured."""
+    first = LifecycleState.ACTIVE if autostart else LifecycleState.UNCONFIGURED
+    return replace(state, health=Health(lifecycle=first))
+
+
+def follow_lifecycle(node: ManagedNode, inputs: Inputs, *, autostart: bool) -> None:
+    """Activate the node where it activates itself, and pass its later transitions on."""
+    if autostart:
+        node.start()
+    source = f"the lifecycle of {node.get_fully_qualified_name()}"
+    node.changed = lambda state: inputs.lifecycle(state, source)
+
 
 _log = logging.getLogger(__name__)
 

@@ -1,22 +1,28 @@
-"""What the app gives to each kind of daemon, and what each kind must offer."""
+"""What the app gives to each kind of daemon, what each must offer, and its diagnostics."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from robotctl.config import Config
-from robotctl.daemon.api.status import PartWarning
+from robotctl.daemon.api.status import PartWarning, StatusSource
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
+from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.supervisor import Supervisor, Work
 from robotctl.decisions.log import DecisionLog
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.request_handler import Method
 from robotctl.ipc.server import ControlServer
+from robotctl.ros.nodes.publishers import (
+    Diagnosis,
+    DiagnosticLevel,
+    DiagnosticsPublisher,
+)
 from robotctl.ros.session import Session
 
 Ready = Callable[[StartSummary], None]
@@ -72,3 +78,42 @@ async def running(supervisor: Supervisor, work: Mapping[str, Work]) -> AsyncIter
         yield
         for task in tasks:
             task.cancel()
+
+
+PERIOD_S: Final = 1.0
+
+MAX_WARNINGS: Final = 100
+"""Limit on the warnings that are listed."""
+
+
+class Diagnostics:
+    """Samples the recorder's rates and publishes both diagnoses, once a second."""
+
+    def __init__(
+        self, session: Session, robot: str, recorder: RecorderReport, status: StatusSource
+    ) -> None:
+        self._publisher = DiagnosticsPublisher(session, robot)
+        self._recorder = recorder
+        self._status = status
+
+    async def run(self) -> None:
+        """Publish until cancelled."""
+        while True:
+            self._recorder.sample(self._recorder.stats())
+            self.publish()
+            await asyncio.sleep(PERIOD_S)
+
+    def publish(self) -> None:
+        """Publish once."""
+        stats = self._recorder.stats()
+        warnings = self._status.warnings(stats)
+        self._publisher.publish(self._recorder.diagnosis(stats), diagnose(warnings))
+
+
+def diagnose(warnings: Sequence[str]) -> Diagnosis:
+    """Return the diagnosis of the daemon: WARN where `status` warns of something, else OK."""
+    values = {f"warning {n}": text for n, text in enumerate(warnings[:MAX_WARNINGS], start=1)}
+    if not warnings:
+        return Diagnosis("daemon", DiagnosticLevel.OK, "no warnings", values)
+    others = f" (and {len(warnings) - 1} more)" if len(warnings) > 1 else ""
+    return Diagnosis("daemon", DiagnosticLevel.WARN, f"{warnings[0]}{others}", values)

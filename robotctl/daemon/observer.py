@@ -10,8 +10,7 @@ from robotctl.base.errors import Refused
 from robotctl.daemon.api.parameters import list_method
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.status import StatusSource, common_methods, graph_methods
-from robotctl.daemon.diagnostics import Diagnostics
-from robotctl.daemon.host import Host, Ready, running
+from robotctl.daemon.host import Diagnostics, Host, Ready, running
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.ipc.answers import RobotFacts
 from robotctl.ipc.method_names import DRIVE, PARAM_SET, PATH, PREFLIGHT, RESET, SET_MODE

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from robotctl.base.errors import Refused
+from robotctl.base.errors import Refused, RobotctlError
 from robotctl.config import Config, check_together, declarations, flat, with_setting, with_text
+from robotctl.config.ros_settings import MODE_SERVICE, SIMULATED_ROBOT, node_of
 from robotctl.daemon.control.dispatcher import Control
+from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import ParameterAnswer
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.parameters import kernel_leaves
 from robotctl.kernel.ranges import Change
 from robotctl.kernel.types import Reply
 from robotctl.kernel.types.events import ParameterChanged, ParameterRequested
+from robotctl.ros.nodes.node_services import Declared, ParameterServices
+from robotctl.ros.session import Session
 
 START_CURE = "stop the daemon, and start it with --config, or with --ros-args -p {key}:=VALUE"
 
@@ -111,3 +115,39 @@ def listed(config: Config) -> list[ParameterAnswer]:
         }
         for key, each in declarations().items()
     ]
+
+
+def serve_parameters(session: Session, parameters: Parameters, robot: str) -> None:
+    """Give each visible node its parameters and their services; cures in errors name `robot`."""
+
+    def ask(settings: Sequence[tuple[str, Any]], source: str) -> str:
+        try:
+            reply = parameters.request([Setting(*each) for each in settings], source)
+        except RobotctlError as error:
+            return str(error)
+        return "" if reply.ok else advice(reply.message, reply.remedies, robot).sentence
+
+    values = flat(parameters.config)
+    for name, node in session.visible_nodes.items():
+        declared = [
+            Declared(
+                each.key,
+                values[each.key],
+                each.about,
+                f"{each.allowed}; changes {each.change.value}",
+                each.range,
+                read_only=each.change is Change.START,
+            )
+            for each in declarations().values()
+            if _served_by(each.key, session.visible_nodes) == name
+        ]
+        parameters.followers.append(ParameterServices(node, declared, ask).show)
+
+
+def _served_by(key: str, nodes: Container[str]) -> str:
+    """Return the node that declares a key: `mode_service`, where its usual node is not here.
+
+    The simulated robot's keys are left out where none is simulated.
+    """
+    node = node_of(key)
+    return node if node in nodes or node == SIMULATED_ROBOT else MODE_SERVICE

@@ -18,7 +18,7 @@ from robotctl.base.own_process import end_signals
 from robotctl.daemon import supervisor
 from robotctl.daemon.lock import owned
 from robotctl.daemon.service_manager import ServiceManager
-from robotctl.daemon.start_report import StartReport
+from robotctl.daemon.startup import StartReport
 from robotctl.daemon.supervisor import MAX_DETAIL, Supervisor
 from robotctl.kernel.types import Cause, Event, FaultReported
 from tests.support.waiting import DEADLINE_S, loop_until

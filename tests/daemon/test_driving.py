@@ -12,12 +12,11 @@ from typing import Any
 import pytest
 
 from robotctl.base.errors import Refused, UsageError
-from robotctl.daemon import remote_requests
 from robotctl.daemon.api.driving import DrivingMethods
-from robotctl.daemon.control.inputs import Inputs
+from robotctl.daemon.control import inputs
+from robotctl.daemon.control.inputs import Inputs, RemoteRequests
 from robotctl.daemon.control.robot_report import GroundTruth
 from robotctl.daemon.drive_goals import DriveGoals
-from robotctl.daemon.remote_requests import RemoteRequests
 from robotctl.ipc.params import (
     DriveParams,
     DrivePathParams,
@@ -257,7 +256,7 @@ def test_a_client_is_remote_by_the_host_of_its_gid_in_every_range(
     discovery: str, client: bytes | None, is_remote: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery)
-    monkeypatch.setattr(remote_requests, "requester", lambda: client)
+    monkeypatch.setattr(inputs, "requester", lambda: client)
     assert RemoteRequests(OWN).is_remote() is is_remote
 
 

@@ -19,9 +19,9 @@ import pytest
 from robotctl.base.errors import Refused, RobotctlError
 from robotctl.daemon.app import serve
 from robotctl.daemon.command_line import DaemonOptions
+from robotctl.daemon.control.control_loop import Watchdog
 from robotctl.daemon.control.inputs import Inputs
 from robotctl.daemon.control.robot_report import RobotReport
-from robotctl.daemon.control.watchdog import Watchdog
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.supervisor import OUT_OF_MEMORY
 from robotctl.ipc.client import Client

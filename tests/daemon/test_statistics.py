@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.daemon.diagnostics import MAX_WARNINGS
-from robotctl.daemon.diagnostics import diagnose as diagnose_daemon
+from robotctl.daemon.host import MAX_WARNINGS
+from robotctl.daemon.host import diagnose as diagnose_daemon
 from robotctl.daemon.recording import topic_rows
 from robotctl.daemon.recording.loss_diagnosis import MAX_TOPICS, diagnose
 from robotctl.daemon.recording.topic_rates import (

@@ -14,7 +14,13 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.daemon.control.watchdog import CONFIRM_S, SHOWN_FRAMES, ProcessorWait, Watchdog, where
+from robotctl.daemon.control.control_loop import (
+    CONFIRM_S,
+    SHOWN_FRAMES,
+    ProcessorWait,
+    Watchdog,
+    where,
+)
 from robotctl.kernel.types import Cause, FaultReported, LoopStalled
 from tests.support.waiting import DEADLINE_S, until
 

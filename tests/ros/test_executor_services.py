@@ -20,7 +20,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from robotctl.daemon.remote_requests import HOST
+from robotctl.daemon.control.inputs import HOST
 from robotctl.ros import AsyncioExecutor
 from robotctl.ros.executor import replies, requester
 from robotctl.ros.executor.replies import MAX_WAITING, Replies

@@ -7,6 +7,7 @@ import itertools
 import time
 from collections.abc import Callable
 
+from robotctl.base.domains import is_on_this_machine_only
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.daemon.waiting import until
@@ -31,6 +32,7 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.kernel.types.events import LifecycleChanged, LifecycleState
+from robotctl.ros.executor import requester
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 
@@ -198,3 +200,30 @@ class Inputs:
     def recorder_failed(self, detail: str) -> None:
         """Handle the failure of a recorder without which the robot must not drive."""
         self._control.dispatch(FaultReported(time.monotonic_ns(), Cause.RECORDER_FAILED, detail))
+
+
+HOST = slice(4)
+"""The part of a gid of Fast DDS that names vendor and host; processes of one host share it."""
+
+
+class RemoteRequests:
+    """Compares the client of the present request with a gid of this process.
+
+    The host part has two bytes, and a client could send any gid: this prevents mistakes, not
+    attacks.
+    """
+
+    def __init__(self, own_gid: bytes) -> None:
+        self._host = own_gid[HOST]
+
+    def is_remote(self) -> bool:
+        """Return whether the request that is handled now may come from another host.
+
+        A client of another host is not kept away by the range LOCALHOST of this process: it needs
+        only to name this machine as a static peer. An unknown client may be remote where discovery
+        is not limited to this machine.
+        """
+        gid = requester()
+        if gid is None:
+            return not is_on_this_machine_only()
+        return gid[HOST] != self._host

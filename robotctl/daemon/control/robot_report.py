@@ -1,7 +1,8 @@
-"""The robot and its drive, for the answers of `status` and `path`."""
+"""The robot and its drive, for `status` and `path` of the socket, and for `/robot_status`."""
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -15,6 +16,7 @@ from robotctl.kernel.checks import FOREIGN_COMMAND_S, foreign_command
 from robotctl.kernel.codec import finite_or_none
 from robotctl.kernel.drive import Drive, Score
 from robotctl.kernel.geometry import Pose
+from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import Foreign, KernelParams
 from robotctl.kernel.patterns import named
 from robotctl.kernel.remedies import Remedy
@@ -22,6 +24,8 @@ from robotctl.kernel.safety import RULE_OF, remedies_for, start_conditions
 from robotctl.kernel.state import Health, State, is_level
 from robotctl.kernel.types import Cause, DriveEnded
 from robotctl.kernel.units import NS_PER_S
+from robotctl.ros.nodes.mode_service import ModeService, Shown
+from robotctl.ros.nodes.publishers import CommandLock
 
 
 class TrueErrors(NamedTuple):
@@ -310,3 +314,32 @@ def _recent(health: Health, now_ns: int) -> Iterator[str]:
         age_s = (now_ns - topic.foreign_t_ns) / NS_PER_S
         if FOREIGN_COMMAND_S < age_s <= RECENT_S and not health.foreign_publishers:
             yield f"{topic.foreign_by} published a velocity command {age_s:.0f} s ago"
+
+
+SHOW_PERIOD_S = 1.0
+
+
+class ShownStatus:
+    """Publishes the mode, the battery level, whether odometry is fresh, and the lock for others."""
+
+    def __init__(
+        self, modes: ModeService, control: Control, report: RobotReport, lock: CommandLock
+    ) -> None:
+        self._lock = lock
+        self._modes = modes
+        self._control = control
+        self._report = report
+
+    def show(self, mode: Mode) -> None:
+        """Publish now."""
+        self._lock.show(mode)
+        level = self._control.state.health.battery_level
+        self._modes.publish(
+            Shown(mode, level if is_level(level) else nan, self._report.is_connected())
+        )
+
+    async def run(self) -> None:
+        """Publish each second."""
+        while True:
+            self.show(self._control.state.mode)
+            await asyncio.sleep(SHOW_PERIOD_S)
