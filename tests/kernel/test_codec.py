@@ -1,18 +1,35 @@
-"""Kernel values survive JSON bit for bit; any other text is a ValueError."""
+"""Kernel values survive JSON bit for bit; any other text is a ValueError.
+
+What is written as a number in JSON is one.
+The units of time are those of the standard library.
+The values of the kernel are immutable: a State is replaced as a whole.
+"""
 
 from __future__ import annotations
 
 import json
 import struct
-from dataclasses import MISSING, dataclass, fields, is_dataclass, make_dataclass
+from dataclasses import (
+    MISSING,
+    FrozenInstanceError,
+    dataclass,
+    fields,
+    is_dataclass,
+    make_dataclass,
+)
+from datetime import timedelta
 from enum import Enum
-from typing import Any, get_args
+from importlib import import_module
+from math import inf, nan
+from pkgutil import iter_modules
+from typing import Any, cast, get_args
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robotctl.kernel.codec import Snapshot, from_json, to_json
+from robotctl import kernel
+from robotctl.kernel.codec import Snapshot, finite_or_none, from_json, to_json
 from robotctl.kernel.command_types import TWIST
 from robotctl.kernel.course import PLAIN
 from robotctl.kernel.drive import Drive
@@ -20,7 +37,7 @@ from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.state import State
+from robotctl.kernel.state import Health, State
 from robotctl.kernel.types import (
     ZERO,
     BatteryReceived,
@@ -45,8 +62,10 @@ from robotctl.kernel.types import (
     SafetyInputReceived,
     ScanReceived,
     Tick,
+    changed,
 )
 from robotctl.kernel.types.events import LeaseLost, LeaseRequested, ParameterChanged
+from robotctl.kernel.units import DAY_S, NS_PER_S
 from robotctl.testing.kernels import moving
 from tests.support import strategies
 
@@ -263,3 +282,75 @@ def test_an_event_of_an_older_version_has_the_default_of_each_field_that_it_lack
 ) -> None:
     defaults = {field.name: field.default for field in fields(kind) if field.default is not MISSING}
     assert defaults == WITHOUT.get(kind, {})
+
+
+def test_a_number_stays_what_it_is() -> None:
+    assert (finite_or_none(1.5), finite_or_none(0.0)) == (1.5, 0.0)
+
+
+@pytest.mark.parametrize("value", [nan, inf, -inf])
+def test_what_is_no_number_is_none(value: float) -> None:
+    assert finite_or_none(value) is None
+
+
+def test_a_second_and_a_day_have_their_length() -> None:
+    assert timedelta(days=1).total_seconds() == DAY_S
+    assert timedelta(seconds=1) // timedelta(microseconds=1) * 1000 == NS_PER_S
+
+
+def classes() -> list[type]:
+    """Return every class of the kernel that is or should be a dataclass: it declares fields."""
+    modules = [
+        import_module(f"{kernel.__name__}.{each.name}") for each in iter_modules(kernel.__path__)
+    ]
+    return sorted(
+        {
+            value
+            for module in modules
+            for value in vars(module).values()
+            if isinstance(value, type)
+            and value.__module__.startswith(kernel.__name__)
+            and not issubclass(value, tuple)
+            and (is_dataclass(value) or "__annotations__" in vars(value))
+        },
+        key=lambda kind: kind.__qualname__,
+    )
+
+
+def values() -> list[type]:
+    """Return every dataclass of the kernel."""
+    return [each for each in classes() if is_dataclass(each)]
+
+
+def test_whatever_declares_fields_and_every_event_and_effect_is_a_value() -> None:
+    wanted = {*classes(), *get_args(Event), *get_args(Effect)}
+    assert sorted(each.__name__ for each in wanted if not is_dataclass(each)) == []
+
+
+def test_a_name_of_the_package_is_loaded_on_first_use() -> None:
+    """Otherwise a command that needs no kernel would load all of it."""
+    assert set(kernel.__all__).isdisjoint(vars(kernel))
+    assert all(getattr(kernel, name).__name__ for name in ("Kernel", "Tick", "to_json"))
+
+
+def test_every_value_is_found() -> None:
+    names = {kind.__name__ for kind in values()}
+    assert names > {"State", "Health", "KernelParams", "Tick", "Reply", "Drive", "Line", "Rule"}
+
+
+@pytest.mark.parametrize("kind", values(), ids=lambda kind: kind.__name__)
+def test_a_value_cannot_be_changed(kind: type) -> None:
+    assert vars(kind)["__dataclass_params__"].frozen
+    value: object = object.__new__(kind)
+    for field in fields(kind):
+        with pytest.raises(FrozenInstanceError):
+            setattr(value, field.name, 0)
+
+
+@pytest.mark.parametrize("kind", values(), ids=lambda kind: kind.__name__)
+def test_a_value_has_its_fields_and_no_more(kind: type) -> None:
+    if kind in (State, Health, Drive):  # copied by `changed`, through their dictionaries
+        with pytest.raises(AssertionError, match="another"):
+            changed(cast(Any, object.__new__(kind)), another=0)
+    else:
+        assert not hasattr(object.__new__(kind), "__dict__")

@@ -1,4 +1,9 @@
-"""Each finding holds the names and figures that the operator needs."""
+"""Each finding holds the names and figures that the operator needs.
+
+A stop and a refusal carry their cause and their remedies as data, without a command line.
+After a short stall the drive continues from zero; a long stall stops the robot.
+Other nodes on the velocity command: foreign publishers, and missing subscriptions.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +13,47 @@ from math import inf, nan
 import pytest
 
 from robotctl.kernel.checks import reported
+from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 from robotctl.kernel.geometry import ORIGIN
-from robotctl.kernel.params import BatteryParams, KernelParams
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import BatteryParams, CommandParams, KernelParams, Stamping
+from robotctl.kernel.remedies import RESETTING, Remedy
 from robotctl.kernel.safety import (
     RULE_OF,
+    RULES,
     Finding,
+    Rule,
     failed_start_condition,
+    remedies_for,
+    remedies_to_move,
     start_conditions,
     uncleared,
 )
-from robotctl.kernel.state import CommandTopic, Health, OdometrySources, SecondOdometry
-from robotctl.kernel.types import ZERO, Cause, Odometry
+from robotctl.kernel.state import CommandTopic, Health, OdometrySources, SecondOdometry, State
+from robotctl.kernel.types import (
+    ZERO,
+    Cause,
+    CommandListenersSeen,
+    DriveEnded,
+    FaultReported,
+    ForeignCommandHeard,
+    LoopStalled,
+    ModeChanged,
+    Odometry,
+    Phase,
+    PublishTwist,
+)
+from robotctl.kernel.units import NS_PER_S
+from robotctl.testing.kernels import (
+    Bench,
+    in_mode,
+    moving,
+    ready,
+    reset,
+    start,
+    stopped_by,
+    stopping,
+)
 
 NOW_NS = 100_000_000_000
 PARAMS = KernelParams()
@@ -211,3 +246,199 @@ def test_a_battery_at_its_stop_level_is_said_with_both_levels() -> None:
     assert low(replace(HEALTHY, battery_level=0.15), PARAMS, NOW_NS) == said
     assert low(replace(HEALTHY, battery_level=0.16), PARAMS, NOW_NS) == ""
     assert low(replace(HEALTHY, battery_level=nan), PARAMS, NOW_NS) == ""
+
+
+def effects_of(bench: Bench, kind: type) -> list[object]:
+    return [effect for effect in bench.effects if isinstance(effect, kind)]
+
+
+def test_a_fault_names_its_cause_in_the_change_of_mode_and_at_the_end_of_the_drive() -> None:
+    bench = moving()
+    bench.give(FaultReported(bench.t_ns, Cause.TASK_DIED, "KeyError"))
+    changed, ended = effects_of(bench, ModeChanged)[-1], effects_of(bench, DriveEnded)[-1]
+    assert isinstance(changed, ModeChanged)
+    assert isinstance(ended, DriveEnded)
+    assert (
+        (changed.reason, changed.cause)
+        == (ended.reason, ended.cause)
+        == (
+            "KeyError",
+            Cause.TASK_DIED,
+        )
+    )
+
+
+def test_a_change_of_mode_without_a_fault_has_no_cause() -> None:
+    bench = stopping()
+    bench.run(60)
+    changed, ended = effects_of(bench, ModeChanged)[-1], effects_of(bench, DriveEnded)[-1]
+    assert isinstance(changed, ModeChanged)
+    assert isinstance(ended, DriveEnded)
+    assert changed.mode is Mode.IDLE
+    assert (changed.cause, ended.cause) == (None, None)
+
+
+def test_a_request_that_waits_for_a_ramp_is_told_what_to_do_about_a_fault() -> None:
+    bench = stopping()
+    bench.give(FaultReported(bench.t_ns, Cause.TASK_DIED, "KeyError"))
+    (refused,) = (reply for reply in bench.replies if not reply.ok)
+    assert refused.message == "the mode became ERROR: KeyError"
+    assert refused.remedies == (Remedy.READ_LOG_AND_RESTART,)
+
+
+def test_a_cause_that_is_not_gone_is_told_with_its_remedy() -> None:
+    bench = moving()
+    bench.give(FaultReported(bench.t_ns, Cause.TASK_DIED, "KeyError"))
+    bench.request(Mode.IDLE)
+    assert bench.replies[-1].message == "the cause of ERROR is not gone: KeyError"
+    assert bench.replies[-1].remedies == (Remedy.READ_LOG_AND_RESTART,)
+
+
+def test_a_moving_robot_must_be_stopped_first() -> None:
+    bench = in_mode(Mode.MOVING)
+    bench.drive()
+    assert bench.replies[-1].remedies == (Remedy.STOP_OR_REPLACE,)
+    assert not reset(bench)
+    assert bench.replies[-1].remedies == (Remedy.STOP_FIRST,)
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.cause.value)
+def test_the_last_remedy_before_a_robot_moves_again_is_a_reset(rule: Rule) -> None:
+    remedies = remedies_to_move(rule.cause)
+    assert remedies_for(rule.cause) == remedies[:1]
+    assert remedies[-1] in RESETTING
+    assert not RESETTING.intersection(remedies[:-1])
+
+
+def test_a_mode_without_a_cause_has_no_remedy() -> None:
+    assert remedies_for(State().cause) == ()
+
+
+LIMIT_S = KernelParams().max_tick_gap_s
+
+
+def stall(bench: Bench, seconds: float) -> None:
+    """Stall the loop; the watchdog reports it before any other event."""
+    bench.t_ns += round(seconds * NS_PER_S)
+    bench.give(LoopStalled(bench.t_ns, seconds, 3, 1, "in read_text (pathlib.py:1058)"))
+
+
+def test_after_a_short_stall_the_command_ramps_up_from_zero() -> None:
+    bench = moving(ticks=40)
+    before = bench.state.command
+    assert before.linear > 0.3
+    stall(bench, 0.25)
+    assert bench.state.mode is Mode.MOVING
+    assert bench.state.command == ZERO
+    bench.commands.clear()
+    limits = KernelParams().limits
+    speed = 0.0
+    for _ in range(10):
+        bench.odometry(bench.state.drive.reference().pose)  # type: ignore[union-attr]
+        (effect,) = bench.tick()
+        assert isinstance(effect, PublishTwist)
+        assert 0.0 <= effect.twist.linear - speed <= limits.linear_accel_mps2 * 0.02 + 1e-9
+        speed = effect.twist.linear
+    assert speed > 0.05
+
+
+@pytest.mark.parametrize("seconds", [LIMIT_S + 0.01, 3.0, float("nan")])
+def test_a_stall_beyond_the_tick_gap_stops_a_moving_robot_and_names_the_culprit(
+    seconds: float,
+) -> None:
+    bench = moving()
+    bench.give(LoopStalled(bench.t_ns, seconds, 3, 1, "in read_text (pathlib.py:1058)"))
+    assert stopped_by(bench, Cause.LOOP_STALLED, Mode.ERROR)
+    assert "in read_text (pathlib.py:1058)" in bench.state.reason
+    assert reset(bench)  # it is over
+
+
+def test_a_stall_as_long_as_the_tick_gap_is_still_short() -> None:
+    bench = moving()
+    stall(bench, LIMIT_S)
+    assert bench.state.mode is Mode.MOVING
+
+
+@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP])
+@pytest.mark.parametrize("seconds", [0.2, 3.0])
+def test_a_stall_of_a_robot_that_stands_is_counted_and_no_more(mode: Mode, seconds: float) -> None:
+    bench = in_mode(mode)
+    bench.effects.clear()
+    for count in (1, 2):
+        stall(bench, seconds)
+        assert bench.state.health.stalls.count == count
+    stalls = bench.state.health.stalls
+    assert (stalls.last_t_ns, stalls.last_s) == (bench.t_ns, seconds)
+    assert bench.state.mode is mode
+    assert not any(isinstance(effect, ModeChanged) for effect in bench.effects)
+
+
+def test_a_ramp_down_that_stalls_has_ended() -> None:
+    bench = moving(ticks=40)
+    bench.request(Mode.IDLE)
+    assert bench.state.phase is Phase.STOPPING
+    stall(bench, 0.2)
+    bench.tick()
+    assert bench.state.mode is Mode.IDLE
+    assert bench.replies[-1].ok
+
+
+def test_one_foreign_command_stops_a_moving_robot_in_the_same_step() -> None:
+    bench = moving()
+    bench.give(ForeignCommandHeard(bench.t_ns, "/teleop"))
+    assert stopped_by(bench, Cause.FOREIGN_PUBLISHER, Mode.ERROR)
+    assert "/teleop also published a velocity command" in bench.state.reason
+    assert not reset(bench)
+    bench.run(51)  # 1.02 s
+    assert reset(bench)
+
+
+def test_a_foreign_command_to_an_idle_robot_refuses_the_start_for_a_second_and_no_more() -> None:
+    bench = ready()
+    bench.give(ForeignCommandHeard(bench.t_ns, "/teleop"))
+    assert bench.state.mode is Mode.IDLE
+    assert "/teleop also published a velocity command" in start(bench)
+    bench.run(51)
+    assert not start(bench)
+
+
+def test_no_start_where_no_node_takes_the_command() -> None:
+    bench = ready()
+    bench.give(CommandListenersSeen(bench.t_ns, 0, ()))
+    assert "no node subscribes to cmd_vel" in start(bench)
+    bench.give(CommandListenersSeen(bench.t_ns, 1, ()))
+    assert not start(bench)
+
+
+def test_a_robot_that_wants_another_type_is_refused_with_that_type() -> None:
+    bench = ready()
+    bench.give(CommandListenersSeen(bench.t_ns, 0, ("geometry_msgs/msg/TwistStamped",)))
+    assert "takes geometry_msgs/msg/TwistStamped on cmd_vel" in start(bench)
+
+
+@pytest.mark.parametrize(("ours", "other"), [(TWIST, TWIST_STAMPED), (TWIST_STAMPED, TWIST)])
+def test_no_start_where_both_types_are_taken_and_none_is_configured(ours: str, other: str) -> None:
+    bench = ready()
+    bench.give(CommandListenersSeen(bench.t_ns, 1, (other,), ours))
+    assert f"some nodes take {TWIST} on cmd_vel, others {TWIST_STAMPED}" in start(bench)
+    bench.give(CommandListenersSeen(bench.t_ns, 1, ("a/msg/A",), ours))
+    assert not start(bench)
+
+
+@pytest.mark.parametrize("stamped", [Stamping.TRUE, Stamping.FALSE])
+def test_a_configured_type_is_sent_also_where_both_are_taken(stamped: Stamping) -> None:
+    bench = ready(KernelParams(command=CommandParams(stamped=stamped)))
+    bench.give(CommandListenersSeen(bench.t_ns, 1, (TWIST_STAMPED,)))
+    assert not start(bench)
+
+
+def test_the_type_that_robotctl_sends_is_named() -> None:
+    bench = ready()
+    bench.give(CommandListenersSeen(bench.t_ns, 0, (TWIST,), TWIST_STAMPED))
+    assert f"takes {TWIST} on cmd_vel, not {TWIST_STAMPED}" in start(bench)
+
+
+def test_listeners_that_leave_do_not_stop_a_moving_robot_by_themselves() -> None:
+    bench = moving()
+    bench.give(CommandListenersSeen(bench.t_ns, 0, ()))
+    assert bench.state.mode is Mode.MOVING

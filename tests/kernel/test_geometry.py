@@ -1,14 +1,28 @@
-"""Plane geometry: frames, angles, and the heading of an orientation."""
+"""Plane geometry: frames, angles, and the heading of an orientation.
+
+The fence: a robot that leaves it stops, and starts again only inside.
+A command is finite and within its limits for every target.
+"""
 
 from __future__ import annotations
 
-from math import cos, isclose, isnan, nextafter, pi, sin
+from dataclasses import replace
+from math import cos, inf, isclose, isnan, nan, nextafter, pi, sin
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robotctl.base.errors import ConfigError
+from robotctl.config import Config, with_setting
+from robotctl.kernel.fence import FenceParams, corners_of, is_inside, left_by
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle, yaw_of
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.tracking import clamp, limit, within
+from robotctl.kernel.types import ZERO, Cause, Tick, Twist
+from robotctl.testing.kernels import Bench, moving, ready, reset, start, stopped_by
 
 ANGLE = st.floats(-3.0, 3.0)
 COORDINATE = st.floats(-100.0, 100.0)
@@ -90,3 +104,173 @@ def test_a_distance_is_that_of_pythagoras() -> None:
     assert Pose(1.0, 2.0, 0.3).distance(Pose(4.0, 6.0, -0.3)) == 5.0
     assert Pose(4.0, 6.0).distance(Pose(1.0, 2.0)) == 5.0
     assert Pose(0.0, 0.0, 0.0) == ORIGIN
+
+
+SQUARE = "0,0 2,0 2,2 0,2"
+L_SHAPE = corners_of("0,0 4,0 4,1 1,1 1,4 0,4")
+
+
+def driving(fence: FenceParams) -> Bench:
+    bench = ready(replace(KernelParams(), fence=fence))
+    assert not start(bench)
+    return bench
+
+
+@pytest.mark.parametrize("fence", [FenceParams(radius_m=0.2), FenceParams(corners_m=SQUARE)])
+def test_a_robot_that_leaves_the_fence_stops_and_starts_only_inside(fence: FenceParams) -> None:
+    bench = driving(fence)
+    bench.odometry(Pose(-0.01, 0.1, 0.0))
+    if fence.radius_m:
+        assert bench.state.mode is Mode.MOVING
+        bench.odometry(Pose(-0.201, 0.0, 0.0))
+    assert stopped_by(bench, Cause.FENCE_LEFT, Mode.ERROR)
+    assert not reset(bench)
+    bench.odometry(Pose(0.1, 0.1, 0.0))
+    assert reset(bench)
+    assert not start(bench)
+
+
+def test_the_fence_stands_where_the_first_motion_began_and_stays_there() -> None:
+    bench = driving(FenceParams(radius_m=1.0))
+    assert bench.state.health.fence_origin == ORIGIN
+    bench.request(Mode.ERROR)
+    reset(bench)
+    bench.odometry(Pose(0.4, 0.0, 0.0))
+    assert not start(bench)
+    assert bench.state.health.fence_origin == ORIGIN
+
+
+def test_without_a_fence_nothing_stops() -> None:
+    bench = driving(FenceParams())
+    bench.odometry(Pose(0.45, 0.0, 0.0))
+    assert bench.state.mode is Mode.MOVING
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "inside"),
+    [(0.5, 0.5, True), (0.5, 3.9, True), (3.9, 0.5, True), (2.0, 2.0, False), (-0.1, 0.5, False)],
+)
+def test_a_polygon_may_be_concave(x: float, y: float, inside: bool) -> None:
+    assert is_inside(x, y, L_SHAPE) is inside
+    assert is_inside(x, y, L_SHAPE[::-1]) is inside
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "inside"),
+    [(1.9, 2.0, True), (1.4, 2.0, False), (4.1, 2.0, True), (4.6, 2.0, False), (3.0, 4.0, True)],
+)
+def test_a_side_of_a_polygon_may_slant(x: float, y: float, inside: bool) -> None:
+    triangle = corners_of("1,1 5,1 3,5")
+    assert is_inside(x, y, triangle) is inside
+    assert is_inside(x, y, triangle[::-1]) is inside
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "inside"),
+    [(0.0, 1.0, True), (1.0, 0.0, True), (2.0, 1.0, False), (1.0, 2.0, False)],
+)
+def test_the_left_and_the_lower_side_of_an_area_belong_to_it_alone(
+    x: float, y: float, inside: bool
+) -> None:
+    """So a place on the line between two areas is in one of them."""
+    assert is_inside(x, y, corners_of(SQUARE)) is inside
+    assert is_inside(x, y, corners_of("2,0 4,0 4,2 2,2")) is (x == 2.0)
+
+
+@pytest.mark.parametrize(("x", "inside"), [(-2.0, False), (0.0, True), (2.0, False)])
+def test_a_corner_as_far_ahead_as_the_robot_does_not_count_twice(x: float, inside: bool) -> None:
+    diamond = corners_of("0,-1 1,0 0,1 -1,0")
+    assert is_inside(x, 0.0, diamond) is inside
+    assert is_inside(x, 0.0, diamond[::-1]) is inside
+
+
+@given(st.floats(-9, 9), st.floats(-9, 9), st.floats(-pi, pi), st.floats(0.0, 1.9), st.floats(0, 6))
+def test_the_fence_turns_and_moves_with_the_start(
+    x: float, y: float, theta: float, distance_m: float, angle: float
+) -> None:
+    fence, origin = FenceParams(2.0, "-2,-2 2,-2 2,2 -2,2"), Pose(x, y, theta)
+    local = Pose(distance_m * cos(angle), distance_m * sin(angle), 0.0)
+    assert left_by(fence, origin, origin.compose(local)) == ""
+    far = Pose(4.0 * cos(angle), 4.0 * sin(angle), 0.0)
+    assert "4.00 m from its start" in left_by(fence, origin, origin.compose(far))
+
+
+def test_the_line_of_a_round_fence_belongs_to_it() -> None:
+    assert left_by(FenceParams(radius_m=5.0), ORIGIN, Pose(3.0, 4.0, 0.0)) == ""
+
+
+@pytest.mark.parametrize("pose", [Pose(nan, 0.0, 0.0), Pose(0.0, inf, 0.0)])
+def test_a_pose_that_is_no_number_is_outside(pose: Pose) -> None:
+    assert left_by(FenceParams(radius_m=1.0), ORIGIN, pose)
+    assert left_by(FenceParams(corners_m="-1,-1 1,-1 1,1 -1,1"), ORIGIN, pose)
+
+
+def test_a_fence_has_up_to_64_corners() -> None:
+    assert len(corners_of("0,0 1,0 " * 32)) == 64
+
+
+@pytest.mark.parametrize(
+    "corners", ["0,0 1,1", "0,0 1,0 nan,1", "0,0 1,0 1", "a", "0,0,0 1,0 1,1", "0,0 " * 65, 7]
+)
+def test_a_fence_of_two_points_or_no_numbers_is_refused(corners: object) -> None:
+    with pytest.raises(ConfigError, match="use 3 to 64 corners"):
+        with_setting(Config(), "fence.corners_m", corners)
+
+
+LIMITS = VelocityLimits(1.0, 2.0, 0.5, 4.0)
+
+
+@pytest.mark.parametrize("value", [nan, inf, -inf])
+def test_what_is_not_finite_becomes_zero_never_full_speed(value: float) -> None:
+    assert clamp(value, 1.0) == 0.0
+    assert limit(ZERO, Twist(value, value), 10.0, LIMITS) == ZERO
+
+
+def test_a_command_changes_no_faster_than_allowed() -> None:
+    assert limit(ZERO, Twist(9.0, -9.0), 0.1, LIMITS) == Twist(0.05, -0.4)
+    assert limit(Twist(0.5, 0.0), ZERO, 0.1, LIMITS) == Twist(0.45, 0.0)
+    assert limit(Twist(0.01, 0.0), ZERO, 0.1, LIMITS) == ZERO
+
+
+def test_a_target_that_is_just_near_enough_is_reached_exactly() -> None:
+    limits = replace(LIMITS, linear_accel_mps2=abs(0.05 - -0.57))
+    assert -0.57 + limits.linear_accel_mps2 != 0.05
+    assert limit(Twist(-0.57, 0.0), Twist(0.05, 0.0), 1.0, limits).linear == 0.05
+    assert limit(Twist(0.57, 0.0), Twist(-0.05, 0.0), 1.0, limits).linear == -0.05
+
+
+@pytest.mark.parametrize(("value", "clamped"), [(0.5, 0.2), (-0.5, -0.2), (0.2, 0.2), (-0.1, -0.1)])
+def test_a_value_beyond_a_bound_becomes_the_bound_on_its_side(value: float, clamped: float) -> None:
+    assert clamp(value, 0.2) == clamped
+
+
+@pytest.mark.parametrize("command", [Twist(1.1, 0.0), Twist(0.0, -2.1), Twist(nan, 0.0)])
+def test_a_command_beyond_the_limits_is_told(command: Twist) -> None:
+    assert not within(command, LIMITS)
+    assert within(Twist(1.0, -2.0), LIMITS)
+
+
+def test_a_kernel_goes_on_from_a_state_of_other_limits() -> None:
+    state = moving(ticks=30).state
+    limits = VelocityLimits(0.1, 0.2, 0.5, 4.0)
+    assert not within(state.command, limits)
+    kernel = Kernel(replace(KernelParams(), limits=limits), state)
+    assert kernel.state.command.linear == 0.1
+    assert Kernel(KernelParams(), state).state == state
+
+
+def test_a_late_tick_changes_the_command_by_no_more_than_two_periods_allow() -> None:
+    bench = moving(ticks=5)
+    before = bench.state.command
+    bench.t_ns += 200_000_000
+    bench.give(Tick(bench.t_ns))
+    params = KernelParams()
+    most = params.limits.linear_accel_mps2 * 2.0 / params.rate_hz
+    assert 0.0 < bench.state.command.linear - before.linear <= most + 1e-12
+
+
+def test_a_steady_clock_that_goes_back_is_a_tick_overrun() -> None:
+    bench = moving()
+    bench.give(Tick(bench.t_ns - 400_000_000))
+    assert bench.state.cause is Cause.TICK_OVERRUN
+    assert "went back by 0.40 s" in bench.state.reason

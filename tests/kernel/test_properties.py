@@ -1,29 +1,43 @@
-"""The invariants hold for all events: finite, within limits, zero outside MOVING, one reply."""
+"""The invariants hold for all events: finite, within limits, zero outside MOVING, one reply.
+
+The same events give the same effects, bit for bit: in any process, and from any snapshot.
+A step keeps all fields that it does not change.
+Seeded schedules of faults over all inputs, and a day of driving, on a virtual clock.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from math import isfinite
+from random import Random
 from typing import Any
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from robotctl.kernel.codec import Snapshot, from_json, to_json
 from robotctl.kernel.course import Course
+from robotctl.kernel.geometry import Pose
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
-from robotctl.kernel.patterns import Pattern
+from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.state import State, latched
 from robotctl.kernel.types import (
     ZERO,
+    Cause,
+    CommandPublishersSeen,
     DriveEnded,
     DriveRequested,
     Effect,
     Event,
+    FaultReported,
     LatchEmergencyStop,
     LoopStalled,
     ModeChanged,
@@ -37,8 +51,22 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.kernel.types.events import LeaseRequested, ParameterRequested
-from robotctl.testing.kernels import TICK_NS, Bench, moving, ready
+from robotctl.kernel.units import NS_PER_S
+from robotctl.rerun.closed_loop import closed_loop
+from robotctl.rerun.invariants import Invariants
+from robotctl.sim.robot import SimParams
+from robotctl.testing.kernels import (
+    TICK_NS,
+    Bench,
+    drive_simulated,
+    in_mode,
+    moving,
+    ready,
+    reset,
+    stopping,
+)
 from tests.support import strategies
+from tests.support.fed_kernel import LONGEST_TICKS, MOMENTARY, PROVOKED, FedKernel
 
 REQUESTS = (ModeRequested, ResetRequested, DriveRequested, ParameterRequested, LeaseRequested)
 RELEASES = (0,)
@@ -306,3 +334,197 @@ class AnyHistory(RuleBasedStateMachine):
 
 TestAnyHistory = AnyHistory.TestCase
 TestAnyHistory.settings = settings(max_examples=60, stateful_step_count=30)
+
+HISTORY = """
+import hashlib
+from robotctl.kernel.codec import to_json
+from robotctl.kernel.types import Cause, CommandPublishersSeen, FaultCleared, FaultReported
+from robotctl.testing.kernels import moving
+bench = moving(ticks=60)
+bench.give(CommandPublishersSeen(bench.t_ns, ("/b", "/a", "/c")))
+for cause in (Cause.TASK_DIED, Cause.LOOP_STALLED, Cause.RECORDER_FAILED):
+    bench.give(FaultReported(bench.t_ns, cause, "broken"))
+bench.give(FaultCleared(bench.t_ns, Cause.LOOP_STALLED))
+for number in (0, 1, 2, 3, 4):
+    bench.request(number)
+lines = [to_json(effect) for effect in bench.effects] + [to_json(bench.state)]
+print(len(lines), hashlib.sha256("".join(lines).encode()).hexdigest())
+"""
+
+
+def run_with_hash_seed(seed: int) -> str:
+    return subprocess.run(
+        [sys.executable, "-c", HISTORY],
+        env={**os.environ, "PYTHONHASHSEED": str(seed)},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    ).stdout
+
+
+def test_the_hash_seed_changes_nothing() -> None:
+    outputs = {run_with_hash_seed(seed) for seed in (0, 1, 4_294_967_295)}
+    assert len(outputs) == 1
+
+
+def test_events_fed_again_from_a_snapshot_in_their_midst_give_the_same_effects() -> None:
+    driven = drive_simulated(Pattern(PatternKind.FIGURE_EIGHT, 0.3))
+    kernel = Kernel(KernelParams())
+    journal: list[tuple[Event, tuple[Effect, ...]]] = []
+    snapshots: dict[int, str] = {}
+    for number, event in enumerate(driven.events):
+        if number % 300 == 0:
+            snapshots[number] = to_json(Snapshot("test", kernel.params, kernel.state))
+        journal.append((event, kernel.step(event)))
+    assert len(snapshots) > 3
+    for begin, text in snapshots.items():
+        fresh = from_json(Snapshot, text).kernel()
+        for event, effects in journal[begin:]:
+            again: Any = from_json(type(event), to_json(event))
+            assert fresh.step(again) == effects
+        assert to_json(fresh.state) == to_json(kernel.state)
+
+
+def test_a_step_leaves_the_state_before_it_untouched() -> None:
+    bench = moving()
+    before, text = bench.state, to_json(bench.state)
+    bench.run(20)
+    bench.request(0)
+    assert to_json(before) == text != to_json(bench.state)
+
+
+SITUATIONS: dict[str, Callable[[], Bench]] = {
+    "stopping": stopping,
+    "in error": lambda: in_mode(Mode.ERROR),
+    "standing beside others": lambda: beside_others(in_mode(Mode.IDLE)),
+}
+
+
+def beside_others(bench: Bench) -> Bench:
+    bench.give(CommandPublishersSeen(bench.t_ns, ("/teleop",)))
+    bench.give(FaultReported(bench.t_ns, Cause.DAEMON_ENDS, "told to stop"))
+    bench.t_ns += 400_000_000
+    bench.battery(0.9)  # learned in a gap between ticks
+    assert bench.state.health.tick_gap_s
+    return bench
+
+
+@pytest.mark.parametrize("situation", SITUATIONS)
+def test_odometry_changes_what_is_known_of_odometry_alone(situation: str) -> None:
+    bench = SITUATIONS[situation]()
+    before = bench.state
+    bench.odometry(Pose(0.01, 0.0, 0.0))
+    after = bench.state
+    assert replace(after, health=before.health, drive=before.drive) == before
+    told = ("odometry", "odometry_t_ns", "odometry_stamp_ns", "path_error_m")
+    assert (
+        replace(after.health, **{name: getattr(before.health, name) for name in told})
+        == before.health
+    )
+
+
+@pytest.mark.parametrize("situation", SITUATIONS)
+def test_a_tick_changes_command_and_drive_alone(situation: str) -> None:
+    bench = SITUATIONS[situation]()
+    before = bench.state
+    bench.t_ns = before.tick_t_ns or 0
+    bench.tick()
+    after = bench.state
+    assert after.mode is before.mode
+    changed = {name: getattr(before, name) for name in ("command", "tick_t_ns", "drive", "health")}
+    assert replace(after, **changed) == before
+    assert replace(after.health, tick_gap_s=before.health.tick_gap_s) == before.health
+
+
+FAULTS_OF_A_SCHEDULE = 6
+
+
+class CheckedKernel(FedKernel):
+    """A fed kernel whose every step is held against the invariants of recordings."""
+
+    def __init__(self) -> None:
+        self.invariants: Invariants | None = None
+        super().__init__()
+        self.invariants = Invariants()
+        self.invariants.snapshot(Snapshot("test", self.kernel.params, self.state))
+
+    def give(self, event: Event) -> tuple[object, ...]:  # type: ignore[override]
+        effects = super().give(event)
+        self.events.clear()  # a day of them does not fit into memory
+        self.effects = self.effects[-100:]
+        if self.invariants is not None:
+            self.invariants.step(0, event, effects)
+        return effects
+
+
+def recovered(fed: CheckedKernel) -> bool:
+    """Return whether the robot moves again once all is well."""
+    fed.turn(2 * LONGEST_TICKS)
+    if fed.state.mode in (Mode.ERROR, Mode.EMERGENCY_STOP):
+        reset(fed)
+    if fed.state.mode is Mode.IDLE:
+        fed.request(Mode.MOVING)
+    return fed.state.mode is Mode.MOVING
+
+
+def follow(seed: int) -> Iterator[str]:
+    """Follow a schedule of faults, requests and resets; yield what must not be."""
+    random, fed = Random(seed), CheckedKernel()
+    fed.request(Mode.MOVING)  # now the fence has its place
+    causes = sorted(PROVOKED, key=lambda cause: cause.value)
+    for _ in range(FAULTS_OF_A_SCHEDULE):
+        present: dict[str, Cause] = {}
+        for cause in random.sample(causes, random.randint(1, 3)):
+            if PROVOKED[cause].feed not in present:
+                present[PROVOKED[cause].feed] = cause
+                PROVOKED[cause].begin(fed)
+                fed.turn(random.randint(0, LONGEST_TICKS))
+        if random.random() < 0.3:
+            MOMENTARY[random.choice(sorted(MOMENTARY, key=lambda cause: cause.value))](fed)
+        fed.request(random.randint(0, 4))
+        fed.turn(LONGEST_TICKS)
+        if fed.state.mode is not Mode.MOVING and fed.state.command != ZERO:
+            yield f"seed {seed}: a command in {fed.state.mode.name}"
+        for cause in present.values():
+            PROVOKED[cause].end(fed)
+        if not recovered(fed):
+            yield f"seed {seed}: after {present} {fed.replies[-1].message}"
+    assert fed.invariants is not None
+    fed.invariants.end(fed.state.waiting)
+    yield from (f"seed {seed}: {each.text}" for each in fed.invariants.violations)
+
+
+@pytest.mark.parametrize("first", [0, 10])
+def test_after_any_schedule_of_faults_every_invariant_holds_and_the_robot_moves_again(
+    first: int,
+) -> None:
+    assert [problem for seed in range(first, first + 10) for problem in follow(seed)] == []
+
+
+@pytest.mark.slow
+def test_after_each_of_500_schedules_every_invariant_holds_and_the_robot_moves_again() -> None:
+    assert [problem for seed in range(20, 520) for problem in follow(seed)] == []
+
+
+@pytest.mark.slow
+def test_a_day_of_driving_neither_drifts_nor_grows() -> None:
+    kernel = Kernel(replace(KernelParams(), rate_hz=10.0))
+    begin = DriveRequested(NS_PER_S, 1, Pattern(PatternKind.CIRCLE, 1.0, 0.3), 0, False, "test")
+    sim = SimParams(odometry_rate_hz=10.0, battery_life_s=1e6)
+    invariants = Invariants()
+    invariants.snapshot(Snapshot("test", kernel.params, kernel.state))
+    hour, sizes, worst_m = 0, [], 0.0
+    for event, effects in closed_loop(kernel, sim, [begin], 0):
+        invariants.step(0, event, effects)
+        if event.t_ns > 2 * NS_PER_S:
+            assert kernel.state.mode is Mode.MOVING, kernel.state.reason
+            worst_m = max(worst_m, kernel.state.health.path_error_m)
+        if event.t_ns > hour * 3600 * NS_PER_S:
+            sizes.append(len(repr(kernel.state)))
+            hour += 1
+        if hour > 24:
+            break
+    assert max(sizes[2:]) < min(sizes[2:]) + 200
+    assert worst_m < 0.2
+    assert invariants.count == 0

@@ -1,21 +1,107 @@
-"""A parameter changes by an event: while the robot stands, within its limits, with one reply."""
+"""The numbers and topics of the kernel are those of docs/ros.md: default, limits and unit.
+
+A parameter changes by an event: while the robot stands, within its limits, with one reply.
+Gauges that count to 1 and gauges that count to 100.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import re
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from enum import Enum
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameters import Conflict, conflict
-from robotctl.kernel.params import CommandParams, Foreign, KernelParams, ScanParams, WhenIdle
-from robotctl.kernel.patterns import PatternKind
+from robotctl.kernel.parameters import Conflict, conflict, kernel_leaves, value_at
+from robotctl.kernel.params import (
+    BatteryParams,
+    BatteryScale,
+    CommandParams,
+    Foreign,
+    KernelParams,
+    ScanParams,
+    WhenIdle,
+)
+from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety_inputs import SafetyInput, Use
-from robotctl.kernel.types import Effect, Reply
+from robotctl.kernel.types import Cause, Effect, Reply
 from robotctl.kernel.types.events import ParameterChanged, ParameterRequested
-from robotctl.testing.kernels import Bench, in_mode, moving, ready
+from robotctl.testing.kernels import Bench, in_mode, moving, ready, start, stopped_by
+
+PAGE = (Path(__file__).parents[2] / "docs" / "ros.md").read_text()
+DOCUMENTED = dict(re.findall(r"^\| `([\w.]+)` \| (\S* \| [^|]*?) \|", PAGE, re.MULTILINE))
+
+
+def parameters(values: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the key of each number, topic and frame, and the row that the page must have for it."""
+    for field in fields(values):
+        value = getattr(values, field.name)
+        if is_dataclass(value):
+            yield from parameters(value, f"{prefix}{field.name}.")
+        elif "range" in field.metadata:
+            allowed = field.metadata["range"]
+            said = f"{value} | {allowed.low:g} to {allowed.high:g} {allowed.unit}".rstrip()
+            yield f"{prefix}{field.name}", said
+        elif field.metadata.get("topic"):
+            none = '; "" for none' if field.metadata["optional"] else ""
+            yield f"{prefix}{field.name}", f"{value} | a topic{none}"
+        elif field.metadata.get("frame"):
+            none = '; "" for any' if field.metadata["optional"] else ""
+            yield f"{prefix}{field.name}", f"{value} | the name of a frame{none}"
+
+
+PARAMETERS = dict(parameters(KernelParams()))
+
+
+@pytest.mark.parametrize("key", PARAMETERS)
+def test_a_parameter_is_as_the_page_says(key: str) -> None:
+    assert DOCUMENTED[key] == PARAMETERS[key]
+
+
+def test_every_parameter_is_on_the_page_or_is_a_choice_or_corners() -> None:
+    assert {"rate_hz", "command.topic", "inputs.joy.button", "tracking.k_y"} <= set(PARAMETERS)
+    params = KernelParams()
+    others = {key: leaf for key, leaf in kernel_leaves().items() if key not in PARAMETERS}
+    del others["fence.corners_m"]
+    for key, leaf in others.items():
+        assert isinstance(value_at(params, leaf.path), (Enum, bool)), key
+
+
+def test_a_drive_without_a_size_fits_a_room() -> None:
+    sizes_m = {kind.value: shape.default_size_m for kind, shape in SHAPES.items()}
+    assert sizes_m == {
+        "square": 1.0,
+        "circle": 0.5,
+        "figure-eight": 0.5,
+        "rounded-square": 1.0,
+        "line": 1.0,
+        "arc": 0.5,
+        "turn": 1.0,
+    }
+
+
+@pytest.mark.parametrize(
+    ("pattern", "is_allowed"),
+    [
+        (Pattern(size_m=0.1), True),
+        (Pattern(size_m=100.0), True),
+        (Pattern(speed_mps=0.01), True),
+        (Pattern(speed_mps=10.0), True),
+        (Pattern(size_m=0.099), False),
+        (Pattern(size_m=100.1), False),
+        (Pattern(speed_mps=0.0099), False),
+        (Pattern(speed_mps=10.1), False),
+        (Pattern(size_m=float("nan")), False),
+        (Pattern(speed_mps=float("nan")), False),
+    ],
+)
+def test_a_pattern_is_refused_beyond_its_limits(pattern: Pattern, is_allowed: bool) -> None:
+    assert (pattern.refusal() == "") is is_allowed
 
 
 def change(bench: Bench, key: str, old: str, new: str) -> tuple[Effect, ...]:
@@ -192,3 +278,45 @@ def test_only_who_is_silent_in_idle_yields_to_others(foreign: Foreign, when_idle
     is_refused = foreign is Foreign.YIELD and when_idle is not WhenIdle.SILENT
     assert (found is not None) is is_refused
     assert found is None or found.key == "command.foreign"
+
+
+def bench_of(scale: BatteryScale) -> Bench:
+    return ready(replace(KernelParams(), battery=BatteryParams(scale=scale)))
+
+
+def test_a_level_beyond_the_scale_is_refused_as_it_came_with_its_remedy() -> None:
+    bench = bench_of(BatteryScale.ONE)
+    bench.battery(87.4)
+    assert "the battery reports 87.4, not 0 to 1" in start(bench)
+    assert bench.replies[-1].remedies == (Remedy.CHECK_BATTERY_TOPIC,)
+
+
+@pytest.mark.parametrize("scale", [BatteryScale.PERCENT, BatteryScale.AUTO])
+def test_a_gauge_that_counts_in_percent_is_understood(scale: BatteryScale) -> None:
+    bench = bench_of(scale)
+    bench.battery(87.4)
+    assert bench.state.health.battery_level == 87.4 / 100.0
+    assert not start(bench)
+    bench.battery(14.0)
+    assert stopped_by(bench, Cause.BATTERY_LOW, Mode.EMERGENCY_STOP)
+
+
+def test_auto_stays_with_percent_once_it_has_seen_it() -> None:
+    bench = bench_of(BatteryScale.AUTO)
+    bench.battery(87.4)
+    bench.battery(1.0)
+    assert bench.state.health.battery_level == 0.01
+
+
+@pytest.mark.parametrize("broken", [float("inf"), float("nan"), 1e9, -5.0])
+def test_one_broken_sample_does_not_change_the_scale(broken: float) -> None:
+    bench = bench_of(BatteryScale.AUTO)
+    bench.battery(broken)
+    bench.battery(0.8)
+    assert bench.state.health.battery_level == 0.8
+
+
+def test_a_level_beyond_100_percent_is_unknown() -> None:
+    bench = bench_of(BatteryScale.PERCENT)
+    bench.battery(874.0)
+    assert "the battery reports 874, not 0 to 100" in start(bench)
