@@ -31,7 +31,7 @@ app.add_typer(group, name="lease")
 
 @group.callback()
 def lease() -> None:
-    """Acquire the sole right to start and steer motion; anybody may still stop.
+    """Take the sole right to start and steer motion; anybody may still stop.
 
     \b
     Examples:
