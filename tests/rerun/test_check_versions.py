@@ -27,9 +27,6 @@ from robotctl.recording.format.names import MADE_BY, SHADOW_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.incident import find_incident
-from robotctl.rerun.resim import resimulate
-from robotctl.rerun.sentences import sentence_of
-from robotctl.rerun.whatif import what_if
 from robotctl.testing.drives import (
     BEGIN_NS,
     Written,
@@ -343,24 +340,3 @@ def test_a_change_while_moving_breaks_a_promise(
 
     report = check_recording(record(tmp_path / "r", edited(parameter_drive, edit)))
     assert report.verdict in (Verdict.DIVERGED, Verdict.BROKEN)
-
-
-def test_a_what_if_keeps_its_own_value_over_a_change(
-    tmp_path: Path, parameter_drive: list[Written]
-) -> None:
-    found = what_if(record(tmp_path / "r", parameter_drive), {KEY: "0.2"})
-    assert found["linear_mps"]["max"] > 0.05
-    assert [each["request_id"] for each in found["answers"]][:1] == [3]
-
-
-def test_a_simulation_repeats_the_change(tmp_path: Path, parameter_drive: list[Written]) -> None:
-    found = resimulate(record(tmp_path / "r", parameter_drive), {})
-    second = found["drives"][1]
-    assert second["simulated"]["distance_m"] == pytest.approx(
-        second["recorded"]["distance_m"] if second["recorded"] else 0.0, abs=0.5
-    )
-
-
-def test_a_change_is_told_as_a_sentence() -> None:
-    (request,) = (each for each in requests() if sentence_of(each).endswith("0.3 by operator"))
-    assert sentence_of(request) == f"a request to change {KEY} from 0.6 to 0.3 by operator"

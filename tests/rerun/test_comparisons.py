@@ -12,7 +12,7 @@ from random import Random
 
 import pytest
 
-from robotctl.kernel.types import LoopStalled, Tick
+from robotctl.kernel.types import Tick
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
@@ -139,10 +139,6 @@ def check(tmp_path: Path, contents: Contents) -> Report:
     return check_recording(write_contents(tmp_path / "run", contents))
 
 
-def test_measurements_in_their_order_are_the_same(tmp_path: Path, measured: Contents) -> None:
-    assert check(tmp_path, measured).verdict is Verdict.SAME
-
-
 def test_a_measurement_that_was_moved_is_found(tmp_path: Path, measured: Contents) -> None:
     report = check(tmp_path, with_battery_moved(measured, 3))
     assert report.verdict is Verdict.BROKEN
@@ -181,12 +177,6 @@ def test_a_busy_loop_lacks_no_tick(busy_s: tuple[float, float]) -> None:
     assert missing(honest(12.0, busy_s)) == []
 
 
-def test_ticks_that_are_counted_as_missed_are_not_missing() -> None:
-    ticks = honest(6.0)
-    ticks[100:111] = [Tick(ticks[110].t_ns, 10)]
-    assert missing(ticks) == []
-
-
 @pytest.mark.parametrize("count", [1, 10])
 def test_removed_ticks_are_missing_and_counted(count: int) -> None:
     ticks = honest(6.0)
@@ -194,17 +184,6 @@ def test_removed_ticks_are_missing_and_counted(count: int) -> None:
     (found,) = missing(ticks)
     assert found.ticks == count
     assert 100 <= found.seq <= 151  # in the next second
-
-
-def test_what_follows_a_gap_has_a_schedule_of_its_own() -> None:
-    schedule = TickSchedule()
-    schedule.begin(50.0)
-    for late_ns in (0, 7 * PERIOD_NS // 2):
-        for tick in honest(4.0):
-            schedule.step(Tick(tick.t_ns + late_ns, tick.missed), 1)
-        schedule.step(LoopStalled(0, 0.2, 1, 0, ""), 2)
-        schedule.stop()
-    assert schedule.missing == []
 
 
 MS = 1_000_000
@@ -237,32 +216,23 @@ def test_each_setting_of_the_clock_is_counted(tmp_path: Path, drive_of_3_s: list
     assert note.startswith("the clock was set 3 times")
 
 
-def test_a_stall_within_a_step_sets_no_clock() -> None:
-    """The entry is recorded later than its event was stamped, and the next event comes after it."""
+@pytest.mark.parametrize(
+    ("times", "begins", "set_by"),
+    [
+        (((0, 0), (20, 420), (421, 421), (440, 440)), False, []),
+        (((20, 420), (421, 421), (440, 440)), True, []),
+        (((20, 3600_020), (40, 40)), True, [-3600_000]),
+        (((0, 0), (20, 420), (40, 40)), False, [400, -400]),
+    ],
+    ids=["stall", "stall in the first step", "first step later", "one entry later"],
+)
+def test_a_stall_within_a_step_sets_no_clock(
+    times: Sequence[tuple[int, int]], begins: bool, set_by: list[int]
+) -> None:
+    """Steady and wall times [ms]; a stalled entry is recorded later than its event was stamped."""
     clock = ClockChanges()
-    for steady, wall in ((0, 0), (20, 420), (421, 421), (440, 440)):
+    if begins:
+        clock.begin(0, 0)
+    for steady, wall in times:
         clock.look(steady * MS, wall * MS)
-    assert (clock.has_changed, clock.set_by_ns) == (True, [])
-
-
-def test_a_stall_within_the_first_step_sets_no_clock() -> None:
-    clock = ClockChanges()
-    clock.begin(0, 0)
-    for steady, wall in ((20, 420), (421, 421), (440, 440)):
-        clock.look(steady * MS, wall * MS)
-    assert clock.set_by_ns == []
-
-
-def test_a_first_step_with_a_later_time_alone_sets_the_clock_back() -> None:
-    clock = ClockChanges()
-    clock.begin(0, 0)
-    for steady, wall in ((20, 3600_020), (40, 40)):
-        clock.look(steady * MS, wall * MS)
-    assert clock.set_by_ns == [-3600_000 * MS]
-
-
-def test_an_entry_with_a_later_time_alone_sets_the_clock_twice() -> None:
-    clock = ClockChanges()
-    for steady, wall in ((0, 0), (20, 420), (40, 40)):
-        clock.look(steady * MS, wall * MS)
-    assert clock.set_by_ns == [400 * MS, -400 * MS]
+    assert clock.set_by_ns == [each * MS for each in set_by]

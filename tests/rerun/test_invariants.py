@@ -13,10 +13,8 @@ from robotctl.kernel.params import KernelParams
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     BatteryReceived,
-    Cause,
     Effect,
     Event,
-    ForeignCommandHeard,
     LatchEmergencyStop,
     ModeChanged,
     ModeRequested,
@@ -28,7 +26,6 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.rerun.invariants import MAX_VIOLATIONS, Invariants, unbalanced
-from robotctl.testing.kernels import ready
 
 MOVING, IDLE, STOP = Mode.MOVING, Mode.IDLE, Mode.EMERGENCY_STOP
 TICK_NS = 20_000_000
@@ -154,15 +151,6 @@ def test_violations_are_counted_beyond_those_that_are_told() -> None:
     assert (found.count, len(found.violations)) == (100, MAX_VIOLATIONS)
 
 
-def test_nothing_is_checked_where_events_are_missing() -> None:
-    found = Invariants()
-    found.step(0, Tick(0), (command(9.0),))
-    found.snapshot(Snapshot("test", KernelParams(), State(mode=Mode.ERROR, cause=Cause.TASK_DIED)))
-    found.stop()
-    found.step(1, Tick(0), (command(9.0),))
-    assert found.violations == []
-
-
 # The ledger
 
 
@@ -173,11 +161,3 @@ def test_a_ledger_that_does_not_add_up_is_found() -> None:
     assert sentence == "/odom: 10 messages received, but 8 written and 1 dropped"
     assert list(unbalanced({"/odom": {**counts, "dropped": 3}}, finished=False))
     assert not list(unbalanced({"/odom": {**counts, "dropped": 2}}, finished=True))
-
-
-def test_a_foreign_command_from_before_a_file_is_known_from_its_snapshot() -> None:
-    bench = ready()
-    bench.give(ForeignCommandHeard(bench.t_ns, "/teleop"))
-    invariants = Invariants()
-    invariants.snapshot(Snapshot("test", bench.kernel.params, bench.state))
-    assert invariants.foreign == {"/teleop"}

@@ -42,7 +42,6 @@ STOPS = {
 }
 """What each input says from message 30 on."""
 
-EVERY = pytest.mark.parametrize("kind", SafetyInput)
 WITH_VALUE = pytest.mark.parametrize(
     "kind", [each for each in SafetyInput if each is not SafetyInput.DIAGNOSTICS]
 )
@@ -110,7 +109,7 @@ def test_the_recorded_messages_say_what_the_journal_holds(
     assert [pressed.counts[topic] for topic in TOPICS.values()] == [50] * 5
 
 
-@pytest.mark.parametrize("kind", [each for each in SafetyInput if each.value != "diagnostics"])
+@WITH_VALUE
 def test_a_message_that_was_changed_is_found(
     tmp_path: Path, pressed: Contents, kind: SafetyInput
 ) -> None:
@@ -118,25 +117,6 @@ def test_a_message_that_was_changed_is_found(
     edited = changed(pressed, kind, lambda m: replace(m, data=released) if m.sequence > 30 else m)
     report = check(tmp_path, edited)
     assert report.verdict is Verdict.BROKEN
-
-
-@EVERY
-def test_messages_that_were_removed_are_missed(
-    tmp_path: Path, pressed: Contents, kind: SafetyInput
-) -> None:
-    edited = changed(pressed, kind, lambda m: None if m.sequence in (20, 21) else m)
-    report = check(tmp_path, edited)
-    assert report.verdict is Verdict.BROKEN
-    assert report.violations[0].text.startswith("2 messages of the ")
-
-
-@EVERY
-def test_a_topic_that_was_removed_is_missed(
-    tmp_path: Path, pressed: Contents, kind: SafetyInput
-) -> None:
-    edited = changed(pressed, kind, lambda m: None)
-    edited.types = [each for each in edited.types if each[0].topic != TOPICS[kind]]
-    assert check(tmp_path, edited).verdict is Verdict.BROKEN
 
 
 @WITH_VALUE
@@ -149,19 +129,6 @@ def test_a_change_that_the_journal_never_saw_is_named(
     report = check(tmp_path, edited)
     assert report.verdict is Verdict.INCOMPLETE
     assert "the journal does not hold messages 5 to 11 of the " in str(report.missing)
-
-
-@WITH_VALUE
-def test_an_input_whose_events_were_all_removed_is_named(
-    tmp_path: Path, pressed: Contents, kind: SafetyInput
-) -> None:
-    first = min(m.log_ns for m in pressed.messages if m.topic == TOPICS[kind])
-    edited = without_events(pressed, kind, range(1, 51))
-    edited.messages = [
-        replace(m, log_ns=first + 2 * (m.log_ns - first)) if m.topic == TOPICS[kind] else m
-        for m in edited.messages
-    ]
-    assert check(tmp_path, edited).verdict is not Verdict.SAME
 
 
 @WITH_VALUE

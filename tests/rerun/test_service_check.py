@@ -66,42 +66,6 @@ class Traffic:
         self.pairs.reply(Reply(number, True, "done", Mode(requested)))
 
 
-def test_calls_and_requests_are_paired_in_their_order() -> None:
-    traffic = Traffic()
-    for number, mode in enumerate((0, 1, 1, 0)):
-        traffic.call(number, mode)
-        traffic.ask(number, mode)
-    traffic.pairs.pair(traffic.clock)
-    assert len(traffic.pairs.pairs) == 4
-    traffic_left = traffic.pairs.unasked, traffic.pairs.unheard, traffic.pairs.last_unheard
-    assert traffic_left == ([], [], [])
-
-
-def test_a_request_without_a_call_is_told_and_the_others_are_paired() -> None:
-    traffic = Traffic()
-    for number in range(4):
-        traffic.ask(number, 0)
-        if number not in (1, 3):
-            traffic.call(number, 0)
-    traffic.pairs.pair(traffic.clock)
-    assert [each.seq for each in traffic.pairs.unheard] == [1]
-    assert [each.seq for each in traffic.pairs.last_unheard] == [3]
-
-
-@pytest.mark.parametrize(("set_s", "paired"), [(None, 0), (1.5, 1)])
-def test_a_call_at_another_time_is_not_the_one_unless_the_clock_was_set(
-    set_s: float | None, paired: int
-) -> None:
-    traffic = Traffic()
-    traffic.call(1, 0, late_s=2.0)
-    traffic.ask(1, 0)
-    if set_s is not None:
-        traffic.clock.look(0, WALL_NS)
-        traffic.clock.look(round(set_s * NS_PER_S), WALL_NS)
-    traffic.pairs.pair(traffic.clock)
-    assert len(traffic.pairs.pairs) == paired
-
-
 @pytest.mark.parametrize(("in_work", "unasked"), [(0, 1), (MANY_IN_WORK + 1, 0)])
 def test_a_call_is_refused_as_busy_only_while_many_are_in_work(in_work: int, unasked: int) -> None:
     traffic = Traffic()
@@ -113,9 +77,3 @@ def test_a_call_is_refused_as_busy_only_while_many_are_in_work(in_work: int, una
     traffic.pairs.pair(traffic.clock)
     assert len(traffic.pairs.unasked) == unasked
     assert len(traffic.pairs.pairs) == in_work
-
-
-def test_events_of_clients_are_not_those_of_the_server() -> None:
-    data = bytearray(received(1, 0))
-    data[4] = 0
-    assert read_service_event(SERVICES[0], bytes(data), WALL_NS) is None
