@@ -15,7 +15,7 @@ import tests.support.rosidl_parser  # noqa: F401
 from robotctl.base.errors import NoDaemon
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.ipc.client import call
-from tests.support.waiting import DEADLINE_S
+from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import Peer, World, new_world
 
 
@@ -27,10 +27,13 @@ def world() -> Iterator[World]:
 
 
 @pytest.fixture(scope="module")
-def shared_world() -> Iterator[World]:
-    """A world for the tests of a module."""
+def simulated() -> Iterator[World]:
+    """A world with one daemon, which simulates its robot, for the tests of a module."""
     with new_world() as made:
+        made.ok("start", "--sim")
+        until(lambda: made.here("preflight").exit_code == 0)
         yield made
+        made.ok("stop")
 
 
 @pytest.fixture
@@ -69,8 +72,7 @@ def in_process(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., AbstractAsyncContextManager[Daemon]]:
     """Run a daemon in the test's loop with the given options; its limits are wide by default."""
-    for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "ROS_DOMAIN_ID"):
-        monkeypatch.setenv(name, world.environment[name])
+    world.enter(monkeypatch)
 
     @asynccontextmanager
     async def run(**options: Any) -> AsyncIterator[Daemon]:

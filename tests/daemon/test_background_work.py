@@ -35,7 +35,7 @@ from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
 from robotctl.testing.drives import GID, TWIST
 from tests.support.recordings import numbered, write_numbered
 from tests.support.waiting import DEADLINE_S, loop_until, until
-from tests.support.world import World
+from tests.support.world import InProcess, World
 
 _listeners: list[Callable[[str], None]] = []
 
@@ -90,7 +90,7 @@ def tidying(world: World) -> list[int]:
 
 
 async def test_no_file_of_the_folder_is_opened_before_ready(
-    in_process: Callable[..., Any], world: World
+    in_process: InProcess, world: World
 ) -> None:
     files = [torn(world.recordings / f"robot_{number}") for number in range(5)]
     (world.recordings / "README").write_text("somebody's")
@@ -139,18 +139,12 @@ def test_start_and_stop_do_not_wait_for_another_process_that_tidies(world: World
 def test_a_stop_does_not_wait_for_the_retention_after_a_split(world: World) -> None:
     world.ok("start", "--sim")
     until(lambda: world.status()["recorder"]["written"] > 100)
+    assert tidying(world) == [], "a folder without other recordings costs no process"
     with tidied_by_somebody(world.recordings):
         world.ok("record", "split")
         until(lambda: tidying(world))
         world.ok("stop")
         assert tidying(world) == []
-
-
-def test_a_folder_without_other_recordings_costs_no_process(world: World) -> None:
-    world.ok("start", "--sim")
-    until(lambda: world.status()["recorder"]["written"] > 100)
-    assert tidying(world) == []
-    world.ok("stop")
 
 
 pytest.importorskip("duckdb", reason="indexes are an extra: robotctl[parquet]")

@@ -26,11 +26,22 @@ from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from tests.support.bags import text
 from tests.support.recordings import read_strictly
 from tests.support.waiting import loop_until, until
-from tests.support.world import PATIENT, Peer, Ran, World, journal_of, new_world, read_back
+from tests.support.world import (
+    PATIENT,
+    InProcess,
+    NewPeer,
+    Peer,
+    Ran,
+    World,
+    journal_of,
+    new_world,
+    read_back,
+)
 
 MARK = "the door \x1b[2J opened"
 LATCHED = ("/robot_status", "/rosout")
-CONFIG = f"{PATIENT}recording: {{clip_before_s: 2.0, clip_after_s: 0.5}}\n"
+CLIPS = "recording.clip_before_s: 2.0\nrecording.clip_after_s: 0.5\n"
+CONFIG = PATIENT.replace("recording.clip_before_s: 0.0\n", CLIPS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,7 +261,7 @@ def number_of(path: Path) -> int:
 
 @pytest.mark.usefixtures("short_files")
 async def test_each_file_begins_with_a_snapshot_and_can_be_decided_again(
-    in_process: Callable[..., Any], world: World
+    in_process: InProcess, world: World
 ) -> None:
     async with in_process(drive=PatternKind.CIRCLE) as daemon:
         await loop_until(lambda: len(files_of(world)) > 5)
@@ -269,7 +280,7 @@ async def test_each_file_begins_with_a_snapshot_and_can_be_decided_again(
 
 @pytest.mark.usefixtures("short_files")
 async def test_the_oldest_files_of_the_recording_that_goes_on_are_removed_as_well(
-    in_process: Callable[..., Any], world: World, tmp_path: Path
+    in_process: InProcess, world: World, tmp_path: Path
 ) -> None:
     config = tmp_path / "config.yaml"
     config.write_text(f"{PATIENT}recording: {{max_total_gb: 0.0001}}\n")
@@ -304,9 +315,9 @@ def closed(monkeypatch: pytest.MonkeyPatch) -> Closed:
 
 @pytest.mark.parametrize("observe", [False, True])
 async def test_nothing_is_received_any_more_when_the_recording_is_finished(
-    in_process: Callable[..., Any],
+    in_process: InProcess,
     world: World,
-    new_peer: Callable[[World], Peer],
+    new_peer: NewPeer,
     closed: Closed,
     observe: bool,
 ) -> None:
@@ -323,7 +334,7 @@ def count(status: Any, topic: str) -> int:
 
 
 async def test_a_file_that_is_full_at_the_end_is_followed_by_none(
-    in_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    in_process: InProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: Closed = []
 
@@ -347,7 +358,7 @@ async def test_a_file_that_is_full_at_the_end_is_followed_by_none(
 
 
 async def test_the_publisher_stays_until_the_last_zero_is_acknowledged(
-    in_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    in_process: InProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     published: list[int] = []
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import socket
@@ -53,47 +52,42 @@ def test_an_emergency_stop_is_left_by_reset_only(world: World) -> None:
     assert "released" in world.ok("reset")
     assert not latch.exists()
     world.ok("stop")
-    assert "mode        IDLE" in world.ok("start", "--sim")
-    world.ok("stop")
 
 
-def test_a_latch_that_cannot_be_written_is_reported_and_the_robot_stops(
-    world: World,
-) -> None:
-    world.ok("start", "--sim")
-    partial = world.folder / "state" / "robotctl" / "robot" / "emergency-stop.new"
+def test_a_latch_that_cannot_be_written_is_reported_and_the_robot_stops(simulated: World) -> None:
+    partial = simulated.folder / "state" / "robotctl" / "robot" / "emergency-stop.new"
     partial.mkdir()  # the path of the latch's temporary file
-    ran = world.robotctl("estop")
+    ran = simulated.robotctl("estop")
     assert (ran.exit_code, ran.out) == (1, "")
     assert "Mode changed to EMERGENCY_STOP, but a restart would forget this stop" in ran.err
-    status = world.status()
+    status = simulated.status()
     assert status["mode"] == "EMERGENCY_STOP"
     (warning,) = (text for text in status["warnings"] if "could not be saved" in text)
     assert warning.endswith("(tried again each second)")
     partial.rmdir()
-    until(lambda: not any("saved" in text for text in world.status()["warnings"]))
+    until(lambda: not any("saved" in text for text in simulated.status()["warnings"]))
     assert partial.with_suffix("").read_text().startswith("requested by robotctl estop")
-    assert world.robotctl("estop").exit_code == 0
-    world.ok("stop")
+    assert simulated.robotctl("estop").exit_code == 0
+    simulated.ok("reset")
 
 
-def test_a_stop_answers_with_any_owner_of_the_latch_folder(world: World) -> None:
+def test_a_stop_answers_with_any_owner_of_the_latch_folder(simulated: World) -> None:
     if os.getuid() != 0:
         pytest.skip("only root gives a folder away")
-    world.ok("start", "--sim", "--drive", "circle")
-    folder = world.folder / "state" / "robotctl" / "robot"
+    simulated.ok("drive", "circle")
+    folder = simulated.folder / "state" / "robotctl" / "robot"
     os.chown(folder, 4711, 4711)
     for _ in range(2):
         asked = time.monotonic()
-        ran = world.robotctl("estop")
+        ran = simulated.robotctl("estop")
         assert time.monotonic() - asked < 10.0, "as long as a client waits for a silent daemon"
         assert ran.exit_code == 1
         assert f"{folder} belongs to" in ran.err
         assert "a restart would forget this stop" in ran.err
-    assert world.status()["mode"] == "EMERGENCY_STOP"
+    assert simulated.status()["mode"] == "EMERGENCY_STOP"
     os.chown(folder, 0, 0)
     until(lambda: (folder / "emergency-stop").exists())
-    world.ok("stop")
+    simulated.ok("reset")
 
 
 def test_a_battery_stop_is_released_by_a_charged_battery_only_also_after_a_restart(
@@ -112,9 +106,8 @@ def test_a_battery_stop_is_released_by_a_charged_battery_only_also_after_a_resta
     refused = world.robotctl("reset")
     assert refused.exit_code == 4
     assert "the battery is at 16%, not yet at 20%" in refused.err
-    world.ok("stop")
-    start(0.21, 1e6)
-    assert "released" in world.ok("reset")
+    world.ok("sim", "set", "battery=0.21")
+    assert "released" in until(lambda: world.here("reset").out)
     world.ok("stop")
 
 
@@ -152,22 +145,11 @@ def test_fifty_kills_are_followed_by_fifty_starts(world: World) -> None:
 # Ended by a signal
 
 
-def test_start_with_drive_moves_at_once(world: World) -> None:
-    out = world.ok("start", "--sim", "--drive", "circle")
-    assert "mode        MOVING" in out
-    assert world.status()["mode"] == "MOVING"
-    world.ok("stop")
-    assert last_command(next(world.recordings.iterdir())) == STILL
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_while_moving_ends_with_zero_and_a_closed_recording(
-    world: World, number: signal.Signals
-) -> None:
-    world.ok("start", "--sim", "--drive", "circle")
+def test_a_signal_while_moving_ends_with_zero_and_a_closed_recording(world: World) -> None:
+    assert "mode        MOVING" in world.ok("start", "--sim", "--drive", "circle")
     until(lambda: world.status()["velocity"]["linear"] > 0.05)
     pid = pid_of(world)
-    os.kill(pid, number)
+    os.kill(pid, signal.SIGHUP)
     until(lambda: pid not in world.processes())
     assert last_command(next(world.recordings.iterdir())) == STILL
     assert "0 dropped, 0 lost" in world.log()
@@ -187,17 +169,6 @@ def test_a_signal_during_the_start_ends_it(world: World) -> None:
     assert start.returncode != 0
     assert "stopped before it was ready" in err
     until(lambda: not world.processes())
-
-
-def test_the_daemon_runs_in_the_foreground(world: World) -> None:
-    process = world.spawn("start", "--foreground", "--sim")
-    assert process.stdout is not None
-    ready = json.loads(process.stdout.readline())
-    assert (ready["ready"], ready["pid"]) == (True, process.pid)
-    assert pid_of(world) == process.pid
-    process.send_signal(signal.SIGINT)
-    assert process.wait(DEADLINE_S) == 0
-    process.communicate()
 
 
 def test_two_stops_at_once_both_succeed(world: World) -> None:

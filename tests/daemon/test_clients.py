@@ -14,37 +14,11 @@ from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import PATIENT, World, new_world
 
 
-@pytest.fixture(scope="module")
-def shared() -> Iterator[World]:
-    """A world with one daemon, whose robot stands in IDLE between the tests."""
-    with new_world() as made:
-        made.ok("start", "--sim")
-        yield made
-        made.ok("stop")
-
-
-def test_a_killed_waiting_client_ends_its_drive_and_the_next_client_sees_the_end(
-    world: World,
-) -> None:
-    world.ok("start", "--sim")
-    first = world.spawn("drive", "square", "--wait")
-    until(lambda: world.status()["mode"] == "MOVING")
-    first.kill()
-    first.communicate()
-    until(lambda: world.status()["mode"] == "IDLE")
-    second = world.spawn("drive", "circle", "--wait")
-    until(lambda: world.status()["mode"] == "MOVING")
-    world.ok("stop")
-    _, err = second.communicate(timeout=DEADLINE_S)
-    assert second.returncode == 4
-    assert "the drive ended after 0 laps: requested by the daemon's end" in err
-
-
-def test_a_waited_drive_that_a_fault_ends_is_an_error(shared: World) -> None:
+def test_a_waited_drive_that_a_fault_ends_is_an_error(simulated: World) -> None:
     for options in ((), ("--json",)):
-        drive = shared.spawn("drive", "square", "--wait", *options)
-        until(lambda: shared.status()["velocity"]["linear"] > 0.1)
-        shared.ok("estop")
+        drive = simulated.spawn("drive", "square", "--wait", *options)
+        until(lambda: simulated.status()["velocity"]["linear"] > 0.1)
+        simulated.ok("estop")
         out, err = drive.communicate(timeout=DEADLINE_S)
         assert drive.returncode == 4
         assert "the drive ended after 0 laps: requested by robotctl estop" in err
@@ -54,46 +28,50 @@ def test_a_waited_drive_that_a_fault_ends_is_an_error(shared: World) -> None:
             assert found["distance_m"] > 0.0
         else:
             assert "driven      0 laps, 0." in out
-        shared.ok("reset")
+        simulated.ok("reset")
 
 
-def test_the_cures_of_a_named_robot_work_when_they_are_pasted(world: World) -> None:
-    world.ok("start", "--sim", "--robot", "r2")
-    world.ok("set-mode", "error", "--robot", "r2")
-    refused = world.robotctl("drive", "square", "--robot", "r2", "--json")
+def test_the_cures_of_a_named_robot_can_be_pasted_and_its_end_ends_a_waited_drive(
+    world: World,
+) -> None:
+    r2 = ("--robot", "r2")
+    world.ok("start", "--sim", *r2)
+    world.ok("set-mode", "error", *r2)
+    refused = world.robotctl("drive", "square", "--json", *r2)
     assert refused.exit_code == 4
     cure = json.loads(refused.out)["error"]["cure"]
     assert cure == "clear it: robotctl reset --robot r2"
-    assert world.answer("why", "--robot", "r2")["what"].endswith(cure)
+    assert world.answer("why", *r2)["what"].endswith(cure)
     world.ok(*cure.split("robotctl ")[1].split())
-    world.ok("stop", "--robot", "r2")
+    waiting = world.spawn("drive", "circle", "--wait", *r2)
+    until(lambda: world.status("r2")["mode"] == "MOVING")
+    world.ok("stop", *r2)
+    _, err = waiting.communicate(timeout=DEADLINE_S)
+    assert waiting.returncode == 4
+    assert "the drive ended after 0 laps: requested by the daemon's end" in err
 
 
-def test_why_answers_while_the_daemon_runs_and_names_its_evidence(world: World) -> None:
-    world.ok("start", "--sim")
-    world.ok("drive", "square")
-    until(lambda: world.status()["velocity"]["linear"] > 0.05)
-    world.ok("estop")
-    until(lambda: world.robotctl("why").exit_code == 0)  # the recording holds it a moment later
-    told = world.answer("why")
+def test_why_answers_while_the_daemon_runs_and_names_its_evidence(simulated: World) -> None:
+    simulated.ok("drive", "square")
+    until(lambda: simulated.status()["velocity"]["linear"] > 0.05)
+    simulated.ok("estop")
+    until(lambda: simulated.robotctl("why").exit_code == 0)  # the recording holds it a moment later
+    told = simulated.answer("why")
     assert (told["kind"], told["mode"]) == ("stop", "EMERGENCY_STOP")
     assert "a request for EMERGENCY_STOP by robotctl estop" in told["came_in"]
     assert "a square: robotctl drive" in told["asked"]
     assert told["zero_after_ms"] >= 0.0
-    world.ok("stop")
-    (report,) = world.answer("replay", "last", "--check")["recordings"]
-    assert (report["verdict"], report["notes"]) == ("same", [])
-    assert report["commands"] > 0
+    simulated.ok("reset")
 
 
-def test_a_drive_while_moving_is_refused_unless_it_replaces(shared: World) -> None:
-    shared.ok("drive", "circle", "--laps", "0")
-    refused = shared.robotctl("drive", "square")
+def test_a_drive_while_moving_is_refused_unless_it_replaces(simulated: World) -> None:
+    simulated.ok("drive", "circle", "--laps", "0")
+    refused = simulated.robotctl("drive", "square")
     assert refused.exit_code == 4
     assert "--replace" in refused.err
-    shared.ok("drive", "square", "--replace")
-    assert shared.status()["mode"] == "MOVING"
-    shared.ok("set-mode", "idle")
+    simulated.ok("drive", "square", "--replace")
+    assert simulated.status()["mode"] == "MOVING"
+    simulated.ok("set-mode", "idle")
 
 
 GENTLE = f"{PATIENT}limits: {{linear_accel_mps2: 0.1, angular_accel_rps2: 0.3}}\n"
@@ -174,11 +152,3 @@ def test_an_emergency_stop_is_not_released_by_the_ctrl_c_that_comes_after_it(
     waiting.communicate(timeout=2 * DEADLINE_S)
     assert waiting.returncode in (4, 130)  # the end of the drive or the signal may come first
     assert slow.status()["mode"] == "EMERGENCY_STOP"
-
-
-def test_without_waiting_the_robot_drives_on(slow: World) -> None:
-    slow.robotctl("reset")
-    slow.ok("drive", "circle", "--laps", "0")
-    until(lambda: slow.status()["velocity"]["linear"] > 0.1)
-    assert slow.status()["mode"] == "MOVING"
-    slow.ok("set-mode", "idle")

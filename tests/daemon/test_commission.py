@@ -48,47 +48,43 @@ def test_a_base_of_10_hz_with_lag_and_deadband_and_no_timeout_is_told_as_such(wo
         assert world.status()["mode"] == "IDLE"
         assert world.answer("lease", "status")["holder"] is None
         world.ok("stop")
-        assert "same" in world.ok("replay", "--check", "last")
         why = world.answer("why", "last")
         assert "0.3 rad/s for 12 s: robotctl commission" in why["asked"]
     finally:
         base.close()
 
 
-def test_nobody_is_asked_without_a_terminal_and_nothing_moves(world: World) -> None:
-    world.ok("start", "--sim")
-    until(lambda: world.robotctl("preflight").exit_code == 0)
-    asked = world.robotctl("commission", "--json")
+def test_nobody_is_asked_without_a_terminal_and_nothing_moves(simulated: World) -> None:
+    asked = simulated.robotctl("commission", "--json")
     assert asked.exit_code == 2
     assert json.loads(asked.out)["error"]["cure"] == "give --yes"
-    lost = world.robotctl("commission", "--yes", "--out", "nowhere/robot.yaml")
+    lost = simulated.robotctl("commission", "--yes", "--out", "nowhere/robot.yaml")
     assert (lost.exit_code, "nowhere cannot be written to" in lost.err) == (2, True)
-    holder = world.spawn("lease", "take")
-    until(lambda: world.answer("lease", "status")["holder"] is not None)
-    refused = world.robotctl("commission", "--yes")
+    holder = simulated.spawn("lease", "take")
+    until(lambda: simulated.answer("lease", "status")["holder"] is not None)
+    refused = simulated.robotctl("commission", "--yes")
     assert refused.exit_code == 4
     assert re.search(
         r"lease take .* holds the lease, and robotctl commission .* asked", refused.err
     )
     holder.send_signal(SIGINT)
     holder.communicate(timeout=DEADLINE_S)
-    world.ok("set-mode", "error")
-    failed = world.robotctl("commission", "--yes")
+    simulated.ok("set-mode", "error")
+    failed = simulated.robotctl("commission", "--yes")
     assert (failed.exit_code, "reset" in failed.err) == (4, True)
-    world.ok("stop")
+    simulated.ok("reset")
 
 
 @pytest.mark.parametrize("number", [SIGINT, SIGKILL, SIGSTOP])
-def test_a_commissioning_that_is_interrupted_stops_the_robot(world: World, number: Signals) -> None:
-    world.ok("start", "--sim")
-    until(lambda: world.robotctl("preflight").exit_code == 0)
-    command = world.spawn("commission", "--yes")
-    until(lambda: world.status()["velocity"]["linear"] > 0.05)
+def test_a_commissioning_that_is_interrupted_stops_the_robot(
+    simulated: World, number: Signals
+) -> None:
+    command = simulated.spawn("commission", "--yes")
+    until(lambda: simulated.status()["velocity"]["linear"] > 0.05)
     command.send_signal(number)
-    until(lambda: world.status()["mode"] == "IDLE")
+    until(lambda: simulated.status()["mode"] == "IDLE")
     if number is SIGINT:
         _, err = command.communicate(timeout=DEADLINE_S)
         assert command.returncode == 130, err
     command.kill()
     command.communicate()
-    world.ok("stop")

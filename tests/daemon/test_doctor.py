@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from tests.support.waiting import until
-from tests.support.world import Peer, World
+from tests.support.world import NewPeer, World, new_world
 
 
 def findings(world: World, *options: str) -> list[dict[str, Any]]:
@@ -23,25 +22,46 @@ def findings(world: World, *options: str) -> list[dict[str, Any]]:
     return found
 
 
-def test_a_daemon_and_its_robot_are_healthy_and_a_base_of_another_type_is_named(
-    world: World, new_peer: Callable[[World], Peer]
+@pytest.fixture(scope="module")
+def simulated() -> Iterator[World]:
+    """A world with one daemon, which records elsewhere."""
+    with new_world() as made:
+        made.ok("start", "--sim", "--recordings", str(made.folder / "elsewhere"))
+        yield made
+        made.ok("stop")
+
+
+def test_a_shell_with_another_discovery_range_than_the_daemon_is_told(
+    simulated: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    world.ok("start", "--sim")
-    found = world.answer_here("doctor")["findings"]
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    told, fine = (each for each in findings(simulated) if each["check"] == "discovery")
+    assert told["text"] == "the range of the daemon is LOCALHOST, that of this shell SUBNET"
+    assert fine["text"].endswith("this machine only"), "what is true of the daemon"
+
+
+def test_the_disk_is_the_one_on_which_the_daemon_records(simulated: World) -> None:
+    (disk,) = (each["text"] for each in findings(simulated) if each["check"] == "disk")
+    assert disk.endswith(f"GB free for recordings in {simulated.folder / 'elsewhere'}")
+
+
+def test_a_daemon_and_its_robot_are_healthy_and_a_base_of_another_type_is_named(
+    simulated: World, new_peer: NewPeer
+) -> None:
+    found = simulated.answer_here("doctor")["findings"]
     assert [each for each in found if each["level"] == "fault"] == []
     told = {each["check"]: each["text"] for each in found}
     assert told["odometry"].startswith("/odom (nav_msgs/msg/Odometry): 1 publishers")
-    new_peer(world)("take_commands", kind="TwistStamped")
+    new_peer(simulated)("take_commands", kind="TwistStamped")
 
     def sick() -> str:
-        ran = world.here("doctor", "--json")
+        ran = simulated.here("doctor", "--json")
         return ran.out if ran.exit_code == 4 else ""
 
     answer = json.loads(until(sick))  # once the daemon has discovered it
     faults = [each for each in answer["findings"] if each["level"] == "fault"]
     assert ["several types" in each["text"] and each["check"] for each in faults] == ["command"]
     assert answer["error"]["cure"] == faults[0]["cure"]
-    world.ok("stop")
 
 
 def test_what_a_killed_daemon_left_is_cleaned_and_a_shell_in_another_domain_is_told(
@@ -63,25 +83,6 @@ def test_what_a_killed_daemon_left_is_cleaned_and_a_shell_in_another_domain_is_t
     elsewhere = findings(world)
     (told,) = (each for each in elsewhere if each["check"] == "discovery" and each["cure"])
     assert told["cure"] == f"export ROS_DOMAIN_ID={world.domain_id}"
-    world.ok("stop")
-
-
-def test_a_shell_with_another_discovery_range_than_the_daemon_is_told(
-    world: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    world.ok("start", "--sim")
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-    told, fine = (each for each in findings(world) if each["check"] == "discovery")
-    assert told["text"] == "the range of the daemon is LOCALHOST, that of this shell SUBNET"
-    assert fine["text"].endswith("this machine only"), "what is true of the daemon"
-    world.ok("stop")
-
-
-def test_the_disk_is_the_one_on_which_the_daemon_records(world: World, tmp_path: Path) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    world.ok("start", "--sim", "--recordings", str(elsewhere))
-    (disk,) = (each["text"] for each in findings(world) if each["check"] == "disk")
-    assert disk.endswith(f"GB free for recordings in {elsewhere}")
     world.ok("stop")
 
 

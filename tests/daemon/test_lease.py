@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Iterator
 from signal import SIGCONT, SIGINT, SIGSTOP
 
+import pytest
+
 from tests.support.waiting import DEADLINE_S, until
-from tests.support.world import ROBOTCTL, Peer, World
+from tests.support.world import ROBOTCTL, NewPeer, World, new_world
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[World]:
+    """A world with one daemon, whose robot stands and whose lease is free between the tests."""
+    with new_world() as made:
+        made.ok("start", "--sim")
+        yield made
+        made.ok("stop")
+        (report,) = made.answer("replay", "last", "--check")["recordings"]
+        assert (report["verdict"], report["notes"]) == ("same", [])
 
 
 def test_the_holder_alone_moves_the_robot_and_its_death_ramps_it_down(
-    world: World, new_peer: Callable[[World], Peer]
+    world: World, new_peer: NewPeer
 ) -> None:
-    world.ok("start", "--sim")
     holder = world.spawn("lease", "take", "--reason", "inspection")
     assert holder.stdout is not None
     told = holder.stdout.readline()
@@ -51,11 +63,10 @@ def test_the_holder_alone_moves_the_robot_and_its_death_ramps_it_down(
     ran = world.robotctl("lease", "take", "--", ROBOTCTL, "lease", "status", "--json")
     assert (ran.exit_code, '"yours": true' in ran.out) == (0, True), ran
     world.ok("set-mode", "moving")
-    world.ok("stop")
+    world.ok("set-mode", "idle")
 
 
 def test_a_frozen_holder_loses_the_lease_and_the_robot_ramps_down(world: World) -> None:
-    world.ok("start", "--sim")
     holder = world.spawn("lease", "take")
     assert holder.stdout is not None
     world.environment["ROBOTCTL_LEASE"] = holder.stdout.readline().rstrip().split("=")[1]
@@ -68,6 +79,3 @@ def test_a_frozen_holder_loses_the_lease_and_the_robot_ramps_down(world: World) 
     holder.send_signal(SIGCONT)
     _, err = holder.communicate(timeout=DEADLINE_S)
     assert (holder.returncode, "lost the lease" in err) == (4, True), err
-    world.ok("stop")
-    (report,) = world.answer("replay", "last", "--check")["recordings"]
-    assert (report["verdict"], report["notes"]) == ("same", [])

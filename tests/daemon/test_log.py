@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import os
 import re
@@ -373,10 +374,10 @@ def test_a_blocked_log_delays_neither_the_stop_nor_the_zeros(
     os.set_blocking(writing, True)
     process = world.spawn("start", "--foreground", "--sim", "--drive", "circle", stderr=writing)
     os.close(writing)
-    for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME"):
-        monkeypatch.setenv(name, world.environment[name])
+    world.enter(monkeypatch)
     assert process.stdout is not None
-    assert '"ready": true' in process.stdout.readline()
+    ready = json.loads(process.stdout.readline())
+    assert (ready["ready"], ready["pid"]) == (True, process.pid)
     with Client("robot") as client:
         for number in range(1500):  # more than the queue holds
             client.call("mark", {"text": f"{number} {'x' * 990}", "source": "test"})

@@ -43,13 +43,18 @@ def world() -> Iterator[World]:
         yield made
 
 
-@pytest.mark.parametrize("kind", ["topic", "node", "service"])
-def test_a_process_of_its_own_lists_what_the_daemon_lists(world: World, kind: str) -> None:
+def test_processes_of_their_own_tell_what_the_daemon_tells(world: World) -> None:
+    looks = (
+        *(("topic", "list", "--all"), ("node", "list", "--all"), ("service", "list", "--all")),
+        ("node", "info", "/mode_service"),
+    )
+    domain = ("--domain-id", str(world.domain_id), "--json")
     seen: list[tuple[Any, Any]] = []
 
     def agree() -> bool:  # a process of its own waits 3.5 s for discovery, and no longer
-        own = world.answer(kind, "list", "--all", "--domain-id", str(world.domain_id))
-        seen.append((own, world.answer_here(kind, "list", "--all")))
+        started = [world.spawn(*look, *domain) for look in looks]
+        own = [json.loads(each.communicate()[0]) for each in started]
+        seen.append((own, [world.answer_here(*look) for look in looks]))
         return bool(own == seen[-1][1])
 
     try:
@@ -59,55 +64,56 @@ def test_a_process_of_its_own_lists_what_the_daemon_lists(world: World, kind: st
 
 
 def test_the_lists_hold_the_daemons_names_and_no_escape_sequence(world: World) -> None:
-    topics = world.ok("topic", "list", "-t")
+    topics = world.here("topic", "list", "-t").out
     assert "/cmd_vel [geometry_msgs/msg/Twist]" in topics.splitlines()
     assert "\x1b" not in topics
-    assert "/velocity_publisher" in world.ok("node", "list").splitlines()
-    services = world.ok("service", "list", "-t").splitlines()
+    assert "/velocity_publisher" in world.here("node", "list").out.splitlines()
+    services = world.here("service", "list", "-t").out.splitlines()
     assert "/set_mode [robot_controller/srv/SetMode]" in services
 
 
-@pytest.mark.parametrize("own", [False, True], ids=["daemon", "own process"])
-def test_a_topic_and_a_node_are_told_with_all_they_have(world: World, own: bool) -> None:
-    options = ["--domain-id", str(world.domain_id)] if own else []
+def test_a_topic_and_a_node_are_told_with_all_they_have(world: World) -> None:
+    topic = world.answer_here("topic", "info", "odom")
+    assert topic["types"] == ["nav_msgs/msg/Odometry"]
+    assert [each["node"] for each in topic["publishers"]] == ["/simulated_robot"]
+    servers = world.answer_here("node", "info", "/mode_service")["servers"]
+    assert {"name": "/set_mode", "types": ["robot_controller/srv/SetMode"]} in servers
 
-    def told() -> bool:  # a process of its own waits 3.5 s for discovery, and no longer
-        topic = world.answer("topic", "info", "odom", *options)
-        node = world.answer("node", "info", "/mode_service", *options)
-        return (
-            topic["types"] == ["nav_msgs/msg/Odometry"]
-            and [each["node"] for each in topic["publishers"]] == ["/simulated_robot"]
-            and {"name": "/set_mode", "types": ["robot_controller/srv/SetMode"]} in node["servers"]
-        )
 
-    until(told)
+ONCE = ("--once", "--timeout", "60")
+
+
+def said(world: World, *arguments: str) -> str:
+    ran = world.here(*arguments)
+    assert ran.exit_code == 0, ran
+    return ran.out
 
 
 def test_a_live_message_is_yaml_and_a_field_a_line(world: World) -> None:
-    (message, _) = yaml.safe_load_all(world.ok("topic", "echo", "/odom", "--once"))
+    (message, _) = yaml.safe_load_all(said(world, "topic", "echo", "/odom", *ONCE))
     assert message["child_frame_id"] == "base_link"
-    assert world.ok("topic", "echo", "odom", "child_frame_id", "--once") == "base_link\n"
-    value = world.answer("topic", "echo", "odom", "pose.pose.orientation.w", "--once")
+    assert said(world, "topic", "echo", "odom", "child_frame_id", *ONCE) == "base_link\n"
+    value = world.answer_here("topic", "echo", "odom", "pose.pose.orientation.w", *ONCE)
     assert value["value"] == 1.0
 
 
 def test_a_latched_message_reaches_who_comes_late(world: World) -> None:
-    assert world.answer("topic", "echo", "/robot_status", "--once")["message"]["mode"] == 0
+    assert world.answer_here("topic", "echo", "/robot_status", *ONCE)["message"]["mode"] == 0
 
 
 def test_the_rate_of_a_live_topic_is_told(world: World) -> None:
-    told = world.answer("topic", "hz", "/odom", "--once")
+    told = world.answer_here("topic", "hz", "/odom", "--once")
     assert told["rate_hz"] > 0
     assert told["window"] >= 2
 
 
 def test_a_service_is_called_with_its_type_or_without(world: World) -> None:
-    answer = world.answer("service", "call", "/set_mode", "{requested_mode: 0}")["response"]
+    answer = world.answer_here("service", "call", "/set_mode", "{requested_mode: 0}")["response"]
     assert (answer["success"], answer["current_mode"]) == (True, 0)
-    said = world.ok(
-        "service", "call", "/set_mode", "robot_controller/srv/SetMode", "{requested_mode: 9}"
+    answered = said(
+        world, "service", "call", "/set_mode", "robot_controller/srv/SetMode", "{requested_mode: 9}"
     )
-    assert yaml.safe_load(said)["success"] is False
+    assert yaml.safe_load(answered)["success"] is False
 
 
 @pytest.mark.parametrize(

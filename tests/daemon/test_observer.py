@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from robotctl.ipc.answers import Status
 from robotctl.replay.replay_guard import daemons_in, running_daemons
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
-from tests.support.world import Peer, Ran, World, new_world, read_back
+from tests.support.world import InProcess, NewPeer, Peer, Ran, World, new_world, read_back
 
 COMMANDS = 200
 
@@ -168,7 +168,7 @@ def test_a_publisher_that_restarts_is_no_loss(observed: Observed) -> None:
     assert observed.status["recorder"]["lost"] == 0
 
 
-async def test_it_is_in_no_replays_way(in_process: Callable[..., Any], world: World) -> None:
+async def test_it_is_in_no_replays_way(in_process: InProcess, world: World) -> None:
     async with in_process(observe=True, sim=None):
         (daemon,) = await asyncio.to_thread(running_daemons)
         assert (daemon.domain_id, daemon.observes) == (world.domain_id, True)
@@ -180,7 +180,7 @@ async def test_it_is_in_no_replays_way(in_process: Callable[..., Any], world: Wo
 
 @pytest.mark.slow
 def test_a_message_larger_than_the_queue_is_counted_and_named(
-    world: World, new_peer: Callable[[World], Peer]
+    world: World, new_peer: NewPeer
 ) -> None:
     peer = new_peer(world)
     world.ok("start", "--observe")
@@ -221,65 +221,69 @@ TOO_LARGE = 160_000_000
 """Bytes of a message that exceeds the recorder's queue."""
 
 
+@pytest.fixture(scope="module")
+def simulated() -> Iterator[World]:
+    """A world with one daemon, which simulates its robot."""
+    with new_world() as made:
+        made.ok("start", "--sim")
+        yield made
+        made.ok("stop")
+        assert "Traceback" not in made.log()
+        assert "\x1b" not in made.log()
+
+
 @pytest.fixture
-def hostile(world: World) -> Iterator[Told]:
+def hostile(simulated: World) -> Iterator[Told]:
     """A process that announces invalid data."""
-    told = Told(peer_command("tests.support.hostile_peer"), world.environment)
+    told = Told(peer_command("tests.support.hostile_peer"), simulated.environment)
     yield told
     told.close()
 
 
 def test_the_daemon_drives_on_and_names_what_it_does_not_record(
-    world: World, hostile: Told
+    simulated: World, hostile: Told
 ) -> None:
-    world.ok("start", "--sim", "--drive", "square")
+    simulated.ok("drive", "square")
     for topic, type_name in STRANGE:
         hostile("offer", topic=topic, type_name=type_name)
-    until(lambda: sum("is not recorded" in text for text in world.status()["warnings"]) == 7)
+    until(lambda: sum("is not recorded" in text for text in simulated.status()["warnings"]) == 7)
     hostile("rename", name="\xff\x1b[31m", namespace="/\xfe")
-    status = world.status()
+    status = simulated.status()
     assert status["mode"] == "MOVING"
     assert all(text.isprintable() for text in status["warnings"])
-    shown = world.ok("status")
+    shown = simulated.ok("status")
     assert "\x1b" not in shown
     assert "/my-topic is not recorded: ROS does not allow its name" in " ".join(shown.split())
-    world.ok("stop")
-    assert "Traceback" not in world.log()
-    assert "\x1b" not in world.log()
+    simulated.ok("set-mode", "idle")
 
 
 def test_each_publisher_of_commands_is_named_even_with_a_strange_name(
-    world: World, hostile: Told
+    simulated: World, hostile: Told
 ) -> None:
-    world.ok("start", "--sim")
     hostile("offer", topic="/cmd_vel", type_name="std_msgs/msg/\xff")
 
     name = r"/\xfe/\xff\x1b[31m"
 
     def is_named() -> bool:
         hostile("rename", name="\xff\x1b[31m", namespace="/\xfe")
-        return any(name in text for text in world.status()["warnings"])
+        return any(name in text for text in simulated.status()["warnings"])
 
     until(is_named)
-    ran = world.robotctl("set-mode", "moving")
+    ran = simulated.robotctl("set-mode", "moving")
     assert ran.exit_code == 4
     assert name in ran.err
-    assert world.status()["mode"] == "IDLE"
-    world.ok("stop")
-    assert "Traceback" not in world.log()
+    assert simulated.status()["mode"] == "IDLE"
 
 
 def test_a_message_that_is_too_large_is_counted_and_its_memory_given_back(
-    world: World, new_peer: Callable[[World], Peer]
+    simulated: World, new_peer: NewPeer
 ) -> None:
-    world.ok("start", "--sim")
-    pid = world.status()["pid"]
+    pid = simulated.status()["pid"]
     before = resident_bytes(pid)
-    new_peer(world)("send_large", topic="/large", size=TOO_LARGE)
-    until(lambda: world.status()["recorder"]["dropped"] == 1)
+    new_peer(simulated)("send_large", topic="/large", size=TOO_LARGE)
+    until(lambda: simulated.status()["recorder"]["dropped"] == 1)
     # The middleware keeps one buffer of the size of the largest message.
     assert resident_bytes(pid) - before < 1.5 * TOO_LARGE
-    world.ok("stop")
 
 
 def resident_bytes(pid: int) -> int:

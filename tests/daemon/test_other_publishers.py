@@ -6,7 +6,6 @@ import asyncio
 import json
 import re
 import time
-from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -22,7 +21,7 @@ from robotctl.kernel.types import (
 from robotctl.recording import read_messages
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import loop_until, until
-from tests.support.world import PATIENT, Peer, World, journal_of, new_world
+from tests.support.world import PATIENT, NewPeer, World, journal_of
 
 
 class Velocity:
@@ -148,24 +147,14 @@ def test_a_flood_to_an_idle_robot_gives_few_events() -> None:
 
 
 EntryData = dict[str, float]
-NewPeer = Callable[[World], Peer]
-
-
-@pytest.fixture(scope="module")
-def shared() -> Iterator[World]:
-    """A world with one daemon, which simulates its robot."""
-    with new_world() as made:
-        made.ok("start", "--sim")
-        yield made
-        made.ok("stop")
 
 
 @pytest.fixture
-def idle(shared: World) -> World:
+def idle(simulated: World) -> World:
     """The world, when nothing of an earlier test keeps its robot from driving."""
-    until(lambda: shared.here("reset").exit_code == 0)
-    until(lambda: shared.here("preflight").exit_code == 0)
-    return shared
+    until(lambda: simulated.here("reset").exit_code == 0)
+    until(lambda: simulated.here("preflight").exit_code == 0)
+    return simulated
 
 
 @pytest.fixture
@@ -203,6 +192,23 @@ def test_commands_of_best_effort_are_heard_as_well(driving: World, new_peer: New
     until(lambda: driving.status()["mode"] == "ERROR")
     assert "velocity command" in driving.status()["mode_reason"]
     until(lambda: heard_since(driving, begin_ns))
+
+
+def test_the_publisher_of_commands_is_shown_and_refuses_motion_until_it_is_gone(
+    driving: World, new_peer: NewPeer
+) -> None:
+    peer = new_peer(driving)
+    peer("command", linear=0.1)
+    until(lambda: driving.status()["mode"] == "ERROR")
+    # Its command may be heard before the graph shows the publisher, or before it has a name.
+    assert "also publish" in driving.status()["mode_reason"]
+    warning = "/somebody_else also publishes velocity commands"
+    until(lambda: warning in driving.status()["warnings"])
+    for request in (("set-mode", "moving"), ("reset",)):
+        refused = driving.here(*request)
+        assert (refused.exit_code, "stop the other publisher" in refused.err) == (4, True)
+    peer.close()
+    until(lambda: warning not in driving.status()["warnings"])
 
 
 def test_one_command_to_an_idle_robot_is_named_and_no_error(idle: World, new_peer: NewPeer) -> None:
@@ -246,7 +252,7 @@ command: {{when_idle: silent, foreign: yield}}
 
 
 def test_others_drive_in_idle_and_a_start_waits_until_they_are_quiet(world: World) -> None:
-    settings = world.folder / "shared.yaml"
+    settings = world.folder / "simulated.yaml"
     settings.write_text(SETTINGS)
     world.ok("start", "--sim", "--config", str(settings))
     joystick = Told(peer_command("tests.support.role_peers", "MuxPeer"), world.environment)

@@ -227,16 +227,6 @@ def writes_into(path: Path) -> str:
     return f'{sys.executable} -c "{program}"'
 
 
-async def test_each_head_is_published_and_given_to_the_program(tmp_path: Path) -> None:
-    published: list[str] = []
-    forwarder = HeadForwarder(writes_into(tmp_path / "heads"), published.append)
-    forwarder.take(head(1))
-    await forwarder.finish()
-    assert published == [head(1).digest]
-    assert (tmp_path / "heads").read_text() == f"{head(1).digest} run_1.mcap\n"
-    assert forwarder.problem == ""
-
-
 async def test_of_heads_that_wait_the_newest_is_given(tmp_path: Path) -> None:
     forwarder = HeadForwarder(writes_into(tmp_path / "heads"), None)
     forwarder.take(head(1))

@@ -24,7 +24,7 @@ from robotctl.rerun.rerun import first_divergence
 from robotctl.ros.executor.runtime import Pool
 from robotctl.testing.faults import FailingFile
 from tests.support.waiting import until
-from tests.support.world import PATIENT, World, journal_of, read_back
+from tests.support.world import PATIENT, InProcess, World, journal_of, read_back
 
 NEVER = 1 << 60
 MORE_BYTES = 60_000
@@ -54,7 +54,7 @@ def has_failed(status: Any) -> bool:
 
 
 async def test_the_robot_stops_when_nothing_is_recorded_any_more(
-    in_process: Callable[..., Any], disk: list[FailingFile]
+    in_process: InProcess, disk: list[FailingFile]
 ) -> None:
     async with in_process(drive=PatternKind.CIRCLE) as daemon:
         await daemon.until(is_moving)
@@ -65,7 +65,7 @@ async def test_the_robot_stops_when_nothing_is_recorded_any_more(
 
 
 async def test_the_robot_goes_on_when_it_is_only_to_warn(
-    in_process: Callable[..., Any],
+    in_process: InProcess,
     disk: list[FailingFile],
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
@@ -87,7 +87,7 @@ async def test_the_robot_goes_on_when_it_is_only_to_warn(
 
 
 async def test_an_observer_that_records_no_more_says_so(
-    in_process: Callable[..., Any], disk: list[FailingFile], caplog: pytest.LogCaptureFixture
+    in_process: InProcess, disk: list[FailingFile], caplog: pytest.LogCaptureFixture
 ) -> None:
     async with in_process(observe=True, sim=None) as daemon:
         disk[0].fail_now()
@@ -97,7 +97,7 @@ async def test_an_observer_that_records_no_more_says_so(
 
 
 async def test_a_heavy_topic_is_named_once_with_the_filter_that_leaves_it_out(
-    in_process: Callable[..., Any],
+    in_process: InProcess,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -168,25 +168,14 @@ async def test_the_recorder_of_a_quiet_robot_looks_seldom(
     assert 0 < rate <= LOOKS_PER_S
 
 
-STEERING = "rec\n\x1b[2J\x1b[31mordings"
-
-
-def start_and_stop(world: World, recordings: str) -> str:
-    out = world.ok("start", "--observe", "--recordings", recordings)
-    return out + world.ok("status") + world.ok("stop") + world.ok("logs")
-
-
-def test_folders_that_are_missing_are_made(world: World) -> None:
-    recordings = "a/../b c/d"
+def test_folders_are_made_and_a_name_that_steers_a_terminal_is_shown_escaped(
+    world: World,
+) -> None:
+    recordings = "a/../b c/d/rec\n\x1b[2J\x1b[31mordings"
     (world.folder / "a").mkdir()
-    start_and_stop(world, recordings)
+    said = world.ok("start", "--observe", "--recordings", recordings)
+    said += world.ok("status") + world.ok("stop") + world.ok("logs")
     (recorded,) = (world.folder / recordings).iterdir()
-    assert read_info(recorded).missing == ()
-
-
-def test_a_name_that_steers_a_terminal_is_shown_escaped(world: World) -> None:
-    said = start_and_stop(world, STEERING)
-    (recorded,) = (world.folder / STEERING).iterdir()
     assert read_info(recorded).missing == ()
     assert r"rec\n\x1b[2J\x1b[31mordings" in said
     assert all(line.isprintable() for line in said.splitlines())
@@ -250,13 +239,13 @@ def test_a_link_with_the_name_of_the_new_recording_is_not_followed(
 
 
 @pytest.mark.parametrize("option", ["--include", "--exclude"])
-@pytest.mark.parametrize("pattern", ["/a\n/b", "/\x1b[2J", "camera", "", "/a,", "type:", "/a b"])
 def test_a_pattern_that_names_no_topic_is_refused_and_shown_escaped(
-    world: World, option: str, pattern: str
+    world: World, option: str
 ) -> None:
-    ran = world.here("start", "--observe", option, pattern)
-    assert ran.exit_code == 2
-    assert ran.err.startswith(f"robotctl: {option}: ")
-    assert "use a topic (/scan), a glob (/camera/*) or a type" in ran.err
-    assert ran.err.rstrip("\n").isprintable()
+    for pattern in ("/a\n/b", "/\x1b[2J", "camera", "", "/a,", "type:", "/a b"):
+        ran = world.here("start", "--observe", option, pattern)
+        assert ran.exit_code == 2, pattern
+        assert ran.err.startswith(f"robotctl: {option}: ")
+        assert "use a topic (/scan), a glob (/camera/*) or a type" in ran.err
+        assert ran.err.rstrip("\n").isprintable()
     assert not world.recordings.exists()

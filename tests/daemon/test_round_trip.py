@@ -27,9 +27,9 @@ BEST_EFFORT = ("/odom", "/battery_state")
 
 def test_a_replay_recorded_again_has_the_same_messages_in_the_same_order(world: World) -> None:
     world.ok("start", "--sim")
-    until(lambda: _count(world, "/odom") > 20)
+    until(lambda: _count(world, "/odom") > 10)
     world.ok("set-mode", "moving")
-    until(lambda: _count(world, "/cmd_vel") > 150)
+    until(lambda: _count(world, "/cmd_vel") > 60)
     world.ok("stop")
     (first,) = world.recordings.iterdir()
     world.ok("start", "--observe")

@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from shutil import rmtree
 
 import pytest
 
 from tests.support.waiting import DEADLINE_S, until
-from tests.support.world import ROBOTCTL, Peer, World
+from tests.support.world import ROBOTCTL, NewPeer, World
 
 SLOW = pytest.mark.slow  # a daemon each; how descriptors are counted: tests/test_processes.py
 
@@ -21,16 +20,6 @@ def pid_of(world: World, robot: str = "robot") -> int:
 
 
 # Starting twice
-
-
-def test_a_second_start_names_the_running_pid(world: World) -> None:
-    world.ok("start", "--sim")
-    pid = pid_of(world)
-    second = world.robotctl("start", "--sim")
-    assert (second.exit_code, second.out) == (5, "")
-    assert f"robot 'robot' is running already, pid {pid}" in second.err
-    assert len(list(world.recordings.iterdir())) == 1
-    world.ok("stop")
 
 
 def test_of_ten_starts_at_once_one_wins_and_the_others_name_it(world: World) -> None:
@@ -54,7 +43,7 @@ def race(world: World) -> None:
     world.ok("stop")
 
 
-def test_two_robots_live_side_by_side(world: World, new_peer: Callable[[World], Peer]) -> None:
+def test_two_robots_live_side_by_side(world: World, new_peer: NewPeer) -> None:
     peer = new_peer(world)
     for robot in ("left", "right"):
         world.ok("start", "--sim", "--robot", robot)
@@ -121,13 +110,6 @@ def test_a_daemon_in_the_foreground_with_closed_streams_writes_into_no_file_of_o
     assert started.returncode == 0
 
 
-def test_a_start_in_a_shell_with_another_ros_drops_it_and_says_so(world: World) -> None:
-    world.source_another_ros()
-    out = world.ok("start", "--sim")
-    assert "note: dropped another ROS (humble) from PYTHONPATH, LD_LIBRARY_PATH, AMENT" in out
-    world.ok("stop")
-
-
 # Starting wrong
 
 
@@ -185,15 +167,6 @@ def test_a_file_in_the_place_of_the_runtime_folder_is_named(world: World) -> Non
     assert ran.err.count("\n") == 1
 
 
-def test_a_file_in_the_place_of_the_recordings_folder_is_named(world: World) -> None:
-    world.recordings.write_text("mine")
-    ran = world.robotctl("start", "--sim")
-    assert ran.exit_code == 4
-    assert f"cannot record into {world.recordings}" in ran.err
-    assert "--recordings" in ran.err
-    assert world.recordings.read_text() == "mine"
-
-
 def test_a_ros_domain_that_does_not_exist_starts_nothing(world: World) -> None:
     world.environment["ROS_DOMAIN_ID"] = "233"
     ran = world.robotctl("start", "--sim")
@@ -231,30 +204,6 @@ runpy.run_module("robotctl.daemon", run_name="__main__", alter_sys=True)
 
 
 # Without a robot
-
-
-def test_a_start_without_a_robot_is_ready_and_says_what_is_missing(world: World) -> None:
-    out = world.ok("start", "--no-sim", "--drive", "square")
-    for text in (
-        "note: no robot to drive yet: no odometry was received on odom yet",
-        "note: no robot to drive yet: no battery level was received on battery_state yet",
-        "note: no robot to drive yet: no node subscribes to cmd_vel",
-        "check that the robot publishes odometry",  # why the drive is refused
-    ):
-        assert text in out
-    status = world.status()
-    assert (status["mode"], status["sim"], status["pose"], status["battery"]) == (
-        "IDLE",
-        False,
-        None,
-        None,
-    )
-    refused = world.robotctl("set-mode", "moving")
-    assert (refused.exit_code, refused.out) == (4, "")
-    assert "no odometry was received on odom yet" in refused.err
-    assert "check that the robot publishes odometry" in refused.err
-    assert world.status()["mode"] == "IDLE"
-    world.ok("stop")
 
 
 def test_a_start_waits_for_the_robot_so_that_the_first_drive_is_taken(world: World) -> None:

@@ -61,10 +61,9 @@ def test_a_wrong_argument_is_refused_before_a_daemon_starts() -> None:
             (["--log-level", "loud"], "use debug, info, warn, error, fatal, or LOGGER:=LEVEL"),
             (["--params-file", "none.yaml"], "none.yaml: No such file"),
         ):
-            ran = world.robotctl("start", "--config", str(world.patient), "--ros-args", *words)
+            ran = world.here("start", "--config", str(world.patient), "--ros-args", *words)
             assert (ran.exit_code, said in ran.err) == (2, True), ran
-        ran = world.robotctl("status", "--ros-args", "-p", "a:=1")
-        assert ran.exit_code == 2
+        assert world.here("status", "--ros-args", "-p", "a:=1").exit_code == 2
         assert not world.sockets()
 
 
@@ -78,8 +77,6 @@ def test_a_second_daemon_with_the_same_names_is_refused_and_disturbs_nobody() ->
         assert "has the same nodes: /velocity_publisher, /odom_subscriber" in ran.err
         assert "--robot NAME" in ran.err
         assert world.status()["mode"] == "MOVING"
-        other.ok("start", "--sim", "--robot", "r2")
-        other.ok("stop", "--robot", "r2")
         other.ok("start", "--no-sim", "--allow-same-names")
         other.ok("stop")
         world.ok("stop")

@@ -82,6 +82,8 @@ class AnsweringTerminal(Terminal):
                 rest = begun if any(q.startswith(begun) and q != begun for q in ANSWERS) else b""
 
 
+Sit = Callable[..., AnsweringTerminal]
+
 W_DOWN, W_AGAIN, W_UP = (f"\x1b[119;1:{event}u" for event in (1, 2, 3))
 
 
@@ -117,11 +119,11 @@ def assert_nothing_outlived_a_silence(file: Path) -> None:
 
 
 @pytest.fixture
-def sit(world: World) -> Iterator[Callable[..., Terminal]]:
+def sit(world: World) -> Iterator[Sit]:
     """Return a function that starts teleop on a terminal."""
-    started: list[Terminal] = []
+    started: list[AnsweringTerminal] = []
 
-    def start(*arguments: str, tells_releases: bool = True) -> Terminal:
+    def start(*arguments: str, tells_releases: bool = True) -> AnsweringTerminal:
         terminal = AnsweringTerminal(
             "teleop", *arguments, tells_releases=tells_releases, environment=world.environment
         )
@@ -175,9 +177,7 @@ def repeating(terminal: Terminal, keys: str) -> Iterator[Callable[[], None]]:
         thread.join()
 
 
-def test_the_robot_ramps_down_when_the_key_is_released(
-    world: World, sit: Callable[..., Terminal]
-) -> None:
+def test_the_robot_ramps_down_when_the_key_is_released(world: World, sit: Sit) -> None:
     terminal = sit()
     assert "robotctl teleop (uid" in world.answer("lease", "status")["holder"]
     until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
@@ -190,9 +190,7 @@ def test_the_robot_ramps_down_when_the_key_is_released(
     assert terminal.is_cooked()
 
 
-def test_without_releases_nothing_moves_until_the_key_repeats(
-    world: World, sit: Callable[..., Terminal]
-) -> None:
+def test_without_releases_nothing_moves_until_the_key_repeats(world: World, sit: Sit) -> None:
     terminal = sit(tells_releases=False)
     terminal.until("nothing moves until the key repeats")
     terminal.press("w")
@@ -208,9 +206,7 @@ def test_without_releases_nothing_moves_until_the_key_repeats(
 
 
 @pytest.mark.parametrize("tells_releases", [True, False])
-def test_what_is_pasted_moves_nothing(
-    world: World, sit: Callable[..., Terminal], tells_releases: bool
-) -> None:
+def test_what_is_pasted_moves_nothing(world: World, sit: Sit, tells_releases: bool) -> None:
     terminal = sit(tells_releases=tells_releases)
     for pasted in (W_DOWN + "forward wasd", "w" * 30):
         terminal.press(f"\x1b[200~{pasted}\x1b[201~")
@@ -220,9 +216,7 @@ def test_what_is_pasted_moves_nothing(
     assert not moves(world)
 
 
-def test_a_terminal_that_falls_silent_while_a_key_is_held_is_zero(
-    world: World, sit: Callable[..., AnsweringTerminal]
-) -> None:
+def test_a_terminal_that_falls_silent_while_a_key_is_held_is_zero(world: World, sit: Sit) -> None:
     terminal = sit()
     terminal.until("a terminal that is silent for 125 ms is zero")
     with repeating(terminal, W_AGAIN):
@@ -237,9 +231,7 @@ def test_a_terminal_that_falls_silent_while_a_key_is_held_is_zero(
     until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
 
 
-def test_a_key_that_does_not_repeat_is_let_go(
-    world: World, sit: Callable[..., AnsweringTerminal]
-) -> None:
+def test_a_key_that_does_not_repeat_is_let_go(world: World, sit: Sit) -> None:
     terminal = sit()
     until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
     until(lambda: not moves(world))
@@ -248,7 +240,7 @@ def test_a_key_that_does_not_repeat_is_let_go(
 
 
 def test_a_frozen_command_moves_nothing_and_goes_on_only_with_a_new_press(
-    world: World, sit: Callable[..., Terminal]
+    world: World, sit: Sit
 ) -> None:
     terminal = sit()
     until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
@@ -264,7 +256,7 @@ def test_a_frozen_command_moves_nothing_and_goes_on_only_with_a_new_press(
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_command_that_ends_lets_go_and_returns_the_lease(
-    number: int, world: World, sit: Callable[..., Terminal]
+    number: int, world: World, sit: Sit
 ) -> None:
     terminal = sit()
     until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
@@ -277,7 +269,7 @@ def test_a_command_that_ends_lets_go_and_returns_the_lease(
         assert "\x1b[<u\x1b[?2004l" in terminal.seen
 
 
-def test_a_terminal_that_closes_lets_go(world: World, sit: Callable[..., Terminal]) -> None:
+def test_a_terminal_that_closes_lets_go(world: World, sit: Sit) -> None:
     terminal = sit()
     until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
     terminal.hang_up()
@@ -286,7 +278,7 @@ def test_a_terminal_that_closes_lets_go(world: World, sit: Callable[..., Termina
 
 
 def test_ctrl_c_and_the_emergency_stop_work_where_the_terminal_sends_no_signals(
-    world: World, sit: Callable[..., Terminal]
+    world: World, sit: Sit
 ) -> None:
     terminal = sit()
     until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
@@ -302,7 +294,7 @@ def test_ctrl_c_and_the_emergency_stop_work_where_the_terminal_sends_no_signals(
     assert terminal.is_cooked()
 
 
-def test_a_resized_terminal_goes_on(world: World, sit: Callable[..., Terminal]) -> None:
+def test_a_resized_terminal_goes_on(world: World, sit: Sit) -> None:
     terminal = sit()
     for rows, columns in ((10, 20), (60, 200), (1, 1)):
         terminal.resize(rows, columns)
@@ -311,9 +303,7 @@ def test_a_resized_terminal_goes_on(world: World, sit: Callable[..., Terminal]) 
     until(lambda: not moves(world))
 
 
-def test_another_stop_is_not_undone_by_a_key_that_is_still_down(
-    world: World, sit: Callable[..., Terminal]
-) -> None:
+def test_another_stop_is_not_undone_by_a_key_that_is_still_down(world: World, sit: Sit) -> None:
     terminal = sit(tells_releases=False)
     with repeating(terminal, "w") as rest:
         until_fast(world, rest)
@@ -338,8 +328,7 @@ def test_it_needs_hands_and_a_robot_that_stands(world: World) -> None:
 def test_a_connection_that_is_lost_is_silence(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME"):
-        monkeypatch.setenv(name, world.environment[name])
+    world.enter(monkeypatch)
     params = {"linear_mps": 0.3, "angular_rps": 0.0, "source": "a test"}
     with Client("robot") as client:
         number = client.call(HOLD, params)["hold"]
@@ -349,7 +338,7 @@ def test_a_connection_that_is_lost_is_silence(
 
 
 def test_a_gamepad_steers_while_its_button_is_held_and_its_end_is_zero(
-    world: World, sit: Callable[..., Terminal]
+    world: World, sit: Sit
 ) -> None:
     peer = Peer(world)
 
@@ -377,9 +366,7 @@ def test_a_gamepad_steers_while_its_button_is_held_and_its_end_is_zero(
     terminal.until("nothing is heard on /joy")
 
 
-@pytest.mark.parametrize(
-    ("limit", "hands"), [(5, ()), (7, ()), (9, ()), (9, ("--joy", "joy")), (12, ("--joy", "joy"))]
-)
+@pytest.mark.parametrize(("limit", "hands"), [(5, ()), (9, ()), (12, ("--joy", "joy"))])
 def test_too_few_open_files_end_it_with_one_sentence(
     world: World, limit: int, hands: tuple[str, ...]
 ) -> None:

@@ -43,8 +43,7 @@ ROUNDS = 5
 @pytest.fixture
 def here(world: World, monkeypatch: pytest.MonkeyPatch) -> World:
     """A world that commands in this process use as well."""
-    for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "ROS_DOMAIN_ID"):
-        monkeypatch.setenv(name, world.environment[name])
+    world.enter(monkeypatch)
     monkeypatch.chdir(world.folder)
     return world
 
@@ -61,39 +60,11 @@ def test_why_knows_everything_that_the_daemon_has_answered_so_far(
         assert found["what"] == f"IDLE -> EMERGENCY_STOP: requested by round {number}"
         assert found["missing"] == []
         call("robot", "reset", {"source": "test"})
-    here.ok("stop")
-
-
-def test_the_running_daemon_comes_before_recordings_in_the_folder(
-    here: World,
-) -> None:
-    here.ok("start", "--sim")
-    call("robot", "set_mode", {"mode": 3, "source": "test"})
     elsewhere = here.folder / "elsewhere"
-    older = "robot_20200101_120000"
-    (elsewhere / "recordings" / older).mkdir(parents=True)
+    (elsewhere / "recordings" / "robot_20200101_120000").mkdir(parents=True)
     (live,) = here.recordings.iterdir()
     process = here.spawn("why", "--json", cwd=elsewhere)
-    found = json.loads(process.communicate()[0])
-    assert found["path"] == str(live)
-    here.ok("stop")
-
-
-def test_why_knows_a_kill_while_moving_after_a_restart(here: World) -> None:
-    here.ok("start", "--sim")
-    here.ok("drive", "square")
-    until(lambda: here.status()["velocity"]["linear"] > 0.1)
-    received = here.status()["recorder"]["received"]
-    # What a kill may lose, the last 0.3 s, is not to be the drive.
-    until(lambda: here.status()["recorder"]["written"] >= received)
-    (killed,) = here.recordings.iterdir()
-    here.kill(here.status()["pid"])
-    assert "the recording ends while MOVING: the daemon was killed" in here.ok("why")
-    here.ok("start", "--sim")
-    found = here.answer("why")
-    assert found["kind"] == "kill"
-    assert Path(found["path"]) == killed
-    assert len(found["later"]) == 1
+    assert json.loads(process.communicate()[0])["path"] == str(live), "the running daemon's"
     here.ok("stop")
 
 
@@ -257,46 +228,41 @@ def of_kind(entries: list[Entry], kind: DecisionKind) -> list[Entry]:
     return [entry for entry in entries if entry.kind == kind]
 
 
-def test_the_journal_outlives_daemons_and_names_who_did_what(
-    world: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "ROS_DOMAIN_ID"):
-        monkeypatch.setenv(name, world.environment[name])
-    world.ok("start", "--sim")
+def test_a_kill_while_moving_is_known_and_the_journal_outlives_daemons(here: World) -> None:
+    here.ok("start", "--sim")
     call("robot", "set_mode", {"mode": 3, "source": "a person"})
-    assert world.robotctl("set-mode", "moving").exit_code == 4
-    world.ok("reset")
-    until(lambda: len(of_kind(read_log(log_folder("robot")).entries, DecisionKind.REQUEST)) == 2)
-    call("robot", RECORD_COMMIT)  # a kill before the first commit leaves nothing to check
-    world.kill(world.status()["pid"])
-    world.patient.write_text(f"{world.patient.read_text()}limits.linear_mps: 0.3\n")
-    world.ok("start", "--sim")
-    world.ok("stop")
-    proof = world.answer("evidence")["recordings"]
+    assert here.robotctl("set-mode", "moving").exit_code == 4
+    here.ok("reset")
+    here.ok("drive", "square")
+    until(lambda: here.status()["velocity"]["linear"] > 0.1)
+    until(lambda: len(of_kind(read_log(log_folder("robot")).entries, DecisionKind.REQUEST)) == 3)
+    call("robot", RECORD_COMMIT)  # what a kill may lose, the last 0.3 s, is not to be the drive
+    (killed,) = here.recordings.iterdir()
+    here.kill(here.status()["pid"])
+    assert "the recording ends while MOVING: the daemon was killed" in here.ok("why")
+    here.patient.write_text(f"{here.patient.read_text()}limits.linear_mps: 0.3\n")
+    here.ok("start", "--sim")
+    found = here.answer("why")
+    assert (found["kind"], Path(found["path"]), len(found["later"])) == ("kill", killed, 1)
+    here.ok("stop")
+    proof = here.answer("evidence")["recordings"]
     assert [each["check"] for each in proof] == ["same", "same"]
     log = read_log(log_folder("robot"))
     assert (log.broken, log.notes) == ([], [])
     entries = log.entries
-    starts, (software_,) = (
-        of_kind(entries, DecisionKind.START),
-        of_kind(entries, DecisionKind.SOFTWARE),
-    )
+    starts = of_kind(entries, DecisionKind.START)
+    (software_,) = of_kind(entries, DecisionKind.SOFTWARE)
     assert [entry.values["version"] for entry in starts] == [__version__] * 2
     assert software_.values[DIGEST] == software()[DIGEST]
     first, second = of_kind(entries, DecisionKind.CONFIGURATION)
     assert set(first.values) == set(flat(Config()))
     changed = {key for key, value in first.values.items() if second.values[key] != value}
     assert changed == {"limits.linear_mps"}
-    assert (
-        next(entry.values["by"] for entry in of_kind(entries, DecisionKind.REQUEST)) == "a person"
-    )
+    assert of_kind(entries, DecisionKind.REQUEST)[0].values["by"] == "a person"
     assert len(of_kind(entries, DecisionKind.REFUSED)) == 1
-    assert (
-        next(entry.values.get("latched") for entry in of_kind(entries, DecisionKind.MODE)) is True
-    )
+    assert of_kind(entries, DecisionKind.MODE)[0].values["latched"] is True
     # The first daemon was killed: only the second one notes its end.
     assert entries[-1].kind == DecisionKind.END
     assert len(of_kind(entries, DecisionKind.END)) == 1
-    assert {str(Path(entry.values["recording"]).parent) for entry in starts} == {
-        str(world.recordings)
-    }
+    recordings = {str(Path(entry.values["recording"]).parent) for entry in starts}
+    assert recordings == {str(here.recordings)}

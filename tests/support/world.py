@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from io import StringIO
@@ -91,8 +91,9 @@ max_tick_gap_s: 5.0
 odometry.timeout_s: 10.0
 battery.timeout_s: 60.0
 recording.index: false
+recording.clip_before_s: 0.0
 """
-"""Time limits that hold even where the machine delays a process; and no process after the end."""
+"""Time limits that hold even where the machine delays a process; and no process for the files."""
 
 NO_INDEX = ("--ros-args", "-p", "recording.index:=false")
 """For a start with a configuration of its own."""
@@ -199,7 +200,7 @@ class World:
         """Run a command line in this process: for the many that only ask, or that are refused."""
         out, err = StringIO(), StringIO()
         with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-            self._enter(patch)
+            self.enter(patch)
             patch.chdir(self.folder)
             exit_code = app.run(list(arguments))
         return Ran(exit_code, out.getvalue(), err.getvalue())
@@ -223,10 +224,10 @@ class World:
     def status(self, robot: str = "robot") -> Any:
         """Return the daemon's status, from its socket: tests ask again and again."""
         with pytest.MonkeyPatch.context() as patch:
-            self._enter(patch)
+            self.enter(patch)
             return call(robot, STATUS)
 
-    def _enter(self, patch: pytest.MonkeyPatch) -> None:
+    def enter(self, patch: pytest.MonkeyPatch) -> None:
         """Give this process the variables of this world, until the patch ends."""
         for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "ROS_DOMAIN_ID", "COLUMNS"):
             patch.setenv(name, self.environment[name])
@@ -301,6 +302,13 @@ class World:
         left += contradictions(self.folder, may_lack=bool(self.may_lack), killed=self._killed)
         rmtree(self.folder)
         return left
+
+
+NewPeer = Callable[[World], Peer]
+"""Starts another ROS process in a world."""
+
+InProcess = Callable[..., Any]
+"""Runs a daemon in the test's loop with the given options."""
 
 
 @contextmanager
