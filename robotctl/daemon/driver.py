@@ -17,6 +17,7 @@ from robotctl.daemon.api.parameters import parameter_methods
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.simulation import simulation_methods
 from robotctl.daemon.api.status import StatusSource, common_methods, graph_methods
+from robotctl.daemon.api.warnings import Warnings
 from robotctl.daemon.control.control_loop import ControlLoop, Watchdog, urgent_event
 from robotctl.daemon.control.decisions import Decisions
 from robotctl.daemon.control.dispatcher import Control, Journal, PendingRequests
@@ -241,8 +242,9 @@ def build(host: Host, command: CommandType) -> Driver:
     loop = ControlLoop(params.rate_hz, control, watchdog, velocity)
     host.supervisor.report_to(control.dispatch)
     report = RobotReport(control, truth)
-    status = StatusSource(host.options, recorder.report, report, session.scheduling, host.warnings)
-    diagnostics = Diagnostics(session, robot, recorder.report, status)
+    warnings = Warnings(robot, recorder, control, host.warnings)
+    status = StatusSource(host.options, recorder.report, report, session.scheduling, warnings)
+    diagnostics = Diagnostics(session, robot, recorder.report, warnings)
     remote = RemoteRequests(velocity.gid)
     inputs = Inputs(control, report, remote.is_remote)
 
@@ -259,7 +261,7 @@ def build(host: Host, command: CommandType) -> Driver:
     )
     create_input_roles(session, params, robot, inputs, command)
     modes = ModeService(session, robot, inputs.service_call, say)
-    shown = ShownStatus(modes, control, report, CommandLock(modes.node, params.command.lock_topic))
+    shown = ShownStatus(modes, control, CommandLock(modes.node, params.command.lock_topic))
     follow_lifecycle(modes.node, inputs, autostart=host.config.autostart)
     leases = LeaseMethods(control, robot)
     driving = DrivingMethods(control, report, robot, leases.client_of)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 from robotctl.config import Config
-from robotctl.daemon.api.status import PartWarning, StatusSource
+from robotctl.daemon.api.warnings import PartWarning, Warnings
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.recording.recorder_report import RecorderReport
@@ -90,11 +90,11 @@ class Diagnostics:
     """Samples the recorder's rates and publishes both diagnoses, once a second."""
 
     def __init__(
-        self, session: Session, robot: str, recorder: RecorderReport, status: StatusSource
+        self, session: Session, robot: str, recorder: RecorderReport, warnings: Warnings
     ) -> None:
         self._publisher = DiagnosticsPublisher(session, robot)
         self._recorder = recorder
-        self._status = status
+        self._warnings = warnings
 
     async def run(self) -> None:
         """Publish until cancelled."""
@@ -106,8 +106,10 @@ class Diagnostics:
     def publish(self) -> None:
         """Publish once."""
         stats = self._recorder.stats()
-        warnings = self._status.warnings(stats)
-        self._publisher.publish(self._recorder.diagnosis(stats), diagnose(warnings))
+        of_recording = self._warnings.of_recording(stats)
+        self._publisher.publish(
+            self._recorder.diagnosis(stats, of_recording), diagnose(self._warnings.now(stats))
+        )
 
 
 def diagnose(warnings: Sequence[str]) -> Diagnosis:

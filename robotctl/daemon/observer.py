@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from robotctl.base.errors import Refused
 from robotctl.daemon.api.parameters import list_method
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.status import StatusSource, common_methods, graph_methods
+from robotctl.daemon.api.warnings import Warnings
 from robotctl.daemon.host import Diagnostics, Host, Ready, running
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.ipc.answers import RobotFacts
@@ -35,11 +36,12 @@ class Observer:
             host.session,
             lambda: "observing",
         )
+        warnings = Warnings(host.options.robot, self.recorder, None, host.warnings, self._faults)
         self._status = StatusSource(
-            host.options, self.recorder.report, self, host.session.scheduling, host.warnings
+            host.options, self.recorder.report, self, host.session.scheduling, warnings
         )
         self._diagnostics = Diagnostics(
-            host.session, host.options.robot, self.recorder.report, self._status
+            host.session, host.options.robot, self.recorder.report, warnings
         )
         self.recorder.health.on_news = self._diagnostics.publish
         host.supervisor.report_to(self._note)
@@ -98,10 +100,6 @@ class Observer:
     def remedies(self) -> tuple[Remedy, ...]:
         """Return nothing: the mode is unknown."""
         return ()
-
-    def warnings(self) -> Iterator[str]:
-        """Yield the failures of the daemon itself."""
-        yield from self._faults
 
     def _note(self, event: Event) -> None:
         if isinstance(event, FaultReported):

@@ -19,6 +19,7 @@ import pytest
 from robotctl.base.errors import Refused
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.status import StatusSource, common_methods
+from robotctl.daemon.api.warnings import Warnings
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.control import latch
 from robotctl.daemon.control.dispatcher import Control, Journal, PendingRequests, UnsavedReply
@@ -58,7 +59,6 @@ from robotctl.recording.write.recorder import RecorderState, RecorderStats
 from robotctl.recording.write.recorder_options import TopicFilter
 from robotctl.rerun.rerun import first_divergence
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
-from robotctl.ros.tap.tap import Tap
 from robotctl.testing.kernels import moving
 from tests.support.waiting import loop_until
 
@@ -337,21 +337,39 @@ FAILURE = "the recorder failed: see robotctl logs"
 FAILURE_OF_R2 = f"{FAILURE} --robot r2"
 
 
+FAILED = RecorderStats(
+    state=RecorderState.FAILED,
+    file=Path("run.mcap"),
+    bytes=0,
+    received=0,
+    written=0,
+    queued=0,
+    dropped=0,
+    lost=0,
+    unseen=0,
+    not_repeated=0,
+    no_memory=0,
+    failure=FAILURE,
+    warning="",
+    topics=(),
+)
+
+
 @pytest.fixture
-def robot_report() -> RecorderReport:
-    facts = {"topics": [], "recorder": {"file": "run.mcap"}}
+def recorder() -> FlightRecorder:
+    source = cast(Recorder, SimpleNamespace(stats=lambda: FAILED))
     fake = SimpleNamespace(
-        stats=lambda: None, facts=lambda _: facts, warnings=lambda _: iter([FAILURE])
+        failure=FAILURE,
+        report=RecorderReport(source, TopicFilter((), (), ()), "r2"),
+        stats=lambda: FAILED,
+        split=lambda: None,
+        problems=list,
     )
-    return cast(RecorderReport, fake)
+    return cast(FlightRecorder, fake)
 
 
-async def test_a_failed_recorder_names_the_robot_in_its_cure(robot_report: RecorderReport) -> None:
-    stats = SimpleNamespace(received=1, written=1, dropped=0, file="run.mcap")
-    recorder = SimpleNamespace(
-        failure=FAILURE, report=robot_report, stats=lambda: stats, split=lambda: None
-    )
-    methods = recording_methods(cast(FlightRecorder, recorder), "r2")
+async def test_a_failed_recorder_names_the_robot_in_its_cure(recorder: FlightRecorder) -> None:
+    methods = recording_methods(recorder, "r2")
     status: Any = await methods["record_status"].handler(NoParams())
     assert status["warnings"] == [FAILURE_OF_R2]
     commit: Any = await methods["record_commit"].handler(NoParams())
@@ -361,42 +379,18 @@ async def test_a_failed_recorder_names_the_robot_in_its_cure(robot_report: Recor
             await methods[name].handler(params)
 
 
-def test_the_notes_of_a_start_name_the_robot_in_a_cure(robot_report: RecorderReport) -> None:
+def test_the_notes_of_a_start_name_the_robot_in_a_cure(recorder: FlightRecorder) -> None:
     robot: Any = SimpleNamespace(
         facts=lambda: dict.fromkeys(RobotFacts.__required_keys__),
         remedies=lambda: (),
-        warnings=lambda: iter(()),
     )
     options = DaemonOptions("r2", None, Path(), None, None, 0)
-    source = StatusSource(options, robot_report, robot, "", [])
+    warnings = Warnings("r2", recorder, None, [])
+    source = StatusSource(options, recorder.report, robot, "", warnings)
     note = "moving is refused: no odometry: (robotctl status lists the topics)"
     (told,) = source.summary([note])["notes"]
     assert "(robotctl status --robot r2 lists the topics)" in told
 
 
-def test_diagnostics_on_ros_name_the_robot_in_a_cure() -> None:
-    failed = RecorderStats(
-        state=RecorderState.FAILED,
-        file=Path("run.mcap"),
-        bytes=0,
-        received=0,
-        written=0,
-        queued=0,
-        dropped=0,
-        lost=0,
-        unseen=0,
-        not_repeated=0,
-        no_memory=0,
-        failure=FAILURE,
-        warning="",
-        topics=(),
-    )
-    silent = SimpleNamespace(warnings=lambda: iter(()))
-    report = RecorderReport(
-        cast(Recorder, SimpleNamespace(stats=lambda: failed)),
-        cast(Tap, SimpleNamespace(unrecorded=silent, mismatches=silent)),
-        TopicFilter((), (), ()),
-        list,
-        "r2",
-    )
-    assert report.diagnosis(report.stats()).message == FAILURE_OF_R2
+def test_diagnostics_on_ros_name_the_robot_in_a_cure(recorder: FlightRecorder) -> None:
+    assert recorder.report.diagnosis(FAILED, []).message == FAILURE_OF_R2

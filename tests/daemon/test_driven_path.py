@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from robotctl.daemon.api.warnings import of_robot
 from robotctl.daemon.control import robot_report
 from robotctl.daemon.control.robot_report import MIN_STEP_M, GroundTruth, RobotReport, TrueErrors
 from robotctl.kernel.course import PLAIN, Course, Held
@@ -137,7 +138,7 @@ def test_a_battery_below_30_percent_is_a_warning(level: float, is_told: bool) ->
     bench.battery(level)
     control: Any = bench
     bench.params = bench.kernel.params  # type: ignore[attr-defined]
-    told = [text for text in RobotReport(control).warnings() if "charge it soon" in text]
+    told = [text for text in of_robot(control) if "charge it soon" in text]
     assert bool(told) is is_told
 
 

@@ -10,8 +10,7 @@ from typing import Any
 from robotctl.base.errors import Refused, UsageError
 from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.daemon.api.lease import HoldMethods
-from robotctl.daemon.api.status import granted
-from robotctl.daemon.control.dispatcher import Control
+from robotctl.daemon.control.dispatcher import Control, granted
 from robotctl.daemon.control.robot_report import GroundTruth, RobotReport
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import DriveAnswer, DrivenPath, ModeAnswer, Preflight

@@ -10,8 +10,7 @@ from typing import Any
 
 from robotctl.base.errors import Refused
 from robotctl.base.paths import DEFAULT_ROBOT
-from robotctl.daemon.api.status import granted
-from robotctl.daemon.control.dispatcher import Control
+from robotctl.daemon.control.dispatcher import Control, granted
 from robotctl.ipc.answers import HoldAnswer, LeaseAnswer, LeaseKept, LeaseStatus
 from robotctl.ipc.method_names import HOLD, LEASE_KEEP, LEASE_RELEASE, LEASE_STATUS, LEASE_TAKE
 from robotctl.ipc.params import (

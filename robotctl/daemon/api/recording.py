@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from robotctl.base.errors import Refused
+from robotctl.daemon.api.warnings import of_recording
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.waiting import until
 from robotctl.ipc.advice import for_robot
@@ -30,7 +31,7 @@ def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[
         stats = recorder.stats()
         return {
             **recorder.report.facts(stats),
-            "warnings": [for_robot(text, robot) for text in recorder.report.warnings(stats)],
+            "warnings": [for_robot(text, robot) for text in of_recording(recorder, stats)],
         }
 
     async def commit(_: NoParams) -> Committed:

@@ -5,22 +5,20 @@ from __future__ import annotations
 import asyncio
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Protocol, cast
 
 from robotctl import __version__
-from robotctl.base.domains import discovery_range, wider_discovery
-from robotctl.base.errors import Refused, RobotctlError, UsageError
+from robotctl.base.domains import discovery_range
+from robotctl.base.errors import UsageError
 from robotctl.base.paths import log_path, socket_path
+from robotctl.daemon.api.warnings import Warnings
 from robotctl.daemon.command_line import DaemonOptions
-from robotctl.daemon.control.dispatcher import UnsavedReply
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.ipc.advice import advice, for_robot
 from robotctl.ipc.answers import (
     Graph,
     GraphNode,
     GraphTopic,
-    ModeAnswer,
     RobotFacts,
     StartSummary,
     Status,
@@ -30,24 +28,9 @@ from robotctl.ipc.method_names import GRAPH, GRAPH_NODE, GRAPH_TOPIC, STATUS, ST
 from robotctl.ipc.params import GraphNameParams, NoParams
 from robotctl.ipc.request_handler import Method
 from robotctl.kernel.remedies import Remedy
-from robotctl.kernel.types import Reply
 from robotctl.recording import RecorderStats
 from robotctl.ros.graph.overview import node_facts, overview, topic_facts
 from robotctl.ros.tap.tap import Tap
-
-
-def granted(reply: Reply, robot: str) -> ModeAnswer:
-    """Return the answer to a request that was granted; the cures in errors name `robot`.
-
-    Raises:
-        Refused: The kernel refused it.
-        RobotctlError: It is done, but could not be saved.
-    """
-    if isinstance(reply, UnsavedReply):
-        raise RobotctlError(*advice(reply.message, reply.remedies, robot))
-    if not reply.ok:
-        raise Refused(*advice(reply.message, reply.remedies, robot))
-    return {"message": reply.message, "mode": reply.mode.name}
 
 
 def graph_methods(tap: Tap) -> dict[str, Method[Any]]:
@@ -72,10 +55,6 @@ def graph_methods(tap: Tap) -> dict[str, Method[Any]]:
     }
 
 
-PartWarning = Callable[[], str]
-"""Returns what is wrong with a part of the daemon as a sentence, else ""."""
-
-
 class RobotView(Protocol):
     """The state of the robot."""
 
@@ -84,9 +63,6 @@ class RobotView(Protocol):
 
     def remedies(self) -> tuple[Remedy, ...]:
         """Return what the operator can do about the mode."""
-
-    def warnings(self) -> Iterator[str]:
-        """Yield what is wrong, one sentence each."""
 
 
 class StatusSource:
@@ -98,15 +74,15 @@ class StatusSource:
         recording: RecorderReport,
         robot: RobotView,
         scheduling: str,
-        parts: Iterable[PartWarning],
+        warnings: Warnings,
     ) -> None:
         self._options = options
         self._recording = recording
         self._robot = robot
         self._scheduling = scheduling
-        self._parts = parts
+        self._warnings = warnings
         self._socket = str(socket_path(options.robot))
-        self._discovery_range, self._wider_discovery = discovery_range(), wider_discovery()
+        self._discovery_range = discovery_range()
         self._started = time.monotonic()
 
     def stats(self) -> RecorderStats:
@@ -125,7 +101,7 @@ class StatusSource:
             "pid": os.getpid(),
             **facts,
             **self._recording.facts(stats),
-            "warnings": self.warnings(stats),
+            "warnings": self._warnings.now(stats),
             "namespace": self._options.namespace,
             "domain_id": self._options.domain_id,
             "discovery_range": self._discovery_range,
@@ -133,10 +109,6 @@ class StatusSource:
             "socket": self._socket,
             "uptime_s": round(time.monotonic() - self._started, 3),
         }
-
-    def warnings(self, stats: RecorderStats) -> list[str]:
-        """Return what is wrong, or may be, one sentence each; `stats` are those of the recorder."""
-        return [for_robot(warning, self._options.robot) for warning in self._warnings(stats)]
 
     def summary(self, notes: list[str]) -> StartSummary:
         """Return the report of a ready daemon to its starter."""
@@ -154,13 +126,6 @@ class StatusSource:
             "log": str(log_path(self._options.robot)),
             "notes": [for_robot(note, self._options.robot) for note in notes],
         }
-
-    def _warnings(self, stats: RecorderStats) -> Iterator[str]:
-        yield from self._recording.warnings(stats)
-        yield from self._robot.warnings()
-        yield from filter(None, (part() for part in self._parts))
-        if self._wider_discovery:
-            yield f"ROS discovery is not limited to this machine: {self._wider_discovery}"
 
 
 def common_methods(status: StatusSource, stop: asyncio.Event) -> dict[str, Method[Any]]:

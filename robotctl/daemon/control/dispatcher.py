@@ -8,7 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
+from robotctl.base.errors import Refused, RobotctlError
 from robotctl.daemon.control.decisions import Request
+from robotctl.ipc.advice import advice
+from robotctl.ipc.answers import ModeAnswer
 from robotctl.kernel.codec import Proof, Snapshot, to_json
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.params import KernelParams
@@ -65,6 +68,20 @@ class Journal:
 @dataclass(frozen=True, slots=True)
 class UnsavedReply(Reply):
     """The reply to a stop that happened but could not be saved: a restart would forget it."""
+
+
+def granted(reply: Reply, robot: str) -> ModeAnswer:
+    """Return the answer to a request that was granted; the cures in errors name `robot`.
+
+    Raises:
+        Refused: The kernel refused it.
+        RobotctlError: It is done, but could not be saved.
+    """
+    if isinstance(reply, UnsavedReply):
+        raise RobotctlError(*advice(reply.message, reply.remedies, robot))
+    if not reply.ok:
+        raise Refused(*advice(reply.message, reply.remedies, robot))
+    return {"message": reply.message, "mode": reply.mode.name}
 
 
 T = TypeVar("T", Reply, DriveEnded)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from math import nan, sqrt
 from typing import NamedTuple
@@ -12,16 +12,14 @@ from typing import NamedTuple
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.ipc.advice import advice, condition_of
 from robotctl.ipc.answers import ConditionAnswer, DriveFacts, DrivenPath, Preflight, RobotFacts
-from robotctl.kernel.checks import FOREIGN_COMMAND_S, foreign_command
 from robotctl.kernel.codec import finite_or_none
 from robotctl.kernel.drive import Drive, Score
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.params import Foreign, KernelParams
 from robotctl.kernel.patterns import named
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import RULE_OF, remedies_for, start_conditions
-from robotctl.kernel.state import Health, State, is_level
+from robotctl.kernel.state import State, is_level
 from robotctl.kernel.types import Cause, DriveEnded
 from robotctl.kernel.units import NS_PER_S
 from robotctl.ros.nodes.mode_service import ModeService, Shown
@@ -106,30 +104,6 @@ class GroundTruth:
 MAX_DRIVEN_POSES = 20_000
 """Limit of the driven path; above it every second pose is removed."""
 
-_WARNING_CHECKS = tuple(
-    RULE_OF[cause].check
-    for cause in (
-        Cause.NOT_ACTIVE,
-        Cause.ESTOP_PRESSED,
-        Cause.ESTOP_SILENT,
-        Cause.FENCE_LEFT,
-        Cause.OBSTACLE_NEAR,
-        Cause.SCAN_LOST,
-        Cause.BUMPER_PRESSED,
-        Cause.TILTED,
-        Cause.BASE_FAULT,
-        Cause.INPUT_LOST,
-        Cause.FOREIGN_PUBLISHER,
-        Cause.SECOND_ODOMETRY,
-        Cause.COMMAND_UNHEARD,
-        Cause.COMMAND_TYPES_MIXED,
-    )
-)
-"""Those of the start conditions whose failure is a warning even if no motion is requested."""
-
-RECENT_S = 600.0
-"""How long `status` mentions a problem that is over."""
-
 MIN_STEP_M = 0.005
 """A pose nearer than this to the previous one is not kept."""
 
@@ -142,6 +116,15 @@ _EXPECTED = (
     Cause.SCAN_LOST,
 )
 """Causes that refuse a drive until a robot is found."""
+
+
+def is_connected(control: Control) -> bool:
+    """Return whether odometry is younger than its timeout."""
+    health = control.state.health
+    if health.odometry is None:
+        return False
+    age_s = (time.monotonic_ns() - health.odometry_t_ns) / NS_PER_S
+    return age_s <= control.params.odometry.timeout_s
 
 
 class RobotReport:
@@ -185,14 +168,6 @@ class RobotReport:
             "reference": [[pose.x, pose.y] for pose in self._wanted],
             "driven": [[pose.x, pose.y] for pose in self._driven],
         }
-
-    def is_connected(self) -> bool:
-        """Return whether odometry is younger than its timeout."""
-        health = self._control.state.health
-        if health.odometry is None:
-            return False
-        age_s = (time.monotonic_ns() - health.odometry_t_ns) / NS_PER_S
-        return age_s <= self._control.params.odometry.timeout_s
 
     def missing(self) -> list[str]:
         """Return sentences for what the configuration expects and discovery has not found yet."""
@@ -247,31 +222,6 @@ class RobotReport:
         """Return what the operator can do about the mode."""
         return remedies_for(self._control.state.cause)
 
-    def warnings(self) -> Iterator[str]:
-        """Yield what is wrong with the robot, or may be."""
-        health, now_ns = self._control.state.health, time.monotonic_ns()
-        params = self._control.params
-        for check in _WARNING_CHECKS:
-            problem = check(health, params, now_ns)
-            if problem:
-                yield problem
-        if params.command.foreign is Foreign.WARN:
-            yield from filter(None, [foreign_command(health, params, now_ns)])
-        yield from _recent(health, now_ns)
-        if health.odometry_fault:
-            yield health.odometry_fault
-        if health.odometry is not None and not self.is_connected():
-            yield "odometry is older than its timeout"
-        yield from _battery_low(health, params)
-        if not params.battery.topic:
-            yield "no battery topic is configured: the battery is not checked"
-
-
-def _battery_low(health: Health, params: KernelParams) -> Iterator[str]:
-    level, warn_level = health.battery_level, params.battery.warn_level
-    if params.battery.topic and is_level(level) and level < warn_level:
-        yield f"the battery is at {level:.0%}, below {warn_level:.0%}: charge it soon"
-
 
 def _drive_facts(state: State, truth: GroundTruth) -> DriveFacts | None:
     drive, odometry = state.drive, state.health.odometry
@@ -301,42 +251,23 @@ def _drive_facts(state: State, truth: GroundTruth) -> DriveFacts | None:
     }
 
 
-def _recent(health: Health, now_ns: int) -> Iterator[str]:
-    """Yield problems of the last RECENT_S that are over."""
-    stalls, topic = health.stalls, health.command_topic
-    age_s = (now_ns - stalls.last_t_ns) / NS_PER_S
-    if stalls.count and age_s <= RECENT_S:
-        yield (
-            f"stalls of the control loop: {stalls.count}, the last {age_s:.0f} s ago for "
-            f"{stalls.last_s:.2f} s ({stalls.detail}); zeros were sent meanwhile"
-        )
-    if topic.foreign_t_ns is not None:
-        age_s = (now_ns - topic.foreign_t_ns) / NS_PER_S
-        if FOREIGN_COMMAND_S < age_s <= RECENT_S and not health.foreign_publishers:
-            yield f"{topic.foreign_by} published a velocity command {age_s:.0f} s ago"
-
-
 SHOW_PERIOD_S = 1.0
 
 
 class ShownStatus:
     """Publishes the mode, the battery level, whether odometry is fresh, and the lock for others."""
 
-    def __init__(
-        self, modes: ModeService, control: Control, report: RobotReport, lock: CommandLock
-    ) -> None:
+    def __init__(self, modes: ModeService, control: Control, lock: CommandLock) -> None:
         self._lock = lock
         self._modes = modes
         self._control = control
-        self._report = report
 
     def show(self, mode: Mode) -> None:
         """Publish now."""
         self._lock.show(mode)
         level = self._control.state.health.battery_level
-        self._modes.publish(
-            Shown(mode, level if is_level(level) else nan, self._report.is_connected())
-        )
+        level = level if is_level(level) else nan
+        self._modes.publish(Shown(mode, level, is_connected(self._control)))
 
     async def run(self) -> None:
         """Publish each second."""

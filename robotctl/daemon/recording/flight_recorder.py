@@ -115,13 +115,7 @@ class FlightRecorder:
             self.folder, log_path(options.robot), enabled=config.recording.index
         )
         self._reserve = DiskReserve(round(config.recording.min_free_gb * 1e9), self._sinks.gates)
-        self.report = RecorderReport(
-            self._recorder,
-            self.tap,
-            topic_filter,
-            self._problems,
-            options.robot,
-        )
+        self.report = RecorderReport(self._recorder, topic_filter, options.robot)
         self.health = HealthLooks(self._sinks.health)
 
     def reconfigure(self, config: Config) -> None:
@@ -221,8 +215,12 @@ class FlightRecorder:
         stats = await asyncio.to_thread(self._recorder.close)
         await asyncio.to_thread(rmtree, stats.file.parent, ignore_errors=True)
 
-    def _problems(self) -> list[str]:
+    def problems(self) -> list[str]:
+        """Return what is wrong with single topics, other recordings, or the seal's heads."""
         return [
+            *self.tap.unrecorded.warnings(),
+            *self.tap.mismatches.warnings(),
+            *(warning for _, warning in self.report.heavy_warnings()),
             *self._reserve.warnings(),
             *self.health.warnings(),
             *self.tidier.problems,
