@@ -26,7 +26,7 @@ from robotctl.base.processes import LineSplitter, report_fd, send_report
 
 if TYPE_CHECKING:
     from robotctl.replay.replay_report import Emit
-    from robotctl.ros.playback.playback import Membership
+    from robotctl.ros.playback.membership import Membership
 
 SWITCH_INTERVAL_S = 1e-4
 """How long the player's thread waits at most for the interpreter lock (default 5 ms)."""
@@ -47,7 +47,7 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
     debug = False
     try:
         # After environment.prepare(), because it imports rclpy; before the wait for the job.
-        from robotctl.ros.playback.playback import Membership
+        from robotctl.ros.playback.membership import Membership
 
         lines = _lines()
         line = next(lines, b"")

@@ -27,7 +27,7 @@ from robotctl.ros.graph.discovery import (
     count_complete,
     read_introduction,
 )
-from robotctl.ros.playback.playback import Membership
+from robotctl.ros.playback.membership import Membership
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S
 

@@ -11,26 +11,23 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from importlib import import_module
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import yaml
 from rclpy.client import Client
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from robotctl.base.domains import is_certainly_empty
 from robotctl.base.text import short_name
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import JOURNAL_ENTRY
-from robotctl.ros.context import close_context, open_context
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages.classes import UnusableType, is_installed, message_class, parse_type_name
 from robotctl.ros.messages.type_definition import holds_bytes, type_hash_of
+from robotctl.ros.playback.membership import NODE_NAME, Membership
 from robotctl.ros.playback.senders import PatientSender, RequestSender, clock_sender, sender
 
 _WORD: Final = re.compile(r"(?<=.)(?=[A-Z][a-z])|(?<=[a-z0-9])(?=[A-Z])")
@@ -64,43 +61,6 @@ def serialized_type(type_name: str) -> Any:
     except Exception as error:
         raise UnusableType(f"cannot be loaded ({type(error).__name__}: {error})") from error
     return type(f"Metaclass_{name.short}", (type,), found)(name.short, (), {})
-
-
-NODE_NAME: Final = "robotctl_replay"
-
-
-class Membership:
-    """A node in a ROS domain during a `with` block; the middleware's threads discover others.
-
-    It imports no message modules, which bring numpy: these can be imported during discovery.
-    """
-
-    def __init__(self, domain_id: int) -> None:
-        self.domain_id = domain_id
-        self.was_certainly_empty = is_certainly_empty(domain_id)
-        """Whether the domain certainly had no other process when this one joined."""
-
-        self.since_s = time.monotonic()
-        self._context = open_context(domain_id)
-        self.node = Node(
-            NODE_NAME,
-            context=self._context,
-            start_parameter_services=False,
-            enable_rosout=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )
-        # Here, because the middleware discovers others during this import.
-        from robotctl.ros.graph.discovery import Discovery
-
-        self.discovery = Discovery(self.node, domain_id)
-
-    def __enter__(self) -> Self:
-        """Return the membership itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Leave the domain, with everything that was made of the node."""
-        close_context(self._context, [self.node], [self.discovery.close])
 
 
 MAX_TEXT: Final = 1 << 20

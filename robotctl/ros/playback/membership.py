@@ -1,0 +1,48 @@
+"""A node in a ROS domain, from which a replay discovers the other processes."""
+
+from __future__ import annotations
+
+import time
+from typing import Final, Self
+
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from robotctl.base.domains import is_certainly_empty
+from robotctl.ros.context import close_context, open_context
+
+NODE_NAME: Final = "robotctl_replay"
+
+
+class Membership:
+    """A node in a ROS domain during a `with` block; the middleware's threads discover others.
+
+    It imports no message modules, which bring numpy: these can be imported during discovery.
+    """
+
+    def __init__(self, domain_id: int) -> None:
+        self.domain_id = domain_id
+        self.was_certainly_empty = is_certainly_empty(domain_id)
+        """Whether the domain certainly had no other process when this one joined."""
+
+        self.since_s = time.monotonic()
+        self._context = open_context(domain_id)
+        self.node = Node(
+            NODE_NAME,
+            context=self._context,
+            start_parameter_services=False,
+            enable_rosout=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+        # Here, because the middleware discovers others during this import.
+        from robotctl.ros.graph.discovery import Discovery
+
+        self.discovery = Discovery(self.node, domain_id)
+
+    def __enter__(self) -> Self:
+        """Return the membership itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leave the domain, with everything that was made of the node."""
+        close_context(self._context, [self.node], [self.discovery.close])
