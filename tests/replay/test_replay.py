@@ -125,8 +125,9 @@ async def test_what_is_no_command_stops_nothing(listener: Any, play: Any, until:
 async def test_what_is_stopped_before_everybody_is_known_opens_nothing(
     tmp_path: Path, listener: Any, child: Any, domain_id: int
 ) -> None:
-    file = write_bag(tmp_path / "run.mcap", [Line("/alpha", STRING, 0.0, text("alpha"))])
-    exit_code, summary = child(Job(file, domain_id)).end()
+    # Before it opens a topic of commands, it waits until nothing changes for a while.
+    file = write_bag(tmp_path / "run.mcap", [Line("/cmd_vel", TWIST, 0.0, twist(1.0))])
+    exit_code, summary = child(Job(file, domain_id, topics=("/cmd_vel",))).end()
     assert (exit_code, summary["topics"], summary["interrupted"]) == (0, [], True)
 
 
