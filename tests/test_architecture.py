@@ -148,7 +148,7 @@ def test_no_file_has_more_lines_than_one_concept_needs() -> None:
 
 MOST_MODULES = 25
 
-LARGE_ROOMS = {"rerun": 30, "daemon": 28}
+LARGE_ROOMS = {"rerun": 29}
 """Folders that are still to be rebuilt, and how many modules they may have until then."""
 
 
@@ -162,7 +162,7 @@ def test_no_folder_has_more_modules_than_one_sees_at_once() -> None:
         assert count <= LARGE_ROOMS.get(folder, MOST_MODULES), f"{folder} has {count} modules"
 
 
-MOST_FILES, MOST_LINES = 460, 72_500
+MOST_FILES, MOST_LINES = 445, 72_500
 
 
 def test_the_product_does_not_grow_beyond_its_ceilings() -> None:
