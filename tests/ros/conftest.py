@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import os
 import subprocess
 import sys
@@ -12,15 +11,20 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from threading import Event
-from types import ModuleType
 from typing import Any
 
 import pytest
+from rclpy.context import Context
+from rclpy.node import Node
 
 import tests.support.rosidl_parser  # noqa: F401
 from robotctl.base.domains import reserved_domain
+from robotctl.ros import AsyncioExecutor
+from robotctl.ros.session import ros_session
+from robotctl.ros.tap.subscription import TappedSubscription
+from robotctl.ros.tap.tap import Tap
 from tests.support.lines import Told, peer_command
-from tests.support.waiting import until as wait_until
+from tests.support.waiting import loop_until, until
 
 # Inherited by every process that a test starts.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -43,8 +47,6 @@ def new_context(domain_id: int) -> Iterator[Callable[[], Any]]:
     another creates later: a race in the intra-process delivery of Fast DDS 2.14, which does not
     occur with that delivery switched off.
     """
-    from rclpy.context import Context
-
     made: list[Context] = []
 
     def make() -> Context:
@@ -66,15 +68,12 @@ def context(domain_id: int) -> Iterator[Any]:
     (`DomainParticipant::set_listener` waits for its own lock), so one node stays until the other
     processes are gone.
     """
-    from rclpy.context import Context
-    from rclpy.node import Node
-
     made = Context()
     made.init(args=[], domain_id=domain_id)
     lasting = Node("lasting", context=made)
     yield made
     with suppress(AssertionError):  # A killed process stays listed for longer.
-        wait_until(lambda: len(lasting.get_node_names()) == 1)
+        until(lambda: len(lasting.get_node_names()) == 1)
     lasting.destroy_node()
     made.try_shutdown()
     made.destroy()
@@ -83,8 +82,6 @@ def context(domain_id: int) -> Iterator[Any]:
 @pytest.fixture
 def node(context: Any) -> Iterator[Any]:
     """A plain node without an executor."""
-    from rclpy.node import Node
-
     made = Node("tested", context=context)
     yield made
     made.destroy_node()
@@ -93,8 +90,6 @@ def node(context: Any) -> Iterator[Any]:
 @pytest.fixture
 async def executor(context: Any, node: Any) -> AsyncIterator[Any]:
     """An open executor with the node; an exception in a callback fails the test."""
-    from robotctl.ros import AsyncioExecutor
-
     raised: list[tuple[Exception, str]] = []
     async with AsyncioExecutor(
         context, on_exception=lambda error, where: raised.append((error, where))
@@ -174,8 +169,6 @@ def new_taken() -> type[Taken]:
 @pytest.fixture
 async def session(domain_id: int) -> AsyncIterator[Any]:
     """A session like the daemon's."""
-    from robotctl.ros.session import ros_session
-
     with ExitStack() as at_end:
         async with ros_session(domain_id=domain_id, namespace="", at_end=at_end) as made:
             yield made
@@ -184,8 +177,6 @@ async def session(domain_id: int) -> AsyncIterator[Any]:
 @pytest.fixture
 async def taken(session: Any) -> AsyncIterator[Taken]:
     """The topics and messages of a running tap."""
-    from robotctl.ros.tap.tap import Tap
-
     made = Taken()
     made.tap = Tap(session, made.open, made.wanted)
     running = asyncio.create_task(made.tap.run())
@@ -217,9 +208,7 @@ def peer(domain_id: int) -> Iterator[Peer]:
 
 
 @pytest.fixture
-def feed(
-    peer: Peer, until: Callable[[Callable[[], object]], Awaitable[None]]
-) -> Callable[[Any, list[int]], Awaitable[None]]:
+def feed(peer: Peer) -> Callable[[Any, list[int]], Awaitable[None]]:
     """Lets the peer publish to a subscription after both sides have matched.
 
     A message that is published earlier arrives 3 s late at best, with the next heartbeat of the
@@ -229,29 +218,15 @@ def feed(
     async def publish(subscription: Any, values: list[int]) -> None:
         topic = subscription.topic_name
         await peer("open", topic=topic)
-        await until(subscription.get_publisher_count)
+        await loop_until(subscription.get_publisher_count)
         await peer("publish", topic=topic, values=values)
 
     return publish
 
 
-@pytest.fixture(scope="session")
-def borrowed_action() -> ModuleType:
-    """The module borrowed_action.py, which defines an action type."""
-    spec = importlib.util.spec_from_file_location("borrowed_action", HERE / "borrowed_action.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture
 def no_subscription(monkeypatch: pytest.MonkeyPatch) -> Event:
     """While it is set, no tap can subscribe."""
-    from robotctl.ros.tap.subscription import TappedSubscription
-
     create, failing = TappedSubscription._create, Event()
 
     def maybe(self: TappedSubscription, sink: Any, requested: Any) -> Any:

@@ -18,11 +18,11 @@ from rclpy.duration import Duration
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from robot_controller.action import DrivePattern
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
-from tests.ros.borrowed_action import Count
 from tests.support.lines import obey
 from tests.support.rclpy_types import Node
 from tests.support.waiting import DEADLINE_S, until
@@ -32,7 +32,6 @@ class Peer:
     def __init__(self) -> None:
         self.node = Node("peer")
         self.group = ReentrantCallbackGroup()
-        self.seen: dict[str, list[Any]] = {}
         self.kept: dict[str, Any] = {}
         self.clock = self.node.create_publisher(Clock, "/clock", 10)
 
@@ -65,34 +64,10 @@ class Peer:
         publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
         return sent
 
-    def flood_in_background(self, topic: str, hz: float) -> None:
-        """Publish a counter at a rate until `calm`."""
-        publisher = self._publisher(topic)
-        stop = self.kept[f"stop {topic}"] = threading.Event()
-
-        def run() -> None:
-            sent = 0
-            begun = time.monotonic()
-            while not stop.is_set():
-                while sent < (time.monotonic() - begun) * hz and not stop.is_set():
-                    publisher.publish(UInt64(data=sent))
-                    sent += 1
-                time.sleep(0.0005)
-
-        thread = self.kept[f"thread {topic}"] = threading.Thread(target=run)
-        thread.start()
-
-    def calm(self, topic: str) -> None:
-        """End a background flood."""
-        self.kept.pop(f"stop {topic}").set()
-        self.kept.pop(f"thread {topic}").join()
-        self.node.destroy_publisher(self.kept.pop(f"publisher {topic}"))
-
     def listen(self, topic: str) -> None:
-        """Keep the messages of a topic."""
-        seen = self.seen.setdefault(topic, [])
+        """Subscribe to a topic."""
         self.kept[f"subscription {topic}"] = self.node.create_subscription(
-            UInt64, topic, lambda message: seen.append(message.data), 100
+            UInt64, topic, lambda message: None, 100
         )
 
     def take_commands(self, topic: str) -> int:
@@ -101,11 +76,6 @@ class Peer:
             Twist, topic, lambda message: None, 10
         )
         return os.getpid()
-
-    def heard(self, topic: str, count: int) -> list[int]:
-        """Wait for this many messages of a topic, and return them."""
-        until(lambda: len(self.seen[topic]) >= count)
-        return self.seen[topic]
 
     def offer(self, topic: str, reliable: bool = True, deadline_s: float | None = None) -> None:
         """Create a publisher with the given QoS."""
@@ -147,55 +117,55 @@ class Peer:
         )
 
     def call(self, service: str, data: bool, times: int = 1) -> list[Any]:
-        """Call SetBool `count` times, one call after the other."""
-        client: Any = self.node.create_client(SetBool, service, callback_group=self.group)
-        assert client.wait_for_service(DEADLINE_S)
-        replies = [client.call(SetBool.Request(data=data), DEADLINE_S) for _ in range(times)]
-        self.node.destroy_client(client)
+        """Call SetBool some times, one call after the other."""
+        replies = self._ask(SetBool, service, *[SetBool.Request(data=data)] * times)
         return [[reply.success, reply.message] if reply else None for reply in replies]
 
     def get_parameter(self, node: str, name: str) -> Any:
         """Read an integer parameter of another node."""
-        client: Any = self.node.create_client(GetParameters, f"{node}/get_parameters")
-        assert client.wait_for_service(DEADLINE_S)
-        reply = client.call(GetParameters.Request(names=[name]), DEADLINE_S)
-        self.node.destroy_client(client)
+        request = GetParameters.Request(names=[name])
+        (reply,) = self._ask(GetParameters, f"{node}/get_parameters", request)
         return reply.values[0].integer_value
 
     def set_parameter(self, node: str, name: str, value: Any) -> bool:
         """Set a parameter of another node."""
-        client: Any = self.node.create_client(SetParameters, f"{node}/set_parameters")
-        assert client.wait_for_service(DEADLINE_S)
         message = Parameter(name, value=value).to_parameter_msg()
-        reply = client.call(SetParameters.Request(parameters=[message]), DEADLINE_S)
-        self.node.destroy_client(client)
+        request = SetParameters.Request(parameters=[message])
+        (reply,) = self._ask(SetParameters, f"{node}/set_parameters", request)
         return bool(reply.results[0].successful)
+
+    def _ask(self, kind: Any, service: str, *requests: Any) -> list[Any]:
+        client: Any = self.node.create_client(kind, service, callback_group=self.group)
+        assert client.wait_for_service(DEADLINE_S)
+        replies = [client.call(request, DEADLINE_S) for request in requests]
+        self.node.destroy_client(client)
+        return replies
 
     # Actions.
 
     def serve_action(self, action: str, step_s: float = 0.01) -> None:
-        """Serve Count; goals above 1000 are refused."""
+        """Serve DrivePattern: count the laps, and return their sum; above 1000 are refused."""
 
         def accept(goal: Any) -> GoalResponse:
-            return GoalResponse.REJECT if goal.value > 1000 else GoalResponse.ACCEPT
+            return GoalResponse.REJECT if goal.laps > 1000 else GoalResponse.ACCEPT
 
         def execute(handle: Any) -> Any:
             # The goal may arrive before its feedback subscription is discovered.
             until(lambda: self.node.count_subscribers(f"{action}/_action/feedback"))
             total = 0
-            for number in range(handle.request.value):
+            for number in range(handle.request.laps):
                 if handle.is_cancel_requested:
                     handle.canceled()
-                    return Count.Result(total)
-                handle.publish_feedback(Count.Feedback(number))
+                    return DrivePattern.Result(laps=total)
+                handle.publish_feedback(DrivePattern.Feedback(lap=number))
                 total += number
                 time.sleep(step_s)
             handle.succeed()
-            return Count.Result(total)
+            return DrivePattern.Result(laps=total)
 
         self.kept[f"action {action}"] = ActionServer(
             self.node,
-            Count,
+            DrivePattern,
             action,
             execute,
             callback_group=self.group,
@@ -204,17 +174,18 @@ class Peer:
         )
 
     def run_goal(
-        self, action: str, value: int, cancel_after: int | None = None, feedbacks: int = 0
+        self, action: str, laps: int, cancel_after: int | None = None, feedbacks: int = 0
     ) -> dict[str, Any]:
         """Send a goal, cancel it after some feedback if wanted, and return its result.
 
         The result may overtake feedback: at least `feedbacks` are waited for.
         """
-        client = ActionClient(self.node, Count, action, callback_group=self.group)
+        client = ActionClient(self.node, DrivePattern, action, callback_group=self.group)
         assert client.wait_for_server(DEADLINE_S)
         feedback: list[int] = []
         sent = client.send_goal_async(
-            Count.Goal(value), feedback_callback=lambda m: feedback.append(m.feedback.value)
+            DrivePattern.Goal(laps=laps),
+            feedback_callback=lambda m: feedback.append(m.feedback.lap),
         )
         until(sent.done)
         handle = sent.result()
@@ -229,7 +200,7 @@ class Peer:
             until(result.done)
             report["succeeded"] = result.result().status == GoalStatus.STATUS_SUCCEEDED
             report["canceled"] = result.result().status == GoalStatus.STATUS_CANCELED
-            report["result"] = result.result().result.value
+            report["result"] = result.result().result.laps
             until(lambda: len(feedback) >= feedbacks)
         client.destroy()
         return report

@@ -1,7 +1,4 @@
-"""The executor's own loop: what it calls while it polls, and what it keeps of asyncio.
-
-How the executor's own loop polls: its waits, what a descriptor says, and watchers that end.
-"""
+"""The executor's own loop: how it polls, what it calls meanwhile, and what it keeps of asyncio."""
 
 from __future__ import annotations
 
@@ -29,21 +26,34 @@ LABEL: ContextVar[str] = ContextVar("LABEL", default="none")
 
 
 @pytest.fixture
-def eventfd() -> Iterator[int]:
+def eventfds() -> Iterator[Callable[[], int]]:
+    """Make eventfds that are ready, and stay so until they are read."""
+    made: list[int] = []
+
+    def make() -> int:
+        made.append(os.eventfd(1, os.EFD_NONBLOCK | os.EFD_CLOEXEC))
+        return made[-1]
+
+    yield make
+    for each in made:
+        os.close(each)
+
+
+@pytest.fixture
+def eventfd(eventfds: Callable[[], int]) -> int:
     """An eventfd that is readable once it is written to."""
-    descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-    yield descriptor
-    os.close(descriptor)
+    os.eventfd_read(descriptor := eventfds())
+    return descriptor
 
 
-def in_time(main: Callable[[], Any]) -> Any:
-    """Run a coroutine function in an EventLoop, with a deadline."""
+def in_time(main: Callable[[], Any], run_it: Callable[[Any], Any] = run) -> Any:
+    """Run a coroutine function with a deadline."""
 
     async def limited() -> Any:
         async with asyncio.timeout(DEADLINE_S):
             return await main()
 
-    return run(limited())
+    return run_it(limited())
 
 
 @pytest.mark.parametrize("run_it", [run, asyncio.run])
@@ -217,30 +227,6 @@ def test_messages_timers_and_ticks_come_in_the_loop_of_the_executor(
     assert set(heard) == {"hello"}
 
 
-@pytest.fixture
-def eventfds() -> Iterator[Callable[[], int]]:
-    """Make eventfds that are ready, and stay so until they are read."""
-    made: list[int] = []
-
-    def make() -> int:
-        made.append(os.eventfd(1, os.EFD_NONBLOCK | os.EFD_CLOEXEC))
-        return made[-1]
-
-    yield make
-    for each in made:
-        os.close(each)
-
-
-def finish_in_time(main: Callable[[], Any], run_it: Callable[[Any], Any] = run) -> Any:
-    """Run a coroutine function with a deadline."""
-
-    async def limited() -> Any:
-        async with asyncio.timeout(DEADLINE_S):
-            return await main()
-
-    return run_it(limited())
-
-
 class CountingLoop(EventLoop):
     """A loop that counts its turns."""
 
@@ -281,7 +267,7 @@ def test_more_descriptors_than_one_turn_takes_are_all_heard(eventfds: Callable[[
         for _ in range(5):
             await asyncio.sleep(0)
 
-    finish_in_time(main)
+    in_time(main)
     assert len(heard) == 150
 
 
@@ -300,7 +286,7 @@ def test_what_ends_the_process_ends_the_loop(
         await told.wait()
 
     with pytest.raises(kind):
-        finish_in_time(main)
+        in_time(main)
 
 
 def test_a_watcher_may_replace_a_reader_that_is_ready_in_the_same_turn(
@@ -322,7 +308,7 @@ def test_a_watcher_may_replace_a_reader_that_is_ready_in_the_same_turn(
         await heard.wait()
         loop.remove_reader(ready)
 
-    finish_in_time(main)
+    in_time(main)
     assert called == []
 
 
@@ -346,7 +332,7 @@ def test_a_closed_pipe_is_heard_by_its_reader_and_its_full_writer() -> None:
         os.close(reading)
         os.close(writing)
 
-    finish_in_time(main)
+    in_time(main)
 
 
 @pytest.mark.parametrize("run_it", [run, asyncio.run])
@@ -366,7 +352,7 @@ def test_a_watch_that_ended_calls_nothing_and_can_begin_again(
         await heard.wait()
         unwatch(loop, fd)
 
-    finish_in_time(main, run_it)
+    in_time(main, run_it)
     assert called == []
 
 
@@ -379,4 +365,4 @@ def test_a_closed_loop_watches_nothing_any_more(run_it: Callable[[Any], Any]) ->
 
     ours, theirs = socket.socketpair()
     with ours, theirs:
-        unwatch(finish_in_time(main, run_it), ours.fileno())
+        unwatch(in_time(main, run_it), ours.fileno())

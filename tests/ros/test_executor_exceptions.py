@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rclpy.context import Context
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.task import Future
@@ -22,8 +23,8 @@ from robotctl.ros.executor import RclCallFailed
 from tests.support.open_executor import populate, sources_of
 from tests.support.rclpy_types import Node
 from tests.support.waiting import DEADLINE_S
+from tests.support.waiting import loop_until as until
 
-Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]
 
 
@@ -39,11 +40,7 @@ async def reported(context: Any, node: Node) -> Any:
 
 
 async def test_an_exception_in_any_callback_reaches_the_handler_and_the_next_one_runs(
-    reported: list[tuple[str, str]],
-    node: Node,
-    peer: Peer,
-    topic: str,
-    until: Until,
+    reported: list[tuple[str, str]], node: Node, peer: Peer, topic: str
 ) -> None:
     def fail(*_: Any) -> None:
         raise ValueError("no")
@@ -94,9 +91,7 @@ async def test_an_exception_in_any_callback_reaches_the_handler_and_the_next_one
     assert {text for text, _ in reported} == {"no"}
 
 
-async def test_without_a_handler_the_loops_own_is_told(
-    context: Any, node: Node, until: Until
-) -> None:
+async def test_without_a_handler_the_loops_own_is_told(context: Any, node: Node) -> None:
     told: list[dict[str, Any]] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, report: told.append(report))
 
@@ -112,7 +107,7 @@ async def test_without_a_handler_the_loops_own_is_told(
 
 
 async def test_a_handler_that_raises_itself_is_reported_to_the_loop(
-    context: Any, node: Node, until: Until
+    context: Any, node: Node
 ) -> None:
     told: list[dict[str, Any]] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, report: told.append(report))
@@ -132,7 +127,7 @@ async def test_a_handler_that_raises_itself_is_reported_to_the_loop(
 
 
 async def test_a_service_that_returns_no_response_is_reported_and_serves_on(
-    reported: list[tuple[str, str]], node: Node, peer: Peer, topic: str, until: Until
+    reported: list[tuple[str, str]], node: Node, peer: Peer, topic: str
 ) -> None:
     answers: list[Any] = [None, "text"]
 
@@ -148,7 +143,7 @@ async def test_a_service_that_returns_no_response_is_reported_and_serves_on(
 
 
 async def test_a_failing_take_is_reported_and_tried_again_later(
-    context: Any, node: Node, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+    context: Any, node: Node, topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("robotctl.ros.executor.sources.source.RETRY_AFTER_FAILED_TAKE_S", 0.01)
     told: list[str] = []
@@ -204,7 +199,7 @@ async def test_a_node_of_another_live_executor_is_refused(
 
 
 async def test_a_removed_node_is_left_alone_and_may_come_back(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     got: list[int] = []
     node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10)
@@ -220,7 +215,7 @@ async def test_a_removed_node_is_left_alone_and_may_come_back(
 
 
 async def test_a_destroyed_node_leaves_the_executor(
-    context: Any, executor: AsyncioExecutor, topic: str, until: Until
+    context: Any, executor: AsyncioExecutor, topic: str
 ) -> None:
     short_lived = Node("short_lived", context=context)
     populate(short_lived, topic, lambda _: None)
@@ -309,7 +304,5 @@ async def test_a_client_of_a_node_that_is_not_here_is_refused(
 
 
 async def test_a_context_that_is_not_initialized_is_refused() -> None:
-    from rclpy.context import Context
-
     with pytest.raises(RuntimeError, match=r"call rclpy\.init"):
         await AsyncioExecutor(Context()).__aenter__()

@@ -14,7 +14,6 @@ import threading
 import time
 from collections.abc import Awaitable, Callable, Coroutine
 from subprocess import CompletedProcess
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -25,6 +24,7 @@ from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from rclpy.time import Time
+from robot_controller.action import DrivePattern
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
@@ -32,13 +32,13 @@ from robotctl.ros import AsyncioExecutor, RawTap, Ticker
 from tests.support.open_executor import loop_descriptors, populate, sources_of
 from tests.support.rclpy_types import Node
 from tests.support.waiting import DEADLINE_S
+from tests.support.waiting import loop_until as until
 
-Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Coroutine[Any, Any, Any]]
 
 
 async def test_a_tap_sees_every_sequence_number_of_a_fast_publisher(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
 ) -> None:
     sequences: list[int] = []
     tap = RawTap(lambda data, received_ns, source_ns, sequence, gid: sequences.append(sequence))
@@ -66,7 +66,7 @@ class Numbered:
 
 
 async def flood_for(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until, seconds: float
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, seconds: float
 ) -> int:
     """Publish 10 kHz to a subscription and a tap, with a ticker and a service; return the losses.
 
@@ -98,43 +98,22 @@ async def flood_for(
 
 @pytest.mark.slow
 async def test_10_khz_for_10_s_loses_nothing(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
 ) -> None:
-    assert await flood_for(executor, node, peer, topic, until, 10.0) == 0
+    assert await flood_for(executor, node, peer, topic, 10.0) == 0
 
 
 @pytest.mark.slow
 async def test_10_khz_for_10_minutes_never_hangs(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
 ) -> None:
     before = len(os.listdir("/proc/self/fd")), threading.active_count()
     # On a machine that starves the process for seconds the middleware may drop some.
-    await flood_for(executor, node, peer, topic, until, 600.0)
+    await flood_for(executor, node, peer, topic, 600.0)
     after = len(os.listdir("/proc/self/fd")), threading.active_count()
     # The entities of the test: nine descriptors with their events, and no thread.
     assert after[0] - before[0] <= 12
     assert after[1] - before[1] <= 1
-
-
-@pytest.mark.slow
-async def test_churn_of_subscriptions_under_a_foreign_flood(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until
-) -> None:
-    got: list[int] = []
-    await peer("flood_in_background", topic=topic, hz=2000.0)
-    try:
-        for _ in range(300):
-            batch = [
-                node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10),
-                node.create_subscription(UInt64, topic, RawTap(lambda *_: None), 10, raw=True),
-            ]
-            await asyncio.sleep(0.01)
-            for subscription in batch:
-                node.destroy_subscription(subscription)
-    finally:
-        await peer("calm", topic=topic)
-    await until(lambda: not [s for s in sources_of(executor).values() if topic in s.where])
-    assert got
 
 
 StartPeer = Callable[..., Awaitable[Any]]
@@ -142,12 +121,7 @@ Feed = Callable[[Any, list[int]], Awaitable[None]]
 
 
 async def test_entities_may_be_created_and_destroyed_in_any_callback(
-    executor: AsyncioExecutor,
-    node: Node,
-    peer: StartPeer,
-    feed: Feed,
-    topic: str,
-    until: Until,
+    executor: AsyncioExecutor, node: Node, peer: StartPeer, feed: Feed, topic: str
 ) -> None:
     got: list[int] = []
     made: list[Any] = []
@@ -177,7 +151,7 @@ async def test_entities_may_be_created_and_destroyed_in_any_callback(
 
 
 async def test_a_subscription_destroyed_with_messages_waiting_delivers_none_of_them(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     got: list[int] = []
     doomed = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 100)
@@ -194,11 +168,7 @@ async def test_a_subscription_destroyed_with_messages_waiting_delivers_none_of_t
 
 
 async def test_each_entity_names_its_path_at_debug_level(
-    executor: AsyncioExecutor,
-    node: Node,
-    topic: str,
-    until: Until,
-    caplog: pytest.LogCaptureFixture,
+    executor: AsyncioExecutor, node: Node, topic: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("DEBUG", "robotctl.ros.executor")
     node.create_subscription(UInt64, topic, RawTap(lambda *_: None), 10, raw=True)
@@ -217,12 +187,7 @@ async def test_each_entity_names_its_path_at_debug_level(
 
 @pytest.mark.parametrize("from_thread", [False, True])
 async def test_entities_destroyed_with_something_pending_disturb_nothing(
-    executor: AsyncioExecutor,
-    node: Node,
-    topic: str,
-    until: Until,
-    from_thread: bool,
-    borrowed_action: ModuleType,
+    executor: AsyncioExecutor, node: Node, topic: str, from_thread: bool
 ) -> None:
     alive: list[int] = []
     node.create_timer(0.002, lambda: alive.append(1))
@@ -242,7 +207,7 @@ async def test_entities_destroyed_with_something_pending_disturb_nothing(
             (node.create_timer(0.001, lambda: None), node.destroy_timer),
             (node.create_guard_condition(lambda: None), node.destroy_guard_condition),
         ]
-        server = ActionServer(node, borrowed_action.Count, topic, lambda handle: None)
+        server = ActionServer(node, DrivePattern, topic, lambda handle: None)
         await asyncio.sleep(0)  # Attached.
         publisher.publish(UInt64())
         group[3][0].call_async(SetBool.Request())
@@ -269,7 +234,7 @@ RunPython = Callable[..., CompletedProcess[str]]
 
 
 async def test_200_starts_and_stops_under_traffic_leave_nothing_behind(
-    context: Any, node: Node, topic: str, until: Until
+    context: Any, node: Node, topic: str
 ) -> None:
     got: list[int] = []
     publisher = populate(node, topic, lambda message: got.append(message.data))
@@ -355,21 +320,19 @@ asyncio.run(main())
 """
 
 
-def test_200_lives_of_a_whole_context_leave_files_threads_and_memory_as_they_were(
+def test_100_lives_of_a_whole_context_leave_files_threads_and_memory_as_they_were(
     run_python: RunPython,
 ) -> None:
-    ended = run_python(CYCLES, 200, timeout_s=600)
+    ended = run_python(CYCLES, 100, timeout_s=600)
     assert ended.returncode == 0, ended.stderr
-    files, threads, memory, files_after, threads_after, memory_after = map(
-        int, ended.stdout.split()
-    )
-    assert (files_after, threads_after) == (files, threads)
-    # rclpy's own contexts leak a little; 200 of them must not leak 50 kB each.
-    assert memory_after - memory < 10_000_000
+    *before, memory, files_after, threads_after, memory_after = map(int, ended.stdout.split())
+    assert [files_after, threads_after] == before
+    # rclpy's own contexts leak a little; 100 of them must not leak 50 kB each.
+    assert memory_after - memory < 5_000_000
 
 
 async def test_churn_of_subscriptions_under_traffic_loses_no_message_of_the_others(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     got: list[int] = []
     node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10_000)
@@ -408,15 +371,10 @@ ComesToRest = Callable[[], Awaitable[bool]]
 
 @pytest.mark.parametrize("kind", ["call", "call_async", "goal", "future", "task", "timer"])
 async def test_a_coroutine_that_waits_does_not_turn_the_loop(
-    executor: AsyncioExecutor,
-    node: Node,
-    topic: str,
-    borrowed_action: ModuleType,
-    comes_to_rest: ComesToRest,
-    kind: str,
+    executor: AsyncioExecutor, node: Node, topic: str, comes_to_rest: ComesToRest, kind: str
 ) -> None:
     client = node.create_client(SetBool, topic)
-    actions = ActionClient(node, borrowed_action.Count, topic)
+    actions = ActionClient(node, DrivePattern, topic)
 
     async def wait() -> None:
         match kind:
@@ -425,7 +383,7 @@ async def test_a_coroutine_that_waits_does_not_turn_the_loop(
             case "call_async":
                 await client.call_async(SetBool.Request())
             case "goal":
-                await actions.send_goal_async(borrowed_action.Count.Goal(1))
+                await actions.send_goal_async(DrivePattern.Goal())
             case "future":
                 await Future()
             case "task":
@@ -444,11 +402,7 @@ async def test_a_coroutine_that_waits_does_not_turn_the_loop(
 
 
 async def test_an_entity_parked_behind_its_group_does_not_turn_the_loop(
-    executor: AsyncioExecutor,
-    node: Node,
-    topic: str,
-    until: Until,
-    comes_to_rest: ComesToRest,
+    executor: AsyncioExecutor, node: Node, topic: str, comes_to_rest: ComesToRest
 ) -> None:
     release = asyncio.Event()
     busy: list[int] = []
@@ -469,7 +423,7 @@ async def test_an_entity_parked_behind_its_group_does_not_turn_the_loop(
 
 
 async def test_a_ros_time_timer_whose_clock_stands_still_does_not_turn_the_loop(
-    executor: AsyncioExecutor, node: Node, until: Until, comes_to_rest: ComesToRest
+    executor: AsyncioExecutor, node: Node, comes_to_rest: ComesToRest
 ) -> None:
     node.set_parameters([Parameter("use_sim_time", value=True)])
     clock: Any = node.get_clock()
@@ -484,7 +438,7 @@ async def test_a_ros_time_timer_whose_clock_stands_still_does_not_turn_the_loop(
 
 
 async def test_a_cancelled_timer_does_not_turn_the_loop(
-    executor: AsyncioExecutor, node: Node, until: Until, comes_to_rest: ComesToRest
+    executor: AsyncioExecutor, node: Node, comes_to_rest: ComesToRest
 ) -> None:
     fired: list[int] = []
     timer = node.create_timer(0.005, lambda: fired.append(1))

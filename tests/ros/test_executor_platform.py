@@ -45,8 +45,8 @@ def test_the_executor_needs_nothing_of_robotctl_but_its_own_parts(run_python: Ru
 
 def test_the_package_and_the_ticker_are_imported_without_rclpy(run_python: RunPython) -> None:
     assert imported_by(run_python, "import robotctl.ros") == {"robotctl", "robotctl.ros"}
-    names = imported_by(run_python, "from robotctl.ros import Ticker")
-    assert "rclpy" not in names
+    names = "Tick, Ticker, RclCallFailed, UnsupportedPlatform"
+    assert "rclpy" not in imported_by(run_python, f"from robotctl.ros.executor import {names}")
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
@@ -61,11 +61,6 @@ def test_every_name_of_the_face_is_there_and_in_the_other_face_the_same() -> Non
         assert getattr(robotctl.ros, name) is named[name]
 
 
-def test_the_ticker_and_the_errors_need_no_rclpy(run_python: RunPython) -> None:
-    names = "Tick, Ticker, RclCallFailed, UnsupportedPlatform"
-    assert "rclpy" not in imported_by(run_python, f"from robotctl.ros.executor import {names}")
-
-
 @pytest.fixture
 def unproven(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robotctl.ros.executor.announcements._passed", False)
@@ -74,15 +69,6 @@ def unproven(monkeypatch: pytest.MonkeyPatch) -> None:
 async def open_and_close(context: Any) -> None:
     async with AsyncioExecutor(context):
         pass
-
-
-async def test_the_path_is_proven_by_a_message_before_the_executor_opens(
-    context: Any, unproven: None
-) -> None:
-    await open_and_close(context)
-    from robotctl.ros.executor import announcements
-
-    assert announcements._passed
 
 
 async def test_a_platform_without_eventfd_is_refused(

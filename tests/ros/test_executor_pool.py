@@ -28,8 +28,7 @@ from robotctl.ros.executor.sources.subscriptions import affordable_rest_s
 from tests.support.open_executor import sources_of
 from tests.support.rclpy_types import Node
 from tests.support.waiting import DEADLINE_S
-
-Until = Callable[[Callable[[], object]], Awaitable[None]]
+from tests.support.waiting import loop_until as until
 
 
 def value_of(data: bytes) -> int:
@@ -50,7 +49,7 @@ async def publish_from_a_thread(publisher: Any, count: int, pause_s: float) -> N
 
 
 async def test_a_tap_takes_what_collected_in_one_look(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     values: list[int] = []
     node.create_subscription(
@@ -79,7 +78,7 @@ async def test_a_tap_takes_what_collected_in_one_look(
 
 
 async def test_several_taps_share_one_wake_up(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     turns: dict[int, set[int]] = {}
     turn = 0
@@ -108,7 +107,7 @@ async def test_several_taps_share_one_wake_up(
 
 
 async def test_a_tap_without_latency_is_looked_at_for_every_message(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     got: list[bytes] = []
     tap = RawTap(lambda data, *_: got.append(data), latency_s=0.0)
@@ -119,11 +118,7 @@ async def test_a_tap_without_latency_is_looked_at_for_every_message(
 
 
 async def test_taps_that_get_nothing_do_not_turn_the_loop(
-    executor: AsyncioExecutor,
-    node: Node,
-    topic: str,
-    until: Until,
-    comes_to_rest: Callable[[], Awaitable[bool]],
+    executor: AsyncioExecutor, node: Node, topic: str, comes_to_rest: Callable[[], Awaitable[bool]]
 ) -> None:
     got: list[bytes] = []
     for index in range(5):
@@ -135,7 +130,7 @@ async def test_taps_that_get_nothing_do_not_turn_the_loop(
 
 
 async def test_a_flooded_subscription_collects_until_it_is_calm_and_loses_nothing(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     got: list[int] = []
     subscription = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10_000)
@@ -179,7 +174,7 @@ async def test_a_subscription_whose_queue_is_short_never_collects(
 
 
 async def test_taps_may_be_destroyed_and_created_in_the_sink_of_another(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     got: list[int] = []
     subscriptions: list[Any] = []
@@ -207,7 +202,7 @@ async def test_taps_may_be_destroyed_and_created_in_the_sink_of_another(
 
 
 async def test_a_tap_destroyed_while_its_pool_rests_delivers_nothing_more(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     got: list[int] = []
     other: list[int] = []
@@ -227,7 +222,7 @@ async def test_a_tap_destroyed_while_its_pool_rests_delivers_nothing_more(
 
 
 async def test_a_tap_without_latency_is_called_when_it_is_polled_and_wakes_nobody(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     values: list[int] = []
     tap = RawTap(lambda data, *_: values.append(value_of(data)), latency_s=None)
@@ -248,7 +243,7 @@ async def test_a_tap_without_latency_is_called_when_it_is_polled_and_wakes_nobod
 
 
 async def test_a_tap_that_was_polled_in_the_same_turn_is_not_taken_twice(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     values: list[int] = []
     tap = RawTap(lambda data, *_: values.append(value_of(data)), latency_s=0.0)
@@ -335,7 +330,7 @@ def test_messages_collect_only_for_as_long_as_the_queue_holds(
     assert affordable_rest_s(wanted_s, QoSProfile(history=HistoryPolicy.KEEP_ALL)) == wanted_s
 
 
-async def test_a_poll_that_raises_leaves_the_pool_working(until: Until) -> None:
+async def test_a_poll_that_raises_leaves_the_pool_working() -> None:
     told: list[Any] = []
     loop = asyncio.get_running_loop()
     loop.set_exception_handler(lambda _, report: told.append(report["exception"]))

@@ -12,7 +12,7 @@ import os
 import re
 import threading
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -29,13 +29,12 @@ from robotctl.ros.executor.event_loop import SHORTEST_SLICE_NS, SLICE_NS, TURN_N
 from tests.support.open_executor import runtime_of
 from tests.support.rclpy_types import Node
 from tests.support.waiting import DEADLINE_S
-
-Until = Callable[[Callable[[], object]], Awaitable[None]]
+from tests.support.waiting import loop_until as until
 
 
 @pytest.mark.parametrize("raw", [False, True])
 async def test_a_flooded_subscription_ends_its_slice_and_goes_on_in_the_next(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until, raw: bool
+    executor: AsyncioExecutor, node: Node, topic: str, raw: bool
 ) -> None:
     turns: list[int] = []
     turn = 0
@@ -68,7 +67,7 @@ async def test_a_flooded_subscription_ends_its_slice_and_goes_on_in_the_next(
 
 
 async def test_a_flood_delays_neither_a_service_nor_the_tick_by_its_backlog(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     got: list[int] = []
 
@@ -94,7 +93,7 @@ async def test_a_flood_delays_neither_a_service_nor_the_tick_by_its_backlog(
 
 
 async def test_many_flooded_entities_share_one_turn(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     runtime = runtime_of(executor)
     floods = 10
@@ -162,12 +161,7 @@ def named_ms(caplog: pytest.LogCaptureFixture, whom: str) -> list[int]:
 
 @pytest.mark.parametrize("kind", ["subscription", "tap", "service", "timer", "guard", "task"])
 async def test_a_callback_that_holds_the_loop_is_named_with_its_duration(
-    executor: AsyncioExecutor,
-    node: Node,
-    topic: str,
-    until: Until,
-    caplog: pytest.LogCaptureFixture,
-    kind: str,
+    executor: AsyncioExecutor, node: Node, topic: str, caplog: pytest.LogCaptureFixture, kind: str
 ) -> None:
     def hog(*arguments: Any) -> Any:
         time.sleep(0.06)
@@ -195,7 +189,6 @@ async def test_a_callback_that_holds_the_loop_is_named_with_its_duration(
 async def test_a_callback_that_blocks_again_and_again_is_not_named_every_time(
     executor: AsyncioExecutor,
     node: Node,
-    until: Until,
     caplog: pytest.LogCaptureFixture,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -214,11 +207,7 @@ async def test_a_callback_that_blocks_again_and_again_is_not_named_every_time(
 
 
 async def test_an_async_callback_that_blocks_between_two_awaits_is_named(
-    executor: AsyncioExecutor,
-    node: Node,
-    topic: str,
-    until: Until,
-    caplog: pytest.LogCaptureFixture,
+    executor: AsyncioExecutor, node: Node, topic: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     took_ms: list[float] = []
 
@@ -278,58 +267,19 @@ def make_everything(node: Node, topic: str, group: CallbackGroup, overlap: Overl
     client.call_async(SetBool.Request())
 
 
-async def test_async_callbacks_of_a_mutually_exclusive_group_never_overlap(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+@pytest.mark.parametrize("kind", [MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup])
+async def test_async_callbacks_overlap_in_a_reentrant_group_only(
+    executor: AsyncioExecutor, node: Node, topic: str, kind: type[CallbackGroup]
 ) -> None:
     overlap = Overlap()
-    make_everything(node, topic, MutuallyExclusiveCallbackGroup(), overlap)
+    make_everything(node, topic, kind(), overlap)
     await until(lambda: overlap.done.count("subscription") == 5)
     await until(lambda: {*overlap.done} == {"subscription", "service", "timer", "guard"})
-    assert overlap.most == 1
-
-
-async def test_async_callbacks_of_a_reentrant_group_overlap(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
-) -> None:
-    overlap = Overlap()
-    make_everything(node, topic, ReentrantCallbackGroup(), overlap)
-    await until(lambda: overlap.done.count("subscription") == 5)
-    await until(lambda: {*overlap.done} == {"subscription", "service", "timer", "guard"})
-    assert overlap.most > 1
-
-
-async def test_a_synchronous_callback_waits_for_the_async_one_of_its_group(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
-) -> None:
-    group = MutuallyExclusiveCallbackGroup()
-    order: list[str] = []
-    release = asyncio.Event()
-
-    async def slow(message: UInt64) -> None:
-        order.append("begun")
-        await release.wait()
-        order.append("ended")
-
-    def quick(message: UInt64) -> None:
-        order.append("quick")
-
-    node.create_subscription(UInt64, topic, slow, 10, callback_group=group)
-    node.create_subscription(UInt64, f"{topic}/quick", quick, 10, callback_group=group)
-    others: list[int] = []
-    node.create_subscription(UInt64, f"{topic}/quick", lambda m: others.append(1), 10)
-    publisher = node.create_publisher(UInt64, topic, 10)
-    quick_publisher = node.create_publisher(UInt64, f"{topic}/quick", 10)
-    publisher.publish(UInt64())
-    await until(lambda: order == ["begun"])
-    quick_publisher.publish(UInt64())
-    await until(lambda: others == [1])
-    assert order == ["begun"]
-    release.set()
-    await until(lambda: order == ["begun", "ended", "quick"])
+    assert (overlap.most > 1) is (kind is ReentrantCallbackGroup)
 
 
 async def test_a_group_of_the_users_own_is_asked_for_every_callback(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     class Counting(CallbackGroup):
         open_now = 0
@@ -374,7 +324,7 @@ async def test_a_group_of_the_users_own_is_asked_for_every_callback(
 
 
 async def test_a_cancelled_async_callback_frees_its_group(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     tasks: list[asyncio.Task[Any]] = []
     got: list[int] = []
@@ -398,7 +348,7 @@ async def test_a_cancelled_async_callback_frees_its_group(
 
 
 async def test_a_guard_condition_triggered_while_its_group_is_busy_runs_afterwards(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     release = asyncio.Event()
     order: list[str] = []
@@ -426,7 +376,7 @@ async def test_a_guard_condition_triggered_while_its_group_is_busy_runs_afterwar
 
 
 async def test_a_parked_entity_may_be_destroyed(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     release = asyncio.Event()
     got: list[int] = []

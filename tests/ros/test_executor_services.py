@@ -1,6 +1,5 @@
-"""Services and clients under AsyncioExecutor, against a process with plain rclpy.
+"""Services, actions and their clients under AsyncioExecutor, against a process with plain rclpy.
 
-Action servers and clients under AsyncioExecutor, against a process with plain rclpy.
 Responses wait for clients whose readers are not discovered yet.
 """
 
@@ -8,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Container
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,6 +16,7 @@ from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from robot_controller.action import DrivePattern
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
@@ -26,7 +26,8 @@ from robotctl.ros.executor import replies, requester
 from robotctl.ros.executor.replies import MAX_WAITING, Replies
 from robotctl.ros.executor.sources.services import ServiceSource
 from robotctl.ros.graph.endpoints import gid_of
-from tests.support.waiting import DEADLINE_S, loop_until
+from tests.support.waiting import DEADLINE_S
+from tests.support.waiting import loop_until as until
 
 Peer = Callable[..., Awaitable[Any]]
 
@@ -41,15 +42,24 @@ async def client_of(
     return client
 
 
-async def test_a_synchronous_service_answers_the_other_process(
+async def test_a_service_answers_the_other_process_and_knows_that_it_is_of_this_host(
     executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
 ) -> None:
+    seen: set[bytes | None] = set()
+
     def answer(request: Any, response: Any) -> Any:
+        seen.add(requester())
         response.success, response.message = not request.data, "here"
         return response
 
     node.create_service(SetBool, topic, answer)
     assert await peer("call", service=topic, data=False, times=5) == [[True, "here"]] * 5
+    (gid,) = seen
+    assert gid is not None
+    own = gid_of(node.create_publisher(String, f"{topic}_own", 1))
+    assert gid[HOST] == own[HOST]
+    assert gid[:12] != own[:12]
+    assert requester() is None
 
 
 async def test_an_async_service_may_await_asyncio_and_another_service(
@@ -66,15 +76,6 @@ async def test_an_async_service_may_await_asyncio_and_another_service(
 
     node.create_service(SetBool, topic, answer)
     assert await peer("call", service=topic, data=True) == [[True, "from the peer, passed on"]]
-
-
-async def test_call_returns_the_response_of_the_other_process(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
-) -> None:
-    client = await client_of(peer, executor, node, topic)
-    for data in (True, False):
-        reply = await executor.call(client, SetBool.Request(data=data), timeout_s=DEADLINE_S)
-        assert (reply.success, reply.message) == (data, "from the peer")
 
 
 async def test_calls_in_flight_at_once_get_their_own_responses(
@@ -149,51 +150,23 @@ def test_requests_that_cannot_be_read_hide_none_that_stands_behind(unreadable: i
     assert source.take() is None
 
 
-async def test_a_handler_knows_its_client_and_that_it_is_of_this_host(
+async def test_an_action_server_runs_a_goal_of_the_other_process(
     executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
 ) -> None:
-    seen: list[bytes | None] = []
-
-    def answer(request: Any, response: Any) -> Any:
-        seen.append(requester())
-        return response
-
-    node.create_service(SetBool, topic, answer)
-    await peer("call", service=topic, data=True)
-    (gid,) = seen
-    assert gid is not None
-    own = gid_of(node.create_publisher(String, f"{topic}_own", 1))
-    assert gid[HOST] == own[HOST]
-    assert gid[:12] != own[:12]
-    assert requester() is None
-
-
-Until = Callable[[Callable[[], object]], Awaitable[None]]
-
-
-async def test_an_action_server_runs_a_goal_of_the_other_process(
-    executor: AsyncioExecutor,
-    node: Node,
-    peer: Peer,
-    topic: str,
-    until: Until,
-    borrowed_action: ModuleType,
-) -> None:
-    count = borrowed_action.Count
 
     async def execute(handle: Any) -> Any:
         # The goal may arrive before its feedback subscription is discovered.
         await until(lambda: node.count_subscribers(f"{topic}/_action/feedback"))
-        for number in range(handle.request.value):
+        for number in range(handle.request.laps):
             await asyncio.sleep(0.005)
-            handle.publish_feedback(count.Feedback(number))
+            handle.publish_feedback(DrivePattern.Feedback(lap=number))
         handle.succeed()
-        return count.Result(sum(range(handle.request.value)))
+        return DrivePattern.Result(laps=sum(range(handle.request.laps)))
 
     relative = topic.removeprefix("/")
     assert relative != topic
-    server = ActionServer(node, count, relative, execute)
-    report = await peer("run_goal", action=topic, value=5, feedbacks=5)
+    server = ActionServer(node, DrivePattern, relative, execute)
+    report = await peer("run_goal", action=topic, laps=5, feedbacks=5)
     server.destroy()
     assert report == {
         "accepted": True,
@@ -205,91 +178,77 @@ async def test_an_action_server_runs_a_goal_of_the_other_process(
 
 
 async def test_an_action_server_refuses_and_cancels_goals(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, borrowed_action: ModuleType
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
 ) -> None:
-    count = borrowed_action.Count
 
     async def execute(handle: Any) -> Any:
         number = 0
         while not handle.is_cancel_requested:
-            handle.publish_feedback(count.Feedback(number))
+            handle.publish_feedback(DrivePattern.Feedback(lap=number))
             number += 1
             await asyncio.sleep(0.005)
         handle.canceled()
-        return count.Result(-1)
+        return DrivePattern.Result(laps=7)
 
     server = ActionServer(
         node,
-        count,
+        DrivePattern,
         topic,
         execute,
-        goal_callback=lambda goal: GoalResponse.ACCEPT if goal.value else GoalResponse.REJECT,
+        goal_callback=lambda goal: GoalResponse.ACCEPT if goal.laps else GoalResponse.REJECT,
         cancel_callback=lambda _: CancelResponse.ACCEPT,
     )
-    assert (await peer("run_goal", action=topic, value=0))["accepted"] is False
-    report = await peer("run_goal", action=topic, value=1, cancel_after=3)
+    assert (await peer("run_goal", action=topic, laps=0))["accepted"] is False
+    report = await peer("run_goal", action=topic, laps=1, cancel_after=3)
     server.destroy()
     assert report["cancelling"] == 1
     assert report["canceled"] is True
-    assert report["result"] == -1
+    assert report["result"] == 7
 
 
 async def test_finished_goals_are_forgotten_after_their_result_timeout(
-    executor: AsyncioExecutor,
-    node: Node,
-    peer: Peer,
-    topic: str,
-    until: Until,
-    borrowed_action: ModuleType,
-    monkeypatch: pytest.MonkeyPatch,
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("robotctl.ros.executor.sources.services.EXPIRY_POLL_S", 0.05)
-    count = borrowed_action.Count
 
     async def execute(handle: Any) -> Any:
         handle.succeed()
-        return count.Result()
+        return DrivePattern.Result()
 
-    server = ActionServer(node, count, topic, execute, result_timeout=0)
+    server = ActionServer(node, DrivePattern, topic, execute, result_timeout=0)
     for _ in range(2):
-        await peer("run_goal", action=topic, value=1)
+        await peer("run_goal", action=topic, laps=1)
         await until(lambda: not server._goal_handles)
         await asyncio.sleep(0.2)  # Until no check for expired goals is scheduled.
     server.destroy()
 
 
 async def test_an_action_client_sends_follows_and_cancels_goals(
-    executor: AsyncioExecutor,
-    node: Node,
-    peer: Peer,
-    topic: str,
-    until: Until,
-    borrowed_action: ModuleType,
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
 ) -> None:
-    count = borrowed_action.Count
     await peer("serve_action", action=topic)
-    client = ActionClient(node, count, topic)
+    client = ActionClient(node, DrivePattern, topic)
     await executor.wait_for_service(client, timeout_s=DEADLINE_S)
     async with asyncio.timeout(DEADLINE_S):
-        refused = await client.send_goal_async(count.Goal(1001))
+        refused = await client.send_goal_async(DrivePattern.Goal(laps=1001))
         assert not refused.accepted
 
         feedback: list[int] = []
         handle = await client.send_goal_async(
-            count.Goal(5), feedback_callback=lambda m: feedback.append(m.feedback.value)
+            DrivePattern.Goal(laps=5), feedback_callback=lambda m: feedback.append(m.feedback.lap)
         )
         result = await handle.get_result_async()
-        assert result.result.value == 10
+        assert result.result.laps == 10
         await until(lambda: feedback == [0, 1, 2, 3, 4])
 
         live: list[int] = []
         endless = await client.send_goal_async(
-            count.Goal(1000), feedback_callback=lambda m: live.append(m.feedback.value)
+            DrivePattern.Goal(laps=1000), feedback_callback=lambda m: live.append(m.feedback.lap)
         )
         await until(lambda: len(live) >= 5)
         response = await endless.cancel_goal_async()
         assert len(response.goals_canceling) == 1
-        assert (await endless.get_result_async()).result.value < sum(range(1000))
+        assert (await endless.get_result_async()).result.laps < sum(range(1000))
     client.destroy()
 
 
@@ -327,17 +286,6 @@ async def middleware(monkeypatch: pytest.MonkeyPatch) -> Middleware:
     return Middleware()
 
 
-async def test_a_response_waits_for_its_reader_and_is_sent_once(middleware: Middleware) -> None:
-    middleware.send(b"late", "waits")
-    middleware.discovered = {b"here"}
-    middleware.send(b"here", "at once")
-    assert middleware.taken == ["at once"]
-    middleware.discovered = {b"here", b"late"}
-    await loop_until(lambda: len(middleware.taken) > 1)
-    middleware.send(b"late", "at once, too")
-    assert middleware.taken == ["at once", "waits", "at once, too"]
-
-
 async def test_an_unmatched_reader_is_tried_rarely(
     middleware: Middleware, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -349,7 +297,7 @@ async def test_an_unmatched_reader_is_tried_rarely(
     middleware.unmatched = set()
     middleware.send(b"b", "another")
     middleware.discovered = {b"a", b"b"}
-    await loop_until(lambda: middleware.taken)
+    await until(lambda: middleware.taken)
     assert middleware.taken == ["another"], "the pause lasts"
 
 
@@ -360,9 +308,9 @@ async def test_responses_are_sent_once_the_reader_matches(
     middleware.discovered, middleware.unmatched = {b"a"}, {b"a"}
     for text in ("1", "2", "3"):
         middleware.send(b"a", text)
-    await loop_until(lambda: len(middleware.refused) > 6)
+    await until(lambda: len(middleware.refused) > 6)
     middleware.unmatched = set()
-    await loop_until(lambda: len(middleware.taken) == 3)
+    await until(lambda: len(middleware.taken) == 3)
     assert sorted(middleware.taken) == ["1", "2", "3"]
 
 
@@ -371,7 +319,7 @@ async def test_a_response_is_dropped_after_its_wait_and_the_log_says_so(
 ) -> None:
     monkeypatch.setattr(replies, "WAIT_S", 0.0)
     middleware.send(b"late", "in vain")
-    await loop_until(lambda: "the service: a response was dropped" in caplog.text)
+    await until(lambda: "the service: a response was dropped" in caplog.text)
     middleware.discovered = {b"late"}
     middleware.send(b"late", "later")
     assert middleware.taken == ["later"]
@@ -381,7 +329,7 @@ async def test_a_crowd_that_cannot_be_reached_is_bounded(middleware: Middleware)
     for number in range(MAX_WAITING + 5):
         middleware.send(b"late", str(number))
     middleware.discovered = {b"late"}
-    await loop_until(lambda: len(middleware.taken) == MAX_WAITING)
+    await until(lambda: len(middleware.taken) == MAX_WAITING)
     assert middleware.taken == [str(5 + number) for number in range(MAX_WAITING)]
 
 
@@ -389,7 +337,7 @@ async def test_a_response_that_cannot_be_sent_holds_up_no_other(middleware: Midd
     middleware.send(b"late", "impossible")
     middleware.send(b"late", "possible")
     middleware.discovered = {b"late"}
-    await loop_until(lambda: middleware.taken)
+    await until(lambda: middleware.taken)
     assert middleware.errors == ["the service: impossible"]
 
 
@@ -421,7 +369,7 @@ async def test_a_client_that_cannot_be_reached_holds_up_no_other(
     while len(heard) < 3:
         unreachable.call_async(SetBool.Request(data=True))
         await asyncio.sleep(0.05)
-    await loop_until(lambda: attempts)
+    await until(lambda: attempts)
     assert attempts == [False]
     client = node.create_client(SetBool, topic)
     await executor.wait_for_service(client, timeout_s=DEADLINE_S)
@@ -446,11 +394,7 @@ class Late:
 
 
 async def test_a_service_answers_once_its_client_is_discovered(
-    executor: AsyncioExecutor,
-    node: Node,
-    peer: Peer,
-    topic: str,
-    monkeypatch: pytest.MonkeyPatch,
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(replies, "WAIT_S", DEADLINE_S)
     late = Late(monkeypatch)
@@ -463,7 +407,7 @@ async def test_a_service_answers_once_its_client_is_discovered(
 
     node.create_service(SetBool, topic, answer)
     call = asyncio.ensure_future(peer("call", service=topic, data=True))
-    await loop_until(lambda: heard)
+    await until(lambda: heard)
     await asyncio.sleep(3 * replies.POLL_S)
     assert not call.done()
     late.arrive()
@@ -471,12 +415,7 @@ async def test_a_service_answers_once_its_client_is_discovered(
 
 
 async def test_a_goal_begins_once_its_client_is_discovered(
-    executor: AsyncioExecutor,
-    node: Node,
-    peer: Peer,
-    topic: str,
-    borrowed_action: ModuleType,
-    monkeypatch: pytest.MonkeyPatch,
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(replies, "WAIT_S", DEADLINE_S)
     late = Late(monkeypatch)
@@ -491,13 +430,13 @@ async def test_a_goal_begins_once_its_client_is_discovered(
     monkeypatch.setattr(Replies, "send", seen)
 
     async def execute(handle: Any) -> Any:
-        begun.append(handle.request.value)
+        begun.append(handle.request.laps)
         handle.succeed()
-        return borrowed_action.Count.Result(7)
+        return DrivePattern.Result(laps=7)
 
-    server = ActionServer(node, borrowed_action.Count, topic, execute)
-    goal = asyncio.ensure_future(peer("run_goal", action=topic, value=5))
-    await loop_until(lambda: waiting)
+    server = ActionServer(node, DrivePattern, topic, execute)
+    goal = asyncio.ensure_future(peer("run_goal", action=topic, laps=5))
+    await until(lambda: waiting)
     await asyncio.sleep(3 * replies.POLL_S)
     assert begun == []
     late.arrive()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import signal
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from subprocess import CompletedProcess
 from typing import Any
 
@@ -20,8 +20,8 @@ from std_srvs.srv import SetBool
 from robotctl.ros import AsyncioExecutor
 from tests.support.open_executor import engine_of, loop_descriptors, populate
 from tests.support.waiting import DEADLINE_S
+from tests.support.waiting import loop_until as until
 
-Until = Callable[[Callable[[], object]], Awaitable[None]]
 RunPython = Callable[..., CompletedProcess[str]]
 
 
@@ -84,7 +84,7 @@ async def test_shutdown_from_an_async_callback_lets_it_run_to_its_next_await(
 
 
 async def test_shutdown_from_another_thread_waits_for_running_callbacks(
-    context: Any, node: Node, topic: str, until: Until
+    context: Any, node: Node, topic: str
 ) -> None:
     slow = SlowToEnd()
     publisher = populate(node, topic, slow)
@@ -99,7 +99,7 @@ async def test_shutdown_from_another_thread_waits_for_running_callbacks(
 
 
 async def test_leaving_the_block_cancels_async_callbacks_and_waits_for_their_cleanup(
-    context: Any, node: Node, topic: str, until: Until
+    context: Any, node: Node, topic: str
 ) -> None:
     slow = SlowToEnd()
     publisher = populate(node, topic, slow)

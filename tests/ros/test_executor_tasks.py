@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
@@ -16,9 +15,7 @@ from std_srvs.srv import SetBool
 from robotctl.ros import AsyncioExecutor
 from tests.support.open_executor import loop_descriptors, populate
 from tests.support.waiting import DEADLINE_S
-
-Until = Callable[[Callable[[], object]], Awaitable[None]]
-
+from tests.support.waiting import loop_until as until
 
 # Cancellation.
 
@@ -63,7 +60,7 @@ async def test_cancelling_a_call_makes_the_client_forget_it(
 
 
 async def test_cancelling_the_waits_leaves_the_executor_working(
-    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+    executor: AsyncioExecutor, node: Node, topic: str
 ) -> None:
     client = node.create_client(SetBool, topic)
     future = Future()
@@ -81,22 +78,6 @@ async def test_cancelling_the_waits_leaves_the_executor_working(
     got: list[int] = []
     node.create_timer(0.001, lambda: got.append(1))
     await until(lambda: got)
-
-
-async def test_an_awaited_rclpy_future_is_cancelled_with_its_task(
-    executor: AsyncioExecutor,
-) -> None:
-    future = Future()
-
-    async def wait() -> None:
-        await future
-
-    task = asyncio.create_task(wait())
-    await asyncio.sleep(0)
-    task.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await task
-    assert future.cancelled()
 
 
 # Tasks.
@@ -130,7 +111,7 @@ async def test_tasks_created_before_the_executor_opens_run_when_it_opens(context
 
 
 async def test_an_exception_of_a_task_goes_to_its_listener_or_else_to_the_handler(
-    context: Any, until: Until
+    context: Any,
 ) -> None:
     reported: list[tuple[str, str]] = []
 
@@ -151,9 +132,7 @@ async def test_an_exception_of_a_task_goes_to_its_listener_or_else_to_the_handle
     assert "fail" in reported[0][1]
 
 
-async def test_cancelling_a_task_cancels_its_coroutine(
-    executor: AsyncioExecutor, until: Until
-) -> None:
+async def test_cancelling_a_task_cancels_its_coroutine(executor: AsyncioExecutor) -> None:
     events: list[str] = []
 
     async def work() -> None:
@@ -187,7 +166,7 @@ def test_a_task_may_be_cancelled_after_its_loop_has_gone(context: Any) -> None:
 
 
 async def test_no_task_is_lost_that_another_thread_creates_while_the_executor_opens(
-    context: Any, until: Until
+    context: Any,
 ) -> None:
     ran: list[int] = []
     created = 0

@@ -20,13 +20,13 @@ from rclpy.parameter import Parameter
 from robotctl.ros import AsyncioExecutor, Tick, Ticker
 from tests.support.open_executor import loop_descriptors
 from tests.support.waiting import DEADLINE_S
+from tests.support.waiting import loop_until as until
 
-Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]
 
 
 async def test_a_steady_timer_fires_and_a_cancelled_one_does_not_until_its_reset(
-    executor: AsyncioExecutor, node: Node, until: Until
+    executor: AsyncioExecutor, node: Node
 ) -> None:
     fired: list[int] = []
     steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -45,7 +45,7 @@ async def test_a_steady_timer_fires_and_a_cancelled_one_does_not_until_its_reset
 
 
 async def test_a_timer_created_stopped_starts_with_its_reset(
-    executor: AsyncioExecutor, node: Node, until: Until
+    executor: AsyncioExecutor, node: Node
 ) -> None:
     fired: list[int] = []
     reference: list[int] = []
@@ -58,7 +58,7 @@ async def test_a_timer_created_stopped_starts_with_its_reset(
 
 
 async def test_a_timer_may_cancel_itself_and_take_an_async_callback(
-    executor: AsyncioExecutor, node: Node, until: Until
+    executor: AsyncioExecutor, node: Node
 ) -> None:
     fired: list[int] = []
 
@@ -75,7 +75,7 @@ async def test_a_timer_may_cancel_itself_and_take_an_async_callback(
 
 
 async def test_a_ros_time_timer_follows_clock_and_nothing_else(
-    executor: AsyncioExecutor, node: Node, peer: Peer, until: Until
+    executor: AsyncioExecutor, node: Node, peer: Peer
 ) -> None:
     node.set_parameters([Parameter("use_sim_time", value=True)])
     fired: list[int] = []
@@ -110,7 +110,7 @@ async def test_a_ros_time_timer_follows_clock_and_nothing_else(
 
 
 async def test_a_ros_time_timer_runs_again_when_sim_time_ends(
-    executor: AsyncioExecutor, node: Node, until: Until
+    executor: AsyncioExecutor, node: Node
 ) -> None:
     node.set_parameters([Parameter("use_sim_time", value=True)])
     fired: list[int] = []

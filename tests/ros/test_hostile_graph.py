@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.qos import QoSProfile
+from std_msgs.msg import String, UInt64
 
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.discovery import _discovered
@@ -24,8 +25,8 @@ from robotctl.ros.tap.tap import MAX_WARNINGS, Tap
 from robotctl.ros.tap.type_loader import TypeLoader
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S
+from tests.support.waiting import loop_until as until
 
-Until = Callable[[Callable[[], object]], Awaitable[None]]
 Hostile = Callable[..., Awaitable[None]]
 
 STRANGE_TYPES = (
@@ -54,7 +55,7 @@ def hostile(domain_id: int) -> Iterator[Hostile]:
 
 
 async def test_strange_types_are_named_and_nothing_is_imported(
-    taken: Any, node: Any, topic: str, until: Until, hostile: Hostile
+    taken: Any, node: Any, topic: str, hostile: Hostile
 ) -> None:
     before = set(sys.modules)
     for number, type_name in enumerate(STRANGE_TYPES):
@@ -66,13 +67,13 @@ async def test_strange_types_are_named_and_nothing_is_imported(
             "which is not the name of a ROS type"
         )
     assert all(sentence.isprintable() for sentence in taken.tap.unrecorded.warnings())
-    await is_still_recorded(taken, node, f"{topic}_mine", until)
+    await is_still_recorded(taken, node, f"{topic}_mine")
     imported = {name.partition(".")[0] for name in set(sys.modules) - before}
     assert not imported & {"lib2to3", "antigravity", "robot_controller"}
 
 
 async def test_strange_topic_names_are_named_and_the_others_are_recorded(
-    taken: Any, node: Any, topic: str, until: Until, hostile: Hostile
+    taken: Any, node: Any, topic: str, hostile: Hostile
 ) -> None:
     for name in STRANGE_TOPICS:
         await hostile("offer", topic=name)
@@ -81,11 +82,11 @@ async def test_strange_topic_names_are_named_and_the_others_are_recorded(
         assert sentence.endswith(" is not recorded: ROS does not allow its name")
         assert sentence.isprintable()
     await until(lambda: STRANGE_TOPICS[-1] in taken.topics)  # it is only long
-    await is_still_recorded(taken, node, topic, until)
+    await is_still_recorded(taken, node, topic)
 
 
 async def test_a_topic_of_a_node_whose_name_is_no_text_is_recorded(
-    taken: Any, node: Any, topic: str, until: Until, hostile: Hostile
+    taken: Any, node: Any, topic: str, hostile: Hostile
 ) -> None:
     def names() -> list[str]:
         return [each.node_name for each in endpoints.publishers(node, topic)]
@@ -93,11 +94,11 @@ async def test_a_topic_of_a_node_whose_name_is_no_text_is_recorded(
     await hostile("offer", topic=topic)
     await rename(hostile, lambda: names() == ["\\xff\x1b[31m"])
     await until(lambda: topic in taken.topics)
-    await is_still_recorded(taken, node, topic + "_mine", until)
+    await is_still_recorded(taken, node, topic + "_mine")
 
 
 async def test_a_replay_discovers_others_whatever_their_names_are(
-    node: Any, topic: str, until: Until, hostile: Hostile
+    node: Any, topic: str, hostile: Hostile
 ) -> None:
     names = STRANGE_TOPICS[:-1]  # the last has the greatest length of a DDS name
     for name in names:
@@ -128,9 +129,7 @@ async def rename(hostile: Hostile, seen: Callable[[], bool]) -> None:
             await asyncio.sleep(0.05)
 
 
-async def is_still_recorded(taken: Any, node: Any, topic: str, until: Until) -> None:
-    from std_msgs.msg import UInt64
-
+async def is_still_recorded(taken: Any, node: Any, topic: str) -> None:
     published = node.create_publisher(UInt64, topic, 10)
     await until(published.get_subscription_count)
     published.publish(UInt64(data=7))
@@ -141,10 +140,8 @@ async def is_still_recorded(taken: Any, node: Any, topic: str, until: Until) -> 
 
 
 async def test_a_type_that_takes_long_to_load_delays_neither_the_others_nor_the_look(
-    taken: Any, node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+    taken: Any, node: Any, topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from std_msgs.msg import String
-
     load, stuck = type_loader.load_type, {"std_msgs/msg/String"}
 
     def slow(type_name: str) -> str:
@@ -160,7 +157,7 @@ async def test_a_type_that_takes_long_to_load_delays_neither_the_others_nor_the_
         "is not recorded yet: its type std_msgs/msg/String is not loaded after"
         in (taken.tap.unrecorded.problems[f"{topic}_slow"])
     )
-    await is_still_recorded(taken, node, topic, until)
+    await is_still_recorded(taken, node, topic)
     stuck.clear()
     await until(lambda: f"{topic}_slow" in taken.topics and not taken.tap.unrecorded.problems)
 

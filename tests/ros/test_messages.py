@@ -17,7 +17,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy
@@ -41,6 +40,7 @@ from rosidl_parser.definition import (
     NamespacedType,
 )
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger_Event, Trigger_Request
 
 from robotctl.kernel.geometry import Pose, yaw_of
 from robotctl.kernel.types import Odometry as KernelOdometry
@@ -388,7 +388,13 @@ HOSTILE = (
     "",
     f"std_msgs/msg/{'S' * 300}",
 )
-UNLISTED = ("os/msg/Path", "robotctl/msg/String", "std_msgs/msg/Nope", "std_srvs/srv/Nope_Event")
+UNLISTED = (
+    "os/msg/Path",
+    "robotctl/msg/String",
+    "std_msgs/msg/Nope",
+    "std_srvs/srv/Nope_Event",
+    "std_srvs/srv/Nope",
+)
 
 
 @pytest.mark.parametrize("name", HOSTILE + UNLISTED)
@@ -410,8 +416,6 @@ def test_any_text_is_a_type_or_is_named(name: str) -> None:
 
 
 def test_what_a_service_implies_is_found_through_it() -> None:
-    from std_srvs.srv import Trigger_Event, Trigger_Request
-
     assert message_class("std_srvs/srv/Trigger_Event") is Trigger_Event
     assert message_class("std_srvs/srv/Trigger_Request") is Trigger_Request
     assert type_name_of(Trigger_Event) == "std_srvs/srv/Trigger_Event"
@@ -487,102 +491,48 @@ FIELDS = [
     ("text", {"type_id": 17}, "string text"),
     ("short", {"type_id": 21, "string_capacity": 9}, "string<=9 short"),
     ("wide", {"type_id": 18 + 144}, "wstring[] wide"),
-    (
-        "names",
-        {"type_id": 21 + 96, "capacity": 3, "string_capacity": 4},
-        "string<=4[<=3] names",
-    ),
-    (
-        "at",
-        {"type_id": 1, "nested_type_name": "builtin_interfaces/msg/Time"},
-        "builtin_interfaces/Time at",
-    ),
+    ("names", {"type_id": 117, "capacity": 3, "string_capacity": 4}, "string<=4[<=3] names"),
+    ("at", {"type_id": 1, "nested_type_name": "a/msg/Time"}, "a/Time at"),
 ]
 
 
-def described(fields: Sequence[tuple[str, Any, str]]) -> list[dict[str, Any]]:
+def described(fields: Sequence[tuple[str, Any, str]]) -> dict[str, Any]:
+    """Return the description of a/msg/B with these fields."""
     blank = {"capacity": 0, "string_capacity": 0, "nested_type_name": ""}
-    return [{"name": name, "type": blank | kind} for name, kind, _ in fields]
+    found = [{"name": name, "type": blank | kind} for name, kind, _ in fields]
+    root = {"type_name": "a/msg/B", "fields": found}
+    time = {"type_name": "a/msg/Time", "fields": []}
+    return {"type_description": root, "referenced_type_descriptions": [time]}
 
 
-FEEDBACK = {"type_id": 1, "nested_type_name": "made_up/action/Count_Feedback"}
-ACTION: dict[str, Any] = {
-    "type_description": {
-        "type_name": "made_up/action/Count",
-        "fields": [],
-    },
-    "referenced_type_descriptions": [
-        {
-            "type_name": "made_up/action/Count_FeedbackMessage",
-            "fields": described(
-                [
-                    (
-                        "feedback",
-                        {"type_id": 1, "nested_type_name": "made_up/action/Count_Feedback"},
-                        "",
-                    )
-                ]
-            ),
-        },
-        {"type_name": "made_up/action/Count_Feedback", "fields": described(FIELDS)},
-        {
-            "type_name": "builtin_interfaces/msg/Time",
-            "fields": described([("sec", {"type_id": 6}, ""), ("nanosec", {"type_id": 7}, "")]),
-        },
-    ],
-}
+def test_each_kind_of_field_has_its_text() -> None:
+    texts = texts_of("a/msg/B", described(FIELDS))
+    assert texts["a/B"] == "".join(f"{text}\n" for *_, text in FIELDS)
+    assert list(texts) == ["a/B", "a/Time"]
 
 
-IMPLIED = (
-    *("Count", "Count_Goal", "Count_Result", "Count_Feedback", "Count_FeedbackMessage"),
-    *("Count_SendGoal", "Count_SendGoal_Request", "Count_GetResult_Event"),
-)
-
-
-@pytest.fixture
-def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """An installed package with an action; no ROS wheel contains one."""
-    share = tmp_path / "share"
-    (share / "made_up" / "action").mkdir(parents=True)
-    hashes = [{"type_name": "made_up/action/Count_FeedbackMessage", "hash_string": "RIHS01_1"}]
-    description = {"type_description_msg": ACTION, "type_hashes": hashes}
-    (share / "made_up" / "action" / "Count.json").write_text(json.dumps(description))
-    for kind, content in (("packages", ""), ("rosidl_interfaces", "action/Count.action\n")):
-        index = share / "ament_index" / "resource_index" / kind
-        index.mkdir(parents=True)
-        (index / "made_up").write_text(content)
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
-    inner = ModuleType("made_up.action._count")
-    for name in IMPLIED:
-        setattr(inner, name, type(name, (), {"__module__": inner.__name__}))
-    outer = ModuleType("made_up.action")
-    outer.Count = inner.Count  # type: ignore[attr-defined]
-    modules = {"made_up": ModuleType("made_up"), outer.__name__: outer, inner.__name__: inner}
-    for name, module in modules.items():
-        monkeypatch.setitem(sys.modules, name, module)
-    yield
-    message_class.cache_clear()
-    definition_of.cache_clear()
-    type_hash_of.cache_clear()
-
-
-def test_the_feedback_of_an_action_has_a_definition_a_hash_and_a_class(made_up: None) -> None:
-    name = "made_up/action/Count_FeedbackMessage"
-    own, nested, time = definition_of(name).split("=" * 80 + "\n")
-    assert own == "made_up/Count_Feedback feedback\n"
-    assert nested == "MSG: made_up/Count_Feedback\n" + "".join(f"{text}\n" for *_, text in FIELDS)
-    assert time == "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+def test_the_feedback_of_an_action_has_a_definition_a_hash_and_a_class() -> None:
+    name = "robot_controller/action/DrivePattern_FeedbackMessage"
+    own, *others = definition_of(name).split("=" * 80 + "\n")
+    assert own.splitlines() == [
+        "unique_identifier_msgs/UUID goal_id",
+        "robot_controller/DrivePattern_Feedback feedback",
+    ]
+    assert "MSG: robot_controller/DrivePattern_Feedback\nfloat64 distance\nuint32 lap\n" in "".join(
+        others
+    )
     assert get_types_from_msg(definition_of(name), name)
-    assert type_hash_of(name) == "RIHS01_1"
-    for short in IMPLIED:
-        assert message_class(f"made_up/action/{short}").__name__ == short
+    assert type_hash_of(name).startswith("RIHS01_")
+    for implied in ("", "_Goal", "_FeedbackMessage", "_SendGoal_Request", "_GetResult_Event"):
+        assert (
+            message_class(f"robot_controller/action/DrivePattern{implied}").__name__
+            == f"DrivePattern{implied}"
+        )
 
 
 def test_a_type_that_ros2msg_cannot_say_has_no_text() -> None:
-    long_double = described([("x", {"type_id": 12}, "")])
-    root = {"type_name": "a/msg/B", "fields": long_double}
     with pytest.raises(KeyError):
-        texts_of("a/msg/B", {"type_description": root, "referenced_type_descriptions": []})
+        texts_of("a/msg/B", described([("long_double", {"type_id": 12}, "")]))
 
 
 def test_what_is_made_from_descriptions_says_what_the_installed_files_say() -> None:

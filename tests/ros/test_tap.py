@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 from array import array
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from random import Random
 from threading import Event
 from typing import Any
@@ -20,36 +20,33 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image
+from std_msgs.msg import Empty, String, UInt8MultiArray, UInt64
 
 from robotctl.ros.executor import RawTap, raw_tap
 from robotctl.ros.executor.raw_tap import SerializedTaker
 from robotctl.ros.graph.endpoints import Endpoint
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import OwnTopic
-from robotctl.ros.messages.type_definition import definition_of, holds_bytes, type_hash_of
+from robotctl.ros.messages.type_definition import definition_of, holds_bytes
 from robotctl.ros.session import Session
 from robotctl.ros.tap import type_loader
 from robotctl.ros.tap.on_demand import OnDemandTap
-from robotctl.ros.tap.subscription import MAX_PUBLISHERS, LatchedMerge, TappedSubscription
+from robotctl.ros.tap.subscription import MAX_PUBLISHERS, LatchedMerge
 from robotctl.ros.tap.tap import MAX_ENDPOINTS, Tap, mismatch
-
-Until = Callable[[Callable[[], object]], Awaitable[None]]
+from tests.support.waiting import loop_until as until
 
 
 def publisher(node: Any, topic: str, profile: Any = 10, kind: Any = None) -> Any:
-    from std_msgs.msg import UInt64
-
     return node.create_publisher(kind or UInt64, topic, profile)
 
 
 def number(value: int) -> Any:
-    from std_msgs.msg import UInt64
-
     return UInt64(data=value)
 
 
 async def test_a_foreign_topic_is_taken_with_all_that_describes_it(
-    taken: Any, node: Any, topic: str, until: Until
+    taken: Any, node: Any, topic: str
 ) -> None:
     published = publisher(node, topic)
     await until(published.get_subscription_count)
@@ -70,10 +67,8 @@ async def test_a_foreign_topic_is_taken_with_all_that_describes_it(
 
 
 async def test_our_own_topic_is_taken_from_its_first_message(
-    session: Session, new_taken: Callable[[], Any], topic: str, until: Until
+    session: Session, new_taken: Callable[[], Any], topic: str
 ) -> None:
-    from std_msgs.msg import UInt64
-
     taken = new_taken()
     Tap(session, taken.open).subscribe_own(OwnTopic(topic, UInt64, qos.COMMAND))
     publisher(session.node("ours"), topic).publish(number(1))
@@ -81,31 +76,9 @@ async def test_our_own_topic_is_taken_from_its_first_message(
     assert [message[3] for message in taken.messages[topic]] == [1]
 
 
-async def test_a_publisher_that_offers_less_is_taken_as_well(
-    taken: Any, node: Any, topic: str, until: Until
-) -> None:
-    reliable = publisher(node, topic)
-    await until(reliable.get_subscription_count)
-    weaker = publisher(node, topic, qos.SENSOR)
-    await until(lambda: weaker.get_subscription_count() and reliable.get_subscription_count())
-    weaker.publish(number(5))
-    reliable.publish(number(6))
-    await until(lambda: {5, 6} <= set(taken.values(topic)))
-
-
-async def test_a_latched_message_from_before_is_taken(
-    taken: Any, node: Any, topic: str, until: Until
-) -> None:
-    publisher(node, topic, qos.LATCHED).publish(number(9))
-    await until(lambda: topic in taken.messages and taken.messages[topic])
-    assert taken.values(topic) == [9]
-
-
 async def test_what_nobody_publishes_and_what_comes_otherwise_are_not_subscribed_to(
-    taken: Any, node: Any, topic: str, until: Until
+    taken: Any, node: Any, topic: str
 ) -> None:
-    from std_msgs.msg import UInt64
-
     node.create_subscription(UInt64, f"{topic}_listened", print, 10)
     sink = taken.tap.reserve(OwnTopic("/reserved", UInt64, qos.COMMAND))
     reserved = publisher(node, "/reserved")
@@ -121,12 +94,9 @@ async def test_a_type_that_is_not_installed_is_named_and_the_others_go_on(
     taken: Any,
     node: Any,
     topic: str,
-    until: Until,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    from std_msgs.msg import String
-
     load = type_loader.load_type
 
     def missing(type_name: str) -> str:
@@ -147,27 +117,8 @@ async def test_a_type_that_is_not_installed_is_named_and_the_others_go_on(
     assert caplog.messages.count(told) == 1
 
 
-async def test_a_subscription_that_fails_is_named_and_the_others_go_on(
-    taken: Any, node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    create = TappedSubscription._create
-
-    def failing(self: TappedSubscription, sink: Any, requested: Any) -> Any:
-        if self.topic.endswith("_bad"):
-            raise RuntimeError("injected")
-        return create(self, sink, requested)
-
-    monkeypatch.setattr(TappedSubscription, "_create", failing)
-    publisher(node, f"{topic}_bad")
-    problems = taken.tap.unrecorded.problems
-    await until(lambda: problems)
-    publisher(node, topic)
-    await until(lambda: topic in taken.topics)
-    assert "cannot be subscribed to (RuntimeError: injected)" in problems[f"{topic}_bad"]
-
-
 async def test_a_topic_that_cannot_be_followed_for_a_while_is_named_until_it_can(
-    taken: Any, node: Any, topic: str, until: Until, no_subscription: Event
+    taken: Any, node: Any, topic: str, no_subscription: Event
 ) -> None:
     reliable = publisher(node, topic)
     await until(reliable.get_subscription_count)
@@ -182,31 +133,9 @@ async def test_a_topic_that_cannot_be_followed_for_a_while_is_named_until_it_can
     await until(lambda: taken.values(topic) == [5])
 
 
-async def test_a_second_type_of_a_topic_is_named_until_it_is_gone(
-    taken: Any, node: Any, new_context: Callable[[], Any], topic: str, until: Until
-) -> None:
-    from rclpy.node import Node
-    from std_msgs.msg import String
-
-    publisher(node, topic)
-    await until(lambda: topic in taken.topics)
-    other = Node("other", context=new_context())
-    second = publisher(other, topic, kind=String)
-    problems = taken.tap.unrecorded.problems
-    await until(lambda: problems)
-    assert problems == {
-        topic: f"{topic} is recorded as std_msgs/msg/UInt64, not as std_msgs/msg/String"
-    }
-    other.destroy_publisher(second)
-    await until(lambda: not problems)
-    other.destroy_node()
-
-
 async def test_images_that_come_too_fast_do_not_fill_the_memory(
-    taken: Any, node: Any, topic: str, until: Until
+    taken: Any, node: Any, topic: str
 ) -> None:
-    from sensor_msgs.msg import Image
-
     images, numbers = publisher(node, topic, 1000, Image), publisher(node, topic + "_2", 1000)
     await until(lambda: images.get_subscription_count() and numbers.get_subscription_count())
     for value in range(1, 301):  # the loop takes no message meanwhile
@@ -236,11 +165,6 @@ def test_a_definition_holds_its_dependencies_once_in_rosbag2s_form() -> None:
         "geometry_msgs/Vector3",
     ]
     assert sections[0].rstrip().endswith("geometry_msgs/TwistWithCovariance twist")
-
-
-@pytest.mark.parametrize("name", ["nope/msg/Nope", "std_msgs/msg/Nope", "std_srvs/srv/Nope", "x"])
-def test_what_has_no_definition_has_none(name: str) -> None:
-    assert (definition_of(name), type_hash_of(name)) == ("", "")
 
 
 @pytest.mark.parametrize(
@@ -293,10 +217,8 @@ class Watcher:
 
 
 async def test_a_problem_is_taken_back_once_the_topic_can_be_subscribed_to(
-    session: Any, node: Any, topic: str, until: Until, no_subscription: Event
+    session: Any, node: Any, topic: str, no_subscription: Event
 ) -> None:
-    from std_msgs.msg import UInt64
-
     no_subscription.set()
     published, watcher = node.create_publisher(UInt64, topic, 10), Watcher()
     tap = OnDemandTap(session.node("_view"), watcher)
@@ -445,10 +367,8 @@ def test_a_thousand_endpoints_cost_no_million_pairs() -> None:
 
 
 async def test_a_mismatch_is_named_as_long_as_both_are_there(
-    taken: Any, node: Any, topic: str, until: Until
+    taken: Any, node: Any, topic: str
 ) -> None:
-    from std_msgs.msg import Empty
-
     said = taken.tap.mismatches.warnings
     node.create_publisher(Empty, topic, BEST_EFFORT)
     await until(lambda: topic in taken.topics)
@@ -465,17 +385,13 @@ LARGE = raw_tap.LARGE_BYTES + 1
 
 
 def large(value: int) -> Any:
-    from std_msgs.msg import UInt8MultiArray
-
     return UInt8MultiArray(data=array("B", bytes([value]) * LARGE))
 
 
 @pytest.mark.parametrize("views", [True, False])
 async def test_a_large_message_is_whole_and_only_lent_where_that_is_asked_for(
-    executor: Any, node: Any, topic: str, until: Until, views: bool
+    executor: Any, node: Any, topic: str, views: bool
 ) -> None:
-    from std_msgs.msg import UInt8MultiArray
-
     taken: list[bytes | memoryview] = []
     copies: list[bytes] = []
 
@@ -501,10 +417,8 @@ async def test_a_large_message_is_whole_and_only_lent_where_that_is_asked_for(
 
 
 async def test_a_buffer_that_does_not_fit_the_budget_is_given_back_at_once(
-    executor: Any, node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+    executor: Any, node: Any, topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from std_msgs.msg import UInt8MultiArray
-
     monkeypatch.setattr(raw_tap, "KEPT_BYTES", SerializedTaker._kept_by_all + LARGE * 2)
     topics = [f"{topic}_{number}" for number in range(4)]
     heard: list[int] = []

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -21,6 +21,9 @@ from rcl_interfaces.srv import (
     SetParametersAtomically,
 )
 from rclpy.node import Node
+from robot_controller.msg import RobotStatus
+from robot_controller.srv import SetMode
+from std_srvs.srv import Trigger
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.ranges import Range
@@ -32,14 +35,13 @@ from robotctl.ros.nodes.mode_service import ModeService, Shown
 from robotctl.ros.nodes.node_services import MAX_LEVELS, Declared, LoggerServices, ParameterServices
 from robotctl.ros.nodes.publishers import MAX_TEXT, ROSOUT_TOPIC, RosoutLine, RosoutPublisher
 from robotctl.ros.session import Session
-
-Until = Callable[[Callable[[], object]], Awaitable[None]]
+from tests.support.waiting import loop_until as until
 
 LINE = RosoutLine(1_700_000_000_123_456_789, 30, "r2.mode_service", "a line", "/a/file.py", "go", 7)
 
 
 async def test_a_line_has_every_field_and_a_late_subscriber_gets_it(
-    session: Session, executor: Any, node: Any, until: Until
+    session: Session, executor: Any, node: Any
 ) -> None:
     heard: list[Any] = []
     publisher = RosoutPublisher(session)
@@ -57,9 +59,7 @@ async def test_a_line_has_every_field_and_a_late_subscriber_gets_it(
     assert heard[1].msg == "x" * MAX_TEXT + " ..."
 
 
-async def test_rosout_has_the_qos_of_plain_rclpy(
-    session: Session, new_context: Any, until: Until
-) -> None:
+async def test_rosout_has_the_qos_of_plain_rclpy(session: Session, new_context: Any) -> None:
     RosoutPublisher(session)
     plain = Node("plain", context=new_context())
 
@@ -177,10 +177,8 @@ def replied(reply: Reply) -> asyncio.Future[Reply]:
 
 
 async def test_the_status_is_shown_to_whoever_comes_late(
-    session: Session, executor: Any, node: Any, until: Until
+    session: Session, executor: Any, node: Any
 ) -> None:
-    from robot_controller.msg import RobotStatus
-
     service = ModeService(session, "r2", lambda requested, source: asyncio.Future())
     service.publish(Shown(Mode.ERROR, math.nan, False))
     service.publish(Shown(Mode.MOVING, 0.75, True))
@@ -193,11 +191,13 @@ async def test_the_status_is_shown_to_whoever_comes_late(
     assert math.isnan(status.cpu_temperature) or -50.0 < status.cpu_temperature < 150.0
 
 
+@pytest.mark.parametrize(
+    ("service", "request_of", "mode"),
+    [("set_mode", SetMode.Request(requested_mode=200), 200), ("estop", Trigger.Request(), 3)],
+)
 async def test_a_call_is_answered_with_what_was_decided(
-    session: Session, executor: Any, node: Any
+    session: Session, executor: Any, node: Any, service: str, request_of: Any, mode: int
 ) -> None:
-    from robot_controller.srv import SetMode
-
     asked: list[tuple[int, str]] = []
 
     def refuse(requested: int, source: str) -> asyncio.Future[Reply]:
@@ -205,38 +205,17 @@ async def test_a_call_is_answered_with_what_was_decided(
         return replied(Reply(1, False, "because", Mode.EMERGENCY_STOP))
 
     ModeService(session, "r2", refuse, lambda reply: reply.message.upper())
-    client = node.create_client(SetMode, "/r2/set_mode")
+    client = node.create_client(SetMode if mode == 200 else Trigger, f"/r2/{service}")
     await executor.wait_for_service(client, timeout_s=20.0)
-    answer = await executor.call(client, SetMode.Request(requested_mode=200), timeout_s=20.0)
-    assert (answer.success, answer.message, answer.current_mode) == (False, "BECAUSE", 3)
-    assert asked == [(200, "the ROS service /r2/set_mode")]
-
-
-async def test_a_call_of_estop_asks_for_an_emergency_stop(
-    session: Session, executor: Any, node: Any
-) -> None:
-    from std_srvs.srv import Trigger
-
-    asked: list[tuple[int, str]] = []
-
-    def stop(requested: int, source: str) -> asyncio.Future[Reply]:
-        asked.append((requested, source))
-        return replied(Reply(1, True, "stopped", Mode.EMERGENCY_STOP))
-
-    ModeService(session, "r2", stop)
-    client = node.create_client(Trigger, "/r2/estop")
-    await executor.wait_for_service(client, timeout_s=20.0)
-    answer = await executor.call(client, Trigger.Request(), timeout_s=20.0)
-    assert (answer.success, answer.message) == (True, "stopped")
-    assert asked == [(3, "the ROS service /r2/estop")]
+    answer = await executor.call(client, request_of, timeout_s=20.0)
+    assert (answer.success, answer.message) == (False, "BECAUSE")
+    assert getattr(answer, "current_mode", 3) == 3
+    assert asked == [(mode, f"the ROS service /r2/{service}")]
 
 
 async def test_requests_beyond_the_limit_are_refused_as_busy_and_stops_are_not(
-    session: Session, executor: Any, node: Any, until: Until, monkeypatch: pytest.MonkeyPatch
+    session: Session, executor: Any, node: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from robot_controller.srv import SetMode
-    from std_srvs.srv import Trigger
-
     monkeypatch.setattr(mode_service, "MAX_IN_WORK", 3)
     pending: list[asyncio.Future[Reply]] = []
 

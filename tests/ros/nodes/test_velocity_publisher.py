@@ -13,6 +13,10 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Twist as TwistMessage
+from geometry_msgs.msg import TwistStamped
+from rclpy.node import Node
 
 from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 from robotctl.kernel.types import Twist
@@ -20,7 +24,7 @@ from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording.format import journal
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages import qos
-from robotctl.ros.nodes import publishers, velocity_publisher
+from robotctl.ros.nodes import publishers
 from robotctl.ros.nodes.input_subscribers import BatterySubscriber
 from robotctl.ros.nodes.mode_service import ModeService
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
@@ -34,15 +38,12 @@ from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from robotctl.ros.session import Session
 from robotctl.sim.robot import SimParams
-
-Until = Callable[[Callable[[], object]], Awaitable[None]]
+from tests.support.waiting import loop_until as until
 
 
 @pytest.fixture
 async def heard_velocities(executor: Any, node: Any) -> list[tuple[float, float]]:
     """The commands that another node receives."""
-    from geometry_msgs.msg import Twist as TwistMessage
-
     commands: list[tuple[float, float]] = []
     node.create_subscription(
         TwistMessage,
@@ -54,7 +55,7 @@ async def heard_velocities(executor: Any, node: Any) -> list[tuple[float, float]
 
 
 async def test_a_command_is_sent_as_it_is(
-    session: Session, heard_velocities: list[tuple[float, float]], until: Until
+    session: Session, heard_velocities: list[tuple[float, float]]
 ) -> None:
     velocity = VelocityPublisher(session, "cmd_vel")
     await until(velocity._publisher.get_subscription_count)
@@ -68,7 +69,7 @@ async def test_a_command_is_sent_as_it_is(
 
 
 async def test_a_command_is_acknowledged_once_each_reliable_subscriber_has_it(
-    session: Session, peer: Callable[..., Awaitable[Any]], until: Until
+    session: Session, peer: Callable[..., Awaitable[Any]]
 ) -> None:
     velocity = VelocityPublisher(session, "cmd_vel_of_the_peer")
     assert velocity.is_acknowledged()
@@ -85,7 +86,7 @@ async def test_a_command_is_acknowledged_once_each_reliable_subscriber_has_it(
 
 
 async def test_a_closed_gate_lets_zeros_through_only(
-    session: Session, heard_velocities: list[tuple[float, float]], until: Until
+    session: Session, heard_velocities: list[tuple[float, float]]
 ) -> None:
     velocity = VelocityPublisher(session, "cmd_vel")
     await until(velocity._publisher.get_subscription_count)
@@ -107,11 +108,7 @@ async def test_a_zero_does_not_wait_for_a_publication_that_hangs(session: Sessio
         velocity.publish_zero()
 
 
-async def test_only_others_count_as_foreign_publishers(
-    session: Session, node: Any, until: Until
-) -> None:
-    from geometry_msgs.msg import Twist as TwistMessage
-
+async def test_only_others_count_as_foreign_publishers(session: Session, node: Any) -> None:
     velocity = VelocityPublisher(session, "cmd_vel")
     await until(lambda: velocity.count_publishers() == 1)
     assert velocity.other_publishers() == ()
@@ -120,11 +117,8 @@ async def test_only_others_count_as_foreign_publishers(
 
 
 async def test_a_second_node_of_our_name_is_foreign(
-    session: Session, new_context: Callable[[], Any], until: Until
+    session: Session, new_context: Callable[[], Any]
 ) -> None:
-    from geometry_msgs.msg import Twist as TwistMessage
-    from rclpy.node import Node
-
     velocity = VelocityPublisher(session, "cmd_vel")
     impostor = Node("velocity_publisher", namespace="/r2", context=new_context())
     impostor.create_publisher(TwistMessage, "cmd_vel", 10)
@@ -148,12 +142,8 @@ async def test_of_many_other_publishers_some_are_named_and_the_rest_counted(
 
 
 async def test_who_takes_the_command_is_counted_by_type_and_without_recorders(
-    session: Session, node: Any, new_context: Callable[[], Any], until: Until
+    session: Session, node: Any, new_context: Callable[[], Any]
 ) -> None:
-    from geometry_msgs.msg import Twist as TwistMessage
-    from geometry_msgs.msg import TwistStamped
-    from rclpy.node import Node
-
     velocity = VelocityPublisher(session, "cmd_vel")
     recorder = session.helper()
     recorder.create_subscription(TwistMessage, "cmd_vel", print, 10)
@@ -162,43 +152,14 @@ async def test_who_takes_the_command_is_counted_by_type_and_without_recorders(
     velocity.monitor(lambda gid: None, 0.0)
     await until(lambda: velocity.count_listeners() == 3)
     assert velocity.listeners() == (0, (), TWIST)
-    node.create_subscription(TwistMessage, "/r2/cmd_vel", print, 10)
-    await until(lambda: velocity.listeners() == (1, (), TWIST))
     stamped = Node("stamped", context=new_context())  # Fast DDS: one type a topic and context
     stamped.create_subscription(TwistStamped, "/r2/cmd_vel", print, 10)
+    await until(lambda: velocity.listeners() == (0, (TWIST_STAMPED,), TWIST))
+    node.create_subscription(TwistMessage, "/r2/cmd_vel", print, 10)
     await until(lambda: velocity.listeners() == (1, (TWIST_STAMPED,), TWIST))
     stamped.destroy_node()
+    await until(lambda: velocity.listeners() == (1, (), TWIST))
     another.destroy_node()
-
-
-async def test_a_robot_that_takes_another_type_is_no_listener_and_its_type_is_named(
-    session: Session, new_context: Callable[[], Any], until: Until
-) -> None:
-    from geometry_msgs.msg import TwistStamped
-    from rclpy.node import Node
-
-    velocity = VelocityPublisher(session, "cmd_vel")
-    stamped = Node("stamped", context=new_context())
-    stamped.create_subscription(TwistStamped, "/r2/cmd_vel", print, 10)
-    await until(lambda: velocity.listeners() == (0, (TWIST_STAMPED,), TWIST))
-    stamped.destroy_node()
-
-
-async def test_the_gid_of_our_commands_is_read_once(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[object] = []
-
-    def gid_of(publisher: object) -> bytes:
-        asked.append(publisher)
-        return b"gid"
-
-    monkeypatch.setattr(velocity_publisher, "gid_of", gid_of)
-    velocity = VelocityPublisher(session, "cmd_vel")
-    for _ in range(3):
-        assert velocity.gid == b"gid"
-        velocity.other_publishers()
-    assert len(asked) == 1
 
 
 async def test_a_simulated_robot_stops_at_bytes_that_are_no_command(session: Session) -> None:
@@ -242,20 +203,9 @@ async def test_no_role_has_rclpy_report_qos_events_from_the_loop(
             assert entity.event_handlers == [], entity.topic_name
 
 
-async def test_the_roles_are_the_nodes_that_are_promised(session: Session, node: Any) -> None:
-    VelocityPublisher(session, "cmd_vel")
-    OdomSubscriber(session, "odom", print, print)
-    service = ModeService(session, "r2", lambda requested, source: asyncio.Future())
-    assert service.status_topic == "/r2/robot_status"
-    names = {owner.get_fully_qualified_name() for owner in session._nodes}
-    assert names == {"/r2/velocity_publisher", "/r2/odom_subscriber", "/r2/mode_service"}
-
-
 async def test_diagnostics_are_told_whatever_bytes_a_path_has(
-    session: Session, executor: Any, node: Any, until: Until
+    session: Session, executor: Any, node: Any
 ) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray
-
     heard: list[Any] = []
     diagnostics = DiagnosticsPublisher(session, "r2")
     subscription = node.create_subscription(
