@@ -34,6 +34,10 @@ class Ran:
     err: str
 
 
+Cli = Callable[..., Ran]
+Spawn = Callable[..., subprocess.Popen[str]]
+
+
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Put sockets, logs and recordings below tmp_path, and use the fake daemon."""
@@ -68,7 +72,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 @pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
+def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
     """Run a command line in this process."""
 
     def run(*arguments: str) -> Ran:
@@ -86,7 +90,7 @@ def wide_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def daemon(cli: Callable[..., Ran]) -> None:
+def daemon(cli: Cli) -> None:
     """Start a fake daemon for robot 'robot'; it runs until the test ends."""
     ran = cli("start")
     assert ran.exit_code == 0, ran.err
@@ -109,7 +113,7 @@ def command() -> list[str]:
 
 
 @pytest.fixture
-def spawn(command: list[str]) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+def spawn(command: list[str]) -> Iterator[Spawn]:
     """Return a function that starts a command line in its own process, until the test ends."""
     started: list[subprocess.Popen[str]] = []
 

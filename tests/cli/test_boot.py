@@ -6,16 +6,13 @@ import json
 import pwd
 import shutil
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from robotctl.base.errors import AlreadyRunning, UsageError
-from robotctl.cli.commands.daemon.boot import daemon_unit, me, sync_units
-
-Cli = Callable[..., Any]
+from robotctl.cli.commands.daemon.boot import daemon_unit, sync_units
+from tests.cli.conftest import Cli
 
 URL = "s3://bucket/robots/one"
 
@@ -76,11 +73,6 @@ def test_a_unit_of_the_machine_has_a_user_a_runtime_folder_and_recordings_of_tha
     assert str(home / "state") not in made.text
     with pytest.raises(UsageError, match="no user 'nobody_else'"):
         daemon_unit("robot", [], system=True, user="nobody_else")
-
-
-def test_under_sudo_the_one_who_called_it_runs_the_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SUDO_USER", "ada")
-    assert me() == "ada"
 
 
 def test_odd_words_are_quoted_as_systemd_reads_them() -> None:
@@ -146,14 +138,6 @@ def test_the_service_copies_at_the_lowest_priority_with_what_was_given(
         f"robotctl sync {URL} --robot robot --recordings {recordings}"
     )
     assert "OnUnitInactiveSec=10min" in timer["text"]
-
-
-def test_copies_of_the_machine_reach_the_daemon_of_its_user() -> None:
-    _, service = sync_units("r2", [URL], system=True, user="nobody", every_min=5)
-    lines = service.text.splitlines()
-    assert "User=nobody" in lines
-    assert "Environment=XDG_RUNTIME_DIR=/run/robotctl-r2" in lines
-    assert service.path == Path("/etc/systemd/system/robotctl-r2-sync.service")
 
 
 @pytest.mark.parametrize("words", [["--dry-run"], ["--robot=r2"], ["--jsno"], ["--recordings"]])

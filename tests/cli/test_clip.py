@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,9 +13,8 @@ from robotctl.recording import Recorder, read_info
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.testing.drives import START_NS, TWIST
+from tests.cli.conftest import Cli
 from tests.support.recordings import number_of, read_strictly, write_numbered
-
-Cli = Callable[..., Any]
 
 FIRST, SECOND = "robot_20260101_120000", "robot_20260102_120000"
 COUNT = 4000

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -25,6 +25,7 @@ from robotctl.cli import app, quick, registry
 from robotctl.cli.app import behind_the_command
 from robotctl.cli.registry import COMMANDS, other_words
 from robotctl.kernel.patterns import PatternKind
+from tests.cli.conftest import Cli
 
 NAMES = ["status", "set_mode", "estop", "reset", "stop"]
 
@@ -193,9 +194,7 @@ def test_a_path_of_this_computer_needs_no_store() -> None:
 
 
 @pytest.mark.parametrize("word", ["list", "kill", "run", "bag", "figure8", "rm", "circle"])
-def test_a_word_of_another_tool_is_answered_with_the_command(
-    word: str, cli: Callable[..., Any]
-) -> None:
+def test_a_word_of_another_tool_is_answered_with_the_command(word: str, cli: Cli) -> None:
     ran = cli(word)
     assert (ran.exit_code, ran.out) == (2, "")
     assert ran.err == f"robotctl: No such command '{word}': {other_words()[word]}\n"
@@ -241,7 +240,7 @@ def test_an_emergency_stop_with_the_robot_first_takes_the_short_way() -> None:
     assert quick.match(behind_the_command(["--robot", "r2", "estop"])) is not None
 
 
-def test_the_error_names_the_robot_that_was_given_first(cli: Callable[..., Any]) -> None:
+def test_the_error_names_the_robot_that_was_given_first(cli: Cli) -> None:
     ran = cli("--robot", "r2", "status")
     assert (ran.exit_code, "robot 'r2'" in ran.err) == (3, True)
 

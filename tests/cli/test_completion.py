@@ -8,7 +8,6 @@ import select
 import shutil
 import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,7 @@ import typer
 
 from robotctl.cli import registry
 from robotctl.cli.commands.without_a_robot.completion import BEGIN, Shell, script, with_script
-
-Cli = Callable[..., Any]
+from tests.cli.conftest import Cli
 
 ROOT: Any = typer.main.get_command(registry.app)
 

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
 
 from robotctl.config import Config, flat, load
 from robotctl.profiles import Profile
-
-Cli = Callable[..., Any]
+from tests.cli.conftest import Cli
 
 PROFILES = list(Profile)
 

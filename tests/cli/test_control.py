@@ -34,6 +34,7 @@ from robotctl.ipc.answers import DriveAnswer, Status
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
+from tests.cli.conftest import Cli, Spawn
 from tests.support.waiting import DEADLINE_S, until
 
 DRIVING = "robotctl.cli.targets.driving"
@@ -45,7 +46,7 @@ def mode() -> str:
 
 
 @pytest.mark.usefixtures("wide_terminal")
-def test_status_is_one_screen_of_80_columns(daemon: None, cli: Callable[..., Any]) -> None:
+def test_status_is_one_screen_of_80_columns_and_one_line_of_json(daemon: None, cli: Cli) -> None:
     ran = cli("status")
     lines = ran.out.splitlines()
     assert ran.exit_code == 0
@@ -56,61 +57,35 @@ def test_status_is_one_screen_of_80_columns(daemon: None, cli: Callable[..., Any
         assert text in shown
     # The socket's path is as long as the temporary folder's; everything else has its columns.
     assert all(len(line) <= 80 for line in lines if "socket" not in line)
+    assert "warning: \\x1b[2Jforged" in ran.out
+    told = cli("status", "--json").out
+    assert "\x1b" not in ran.out + told
+    assert told.count("\n") == 1
+    assert json.loads(told).keys() >= Status.__required_keys__
+    assert json.loads(told)["mode"] == "IDLE"
 
 
-def test_status_shows_control_characters_escaped(daemon: None, cli: Callable[..., Any]) -> None:
-    out = cli("status").out
-    assert "warning: \\x1b[2Jforged" in out
-    assert "\x1b" not in out
-    assert "\x1b" not in cli("status", "--json").out
+def test_a_mode_is_taken_in_any_case_with_dash_or_underscore_or_as_a_number() -> None:
+    for number, texts in (
+        (0, ("idle", "0")),
+        (1, ("MOVING",)),
+        (2, ("Error",)),
+        (3, ("emergency-stop", "EMERGENCY_STOP", "emergency_Stop", "3")),
+    ):
+        assert {quick.mode_number(text) for text in texts} == {number}
 
 
-def test_status_json_is_one_line_with_the_stable_keys(
-    daemon: None, cli: Callable[..., Any]
-) -> None:
-    out = cli("status", "--json").out
-    assert out.count("\n") == 1
-    status = json.loads(out)
-    assert status.keys() >= Status.__required_keys__
-    assert status["mode"] == "IDLE"
-
-
-@pytest.mark.parametrize(
-    ("text", "number"),
-    [
-        ("idle", 0),
-        ("MOVING", 1),
-        ("Error", 2),
-        ("emergency-stop", 3),
-        ("EMERGENCY_STOP", 3),
-        ("emergency_Stop", 3),
-        ("0", 0),
-        ("3", 3),
-    ],
-)
-def test_a_mode_is_taken_in_any_case_with_dash_or_underscore_or_as_a_number(
-    text: str, number: int
-) -> None:
-    assert quick.mode_number(text) == number
-
-
-def test_set_mode_answers_as_the_service_does(daemon: None, cli: Callable[..., Any]) -> None:
+def test_set_mode_answers_as_the_service_does_and_tells_who_asked(daemon: None, cli: Cli) -> None:
     assert cli("set-mode", "moving").out == "Mode changed to MOVING\n"
+    reason = call("robot", "status")["mode_reason"]
+    assert reason == f"robotctl set-mode (uid {os.getuid()}, pid {os.getpid()})"
     assert json.loads(cli("set-mode", "idle", "--json").out) == {
         "message": "Mode changed to IDLE",
         "mode": "IDLE",
     }
 
 
-def test_who_asked_is_told_to_the_daemon(daemon: None, cli: Callable[..., Any]) -> None:
-    cli("set-mode", "moving")
-    reason = call("robot", "status")["mode_reason"]
-    assert reason == f"robotctl set-mode (uid {os.getuid()}, pid {os.getpid()})"
-
-
-def test_estop_says_how_to_release_it_and_a_refusal_exits_with_4(
-    daemon: None, cli: Callable[..., Any]
-) -> None:
+def test_estop_says_how_to_release_it_and_a_refusal_exits_with_4(daemon: None, cli: Cli) -> None:
     ran = cli("estop")
     assert ran.out == "Mode changed to EMERGENCY_STOP (release it with: robotctl reset)\n"
     ran = cli("set-mode", "moving")
@@ -120,7 +95,7 @@ def test_estop_says_how_to_release_it_and_a_refusal_exits_with_4(
     assert cli("set-mode", "moving").exit_code == 0
 
 
-def test_stop_returns_when_the_process_is_gone(daemon: None, cli: Callable[..., Any]) -> None:
+def test_stop_returns_when_the_process_is_gone(daemon: None, cli: Cli) -> None:
     with Client("robot") as client, processes.pidfd_of(client.daemon_pid) as watched:
         assert watched is not None
         assert cli("stop").exit_code == 0
@@ -129,7 +104,7 @@ def test_stop_returns_when_the_process_is_gone(daemon: None, cli: Callable[..., 
 
 
 def test_a_daemon_that_does_not_end_is_named(
-    daemon: None, cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    daemon: None, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(processes, "readable_within", lambda process, seconds: False)
     pid = call("robot", "status")["pid"]
@@ -138,17 +113,28 @@ def test_a_daemon_that_does_not_end_is_named(
     assert f"(pid {pid}) is still running after 30 s: end it with kill -9 {pid}" in ran.err
 
 
-def test_drive_starts_and_is_not_replaced_by_accident(
-    daemon: None, cli: Callable[..., Any]
+def test_drive_starts_and_is_not_replaced_by_accident_and_status_tells_its_errors(
+    daemon: None, cli: Cli
 ) -> None:
+    assert "off track" not in cli("status").out
     assert cli("drive", "square", "--side", "2").out == "Driving square 2.0 m\n"
+    told = cli("status").out
+    lines = (
+        "  drive      a square, lap 1 of 2, for 1.5 s",
+        "             off track 0.001 m, 0.002 m RMS, 0.003 m at most (0.013 m in truth)",
+        "             heading 0.010 rad RMS, 0.020 rad at most, closure 0.004 m",
+    )
+    assert "\n".join(lines) in told
+    assert max(map(len, lines)) <= 80
     ran = cli("drive", "circle")
     assert ran.exit_code == 4
     assert "--replace" in ran.err
     assert cli("drive", "circle", "--replace").exit_code == 0
 
 
-def test_drive_wait_ends_with_the_tracking_numbers(daemon: None, cli: Callable[..., Any]) -> None:
+def test_drive_wait_ends_with_the_tracking_numbers_and_a_picture_beside_the_recording(
+    daemon: None, cli: Cli
+) -> None:
     ran = cli("drive", "square", "--wait")
     assert ran.out.splitlines() == [
         "Drive finished",
@@ -158,9 +144,15 @@ def test_drive_wait_ends_with_the_tracking_numbers(daemon: None, cli: Callable[.
         "  closure     0.012 m from where the lap ends",
         f"  picture     {PICTURE}",
     ]
-    answer = json.loads(cli("drive", "square", "--wait", "--json").out)
+    PICTURE.unlink()
+    cli("drive", "square", "--replace")
+    assert not PICTURE.exists()
+    answer = json.loads(cli("drive", "square", "--wait", "--replace", "--json").out)
     numbers = {"laps", "distance_m", "cross_track_rms_m", "cross_track_max_m", "closure_m"}
     assert answer.keys() >= numbers
+    assert Path(answer["picture"]) == PICTURE.absolute()
+    with Image.open(PICTURE) as image:
+        assert image.size == (800, 800)
 
 
 def test_errors_that_are_not_known_have_no_line() -> None:
@@ -168,19 +160,8 @@ def test_errors_that_are_not_known_have_no_line() -> None:
     assert tracking_lines(stopped) == ["  driven      0 laps, 0.300 m in 1.5 s"]
 
 
-def test_a_drive_that_is_waited_for_leaves_its_picture_beside_the_recording(
-    daemon: None, cli: Callable[..., Any]
-) -> None:
-    cli("drive", "square", "--replace")
-    assert not PICTURE.exists()
-    answer = json.loads(cli("drive", "square", "--wait", "--replace", "--json").out)
-    assert Path(answer["picture"]) == PICTURE.absolute()
-    with Image.open(PICTURE) as image:
-        assert image.size == (800, 800)
-
-
 def test_a_picture_that_cannot_be_drawn_changes_nothing_but_is_told(
-    daemon: None, cli: Callable[..., Any], tmp_path: Path
+    daemon: None, cli: Cli, tmp_path: Path
 ) -> None:
     other = tmp_path / "other"
     other.write_text("of another user")
@@ -192,29 +173,6 @@ def test_a_picture_that_cannot_be_drawn_changes_nothing_but_is_told(
     assert other.read_text() == "of another user"
 
 
-def test_status_tells_the_errors_of_a_drive_that_goes_on(
-    daemon: None, cli: Callable[..., Any]
-) -> None:
-    assert "off track" not in cli("status").out
-    cli("drive", "square")
-    told = cli("status").out
-    lines = (
-        "  drive      a square, lap 1 of 2, for 1.5 s",
-        "             off track 0.001 m, 0.002 m RMS, 0.003 m at most (0.013 m in truth)",
-        "             heading 0.010 rad RMS, 0.020 rad at most, closure 0.004 m",
-    )
-    assert "\n".join(lines) in told
-    assert max(map(len, lines)) <= 80
-
-
-def test_a_size_outside_the_limits_is_named(daemon: None, cli: Callable[..., Any]) -> None:
-    for value in ("nan", "1e999", "1000", "-1"):
-        ran = cli("drive", "square", "--side", value)
-        assert ran.exit_code == 2, value
-        assert "side" in ran.err
-    assert mode() == "IDLE"
-
-
 @pytest.fixture
 def daemon_that_ramps_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set it before the daemon starts, which inherits it."""
@@ -222,9 +180,7 @@ def daemon_that_ramps_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def waiting(
-    daemon: None, spawn: Callable[..., subprocess.Popen[str]]
-) -> Callable[..., subprocess.Popen[str]]:
+def waiting(daemon: None, spawn: Spawn) -> Spawn:
     """Start a drive with --wait."""
 
     def begin(*options: str) -> subprocess.Popen[str]:
@@ -236,33 +192,32 @@ def waiting(
     return begin
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    ("number", "options"),
+    [(signal.SIGINT, ()), (signal.SIGTERM, ("--json",)), (signal.SIGHUP, ())],
+)
 def test_a_drive_that_is_waited_for_ends_with_its_command(
-    number: int, waiting: Callable[..., subprocess.Popen[str]]
+    number: int, options: tuple[str, ...], waiting: Spawn
 ) -> None:
-    process = waiting()
+    process = waiting(*options)
     process.send_signal(number)
     out, err = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert out.startswith("  driven      0 laps")
-    assert err == (
+    assert err.startswith(
         "robotctl: stopping the robot (Ctrl-C again: emergency stop)\n"
         "robotctl: Mode changed to IDLE\n"
     )
+    if options:
+        answer = json.loads(out)
+        assert (answer["laps"], answer["error"]["kind"]) == (0, "interrupted")
+    else:
+        assert out.startswith("  driven      0 laps")
+        assert err.count("\n") == 2
     assert mode() == "IDLE"
 
 
-def test_an_interrupted_drive_answers_a_machine_with_one_object(
-    waiting: Callable[..., subprocess.Popen[str]],
-) -> None:
-    process = waiting("--json")
-    process.send_signal(signal.SIGINT)
-    answer = json.loads(process.communicate(timeout=30)[0])
-    assert (answer["laps"], answer["error"]["kind"], process.returncode) == (0, "interrupted", 130)
-
-
 def test_a_second_ctrl_c_is_the_emergency_stop_and_a_closing_terminal_is_not(
-    daemon_that_ramps_slowly: None, waiting: Callable[..., subprocess.Popen[str]]
+    daemon_that_ramps_slowly: None, waiting: Spawn
 ) -> None:
     process = waiting()
     assert process.stderr is not None
@@ -297,9 +252,7 @@ def test_a_second_ctrl_c_straight_after_the_first_is_the_emergency_stop_and_a_th
     assert mode() == "EMERGENCY_STOP"
 
 
-def test_a_drive_is_stopped_when_the_reader_of_its_output_has_gone(
-    waiting: Callable[..., subprocess.Popen[str]],
-) -> None:
+def test_a_drive_is_stopped_when_the_reader_of_its_output_has_gone(waiting: Spawn) -> None:
     """An ssh connection without a terminal ends like this, without a signal."""
     process = waiting()
     assert process.stdout is not None
@@ -335,12 +288,6 @@ def test_on_a_terminal_the_live_view_is_shown_while_a_drive_is_waited_for(
     assert mode() == "IDLE"
 
 
-def test_another_robots_hints_name_it(cli: Callable[..., Any]) -> None:
-    assert cli("start", "--robot", "r2").exit_code == 0
-    assert "release it with: robotctl reset --robot r2" in cli("estop", "--robot", "r2").out
-    assert cli("status").exit_code == 3
-
-
 def test_the_command_line_knows_the_modes_of_the_kernel() -> None:
     names = {mode.name.lower().replace("_", "-"): mode.value for mode in Mode}
     assert names == MODES
@@ -351,15 +298,6 @@ def started(work: Callable[[], dict[str, Any]]) -> Background[dict[str, Any]]:
     background = Background(work)
     background.start()
     return background
-
-
-def test_what_the_work_returns_or_raises_comes_out() -> None:
-    def fail() -> dict[str, Any]:
-        raise ZeroDivisionError("no")
-
-    assert started(lambda: {"laps": 1}).result() == {"laps": 1}
-    with pytest.raises(ZeroDivisionError, match="no"):
-        started(fail).result()
 
 
 def test_the_work_ends_even_if_the_waiting_thread_is_interrupted_at_any_step() -> None:
@@ -408,35 +346,29 @@ def interrupted_at(step: int, ask: Any) -> bool:
     return False
 
 
-BAD_REASONS = ["x" * 10_000, "a\nb", "\x1b[2J", "\u202etxt"]
-
-
-@pytest.mark.parametrize("reason", BAD_REASONS, ids=["10 kB", "line", "escape", "direction"])
 def test_a_reason_that_cannot_be_kept_is_refused_by_name_and_delays_no_stop(
-    reason: str, daemon: None, cli: Callable[..., Any]
+    daemon: None, cli: Cli
 ) -> None:
-    for words in (("set-mode", "moving"), ("drive", "square"), ("reset",)):
-        ran = cli(*words, "--reason", reason)
-        assert (ran.exit_code, mode()) == (2, "IDLE")
-        assert "--reason" in ran.err
-    stopped = cli("estop", "--reason", reason)
-    assert (stopped.exit_code, mode()) == (2, "EMERGENCY_STOP")
-    assert "was stopped, but the reason was left out: --reason" in stopped.err
+    for reason in ("x" * 10_000, "a\nb", "\x1b[2J", "\u202etxt"):
+        for words in (("set-mode", "moving"), ("drive", "square"), ("reset",)):
+            ran = cli(*words, "--reason", reason)
+            assert (ran.exit_code, mode()) == (2, "IDLE")
+            assert "--reason" in ran.err
+        with pytest.raises(UsageError, match=r"reason: .* without control characters"):
+            call("robot", "set_mode", {"mode": 0, "source": "test", "reason": reason})
+        stopped = cli("estop", "--reason", reason)
+        assert (stopped.exit_code, mode()) == (2, "EMERGENCY_STOP")
+        assert "was stopped, but the reason was left out: --reason" in stopped.err
+        assert cli("reset").exit_code == 0
 
 
-def test_a_reason_stands_where_the_mode_is_explained(daemon: None, cli: Callable[..., Any]) -> None:
+def test_a_reason_stands_where_the_mode_is_explained(daemon: None, cli: Cli) -> None:
     assert cli("estop", "--reason", "a child ran in").exit_code == 0
     assert call("robot", "status")["mode_reason"].endswith(": a child ran in")
 
 
-@pytest.mark.parametrize("reason", BAD_REASONS, ids=["10 kB", "line", "escape", "direction"])
-def test_the_socket_takes_no_such_reason_either(reason: str, daemon: None) -> None:
-    with pytest.raises(UsageError, match=r"reason: .* without control characters"):
-        call("robot", "set_mode", {"mode": 0, "source": "test", "reason": reason})
-
-
 def test_estop_of_one_robot_names_the_others_that_move_and_all_stops_them(
-    daemon: None, cli: Callable[..., Any]
+    daemon: None, cli: Cli
 ) -> None:
     assert cli("start", "--robot", "r2").exit_code == 0
     for robot in ("robot", "r2"):
@@ -456,10 +388,11 @@ def test_estop_of_one_robot_names_the_others_that_move_and_all_stops_them(
     assert sorted(line.split(":")[0] for line in everybody.out.splitlines()) == ["r2", "robot"]
     assert call("r2", "status")["mode"] == "EMERGENCY_STOP"
     assert "EMERGENCY_STOP" in cli("ps").out
+    assert "release it with: robotctl reset --robot r2" in cli("estop", "--robot", "r2").out
 
 
 @pytest.mark.usefixtures("home")
-def test_where_no_daemon_runs_ps_says_so_and_a_stop_of_all_fails(cli: Callable[..., Any]) -> None:
+def test_where_no_daemon_runs_ps_says_so_and_a_stop_of_all_fails(cli: Cli) -> None:
     assert cli("ps").out == "no daemon runs\n"
     assert json.loads(cli("ps", "--json").out) == {"robots": []}
     assert cli("estop", "--all").exit_code == 3

@@ -5,10 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import signal
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,6 +15,7 @@ from robotctl.cli.ui import text
 from robotctl.config import Config, load
 from robotctl.ipc.client import call
 from robotctl.recording import read_info
+from tests.cli.conftest import Cli, Spawn
 
 
 def sockets(home: Path) -> list[str]:
@@ -25,9 +23,10 @@ def sockets(home: Path) -> list[str]:
 
 
 @pytest.mark.usefixtures("wide_terminal")
-def test_the_demo_shows_recording_numbers_picture_and_what_comes_next(
-    cli: Callable[..., Any], home: Path
+def test_the_demo_shows_what_was_recorded_and_touches_no_running_daemon(
+    daemon: None, cli: Cli, home: Path
 ) -> None:
+    before = call("robot", "status")
     ran = cli("demo")
     assert ran.exit_code == 0, ran.err
     folder = next(Path("recordings").glob("demo_*"))
@@ -43,43 +42,38 @@ def test_the_demo_shows_recording_numbers_picture_and_what_comes_next(
     ):
         assert shown in ran.out
     assert max(len(line) for line in ran.out.splitlines()) <= 80
-    assert sockets(home) == []
+    assert sockets(home) == ["robot"]
+    after = call("robot", "status")
+    assert (after["pid"], after["mode"]) == (before["pid"], "IDLE")
     assert read_info(folder).missing == ()
-
-
-def test_the_last_screen_of_80_by_24_shows_every_number(
-    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(demo, "terminal_lines", lambda: 24)
-    monkeypatch.setattr(text, "_terminal_columns", lambda: 80)
-    out = cli("demo").out
-    last_screen = "\n".join(out.splitlines()[-23:])  # the prompt is below
-    for label in ("driven path", "recording", "picture", "messages", "off track", "closure"):
-        assert label in last_screen
-    assert "next:" in last_screen
-
-
-def test_a_busy_machine_does_not_end_the_demo(cli: Callable[..., Any], home: Path) -> None:
-    assert cli("demo").exit_code == 0
     (log,) = home.glob("state/robotctl/demo_*/daemon.log")
     assert f"'--config', '{CONFIG}'" in log.read_text()
+
+
+def test_the_configuration_of_the_demo_is_patient_with_a_busy_machine() -> None:
     patient, usual = load(CONFIG).kernel, Config().kernel
     assert patient.max_tick_gap_s > usual.max_tick_gap_s
     assert patient.odometry.timeout_s > patient.max_tick_gap_s
 
 
-def test_the_three_next_commands_can_be_pasted(cli: Callable[..., Any]) -> None:
+def test_the_last_screen_of_80_by_24_shows_every_number_and_commands_to_paste(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demo, "terminal_lines", lambda: 24)
+    monkeypatch.setattr(text, "_terminal_columns", lambda: 80)
     out = cli("demo", "--recordings", "my recordings").out
+    last_screen = "\n".join(out.splitlines()[-23:])  # the prompt is below
+    for label in ("driven path", "recording", "picture", "messages", "off track", "closure"):
+        assert label in last_screen
+    assert "next:" in last_screen
     pasted = [shlex.split(line) for line in out.split("next:\n")[1].splitlines()]
     assert [words[:2] for words in pasted] == [
-        ["robotctl", "report"],
-        ["robotctl", "replay"],
-        ["robotctl", "start"],
+        ["robotctl", command] for command in ("report", "replay", "start")
     ]
     assert cli(*pasted[0][1:]).exit_code == 0
 
 
-def test_keep_leaves_the_daemon_and_says_how_to_go_on(cli: Callable[..., Any], home: Path) -> None:
+def test_keep_leaves_the_daemon_and_says_how_to_go_on(cli: Cli, home: Path) -> None:
     out = cli("demo", "--keep").out
     (robot,) = sockets(home)
     assert call(robot, "status")["mode"] == "IDLE"
@@ -89,7 +83,7 @@ def test_keep_leaves_the_daemon_and_says_how_to_go_on(cli: Callable[..., Any], h
     assert sockets(home) == []
 
 
-def test_json_is_one_line_with_every_number(cli: Callable[..., Any]) -> None:
+def test_json_is_one_line_with_every_number(cli: Cli) -> None:
     ran = cli("demo", "--json")
     assert ran.out.count("\n") == 1
     said = json.loads(ran.out)
@@ -99,12 +93,9 @@ def test_json_is_one_line_with_every_number(cli: Callable[..., Any]) -> None:
     assert said["cross_track_max_m"] == 0.021
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_an_interruption_stops_the_daemon_and_leaves_a_readable_recording(
-    number: signal.Signals,
-    spawn: Callable[..., subprocess.Popen[str]],
-    home: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    number: signal.Signals, spawn: Spawn, home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FAKE_ENDLESS", "1")
     process = spawn("demo")
@@ -123,15 +114,8 @@ def test_an_interruption_stops_the_daemon_and_leaves_a_readable_recording(
     assert read_info(folder).message_count == 20
 
 
-def test_a_running_daemon_is_not_touched(daemon: None, cli: Callable[..., Any]) -> None:
-    before = call("robot", "status")
-    assert cli("demo").exit_code == 0
-    after = call("robot", "status")
-    assert (after["pid"], after["mode"]) == (before["pid"], "IDLE")
-
-
 def test_a_daemon_that_does_not_start_is_reported(
-    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FAKE_START", "refuse")
     ran = cli("demo")
@@ -139,14 +123,12 @@ def test_a_daemon_that_does_not_start_is_reported(
     assert ran.err == "robotctl: robot.yaml: speed: nan is not allowed\n"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("early", [True, False])
+@pytest.mark.parametrize(
+    ("early", "number"),
+    [(True, signal.SIGINT), (True, signal.SIGHUP), (False, signal.SIGTERM), (False, signal.SIGHUP)],
+)
 def test_signals_during_the_clean_up_leave_no_daemon_behind(
-    early: bool,
-    number: signal.Signals,
-    cli: Callable[..., Any],
-    home: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    early: bool, number: signal.Signals, cli: Cli, home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A terminal that closes sends two signals, and so may a user."""
     stop, lap = demo._stop_if_running, demo._drive_one_lap

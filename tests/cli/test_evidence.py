@@ -37,11 +37,10 @@ from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.seal.keyring import Keyring
 from robotctl.testing.drives import drive, record
+from tests.cli.conftest import Cli
 from tests.support.edited_recordings import contents_of, write_contents
 from tests.support.recordings import keyring
 from tests.support.waiting import until
-
-Cli = Callable[..., Any]
 
 DAY_NS = 86_400 * 10**9
 BEGIN_NS = 1_800_000_000 * 10**9

@@ -13,7 +13,6 @@ import resource
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from math import inf, isnan, nan
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from robotctl.messages.values import decode, encode
 from robotctl.recording import Recorder, Topic, read_info, read_messages
 from robotctl.recording.table import parquet_table
 from robotctl.testing.drives import GID
-from tests.cli.conftest import Ran
+from tests.cli.conftest import Cli
 
 DRIVE = Path(__file__).parents[1] / "golden" / "stopped"
 START_NS = 1_700_000_000_000_000_000
@@ -45,8 +44,6 @@ MSG: p/Part
 float64 y
 """
 TOPIC = Topic("/all", "p/msg/All", DEFINITION)
-
-Cli = Callable[..., Ran]
 
 
 def parquet_of(cli: Cli, run: str) -> str:

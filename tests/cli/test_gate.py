@@ -6,7 +6,6 @@ import getpass
 import json
 import os
 import shutil
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,9 @@ import pytest
 from robotctl.cli.ui import text
 from robotctl.collection import judging
 from robotctl.testing.drives import drive, drive_requested, record
+from tests.cli.conftest import Cli
 from tests.support.checked_drives import here
 
-Cli = Callable[..., Any]
 RECORDINGS = Path("recordings")
 LAP = RECORDINGS / "robot_20260101_120000"
 SLOW = ("--what-if", "limits.linear_mps=0.05", "--what-if", "tracking.max_error_m=0.05")
@@ -43,6 +42,10 @@ def _in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("lap")
 def test_machines_are_told_who_accepted_what_and_why(cli: Cli) -> None:
+    same = json.loads(cli("gate", "--json", "--junit", "gate.xml").out)
+    assert (same["failed"], same["counts"]["same"]) == (0, 1)
+    assert LAP.name in Path("gate.xml").read_text()
+    assert cli("gate").exit_code == 0
     assert cli("gate", *SLOW).exit_code == 7
     accepting = ("--baseline", "accepted.json", "--accept", "the base is slower")
     assert cli("gate", *SLOW, *accepting).exit_code == 0
@@ -100,10 +103,7 @@ def test_a_file_that_cannot_be_written_is_told_before_the_judging(
 @pytest.mark.usefixtures("lap")
 @pytest.mark.parametrize(("parameters", "exit_code"), [((), 4), (SLOW, 7)])
 def test_an_answer_that_was_judged_is_printed_although_its_report_cannot_be_written(
-    cli: Cli,
-    monkeypatch: pytest.MonkeyPatch,
-    parameters: tuple[str, ...],
-    exit_code: int,
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, parameters: tuple[str, ...], exit_code: int
 ) -> None:
     engine = partial(here)
 

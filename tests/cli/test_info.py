@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from mcap.writer import Writer
 
 from robotctl.cli.commands.recordings.info import qos_text
+from tests.cli.conftest import Cli
 
 QOS = """\
 - history: keep_last
@@ -38,9 +37,7 @@ def recording(tmp_path: Path) -> Path:
     return folder
 
 
-def test_info_shows_topics_types_counts_rates_duration_and_qos(
-    recording: Path, cli: Callable[..., Any]
-) -> None:
+def test_info_shows_topics_types_counts_rates_duration_and_qos(recording: Path, cli: Cli) -> None:
     for path in (recording, recording / "run_0.mcap"):
         ran = cli("info", str(path))
         assert ran.exit_code == 0
@@ -54,18 +51,8 @@ def test_info_shows_topics_types_counts_rates_duration_and_qos(
         assert "\x1b" not in out
 
 
-def test_info_json_holds_the_same(recording: Path, cli: Callable[..., Any]) -> None:
-    found = json.loads(cli("info", str(recording), "--json").out)
-    assert found["messages"] == 102
-    assert found["duration_s"] == 1.0
-    assert found["missing"] == []
-    topic = next(topic for topic in found["topics"] if topic["name"] == "/odom")
-    assert (topic["type"], topic["count"]) == ("nav_msgs/msg/Odometry", 101)
-    assert topic["qos"] == "reliable, volatile, keep_last 10"
-
-
 def test_a_truncated_file_shows_what_can_be_read_and_says_what_is_missing(
-    recording: Path, cli: Callable[..., Any], tmp_path: Path
+    recording: Path, cli: Cli, tmp_path: Path
 ) -> None:
     data = (recording / "run_0.mcap").read_bytes()
     cut = tmp_path / "cut.mcap"
@@ -85,7 +72,7 @@ def test_a_truncated_file_shows_what_can_be_read_and_says_what_is_missing(
     [(None, "No such file"), (b"", "empty"), (b"hello" * 50, "not an MCAP file")],
 )
 def test_what_is_no_recording_is_one_sentence(
-    content: bytes | None, text: str, cli: Callable[..., Any], tmp_path: Path
+    content: bytes | None, text: str, cli: Cli, tmp_path: Path
 ) -> None:
     file = tmp_path / "any.mcap"
     if content is not None:

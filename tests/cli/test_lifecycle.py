@@ -23,7 +23,7 @@ from robotctl.cli.commands.daemon import logs, start
 from robotctl.cli.targets import launch
 from robotctl.daemon.lock import owned
 from robotctl.ipc.client import call
-from tests.cli.conftest import Ran
+from tests.cli.conftest import Cli, Spawn
 from tests.support.waiting import until
 
 
@@ -33,7 +33,7 @@ def children() -> set[int]:
     return {int(pid) for pid in ids.split()}
 
 
-def test_start_returns_when_the_daemon_answers_and_says_what_runs(cli: Callable[..., Any]) -> None:
+def test_start_returns_when_the_daemon_answers_and_says_what_runs(cli: Cli) -> None:
     ran = cli("start", "--domain-id", "7")
     assert ran.exit_code == 0
     pid = call("robot", "status")["pid"]
@@ -46,21 +46,21 @@ def test_start_returns_when_the_daemon_answers_and_says_what_runs(cli: Callable[
     assert "note: a sourced ROS (humble) was left out" in lines
 
 
-def test_start_json_is_what_the_daemon_said(cli: Callable[..., Any]) -> None:
+def test_start_json_is_what_the_daemon_said(cli: Cli) -> None:
     said = json.loads(cli("start", "--json").out)
     assert said["ready"] is True
     assert said["pid"] == call("robot", "status")["pid"]
 
 
 def test_a_latched_stop_is_shown_with_its_release(
-    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FAKE_MODE", "EMERGENCY_STOP")
     out = cli("start", "--robot", "r2").out
     assert "the emergency stop is still latched; release it with: robotctl reset --robot r2" in out
 
 
-def test_the_options_reach_the_daemon(cli: Callable[..., Any]) -> None:
+def test_the_options_reach_the_daemon(cli: Cli) -> None:
     options = ["--config", "a.yaml", "--recordings", "r", "--drive", "circle", "--no-sim"]
     assert cli("start", *options).exit_code == 0
     logged = cli("logs").out
@@ -83,11 +83,7 @@ def test_the_daemon_outlives_its_terminal(daemon: None) -> None:
     ],
 )
 def test_a_failed_start_says_why_and_leaves_nothing_running(
-    failure: str,
-    exit_code: int,
-    text: str,
-    cli: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
+    failure: str, exit_code: int, text: str, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FAKE_START", failure)
     before = children()
@@ -99,7 +95,7 @@ def test_a_failed_start_says_why_and_leaves_nothing_running(
 
 
 def test_a_start_without_a_folder_for_its_log_names_the_cure(
-    cli: Callable[..., Any], home: Path, monkeypatch: pytest.MonkeyPatch
+    cli: Cli, home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (home / "file").touch()
     monkeypatch.setenv("XDG_STATE_HOME", str(home / "file"))
@@ -110,9 +106,7 @@ def test_a_start_without_a_folder_for_its_log_names_the_cure(
     )
 
 
-def test_a_daemon_that_is_never_ready_is_ended(
-    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_daemon_that_is_never_ready_is_ended(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FAKE_START", "hang")
     monkeypatch.setattr(launch, "READY_DEADLINE_S", 0.05)
     before = children()
@@ -123,7 +117,7 @@ def test_a_daemon_that_is_never_ready_is_ended(
 
 
 def test_a_start_that_crashes_leaves_the_log_of_a_running_daemon_in_place(
-    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = log_path("robot")
     with owned(lock_path("robot"), "robot"):
@@ -141,10 +135,7 @@ def test_a_start_that_crashes_leaves_the_log_of_a_running_daemon_in_place(
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interruption_while_starting_leaves_nothing_running(
-    number: signal.Signals,
-    spawn: Callable[..., subprocess.Popen[str]],
-    monkeypatch: pytest.MonkeyPatch,
-    home: Path,
+    number: signal.Signals, spawn: Spawn, monkeypatch: pytest.MonkeyPatch, home: Path
 ) -> None:
     monkeypatch.setenv("FAKE_START", "hang")
     process = spawn("start")
@@ -161,7 +152,7 @@ def test_an_interruption_while_starting_leaves_nothing_running(
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_daemon_that_is_ready_but_was_not_told_of_ends_with_its_start(
-    number: signal.Signals, cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    number: signal.Signals, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = children()
 
@@ -176,7 +167,7 @@ def test_a_daemon_that_is_ready_but_was_not_told_of_ends_with_its_start(
         call("robot", "status")
 
 
-def test_foreground_becomes_the_daemon(spawn: Callable[..., subprocess.Popen[str]]) -> None:
+def test_foreground_becomes_the_daemon(spawn: Spawn) -> None:
     process = spawn("start", "--foreground", "--robot", "r2")
     assert process.stdout is not None
     assert "--ready-fd" not in process.stdout.readline()
@@ -185,9 +176,7 @@ def test_foreground_becomes_the_daemon(spawn: Callable[..., subprocess.Popen[str
     assert process.wait(30) == 0
 
 
-def test_foreground_is_not_combined_with_json(
-    spawn: Callable[..., subprocess.Popen[str]],
-) -> None:
+def test_foreground_is_not_combined_with_json(spawn: Spawn) -> None:
     process = spawn("start", "--foreground", "--json")
     out, _ = process.communicate(timeout=30)
     assert process.returncode == 2
@@ -197,7 +186,7 @@ def test_foreground_is_not_combined_with_json(
 # The log
 
 
-def test_the_log_of_the_run_before_is_kept(cli: Callable[..., Any]) -> None:
+def test_the_log_of_the_run_before_is_kept(cli: Cli) -> None:
     for robot_run in range(3):
         assert cli("start", "--recordings", f"run{robot_run}").exit_code == 0
         assert cli("stop").exit_code == 0
@@ -212,11 +201,7 @@ def test_the_log_of_the_run_before_is_kept(cli: Callable[..., Any]) -> None:
 
 @pytest.mark.parametrize(("failure", "exit_code"), [("run-already", 5), ("refuse", 2)])
 def test_a_second_start_leaves_the_running_daemons_log_alone(
-    failure: str,
-    exit_code: int,
-    daemon: None,
-    cli: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
+    failure: str, exit_code: int, daemon: None, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = log_path("robot")
     before = log.stat().st_ino
@@ -226,24 +211,20 @@ def test_a_second_start_leaves_the_running_daemons_log_alone(
     assert [path.name for path in log.parent.glob("daemon.log*")] == ["daemon.log"]
 
 
-def test_the_log_of_a_failed_start_can_be_read(
-    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_log_of_a_failed_start_can_be_read(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FAKE_START", "crash")
     cli("start")
     assert "Traceback" in cli("logs").out
 
 
-def test_logs_shows_control_characters_escaped_and_no_colours(
-    daemon: None, cli: Callable[..., Any]
-) -> None:
+def test_logs_shows_control_characters_escaped_and_no_colours(daemon: None, cli: Cli) -> None:
     assert "in red\n" in cli("logs").out
     with log_path("robot").open("a") as log:
         log.write("\x1b[2Jcleared\x1b[1;31m\x07\n")
     assert "\\x1b[2Jcleared\\x07\n" in cli("logs").out
 
 
-def test_logs_without_a_log_says_so(cli: Callable[..., Any]) -> None:
+def test_logs_without_a_log_says_so(cli: Cli) -> None:
     ran = cli("logs")
     assert ran.exit_code == 3
     assert "no log of robot 'robot'" in ran.err
@@ -320,9 +301,7 @@ def logged() -> None:
     ("arguments", "count"),
     [("", 4), ("-n 2", 2), ("-n 0", 0), ("-n 9", 4), ("--since 2026-01-01T12:00:01", 2)],
 )
-def test_logs_shows_the_last_or_newest_lines(
-    arguments: str, count: int, cli: Callable[..., Any]
-) -> None:
+def test_logs_shows_the_last_or_newest_lines(arguments: str, count: int, cli: Cli) -> None:
     ran = cli("logs", *arguments.split())
     assert ran.exit_code == 0
     assert LOG.endswith(ran.out) if not arguments.startswith("--since") else True
@@ -330,7 +309,7 @@ def test_logs_shows_the_last_or_newest_lines(
 
 
 @pytest.mark.usefixtures("logged")
-def test_logs_for_machines_is_an_object_for_each_line(cli: Callable[..., Any]) -> None:
+def test_logs_for_machines_is_an_object_for_each_line(cli: Cli) -> None:
     first, error, more, odd = map(json.loads, cli("logs", "--json").out.splitlines())
     assert (first["level"], first["logger"], first["text"]) == ("INFO", "robotctl", "ready")
     assert error["t_ns"] - first["t_ns"] == 1_250_000_000
@@ -350,7 +329,7 @@ def test_logs_f_begins_with_the_last_lines(tmp_path: Path) -> None:
     assert next(logs._lines(log, follow=True, begin=begin)) == LOG.splitlines()[-1]
 
 
-def test_logs_refuses_a_time_that_is_none(cli: Callable[..., Any]) -> None:
+def test_logs_refuses_a_time_that_is_none(cli: Cli) -> None:
     ran = cli("logs", "--since", "soon")
     assert (ran.exit_code, "--since soon is not a time" in ran.err) == (2, True)
 
@@ -367,22 +346,20 @@ def test_the_daemon_is_not_imported_from_the_working_directory(
     assert command[0] == sys.executable
 
 
-def test_wrong_options_are_refused_at_once(cli: Callable[..., Ran]) -> None:
+def test_wrong_options_are_refused_at_once(cli: Cli) -> None:
     ran = cli("view", "--port", "99999")
     assert ran.exit_code == 2
     assert "--port 99999" in ran.err
 
 
-def test_without_the_extra_the_cure_is_told(
-    cli: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_extra_the_cure_is_told(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(launch, "find_spec", lambda name: None)
     ran = cli("view")
     assert ran.exit_code == 4
     assert "pip install 'robotctl[view]'" in ran.err
 
 
-def test_without_a_daemon_it_says_how_to_start_one(cli: Callable[..., Ran]) -> None:
+def test_without_a_daemon_it_says_how_to_start_one(cli: Cli) -> None:
     ran = cli("view")
     assert ran.exit_code == 3
     assert "robotctl start" in ran.err

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from robotctl.base.paths import log_path, make_private, recordings_note_path
 from robotctl.config import load
 from robotctl.daemon.command_line import parse
 from robotctl.testing.drives import drive, record
+from tests.cli.conftest import Cli
 from tests.support.waiting import DEADLINE_S
 
 RECORDING = "run"
@@ -44,7 +45,7 @@ def no_command_hangs() -> Iterator[None]:
 
 
 @pytest.fixture
-def run(cli: Callable[..., Any]) -> Callable[..., Any]:
+def run(cli: Cli) -> Cli:
     """Run a command line that must end with one sentence and no unexpected error."""
 
     def ran(*arguments: str) -> Any:
@@ -57,7 +58,7 @@ def run(cli: Callable[..., Any]) -> Callable[..., Any]:
 
 @pytest.mark.parametrize("command", READERS)
 @pytest.mark.parametrize("name", ["fifo", "fifo.mcap", "folder"])
-def test_a_fifo_is_no_recording(command: str, name: str, run: Callable[..., Any]) -> None:
+def test_a_fifo_is_no_recording(command: str, name: str, run: Cli) -> None:
     os.mkfifo("fifo")
     os.mkfifo("fifo.mcap")
     Path("folder").mkdir()
@@ -73,7 +74,7 @@ def test_a_fifo_is_no_recording(command: str, name: str, run: Callable[..., Any]
     ("command", "exit_code"), [("info", 6), ("replay --check", 6), ("why", 4), ("recover", 0)]
 )
 def test_a_list_of_files_that_is_a_fifo_is_told_and_the_files_are_read(
-    command: str, exit_code: int, run: Callable[..., Any]
+    command: str, exit_code: int, run: Cli
 ) -> None:
     recording = record(Path(RECORDING), drive(1.0))
     (recording / "metadata.yaml").unlink(missing_ok=True)
@@ -83,7 +84,7 @@ def test_a_list_of_files_that_is_a_fifo_is_told_and_the_files_are_read(
     assert ("not a regular file" in ran.out + ran.err) is (command != "recover")
 
 
-def test_a_fifo_among_the_recordings_hides_no_other(run: Callable[..., Any]) -> None:
+def test_a_fifo_among_the_recordings_hides_no_other(run: Cli) -> None:
     record(Path("recordings") / "robot_20260101_000000", drive(1.0))
     os.mkfifo("recordings/robot_20260102_000000")
     Path("recordings/robot_20260103_000000").mkdir()
@@ -101,7 +102,7 @@ def test_a_configuration_is_a_file(path: str) -> None:
         load(Path(path))
 
 
-def test_a_note_that_is_a_fifo_is_as_good_as_none(run: Callable[..., Any]) -> None:
+def test_a_note_that_is_a_fifo_is_as_good_as_none(run: Cli) -> None:
     note = recordings_note_path("robot")
     make_private(note.parent)
     os.mkfifo(note)
@@ -110,7 +111,7 @@ def test_a_note_that_is_a_fifo_is_as_good_as_none(run: Callable[..., Any]) -> No
     assert "no recording" in ran.err
 
 
-def test_a_log_that_is_a_fifo_is_named(run: Callable[..., Any]) -> None:
+def test_a_log_that_is_a_fifo_is_named(run: Cli) -> None:
     path = log_path("robot")
     make_private(path.parent)
     os.mkfifo(path)
@@ -119,7 +120,7 @@ def test_a_log_that_is_a_fifo_is_named(run: Callable[..., Any]) -> None:
     assert ran.err == f"robotctl: {path}: it is not a regular file\n"
 
 
-def test_a_clip_goes_into_no_fifo(run: Callable[..., Any]) -> None:
+def test_a_clip_goes_into_no_fifo(run: Cli) -> None:
     record(Path(RECORDING), drive(1.0))
     os.mkfifo("out")
     ran = run("clip", RECORDING, "--at", "0.5", "-o", "out")
@@ -151,9 +152,7 @@ def gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "replay x",
     ],
 )
-def test_a_working_folder_that_is_gone_is_named(
-    arguments: str, gone: None, run: Callable[..., Any]
-) -> None:
+def test_a_working_folder_that_is_gone_is_named(arguments: str, gone: None, run: Cli) -> None:
     ran = run(*arguments.split())
     assert (ran.exit_code, ran.out) == (2, "")
     assert ran.err == "robotctl: the working folder was removed: cd to a folder that exists\n"
@@ -161,7 +160,7 @@ def test_a_working_folder_that_is_gone_is_named(
 
 @pytest.mark.parametrize("arguments", ["status", "estop", "reset", "stop", "mark x", "logs"])
 def test_what_needs_no_working_folder_works_without_one(
-    arguments: str, gone: None, run: Callable[..., Any]
+    arguments: str, gone: None, run: Cli
 ) -> None:
     ran = run(*arguments.split())
     assert ran.exit_code == 3

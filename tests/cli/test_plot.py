@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import struct
 import time
-from collections.abc import Callable
 from math import inf, nan
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -16,6 +14,7 @@ from PIL import Image
 
 from robotctl.messages.definition import parse_definition
 from robotctl.messages.values import encode
+from tests.cli.conftest import Cli
 
 DEFINITION = """\
 float64 x
@@ -63,7 +62,7 @@ def recording() -> Path:
     return path
 
 
-def test_a_field_fills_80_by_24_in_a_pipe_without_colour(cli: Callable[..., Any]) -> None:
+def test_a_field_fills_80_by_24_in_a_pipe_without_colour(cli: Cli) -> None:
     ran = cli("plot", "run.mcap", "/t", "x")
     assert ran.exit_code == 0, ran.err
     lines = ran.out.splitlines()
@@ -78,9 +77,7 @@ def test_a_field_fills_80_by_24_in_a_pipe_without_colour(cli: Callable[..., Any]
     assert sum(map(bool, drawn)) > 15
 
 
-def test_fields_stand_below_each_other_and_a_message_is_its_numbers(
-    cli: Callable[..., Any],
-) -> None:
+def test_fields_stand_below_each_other_and_a_message_is_its_numbers(cli: Cli) -> None:
     lines = cli("plot", "run.mcap", "t", "x", "place", "ranges[0]").out.splitlines()
     named = [line.split()[0] for line in lines if "values" in line]
     assert named == ["x", "place.x", "place.y", "ranges[0]"]
@@ -101,7 +98,7 @@ def test_fields_stand_below_each_other_and_a_message_is_its_numbers(
     ],
 )
 def test_a_path_to_no_number_is_refused_with_those_there_are(
-    fields: tuple[str, ...], said: str, cli: Callable[..., Any]
+    fields: tuple[str, ...], said: str, cli: Cli
 ) -> None:
     ran = cli("plot", "run.mcap", "/t", *fields)
     assert ran.exit_code == 2
@@ -109,13 +106,13 @@ def test_a_path_to_no_number_is_refused_with_those_there_are(
     assert ran.out == ""
 
 
-def test_an_unknown_topic_is_refused_with_a_near_one(cli: Callable[..., Any]) -> None:
+def test_an_unknown_topic_is_refused_with_a_near_one(cli: Cli) -> None:
     ran = cli("plot", "run.mcap", "/tt", "x")
     assert ran.exit_code == 2
     assert "did you mean /t?" in ran.err
 
 
-def test_values_that_cannot_be_drawn_are_told(cli: Callable[..., Any]) -> None:
+def test_values_that_cannot_be_drawn_are_told(cli: Cli) -> None:
     write(Path("odd.mcap"), [(nan, [1.0]), (inf, []), (1.0, [2.0]), (1e300, [3.0])])
     ran = cli("plot", "odd.mcap", "/t", "x", "ranges[0]")
     assert ran.exit_code == 8
@@ -124,14 +121,14 @@ def test_values_that_cannot_be_drawn_are_told(cli: Callable[..., Any]) -> None:
     assert "x  1 to 1, 1 values" in ran.out
 
 
-def test_messages_that_do_not_fit_their_type_are_counted(cli: Callable[..., Any]) -> None:
+def test_messages_that_do_not_fit_their_type_are_counted(cli: Cli) -> None:
     write(Path("other.mcap"), [(1.1, [])] * 3, "string[] a\nfloat64 x\n")
     ran = cli("plot", "other.mcap", "/t", "x")
     assert ran.exit_code == 8
     assert "3 messages of /t cannot be decoded" in ran.err
 
 
-def test_a_picture_is_written_as_png_and_as_svg(cli: Callable[..., Any]) -> None:
+def test_a_picture_is_written_as_png_and_as_svg(cli: Cli) -> None:
     for name in ("a.png", "a.svg", "a.png"):  # a picture is replaced
         ran = cli("plot", "run.mcap", "/t", "x", "place.x", "-o", name)
         assert (ran.exit_code, ran.out) == (0, f"{name}\n")
@@ -143,9 +140,7 @@ def test_a_picture_is_written_as_png_and_as_svg(cli: Callable[..., Any]) -> None
     assert {"x", "place.x", "2 s"} <= set(shown)
 
 
-def test_nothing_else_than_a_picture_is_written(
-    recording: Path, cli: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_nothing_else_than_a_picture_is_written(recording: Path, cli: Cli, tmp_path: Path) -> None:
     before = recording.read_bytes()
     ran = cli("plot", "run.mcap", "/t", "x", "-o", "run.mcap")
     assert ran.exit_code == 2
@@ -156,9 +151,7 @@ def test_nothing_else_than_a_picture_is_written(
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_a_terminal_without_braille_gets_stars(
-    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_terminal_without_braille_gets_stars(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     from robotctl.cli.commands.recordings import plot
 
     monkeypatch.setattr(plot, "can_show_braille", lambda: False)
@@ -168,9 +161,7 @@ def test_a_terminal_without_braille_gets_stars(
 
 
 @pytest.mark.parametrize("values", [[5e-324] * 3, [0.0, 5e-324], [1e-310, 3e-310]])
-def test_the_smallest_numbers_there_are_can_be_drawn(
-    values: list[float], cli: Callable[..., Any]
-) -> None:
+def test_the_smallest_numbers_there_are_can_be_drawn(values: list[float], cli: Cli) -> None:
     write(Path("small.mcap"), [(value, []) for value in values])
     ran = cli("plot", "small.mcap", "/t", "x")
     assert (ran.exit_code, ran.err) == (0, "")
@@ -179,7 +170,7 @@ def test_the_smallest_numbers_there_are_can_be_drawn(
 
 
 @pytest.mark.parametrize("value", [-1.23456e-5, -1.23456e14, -1.23456e-300])
-def test_a_long_number_leaves_the_axis_where_it_is(value: float, cli: Callable[..., Any]) -> None:
+def test_a_long_number_leaves_the_axis_where_it_is(value: float, cli: Cli) -> None:
     write(Path("long.mcap"), [(value, []), (value * 2, [])])
     lines = cli("plot", "long.mcap", "/t", "x").out.splitlines()
     assert {line.find("│") for line in lines[1:-1]} == {11}
@@ -189,7 +180,7 @@ def texts_of(picture: str) -> list[ElementTree.Element]:
     return list(ElementTree.parse(picture).getroot().iter("{http://www.w3.org/2000/svg}text"))
 
 
-def test_a_number_beside_a_picture_is_written_whole(cli: Callable[..., Any]) -> None:
+def test_a_number_beside_a_picture_is_written_whole(cli: Cli) -> None:
     write(Path("stamps.mcap"), [(1.7e9 + n / 20, []) for n in range(21)])
     assert cli("plot", "stamps.mcap", "/t", "x", "-o", "stamps.svg").exit_code == 0
     numbers = [text for text in texts_of("stamps.svg") if text.get("class") == "value"]
@@ -202,7 +193,7 @@ def test_a_number_beside_a_picture_is_written_whole(cli: Callable[..., Any]) -> 
         assert edge.getextrema() == (255, 255)  # nothing is cut off
 
 
-def test_the_numbers_beside_small_values_are_not_zero(cli: Callable[..., Any]) -> None:
+def test_the_numbers_beside_small_values_are_not_zero(cli: Cli) -> None:
     write(Path("tiny.mcap"), [(n * 1e-14, []) for n in range(1, 5)])
     assert cli("plot", "tiny.mcap", "/t", "x", "-o", "tiny.svg").exit_code == 0
     numbers = [text.text for text in texts_of("tiny.svg") if text.get("class") == "value"]
@@ -224,7 +215,7 @@ def write_transforms(path: Path) -> None:
         writer.finish()
 
 
-def test_numbers_of_messages_in_a_list_are_named_and_drawn(cli: Callable[..., Any]) -> None:
+def test_numbers_of_messages_in_a_list_are_named_and_drawn(cli: Cli) -> None:
     write_transforms(Path("tf.mcap"))
     said = cli("plot", "tf.mcap", "/tf").err
     assert "its numbers are places[0].x, places[0].points[0].y" in said
@@ -241,7 +232,7 @@ def test_numbers_of_messages_in_a_list_are_named_and_drawn(cli: Callable[..., An
     assert "places[2].x: 2 messages have a shorter list" in ran.err
 
 
-def test_a_type_of_endless_lists_is_searched_for_a_moment_only(cli: Callable[..., Any]) -> None:
+def test_a_type_of_endless_lists_is_searched_for_a_moment_only(cli: Cli) -> None:
     parts = ["P0[] a\nP0[] b\n"]
     parts += [f"MSG: a/P{n}\nP{n + 1}[] a\nP{n + 1}[] b\n" for n in range(50)]
     parts += ["MSG: a/P50\nstring s\n", *(f"MSG: a/Q{n}\nfloat64 x\n" for n in range(2000))]

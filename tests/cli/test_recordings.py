@@ -9,10 +9,8 @@ from __future__ import annotations
 import json
 import os
 import pty
-from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -26,9 +24,8 @@ from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import ERRORS, RecordedEvent
 from robotctl.recording.keep.listing import CLIPS_FOLDER, set_kept
 from robotctl.testing.drives import START_NS, TWIST
+from tests.cli.conftest import Cli
 from tests.support.recordings import read_strictly, write_numbered
-
-Cli = Callable[..., Any]
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 OLDER, NEWER = "robot_20260101_120000", "robot_20260101_120000-2"

@@ -19,10 +19,9 @@ import pytest
 
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.testing.drives import Written, drive, drive_requested, record
+from tests.cli.conftest import Cli
 from tests.support.bags import Line, odometry, status, write_bag
 from tests.support.terminals import CODE, Terminal
-
-Cli = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")

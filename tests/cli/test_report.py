@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from robotctl.testing.drives import drive, record
+from tests.cli.conftest import Cli
 from tests.support.bags import talk, write_bag
 from tests.support.html_page import HtmlPage
 
@@ -19,7 +18,7 @@ def folder() -> Path:
     return record(Path("recordings/robot_20260101_120000"), drive(1.0))
 
 
-def test_the_page_is_written_beside_the_recording(folder: Path, cli: Callable[..., Any]) -> None:
+def test_the_page_is_written_beside_the_recording(folder: Path, cli: Cli) -> None:
     ran = cli("report", "last")
     assert ran.exit_code == 0, ran.err
     assert f"{folder}/report.html" in ran.out
@@ -32,13 +31,13 @@ def test_the_page_is_written_beside_the_recording(folder: Path, cli: Callable[..
     assert cli("verify", "last").exit_code == 4  # whole, not sealed: as before
 
 
-def test_the_page_of_a_file_stands_beside_the_file(cli: Callable[..., Any]) -> None:
+def test_the_page_of_a_file_stands_beside_the_file(cli: Cli) -> None:
     write_bag(Path("run.mcap"), talk("/chat", 3))
     assert cli("report", "run.mcap").exit_code == 0
     assert Path("run.report.html").exists()
 
 
-def test_json_tells_what_was_written(folder: Path, cli: Callable[..., Any]) -> None:
+def test_json_tells_what_was_written(folder: Path, cli: Cli) -> None:
     answer = json.loads(cli("report", "last", "-o", "page.html", "--json").out)
     assert answer["report"] == "page.html"
     assert answer["bytes"] == Path("page.html").stat().st_size
@@ -48,9 +47,7 @@ def test_json_tells_what_was_written(folder: Path, cli: Callable[..., Any]) -> N
     assert about["missing"] == []
 
 
-def test_a_damaged_recording_is_shown_as_far_as_it_can_be_read(
-    folder: Path, cli: Callable[..., Any]
-) -> None:
+def test_a_damaged_recording_is_shown_as_far_as_it_can_be_read(folder: Path, cli: Cli) -> None:
     (file,) = folder.glob("*.mcap")
     data = file.read_bytes()
     Path("cut.mcap").write_bytes(data[: len(data) // 2])
@@ -60,16 +57,14 @@ def test_a_damaged_recording_is_shown_as_far_as_it_can_be_read(
     assert "Not read:" in Path("cut.report.html").read_text()
 
 
-def test_what_is_no_recording_is_refused_and_nothing_is_written(cli: Callable[..., Any]) -> None:
+def test_what_is_no_recording_is_refused_and_nothing_is_written(cli: Cli) -> None:
     Path("notes.txt").write_text("no recording")
     assert cli("report", "notes.txt").exit_code == 6
     assert cli("report", "nowhere").exit_code == 6
     assert [path.name for path in Path().iterdir()] == ["notes.txt"]
 
 
-def test_a_page_that_cannot_be_written_is_refused_with_the_reason(
-    folder: Path, cli: Callable[..., Any]
-) -> None:
+def test_a_page_that_cannot_be_written_is_refused_with_the_reason(folder: Path, cli: Cli) -> None:
     target = Path("elsewhere.html")
     target.symlink_to(folder / "metadata.yaml")
     before = (folder / "metadata.yaml").read_text()
@@ -82,7 +77,7 @@ def test_a_page_that_cannot_be_written_is_refused_with_the_reason(
     assert (folder / "metadata.yaml").read_text() == before
 
 
-def test_a_recording_is_never_replaced_by_its_page(folder: Path, cli: Callable[..., Any]) -> None:
+def test_a_recording_is_never_replaced_by_its_page(folder: Path, cli: Cli) -> None:
     (file,) = folder.glob("*.mcap")
     before = file.read_bytes()
     ran = cli("report", "last", "-o", str(file))

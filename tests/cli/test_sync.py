@@ -11,23 +11,21 @@ import os
 import shutil
 import sys
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from robotctl.base.errors import Interrupted, NoDaemon, Refused
+from robotctl.base.errors import Interrupted, Refused
 from robotctl.base.store import has_hash_folders, hash_in, without_hashes
 from robotctl.cli.commands.many_recordings import sync as sync_command
 from robotctl.cli.commands.many_recordings.sync import SyncPace
 from robotctl.ipc.client import NoAnswer
 from robotctl.recording.keep.listing import recordings_in
 from robotctl.testing.drives import drive, record
+from tests.cli.conftest import Cli
 from tests.support.s3_server import environment
 
-Cli = Callable[..., Any]
 Answers = list[str | Exception]
 
 NAME = "robot_20260101_120000"
@@ -59,11 +57,7 @@ def test_a_folder_takes_recordings_once(cli: Cli, own_recording: Path, tmp_path:
 
 
 def test_a_bucket_takes_recordings_and_they_go_here(
-    cli: Cli,
-    own_recording: Path,
-    s3_endpoint: str,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
+    cli: Cli, own_recording: Path, s3_endpoint: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     for name, value in environment(s3_endpoint).items():
         monkeypatch.setenv(name, value)
@@ -91,11 +85,7 @@ def test_what_is_not_copied_is_told_with_exit_code_6(
 
 
 def test_what_comes_back_from_a_bucket_is_as_it_was_with_its_time(
-    cli: Cli,
-    own_recording: Path,
-    s3_endpoint: str,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
+    cli: Cli, own_recording: Path, s3_endpoint: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     for name, value in environment(s3_endpoint).items():
         monkeypatch.setenv(name, value)
@@ -184,13 +174,6 @@ def test_without_the_extra_a_url_is_one_sentence_with_its_cure(
     assert "pip install 'robotctl[store]'" in ran.err
 
 
-def test_the_limit_is_kept(cli: Cli, own_recording: Path, tmp_path: Path) -> None:
-    megabits = sum(path.stat().st_size for path in own_recording.iterdir()) * 8e-6
-    begun_s = time.monotonic()
-    cli("sync", str(tmp_path / "usb"), "--limit-mbps", str(megabits))
-    assert time.monotonic() - begun_s >= 0.5, "a second, but for the first burst"
-
-
 def test_while_the_robot_moves_nothing_is_sent(
     cli: Cli, own_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -258,13 +241,6 @@ def test_a_daemon_that_does_not_tell_may_have_a_moving_robot(
     assert left == []
 
 
-def test_a_robot_without_a_daemon_does_not_move(answers: Callable[..., Answers]) -> None:
-    left = answers(NoDaemon("none"), NoDaemon("none"), "never asked")
-    with SyncPace(None, "robot") as pace:
-        pace(1)
-    assert left == ["never asked"]
-
-
 def test_a_daemon_that_cannot_be_asked_at_all_is_told_at_once(
     answers: Callable[..., Answers],
 ) -> None:
@@ -326,6 +302,5 @@ def test_the_newest_of_a_name_counts(copies: Path, cli: Cli, tmp_path: Path) -> 
     older = copy / SHA / "metadata.yaml"
     older.parent.mkdir()
     older.write_text("rosbag2_bagfile_information:\n")
-
     os.utime(older, (1, 1))
     assert cli("info", str(copy)).exit_code == 0

@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from rich.console import Console
 from rich.live import Live
 
-from robotctl.base.errors import UsageError
 from robotctl.cli.commands.robot.teleop import controls as module
 from robotctl.cli.commands.robot.teleop.command import (
     KEYS,
@@ -209,11 +208,6 @@ def test_a_key_without_releases_moves_only_when_it_repeats() -> None:
     assert hands.take(keys("a"), 1.633) == STEERING["a"]
 
 
-def test_keys_that_waited_are_no_repeats() -> None:
-    hands = HandsWithoutReleases()
-    assert hands.take(keys("wwwwwwww"), 1.0) is None
-
-
 @pytest.mark.parametrize("text", ["w" * 20_000, "w" * 65, "forward " * 100, "x" * 130 + "ww"])
 def test_what_is_pasted_moves_nothing_where_the_terminal_tells_no_releases(text: str) -> None:
     hands = HandsWithoutReleases()
@@ -265,15 +259,6 @@ def test_the_instructions_and_refusals_are_seen_whole(
     assert max(map(len, instructions)) <= 80
 
 
-def test_the_status_is_seen_on_a_usual_terminal() -> None:
-    console = Console(width=80, height=24, file=io.StringIO())
-    lines = [*WITHOUT_RELEASES, KEYS, "speed 0.30 m/s"]
-    with console.capture() as drawn:
-        console.print(view_below(lines, cast("Status", STATUS)))
-    assert len(drawn.get().splitlines()) <= 23
-    assert "/topic5" in drawn.get()
-
-
 LIMITS = {"limits.linear_mps": 0.6, "limits.angular_rps": 1.5}
 
 
@@ -293,11 +278,6 @@ def test_the_speed_that_is_asked_for_is_driven(asked: float) -> None:
     linear_mps, angular_rps = speeds(asked).velocity(Wish(1.0, 1.0))
     assert linear_mps == pytest.approx(asked)
     assert angular_rps / 1.5 == pytest.approx(asked / 0.6)
-
-
-def test_a_speed_above_the_limit_is_refused_with_the_limit() -> None:
-    with pytest.raises(UsageError, match=r"--speed 0\.61: the limit is 0\.6 m/s"):
-        speeds(0.61)
 
 
 def test_the_keys_scale_the_speeds_within_the_limits() -> None:
@@ -397,12 +377,6 @@ def test_an_axis_that_is_no_number_is_at_rest(now: list[float], axes: tuple[floa
     hands.say(held=False)
     assert hands.say(held=True, axes=axes) == STAND
     assert hands.say(held=True, axes=(-7.0, 7.0)) == Wish(1.0, -1.0)
-
-
-def test_a_gamepad_without_the_button_is_named(now: list[float]) -> None:
-    hands = Hands()
-    assert hands.say(held=True, buttons=3) == STAND
-    assert "it has 3 buttons and 2 axes, without button 4 or axes 1, 0" in str(hands.gamepad)
 
 
 def test_a_message_that_is_cut_short_is_named(now: list[float]) -> None:

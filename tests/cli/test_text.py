@@ -66,16 +66,6 @@ def test_a_path_below_the_working_directory_is_relative(
     assert short_path("/bin/\x07") == "/bin/\\x07"
 
 
-def test_a_path_is_shown_from_a_working_directory_that_is_gone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    monkeypatch.chdir(gone)
-    os.rmdir(gone)
-    assert short_path("recordings/run") == "recordings/run"
-
-
 @pytest.mark.parametrize(
     ("count", "text"),
     [(0, "0 B"), (999, "999 B"), (1868, "1.9 kB"), (5e7, "50.0 MB"), (3e9, "3.0 GB")],

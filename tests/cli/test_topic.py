@@ -7,7 +7,6 @@ Topics fit into 80 columns and remain distinguishable.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from math import inf, nan
 from pathlib import Path
 from typing import Any
@@ -21,13 +20,11 @@ from mcap.writer import Writer
 from robotctl.base.errors import UsageError
 from robotctl.cli.commands.ros.service import parse_words
 from robotctl.cli.commands.ros.topic.command import statistics
-from robotctl.cli.ui import status
 from robotctl.cli.ui.ros_text import message_lines, plain_json
 from robotctl.cli.ui.status import TopicLines
+from tests.cli.conftest import Cli
 
 RECORDING = str(Path(__file__).parents[1] / "golden" / "stopped")
-
-Cli = Callable[..., Any]
 
 
 def test_the_topics_of_a_recording_are_listed_with_type_and_count(cli: Cli) -> None:
@@ -59,14 +56,6 @@ def test_a_field_of_each_message_is_a_line_with_the_time(cli: Cli) -> None:
     assert [each["value"] for each in told] == [value for _, value in lines]
     assert [time for time, _ in lines] == pytest.approx([each["time_ns"] / 1e9 for each in told])
     assert max(value for _, value in lines) > 0.2
-
-
-def test_lists_are_shortened_unless_all_is_wanted(cli: Cli, tmp_path: Path) -> None:
-    file = write(tmp_path / "a.mcap", "uint8[] data", b"\0\1\0\0\xc8\0\0\0" + bytes(200))
-    assert len(cli("topic", "echo", "--file", file, "/x").out.splitlines()) == 128 + 4
-    assert len(cli("topic", "echo", "--file", file, "/x", "-f").out.splitlines()) == 200 + 3
-    (line,) = cli("topic", "echo", "--file", file, "/x", "--json").out.splitlines()
-    assert json.loads(line)["message"] == {"data": [0] * 200}
 
 
 def test_the_rate_of_a_recorded_topic_is_told(cli: Cli) -> None:
@@ -114,15 +103,6 @@ def test_a_message_that_cannot_be_read_is_named(
     )
     assert ran.exit_code == 6
     assert said in ran.err
-
-
-def test_a_text_in_a_recording_does_not_reach_the_terminal_as_it_is(
-    cli: Cli, tmp_path: Path
-) -> None:
-    text = b"\0\1\0\0\x05\0\0\0\x1b[2J\0"
-    ran = cli("topic", "echo", "--file", write(tmp_path / "a.mcap", "string x", text), "/x")
-    assert r'x: "\u001b[2J"' in ran.out
-    assert "\x1b" not in ran.out
 
 
 def write(path: Path, definition: str, data: bytes, encoding: str = "cdr") -> str:
@@ -253,13 +233,6 @@ SERVICE_EVENT_TYPE = "robot_controller/srv/SetMode_Event"
 
 
 @pytest.mark.usefixtures("wide_terminal")
-def test_short_names_leave_the_types_their_room() -> None:
-    table = TopicLines([("/odom", ""), (SERVICE_EVENT, "")])
-    row = table.row(SERVICE_EVENT, SERVICE_EVENT_TYPE, 3, 0.5)
-    assert row.split() == [SERVICE_EVENT, SERVICE_EVENT_TYPE, "3", "0.5"]
-
-
-@pytest.mark.usefixtures("wide_terminal")
 def test_a_long_name_takes_its_room_from_the_types() -> None:
     name = f"/demo_12345{SERVICE_EVENT}"
     table = TopicLines([("/odom", ""), (name, "")])
@@ -275,18 +248,3 @@ def test_every_line_has_80_columns_and_the_same_ones(name: str, type_name: str) 
     row = table.row(name, type_name, 12_345_678, 99_999.9)
     assert len(row) == len(table.header) == 80
     assert row.endswith(" 12345678 99999.9")
-
-
-@pytest.mark.usefixtures("wide_terminal")
-def test_a_narrow_terminal_gets_narrow_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(status, "columns", lambda: 60)
-    table = TopicLines([(SERVICE_EVENT, "")])
-    row = table.row(SERVICE_EVENT, SERVICE_EVENT_TYPE, 3, 0.5)
-    assert len(row) == len(table.header) == 60
-    assert row.split()[0] == SERVICE_EVENT
-
-
-@pytest.mark.parametrize(("rate_hz", "shown"), [(1e9, "1.0e+09"), (None, "unknown")])
-@pytest.mark.usefixtures("wide_terminal")
-def test_a_rate_keeps_to_its_column(rate_hz: float | None, shown: str) -> None:
-    assert TopicLines([]).row("/odom", "", 1, rate_hz).endswith(f" {shown}")

@@ -5,15 +5,13 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Ran
+from tests.cli.conftest import Cli
 from tests.support.faulty_bucket import FaultyBucket, serving
-
-Cli = Callable[..., Ran]
 
 STOPPED = Path(__file__).parents[1] / "golden" / "stopped"
 (FILE,) = STOPPED.glob("*.mcap")

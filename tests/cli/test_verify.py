@@ -7,9 +7,7 @@ No command reports a file as complete if a power cut has left zeros in it.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from mcap.writer import Writer
@@ -19,9 +17,8 @@ from robotctl.recording import Recorder
 from robotctl.recording.seal.keyring import KEY_FILE, Keyring
 from robotctl.testing.drives import TWIST, drive, record
 from robotctl.testing.faults import chunks_of, zero
+from tests.cli.conftest import Cli
 from tests.support.recordings import record_sealed, write_numbered
-
-Cli = Callable[..., Any]
 
 
 @pytest.fixture
@@ -170,14 +167,14 @@ def zeroed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_recover_exits_with_8(zeroed: Path, tmp_path: Path, cli: Callable[..., Any]) -> None:
+def test_recover_exits_with_8(zeroed: Path, tmp_path: Path, cli: Cli) -> None:
     ran = cli("recover", str(zeroed), "-o", str(tmp_path / "out.mcap"))
     assert ran.exit_code == 8
     assert "nothing lost" not in ran.out
     assert ZEROS in ran.err
 
 
-def test_clip_exits_with_8(zeroed: Path, tmp_path: Path, cli: Callable[..., Any]) -> None:
+def test_clip_exits_with_8(zeroed: Path, tmp_path: Path, cli: Cli) -> None:
     options = ("--before", "86400", "--after", "86400", "-o", str(tmp_path / "clip.mcap"))
     ran = cli("clip", str(zeroed), "--at", "1", *options)
     assert ran.exit_code == 8, ran.err
@@ -185,15 +182,13 @@ def test_clip_exits_with_8(zeroed: Path, tmp_path: Path, cli: Callable[..., Any]
 
 
 @pytest.mark.parametrize("options", [("--check",), ("--what-if", "tracking.k_y=8")])
-def test_a_check_is_incomplete(
-    zeroed: Path, cli: Callable[..., Any], options: tuple[str, ...]
-) -> None:
+def test_a_check_is_incomplete(zeroed: Path, cli: Cli, options: tuple[str, ...]) -> None:
     ran = cli("replay", str(zeroed), "--json", *options)
     assert ran.exit_code == 6, ran.err
     assert ZEROS in ran.out
 
 
-def test_why_says_what_is_missing(zeroed: Path, cli: Callable[..., Any]) -> None:
+def test_why_says_what_is_missing(zeroed: Path, cli: Cli) -> None:
     ran = cli("why", str(zeroed), "--json")
     missing = json.loads(ran.out)["missing"] if ran.exit_code == 0 else [ran.err]
     assert any(ZEROS in sentence for sentence in missing)

@@ -9,7 +9,7 @@ import re
 import signal
 import subprocess
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from io import StringIO
 from typing import Any
 
@@ -23,12 +23,11 @@ from robotctl.cli.targets.interrupts import Background
 from robotctl.cli.ui.panels import History, drive_map, live_view, sparkline
 from robotctl.ipc.answers import DrivenPath
 from robotctl.ipc.client import call
+from tests.cli.conftest import Cli, Spawn
 from tests.support.terminals import Terminal
 
 
-def test_through_a_pipe_it_prints_the_rows_of_a_table(
-    daemon: None, spawn: Callable[..., subprocess.Popen[str]]
-) -> None:
+def test_through_a_pipe_it_prints_the_rows_of_a_table(daemon: None, spawn: Spawn) -> None:
     process = spawn("watch")
     assert process.stdout is not None
     assert process.stdout.readline() == f"{HEADER}\n"
@@ -79,9 +78,7 @@ def test_on_a_terminal_it_draws_within_80_columns(daemon: None, command: list[st
         assert any(text in line for line in lines), text
 
 
-def test_it_ends_with_the_daemon(
-    daemon: None, cli: Callable[..., Any], spawn: Callable[..., subprocess.Popen[str]]
-) -> None:
+def test_it_ends_with_the_daemon(daemon: None, cli: Cli, spawn: Spawn) -> None:
     process = spawn("watch")
     assert process.stdout is not None
     process.stdout.readline()
@@ -125,9 +122,7 @@ def test_a_poll_that_fails_does_not_end_the_view_of_a_drive(
     assert driving.result() == {"waited": True}
 
 
-def test_json_is_the_status_line_by_line(
-    daemon: None, spawn: Callable[..., subprocess.Popen[str]]
-) -> None:
+def test_json_is_the_status_line_by_line(daemon: None, spawn: Spawn) -> None:
     process = spawn("watch", "--json")
     assert process.stdout is not None
     for _ in range(2):

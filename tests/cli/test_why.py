@@ -6,10 +6,8 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,8 +15,8 @@ from robotctl.base.paths import recordings_note_path
 from robotctl.kernel.types import ModeRequested, Twist
 from robotctl.recording import read_info
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested, record
+from tests.cli.conftest import Cli
 
-Cli = Callable[..., Any]
 FOLDER = Path("recordings/robot_20260101_120000")
 
 
@@ -36,15 +34,6 @@ def test_the_last_recording_is_meant_where_none_is_named(cli: Cli, stopped: list
     assert "moving is refused in EMERGENCY_STOP" in " ".join(ran.out.split())
     assert ran.out == cli("why", "last").out == cli("why", str(FOLDER)).out
     assert ran.out == cli("why", str(FOLDER.parent)).out
-
-
-@pytest.mark.usefixtures("wide_terminal")
-def test_the_lines_fit_and_nothing_steers_the_terminal(cli: Cli, stopped: list[Written]) -> None:
-    record(FOLDER, stopped)
-    out = cli("why", "--at", "2.1").out
-    assert "MOVING -> EMERGENCY_STOP: requested by robotctl estop\\x1b[2J" in out
-    assert "\x1b" not in out
-    assert max(map(len, out.splitlines())) <= 80
 
 
 def test_machines_get_the_same_as_an_object(cli: Cli, stopped: list[Written]) -> None:
@@ -94,13 +83,6 @@ def test_a_later_recording_that_cannot_say_is_named_and_the_one_before_it_tells(
     assert (found["path"], found["later"]) == (str(FOLDER.absolute()), [str(LATER.absolute())])
     (missing,) = found["missing"]
     assert "robot_20260101_140000 holds no .mcap file" in missing
-
-
-def test_another_robots_stop_is_not_taken_for_this_ones(cli: Cli, stopped: list[Written]) -> None:
-    record(Path("recordings/other_20260101_120000"), stopped, robot="other")
-    record(LATER, drive(0.5, requests=[]))
-    assert cli("why").exit_code == 4
-    assert cli("why", "--robot", "other").exit_code == 0
 
 
 def test_a_time_before_the_last_recording_is_looked_for_in_those_before(
