@@ -25,9 +25,8 @@ from robotctl.daemon.host import DaemonKind, Host, Ready
 from robotctl.daemon.log.levels import LoggerLevels
 from robotctl.daemon.observer import Observer
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
-from robotctl.daemon.recording.provenance import provenance
+from robotctl.daemon.recording.provenance import DIGEST, provenance, software
 from robotctl.daemon.recording.recordings_folder import save_recordings_path
-from robotctl.daemon.recording.software import DIGEST, software
 from robotctl.daemon.ros_logs import apply_levels, published_log, serve_logger_levels
 from robotctl.daemon.service_manager import ServiceManager, reporting
 from robotctl.daemon.supervisor import Supervisor

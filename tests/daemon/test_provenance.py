@@ -17,9 +17,15 @@ from robotctl.base.errors import ConfigError
 from robotctl.config import Config
 from robotctl.daemon.recording import head_forwarder
 from robotctl.daemon.recording.head_forwarder import HeadForwarder
-from robotctl.daemon.recording.provenance import provenance, revision, revision_around
+from robotctl.daemon.recording.provenance import (
+    CONTROL_PATH,
+    DIGEST,
+    provenance,
+    revision,
+    revision_around,
+    software,
+)
 from robotctl.daemon.recording.recordings_folder import open_recorder
-from robotctl.daemon.recording.software import CONTROL_PATH, DIGEST, software
 from robotctl.recording import Recording, read_info
 from robotctl.recording.format.names import FOXGLOVE_RECORD, SOFTWARE_RECORD
 from robotctl.recording.seal.keyring import Head

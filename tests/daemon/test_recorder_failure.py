@@ -16,7 +16,7 @@ import pytest
 
 from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.config import Config
-from robotctl.daemon.recording import recordings_folder, topic_rates
+from robotctl.daemon.recording import recorder_report, recordings_folder
 from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.kernel.patterns import PatternKind
 from robotctl.recording import Recorder, RecorderOptions, Recording, read_info, read_journal
@@ -101,8 +101,8 @@ async def test_a_heavy_topic_is_named_once_with_the_filter_that_leaves_it_out(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    monkeypatch.setattr(topic_rates, "HEAVY_BYTES_PER_S", 1.0)
-    monkeypatch.setattr(topic_rates, "HEAVY_WINDOW_S", 1.0)
+    monkeypatch.setattr(recorder_report, "HEAVY_BYTES_PER_S", 1.0)
+    monkeypatch.setattr(recorder_report, "HEAVY_WINDOW_S", 1.0)
     told = "robotctl start --exclude /battery_state leaves it out of the recording"
     async with in_process() as daemon:
         status = await daemon.until(

@@ -14,15 +14,16 @@ from hypothesis import strategies as st
 
 from robotctl.daemon.host import MAX_WARNINGS
 from robotctl.daemon.host import diagnose as diagnose_daemon
-from robotctl.daemon.recording import topic_rows
-from robotctl.daemon.recording.loss_diagnosis import MAX_TOPICS, diagnose
-from robotctl.daemon.recording.topic_rates import (
+from robotctl.daemon.recording import recorder_report
+from robotctl.daemon.recording.recorder_report import (
     HEAVY_BYTES_PER_S,
     HEAVY_WINDOW_S,
+    MAX_TOPICS,
     HeavyTopics,
     RateMeter,
+    TopicRows,
+    diagnose,
 )
-from robotctl.daemon.recording.topic_rows import TopicRows
 from robotctl.ipc.answers import TopicAnswer
 from robotctl.recording import Recorder, RecorderState, RecorderStats, Topic, TopicStats
 from robotctl.recording.format.topics import COUNTERS, LATCHED_QOS, total
@@ -212,7 +213,7 @@ def test_a_row_follows_its_counts_its_rate_and_new_topics(monkeypatch: pytest.Mo
         encoded.append(row.name)  # type: ignore[attr-defined]
         return msgspec.json.encode(row)
 
-    monkeypatch.setattr(topic_rows, "_encode", encode)
+    monkeypatch.setattr(recorder_report, "_encode", encode)
     still, moving = TopicStats(1, name="/a", type_name="T"), TopicStats(name="/b", type_name="T")
     first = rows.encoded((still, moving), {})
     moving = TopicStats(received=7, name="/b", type_name="T")

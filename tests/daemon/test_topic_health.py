@@ -15,9 +15,15 @@ from hypothesis import strategies as st
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from robotctl.daemon.recording.learned_period import MINUTE_S, ROUNDS
-from robotctl.daemon.recording.topic_health import FORGET_S, RECENT_S, TopicHealth, may_be_learned
-from robotctl.daemon.recording.topic_watch import LOOK_S
+from robotctl.daemon.recording.topic_health import (
+    FORGET_S,
+    LOOK_S,
+    MINUTE_S,
+    RECENT_S,
+    ROUNDS,
+    TopicHealth,
+    may_be_learned,
+)
 from robotctl.recording.write.recorder_options import RateByTopic
 from tests.support.ros_peer import node_in
 from tests.support.waiting import until

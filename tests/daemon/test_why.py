@@ -14,7 +14,7 @@ from robotctl.cli import app
 from robotctl.config import Config, flat
 from robotctl.daemon.api import recording
 from robotctl.daemon.control.decisions import Decisions, Request
-from robotctl.daemon.recording.software import DIGEST, software
+from robotctl.daemon.recording.provenance import DIGEST, software
 from robotctl.decisions.journal import DecisionKind, Entry, log_folder, read_log
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import RECORD_COMMIT

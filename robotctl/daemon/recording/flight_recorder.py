@@ -7,24 +7,23 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
+from typing import Any
 
 from robotctl.base.paths import log_path
 from robotctl.config import Config, flat
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.black_box import BlackBox
-from robotctl.daemon.recording.call_in_loop import in_loop
 from robotctl.daemon.recording.disk_reserve import DiskReserve
-from robotctl.daemon.recording.head_forwarder import HeadForwarder
-from robotctl.daemon.recording.health_looks import HealthLooks
+from robotctl.daemon.recording.head_forwarder import HeadForwarder, RobotSealer
 from robotctl.daemon.recording.indexer import Indexer
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.recording.recordings_folder import open_recorder, retention_policy
-from robotctl.daemon.recording.robot_seal import RobotSealer
 from robotctl.daemon.recording.tidier import Tidier
-from robotctl.daemon.recording.topic_sinks import TopicSinks
+from robotctl.daemon.recording.topic_sinks import HealthLooks, TopicSinks
 from robotctl.daemon.supervisor import Work
 from robotctl.ipc.advice import for_robot
 from robotctl.recording import RecorderStats, Topic
@@ -37,6 +36,18 @@ from robotctl.ros.nodes import mode_service, publishers
 from robotctl.ros.nodes.publishers import HeadPublisher, JournalPublisher, MarkPublisher
 from robotctl.ros.session import Session
 from robotctl.ros.tap.tap import Tap
+
+
+def in_loop(call: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return a function for any thread that schedules `call` in the running loop."""
+    loop = asyncio.get_running_loop()
+
+    def post(argument: Any) -> None:
+        with suppress(RuntimeError):  # the loop is closed
+            loop.call_soon_threadsafe(call, argument)
+
+    return post
+
 
 _log = logging.getLogger(__name__)
 

@@ -10,8 +10,7 @@ from pathlib import Path
 from robotctl.base.errors import RobotctlError
 from robotctl.base.paths import make_private, recordings_note_path
 from robotctl.config import Config, RecordingParams, flat
-from robotctl.daemon.recording.provenance import provenance
-from robotctl.daemon.recording.software import software
+from robotctl.daemon.recording.provenance import provenance, software
 from robotctl.decisions.journal import head_of, log_folder
 from robotctl.kernel.units import DAY_S
 from robotctl.recording import Recorder, RecorderOptions
