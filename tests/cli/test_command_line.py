@@ -12,6 +12,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -25,38 +26,18 @@ from robotctl.cli import app, quick, registry
 from robotctl.cli.app import behind_the_command
 from robotctl.cli.registry import COMMANDS, other_words
 from robotctl.kernel.patterns import PatternKind
+from robotctl.kernel.types import ModeRequested
+from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record
 from tests.cli.conftest import Cli
+from tests.support.bags import odometry, status, write_bag
 
 NAMES = ["status", "set_mode", "estop", "reset", "stop"]
 
-words = st.sampled_from(
-    [
-        "status",
-        "set-mode",
-        "estop",
-        "reset",
-        "stop",
-        "start",
-        "moving",
-        "7",
-        "--json",
-        "--robot",
-        "--reason",
-        "--all",
-        "smoke",
-        "--robot=r2",
-        "--robot=",
-        "r2",
-        "-h",
-        "--help",
-        "--no-json",
-        "--js",
-        "-x",
-        "--",
-        "-",
-        "",
-    ]
+WORDS = (
+    "status set-mode estop reset stop start moving 7 --json --robot --reason --all smoke r2 -h -x"
 )
+WORDS += " --robot=r2 --robot= --help --no-json --js -- -"
+words = st.sampled_from([*WORDS.split(), ""])
 
 
 @pytest.fixture
@@ -161,28 +142,29 @@ def imported_by(*arguments: str) -> set[str]:
     return set(ran.stdout.splitlines()[-1].split()[1:])
 
 
-def test_help_imports_no_heavy_library() -> None:
+def test_quick_commands_import_not_even_typer_and_others_no_heavy_library(daemon: None) -> None:
+    for quick_line in ("status", "estop", "reset"):
+        heavy = HEAVY | {"typer", "dataclasses", "inspect"}
+        assert not imported_by(quick_line) & heavy, quick_line
     assert not imported_by("--help") & HEAVY
+    assert not imported_by("drive", "square") & (HEAVY - {"pydantic"})
 
 
-@pytest.mark.parametrize(
-    "arguments", [["status"], ["set-mode", "moving"], ["estop"], ["reset"], ["stop", "--json"]]
-)
-def test_what_controls_the_robot_imports_not_even_typer(arguments: list[str], daemon: None) -> None:
-    assert not imported_by(*arguments) & (HEAVY | {"typer", "dataclasses", "inspect"})
-
-
-@pytest.mark.parametrize("arguments", [["status", "--help"], ["drive", "square"]])
-def test_other_commands_import_no_heavy_library(arguments: list[str], daemon: None) -> None:
-    assert not imported_by(*arguments) & (HEAVY - {"pydantic"})
-
-
-STARTS = """
+OFFLINE = """
 import sys
-from robotctl.cli import app
-app._parse_and_run = lambda _: print("imported", *sys.modules)
-assert app.run(sys.argv[1:]) == 0
+from robotctl.cli.app import run
+for words in ("replay bag.mcap --draw-only --rate 10", "replay run --check", "why run"):
+    assert run(words.split()) == 0, words
+assert not {"rclpy", "robotctl.ros", "numpy"} & set(sys.modules)
 """
+
+
+def test_no_ros_is_imported_to_draw_check_or_explain_a_recording() -> None:
+    estop = ModeRequested(BEGIN_NS + 500_000_000, 2, 3, "test")
+    record(Path("run"), drive(1.0, requests=[drive_requested(), estop]))
+    write_bag(Path("bag.mcap"), [status(0, 1), *(odometry(n * 100.0, n * 0.01) for n in range(9))])
+    ran = subprocess.run([sys.executable, "-c", OFFLINE], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
 
 
 def test_a_path_of_this_computer_needs_no_store() -> None:

@@ -52,14 +52,6 @@ def test_csv_and_yaml_are_read(tmp_path: Path, text: str) -> None:
     assert read_waypoints(written(tmp_path, text), Frame.START, "robot") == CORNER
 
 
-def test_a_file_that_repeats_its_points_leads_the_same_way(tmp_path: Path) -> None:
-    rows = "".join(f"{x},{y}\n" * 3 for x, y in CORNER)
-    points = read_waypoints(written(tmp_path, "x,y\n" + rows), Frame.START, "robot")
-    assert len(points) == 3 * len(CORNER)
-    again, once = (Course(waypoints=tuple((x, y) for x, y in each)) for each in (points, CORNER))
-    assert path_of(Pattern(), again) == path_of(Pattern(), once)
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -136,11 +128,6 @@ def test_a_point_that_means_much_more_than_is_written_is_named_in_a_short_line(
     with pytest.raises(UnreadableFile, match=r"point [12] is") as failed:
         read_waypoints(written(tmp_path, text), Frame.START, "robot")
     assert len(str(failed.value)) < len(str(tmp_path)) + 200
-
-
-def test_a_point_may_be_an_alias_of_another_one(tmp_path: Path) -> None:
-    points = read_waypoints(written(tmp_path, "[&a [0, 0], [1, 0], *a]"), Frame.START, "robot")
-    assert points == [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]]
 
 
 def test_a_missing_file_a_fifo_and_a_folder_without_a_recording_are_named(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ WITHOUT_A_DAEMON = [
 NO_DAEMON = "robotctl: no daemon for robot 'robot' (start one with: robotctl start)\n"
 
 
-@pytest.mark.parametrize("arguments", [*WITHOUT_A_DAEMON, "watch"])
+@pytest.mark.parametrize("arguments", [*WITHOUT_A_DAEMON, "watch", "view"])
 def test_without_a_daemon_every_command_says_how_to_start_one(arguments: str, cli: Cli) -> None:
     ran = cli(*arguments.split())
     assert (ran.exit_code, ran.out, ran.err) == (3, "", NO_DAEMON)

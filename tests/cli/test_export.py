@@ -395,11 +395,3 @@ def test_options_that_do_not_fit_are_refused(cli: Cli, arguments: list[str], sen
     ran = cli("convert", str(GOLDEN / "stopped"), *arguments)
     assert (ran.exit_code, ran.err.startswith(f"robotctl: {sentence}")) == (2, True), ran.err
     assert not Path("out").exists()
-
-
-def test_what_is_no_recording_is_named(cli: Cli, tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    for source in (tmp_path / "empty", tmp_path / "nothing", Path("/dev/null")):
-        ran = cli("convert", str(source), str(tmp_path / "copy"))
-        assert (ran.exit_code, str(source) in ran.err) == (6, True), ran.err
-        assert not (tmp_path / "copy").exists()

@@ -37,6 +37,7 @@ def test_start_returns_when_the_daemon_answers_and_says_what_runs(cli: Cli) -> N
     ran = cli("start", "--domain-id", "7")
     assert ran.exit_code == 0
     pid = call("robot", "status")["pid"]
+    assert os.getsid(pid) == pid, "it outlives its terminal"
     lines = ran.out.splitlines()
     assert lines[0] == f"robotctl {__version__}: robot robot is ready"
     for text in ("IDLE", "domain 7, discovery LOCALHOST", "yes", "robot.sock", "daemon.log"):
@@ -44,12 +45,6 @@ def test_start_returns_when_the_daemon_answers_and_says_what_runs(cli: Cli) -> N
     assert "  recording   recordings/robot_20260101_120000/robot_20260101_120000_0.mcap" in lines
     assert f"  pid         {pid}" in lines
     assert "note: a sourced ROS (humble) was left out" in lines
-
-
-def test_start_json_is_what_the_daemon_said(cli: Cli) -> None:
-    said = json.loads(cli("start", "--json").out)
-    assert said["ready"] is True
-    assert said["pid"] == call("robot", "status")["pid"]
 
 
 def test_a_latched_stop_is_shown_with_its_release(
@@ -60,17 +55,13 @@ def test_a_latched_stop_is_shown_with_its_release(
     assert "the emergency stop is still latched; release it with: robotctl reset --robot r2" in out
 
 
-def test_the_options_reach_the_daemon(cli: Cli) -> None:
+def test_the_options_reach_the_daemon_and_json_is_what_it_said(cli: Cli) -> None:
     options = ["--config", "a.yaml", "--recordings", "r", "--drive", "circle", "--no-sim"]
-    assert cli("start", *options).exit_code == 0
+    said = json.loads(cli("start", *options, "--json").out)
+    assert (said["ready"], said["pid"]) == (True, call("robot", "status")["pid"])
     logged = cli("logs").out
     for option in options:
         assert f"'{option}'" in logged
-
-
-def test_the_daemon_outlives_its_terminal(daemon: None) -> None:
-    pid = call("robot", "status")["pid"]
-    assert os.getsid(pid) == pid
 
 
 @pytest.mark.parametrize(
@@ -193,22 +184,20 @@ def test_the_log_of_the_run_before_is_kept(cli: Cli) -> None:
     log = log_path("robot")
     assert "run2" in log.read_text()
     assert "run1" in log.with_name("daemon.log.1").read_text()
-    assert sorted(path.name for path in log.parent.glob("daemon.log*")) == [
-        "daemon.log",
-        "daemon.log.1",
-    ]
+    names = sorted(path.name for path in log.parent.glob("daemon.log*"))
+    assert names == ["daemon.log", "daemon.log.1"]
 
 
-@pytest.mark.parametrize(("failure", "exit_code"), [("run-already", 5), ("refuse", 2)])
 def test_a_second_start_leaves_the_running_daemons_log_alone(
-    failure: str, exit_code: int, daemon: None, cli: Cli, monkeypatch: pytest.MonkeyPatch
+    daemon: None, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = log_path("robot")
     before = log.stat().st_ino
-    monkeypatch.setenv("FAKE_START", failure)
-    assert cli("start").exit_code == exit_code
-    assert log.stat().st_ino == before
-    assert [path.name for path in log.parent.glob("daemon.log*")] == ["daemon.log"]
+    for failure, exit_code in (("run-already", 5), ("refuse", 2)):
+        monkeypatch.setenv("FAKE_START", failure)
+        assert cli("start").exit_code == exit_code
+        assert log.stat().st_ino == before
+        assert [path.name for path in log.parent.glob("daemon.log*")] == ["daemon.log"]
 
 
 def test_the_log_of_a_failed_start_can_be_read(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -357,9 +346,3 @@ def test_without_the_extra_the_cure_is_told(cli: Cli, monkeypatch: pytest.Monkey
     ran = cli("view")
     assert ran.exit_code == 4
     assert "pip install 'robotctl[view]'" in ran.err
-
-
-def test_without_a_daemon_it_says_how_to_start_one(cli: Cli) -> None:
-    ran = cli("view")
-    assert ran.exit_code == 3
-    assert "robotctl start" in ran.err

@@ -146,12 +146,15 @@ def test_a_note_that_leads_nowhere_does_no_harm(cli: Cli, note: bytes) -> None:
 
 def test_keep_marks_a_recording_and_unkeep_takes_it_back(library: Path, cli: Cli) -> None:
     assert cli("recordings", "keep", OLDER).exit_code == 0
-    assert cli("recordings", "keep", "last").exit_code == 0
+    answer = json.loads(cli("recordings", "keep", "last", "--json").out)
+    assert answer == {"path": str(library / NEWER), "kept": True}
     assert (library / OLDER / "keep").exists()
     assert (library / NEWER / "keep").exists()
     assert cli("recordings").out.count("kept") == 2
     assert cli("recordings", "unkeep", OLDER).exit_code == 0
     assert not (library / OLDER / "keep").exists()
+    answer = json.loads(cli("recordings", "unkeep", "last", "--json").out)
+    assert answer == {"path": str(library / NEWER), "kept": False}
     ran = cli("recordings", "keep", "nothing")
     assert (ran.exit_code, ran.err.count("\n")) == (4, 1)
 
@@ -168,26 +171,6 @@ def test_an_option_before_keep_is_refused_and_nothing_is_changed(
         )
         assert told in ran.err
     assert not list(library.glob("*/keep"))
-
-
-def test_the_robot_of_the_environment_is_that_of_keep(
-    library: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("ROBOTCTL_ROBOT", "robot")
-    assert cli("recordings", "keep", "last").exit_code == 0
-    monkeypatch.setenv("ROBOTCTL_ROBOT", "r2")
-    assert cli("recordings", "unkeep", "last").exit_code == 4
-
-
-def test_keep_and_unkeep_answer_machines(library: Path, cli: Cli) -> None:
-    for command, kept in (("keep", True), ("unkeep", False)):
-        answer = json.loads(cli("recordings", command, "last", "--json").out)
-        assert answer == {"path": str(library / NEWER), "kept": kept}
-
-
-def test_an_empty_list_names_the_start_of_the_robot_that_was_asked_for(cli: Cli) -> None:
-    out = cli("recordings", "--robot", "r2").out
-    assert out == "no recordings in recordings (start one: robotctl start --robot r2)\n"
 
 
 def test_info_takes_a_name_and_last(library: Path, cli: Cli) -> None:
@@ -257,16 +240,12 @@ def test_info_tells_machines_events_ledger_and_metadata(library: Path, cli: Cli)
 # recover
 
 
-def test_a_whole_file_is_recovered_without_loss(cli: Cli, tmp_path: Path) -> None:
+def test_what_is_lost_is_said_and_is_the_exit_code(cli: Cli, tmp_path: Path) -> None:
     file = record(tmp_path / "run")
     ran = cli("recover", str(file))
     assert (ran.exit_code, ran.err) == (0, "")
     assert "100 messages saved, nothing lost" in ran.out
     assert len(read_strictly(tmp_path / "run_0_recovered.mcap")) == 100
-
-
-def test_what_is_lost_is_said_and_is_the_exit_code(cli: Cli, tmp_path: Path) -> None:
-    file = record(tmp_path / "run")
     file.write_bytes(file.read_bytes()[:-30])
     out = tmp_path / "out.mcap"
     ran = cli("recover", str(file), "-o", str(out), "--json")

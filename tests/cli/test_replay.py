@@ -9,8 +9,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -58,20 +56,16 @@ def test_many_are_checked_and_the_gravest_decides_the_exit_code(
     cli: Cli, written: list[Written]
 ) -> None:
     record(Path("recordings/a"), written)
-    record(Path("recordings/b"), written)
-    assert cli("replay", "recordings", "--check").exit_code == 0
-    Path("recordings/c").mkdir()
-    Path("recordings/c/c_0.mcap").write_bytes(b"no recording")
+    Path("recordings/b").mkdir()
+    Path("recordings/b/b_0.mcap").write_bytes(b"no recording")
     ran = cli("replay", "recordings", "--check", "--json")
     assert ran.exit_code == 6
-    assert [each["verdict"] for each in json.loads(ran.out)["recordings"]] == [
-        *("same", "same"),
-        "incomplete",
-    ]
-    record(Path("recordings/d"), diverging(written))
+    verdicts = [each["verdict"] for each in json.loads(ran.out)["recordings"]]
+    assert verdicts == ["same", "incomplete"]
+    record(Path("recordings/c"), diverging(written))
     ran = cli("replay", "recordings", "--check")
     assert ran.exit_code == 7
-    assert "1 of 4 recordings would be decided differently" in ran.err
+    assert "1 of 3 recordings would be decided differently" in ran.err
 
 
 @pytest.mark.usefixtures("wide_terminal")
@@ -97,25 +91,6 @@ def test_what_cannot_be_read_is_no_success(cli: Cli) -> None:
     assert "it is empty" in ran.out
 
 
-def test_no_ros_is_imported(written: list[Written]) -> None:
-    record(Path("run"), written)
-    program = """
-import sys
-from robotctl.cli.app import run
-assert run(["replay", "run", "--check"]) == 0
-assert "rclpy" not in sys.modules
-"""
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert ran.returncode == 0, ran.stderr
-
-
-def test_the_last_recording_may_be_meant(cli: Cli, written: list[Written]) -> None:
-    record(Path("recordings/robot_20260101_120000"), written)
-    ran = cli("replay", "last", "--check")
-    assert ran.exit_code == 0
-    assert "robot_20260101_120000" in ran.out
-
-
 def test_other_files_in_a_glob_are_skipped_with_a_line_each(
     cli: Cli, written: list[Written]
 ) -> None:
@@ -135,18 +110,17 @@ def test_other_files_in_a_glob_are_skipped_with_a_line_each(
     assert len(answer["recordings"]) == answer["same"] == 1
 
 
-@pytest.mark.parametrize("name", ["torn.mcap", "bag", "nowhere", "packed.mcap.zstd"])
-def test_what_may_be_a_recording_is_not_skipped(
-    name: str, cli: Cli, written: list[Written]
-) -> None:
+def test_what_may_be_a_recording_is_not_skipped(cli: Cli, written: list[Written]) -> None:
     record(Path("whole"), written)
     Path("torn.mcap").write_bytes(b"nothing")
     Path("packed.mcap.zstd").write_bytes(b"nothing")
     Path("bag").mkdir()
     Path("bag/metadata.yaml").touch()
-    ran = cli("replay", "whole", name, "--check")
+    names = ("torn.mcap", "bag", "nowhere", "packed.mcap.zstd")
+    ran = cli("replay", "whole", *names, "--check")
     assert ran.exit_code == 6
-    assert f"incomplete  {name}\n" in ran.out
+    for name in names:
+        assert f"incomplete  {name}\n" in ran.out
 
 
 def test_a_recording_under_another_name_is_known_by_its_first_bytes(
@@ -205,14 +179,6 @@ def test_a_wrong_key_is_wrong_usage(cli: Cli, square: list[Written]) -> None:
     assert cli("replay", "run", "--check", "--resim").exit_code == 2
 
 
-def test_a_gap_is_told_and_no_success(cli: Cli, square: list[Written]) -> None:
-    entries = [each for each in square if isinstance(each, JournalEntry)]
-    record(Path("run"), [*entries[:100], *entries[103:]])
-    ran = cli("replay", "run", "--what-if", "tracking.k_y=8")
-    assert ran.exit_code == 6
-    assert "missing: the journal lacks the entries 100 to 102" in ran.out
-
-
 def test_settings_may_stand_one_behind_the_other(cli: Cli, square: list[Written]) -> None:
     record(Path("run"), square)
     ran = cli("replay", "run", "--what-if", "tracking.k_y=8", "tracking.k_x=2", "--json")
@@ -223,24 +189,12 @@ def test_settings_may_stand_one_behind_the_other(cli: Cli, square: list[Written]
     assert cli("replay", "--what-if", "tracking.k_y=8", "tracking.k_x=2").exit_code == 2
 
 
-@pytest.mark.parametrize("mode", [["--check"], ["--resim"], ["--what-if", "tracking.k_y=8"]])
-def test_an_option_that_says_how_to_play_is_refused(
-    cli: Cli, square: list[Written], mode: list[str]
-) -> None:
+def test_an_option_that_says_how_to_play_is_refused(cli: Cli, square: list[Written]) -> None:
     record(Path("run"), square)
-    ran = cli("replay", "run", *mode, "--rate", "2")
-    assert ran.exit_code == 2
-    assert "--rate is only for playing" in ran.err
-
-
-def test_other_files_in_a_glob_are_skipped(cli: Cli, square: list[Written]) -> None:
-    record(Path("recordings/a"), square)
-    Path("recordings/README").touch()
-    command = ("replay", "recordings/README", "recordings/a", "--what-if", "tracking.k_y=8")
-    ran = cli(*command)
-    assert (ran.exit_code, ran.err) == (0, "")
-    assert ran.out.splitlines()[-1] == "skipped     recordings/README: not a recording"
-    assert json.loads(cli(*command, "--json").out)["skipped"] == ["recordings/README"]
+    for mode in ("--check", "--resim", "--what-if tracking.k_y=8"):
+        ran = cli("replay", "run", *mode.split(), "--rate", "2")
+        assert ran.exit_code == 2
+        assert "--rate is only for playing" in ran.err
 
 
 def straight_ahead(seconds: int) -> list[Line]:
@@ -284,17 +238,14 @@ def test_keys_pause_step_and_change_the_rate(terminal: Any, long_file: Path) -> 
     assert viewing.is_cooked()
 
 
-@pytest.mark.parametrize(
-    ("number", "exit_code"),
-    [(signal.SIGINT, 130), (signal.SIGTERM, 130), (signal.SIGHUP, 130), (signal.SIGQUIT, 130)],
-)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_a_signal_ends_it_and_the_terminal_is_as_before(
-    number: signal.Signals, exit_code: int, terminal: Any, long_file: Path
+    number: signal.Signals, terminal: Any, long_file: Path
 ) -> None:
     viewing = terminal("replay", long_file, "--draw-only")
     viewing.until("space pause")
     os.kill(viewing.pid, number)
-    assert viewing.end() == exit_code
+    assert viewing.end() == 130
     assert viewing.is_cooked()
 
 
@@ -338,19 +289,3 @@ def test_ctrl_z_gives_the_terminal_back_and_fg_takes_it_again(
     shell.until("paused")
     shell.press("q")
     shell.until("SHELL: 0 True")
-
-
-def test_the_view_imports_nothing_of_ros(tmp_path: Path) -> None:
-    file = write_bag(tmp_path / "run.mcap", straight_ahead(1))
-    program = (
-        "import sys; from robotctl.cli.app import run; code = run(sys.argv[1:]);"
-        "print(code, *sorted(n for n in sys.modules if n in ('rclpy', 'numpy', 'robotctl.ros')))"
-    )
-    ran = subprocess.run(
-        [sys.executable, "-c", program, "replay", str(file), "--draw-only", "--rate", "10"],
-        capture_output=True,
-        text=True,
-    )
-    lines = ran.stdout.splitlines()
-    assert lines[-1] == "0", ran
-    assert "MOVING  x 0" in lines[0]

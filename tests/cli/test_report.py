@@ -57,13 +57,6 @@ def test_a_damaged_recording_is_shown_as_far_as_it_can_be_read(folder: Path, cli
     assert "Not read:" in Path("cut.report.html").read_text()
 
 
-def test_what_is_no_recording_is_refused_and_nothing_is_written(cli: Cli) -> None:
-    Path("notes.txt").write_text("no recording")
-    assert cli("report", "notes.txt").exit_code == 6
-    assert cli("report", "nowhere").exit_code == 6
-    assert [path.name for path in Path().iterdir()] == ["notes.txt"]
-
-
 def test_a_page_that_cannot_be_written_is_refused_with_the_reason(folder: Path, cli: Cli) -> None:
     target = Path("elsewhere.html")
     target.symlink_to(folder / "metadata.yaml")
@@ -75,12 +68,8 @@ def test_a_page_that_cannot_be_written_is_refused_with_the_reason(folder: Path, 
         assert f"cannot write {name}" in ran.err
         assert "-o FILE" in ran.err
     assert (folder / "metadata.yaml").read_text() == before
-
-
-def test_a_recording_is_never_replaced_by_its_page(folder: Path, cli: Cli) -> None:
     (file,) = folder.glob("*.mcap")
-    before = file.read_bytes()
+    data = file.read_bytes()
     ran = cli("report", "last", "-o", str(file))
-    assert ran.exit_code == 2
-    assert "ends in .html" in ran.err
-    assert file.read_bytes() == before
+    assert (ran.exit_code, "ends in .html" in ran.err) == (2, True)
+    assert file.read_bytes() == data, "a recording is never replaced by its page"

@@ -69,14 +69,6 @@ def test_any_other_url_is_answered_with_the_command_that_brings_it_here(
     assert bucket.requests == 0
 
 
-def test_what_sync_brings_here_is_read_as_the_recording_is(cli: Cli, bucket: FaultyBucket) -> None:
-    assert cli("sync", "s3://robots/day", "here").exit_code == 0
-    assert (
-        cli("info", "here/stopped").out.replace("here/stopped", str(STOPPED))
-        == cli("info", str(STOPPED)).out
-    )
-
-
 def test_a_web_server_gives_single_files(cli: Cli, bucket: FaultyBucket) -> None:
     folder = f"{bucket.endpoint}/robots/day/stopped"
     assert f"{folder}/{FILE.name}" in cli("info", f"{folder}/{FILE.name}").out
@@ -130,27 +122,6 @@ def test_a_recording_that_is_replaced_during_a_check_is_told(
     ran = cli("replay", "--check", URL)
     assert ran.exit_code == 6
     assert re.search(r"not checked: .*_0\.mcap was changed while it was\s+read", ran.out)
-
-
-def test_a_recording_that_vanishes_during_a_check_is_told(cli: Cli, bucket: FaultyBucket) -> None:
-    def vanish(served: FaultyBucket, method: str, key: str) -> None:
-        if method == "GET" and key.endswith(".mcap"):
-            served.objects.pop(key, None)
-
-    bucket.before = vanish
-    ran = cli("replay", "--check", URL)
-    assert ran.exit_code == 6
-    assert re.search(r"not checked: .*_0\.mcap does not\s+exist", ran.out)
-
-
-def test_a_claimed_size_of_a_petabyte_ends_with_a_sentence(
-    cli: Cli, bucket: FaultyBucket, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("robotctl.base.store.bucket.MAX_RETRIES", 1)
-    bucket.lying_size = 10**15
-    ran = cli("info", URL)
-    assert ran.exit_code == 6
-    assert len(ran.err.splitlines()) == 1
 
 
 def test_no_message_shows_a_key(cli: Cli, bucket: FaultyBucket) -> None:

@@ -65,18 +65,13 @@ def test_a_flipped_bit_exits_with_7_and_its_byte_is_named(recording: Path, cli: 
     assert any(flaw["start"] <= 30 < flaw["end"] for flaw in report["files"][0]["flaws"])
 
 
-def test_what_is_no_recording_exits_with_6(tmp_path: Path, cli: Cli) -> None:
-    (tmp_path / "x.mcap").write_bytes(b"nothing")
-    ran = cli("verify", str(tmp_path / "x.mcap"))
-    assert ran.exit_code == 6
-    assert "not an MCAP file" in ran.out
-
-
-def test_the_gravest_recording_determines_the_exit_code(
+def test_what_is_no_recording_exits_with_6_also_among_others(
     recording: Path, tmp_path: Path, cli: Cli
 ) -> None:
     (tmp_path / "x.mcap").write_bytes(b"nothing")
-    assert cli("verify", str(recording), str(tmp_path / "x.mcap")).exit_code == 6
+    ran = cli("verify", str(recording), str(tmp_path / "x.mcap"))
+    assert ran.exit_code == 6
+    assert "not an MCAP file" in ran.out
 
 
 @pytest.fixture
@@ -129,16 +124,6 @@ def test_a_file_whose_end_this_machine_knows_otherwise_was_cut(
     assert "a tail was cut or changed" in ran.out
 
 
-def test_a_file_that_was_removed_is_named_by_the_list(
-    cli: Cli, keys: Keyring, tmp_path: Path
-) -> None:
-    _, second, _ = record_sealed(tmp_path / "run", keys, splits=2)
-    second.unlink()
-    ran = cli("verify", str(tmp_path / "run"))
-    assert "file 2 is not here, between run_0.mcap and run_2.mcap" in ran.out
-    assert "knows file 2: it was run_1.mcap" in ran.out
-
-
 def test_rotate_begins_a_new_chain(cli: Cli, keys: Keyring) -> None:
     before = keys.create()
     assert cli("key", "rotate").exit_code == 0
@@ -167,28 +152,20 @@ def zeroed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_recover_exits_with_8(zeroed: Path, tmp_path: Path, cli: Cli) -> None:
-    ran = cli("recover", str(zeroed), "-o", str(tmp_path / "out.mcap"))
-    assert ran.exit_code == 8
+@pytest.mark.parametrize(
+    ("command", "exit_code"),
+    [
+        ("recover FILE -o out.mcap", 8),
+        ("clip FILE --at 1 --before 86400 --after 86400 -o clip.mcap", 8),
+        ("replay FILE --json --check", 6),
+        ("replay FILE --json --what-if tracking.k_y=8", 6),
+        ("why FILE --json", 4),
+    ],
+)
+def test_no_command_takes_a_file_with_zeros_for_whole(
+    zeroed: Path, cli: Cli, command: str, exit_code: int
+) -> None:
+    ran = cli(*command.replace("FILE", str(zeroed)).split())
+    assert ran.exit_code == exit_code, ran.err
     assert "nothing lost" not in ran.out
-    assert ZEROS in ran.err
-
-
-def test_clip_exits_with_8(zeroed: Path, tmp_path: Path, cli: Cli) -> None:
-    options = ("--before", "86400", "--after", "86400", "-o", str(tmp_path / "clip.mcap"))
-    ran = cli("clip", str(zeroed), "--at", "1", *options)
-    assert ran.exit_code == 8, ran.err
-    assert ZEROS in ran.err
-
-
-@pytest.mark.parametrize("options", [("--check",), ("--what-if", "tracking.k_y=8")])
-def test_a_check_is_incomplete(zeroed: Path, cli: Cli, options: tuple[str, ...]) -> None:
-    ran = cli("replay", str(zeroed), "--json", *options)
-    assert ran.exit_code == 6, ran.err
-    assert ZEROS in ran.out
-
-
-def test_why_says_what_is_missing(zeroed: Path, cli: Cli) -> None:
-    ran = cli("why", str(zeroed), "--json")
-    missing = json.loads(ran.out)["missing"] if ran.exit_code == 0 else [ran.err]
-    assert any(ZEROS in sentence for sentence in missing)
+    assert ZEROS in ran.out + ran.err

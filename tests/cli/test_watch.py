@@ -37,8 +37,9 @@ def test_through_a_pipe_it_prints_the_rows_of_a_table(daemon: None, spawn: Spawn
         assert "\x1b" not in line
 
 
-def test_a_row_has_80_columns_after_a_day_far_from_home(daemon: None) -> None:
-    status = call("robot", "status") | {
+def test_a_row_has_80_columns_and_shows_what_is_not_known(daemon: None) -> None:
+    status = call("robot", "status")
+    far = status | {
         "uptime_s": 86_400.0,
         "mode": "EMERGENCY_STOP",
         "pose": {"x": -999.999, "y": -999.999, "theta": -3.141},
@@ -46,16 +47,16 @@ def test_a_row_has_80_columns_after_a_day_far_from_home(daemon: None) -> None:
         "battery": 1.0,
         "recorder": {"written": 10_000_000, "lost": 9999},
     }
-    row = status_line(status)
+    row = status_line(far)
     assert len(row) == len(HEADER) == 80
     assert " ".join(row.split()) == (
         "86400.0 EMERGENCY_STOP -999.999 -999.999 -3.141 -1.234 100% 10000000 9999"
     )
-
-
-def test_an_observer_has_a_row_without_a_robot(daemon: None) -> None:
-    status = call("robot", "status") | dict.fromkeys(("mode", "pose", "velocity", "battery"))
-    assert " ".join(status_line(status).split()[1:]) == "observing - - - - - 20 0"
+    for missing in ("pose", "battery", "velocity"):
+        assert "IDLE" in status_line(status | {missing: None})
+        live_view(status | {missing: None})
+    observer = status | dict.fromkeys(("mode", "pose", "velocity", "battery"))
+    assert " ".join(status_line(observer).split()[1:]) == "observing - - - - - 20 0"
 
 
 def test_on_a_terminal_it_draws_within_80_columns(daemon: None, command: list[str]) -> None:
@@ -87,14 +88,6 @@ def test_it_ends_with_the_daemon(daemon: None, cli: Cli, spawn: Spawn) -> None:
     assert process.returncode == 3
     assert err.startswith("robotctl: ")
     assert err.count("\n") == 1
-
-
-@pytest.mark.parametrize("missing", ["pose", "battery", "velocity"])
-def test_what_is_not_known_yet_is_shown_as_unknown(missing: str, daemon: None) -> None:
-    status = call("robot", "status")
-    status[missing] = None
-    assert "IDLE" in status_line(status)
-    live_view(status)
 
 
 def test_a_poll_that_fails_does_not_end_the_view_of_a_drive(
