@@ -273,7 +273,7 @@ CONDITIONS: list[tuple[str, str, Callable[[Row], bool]]] = [
         "stops > 0 or max_error_m == None",
         lambda row: row["stops"] > 0 or row["max_error_m"] is None,
     ),
-    ("recordings", "duration_s / 2 < 1.1", lambda row: row["duration_s"] < 2.2),
+    ("recordings", "0 < duration_s / (1 + 1) < 1.1", lambda row: row["duration_s"] < 2.2),
 ]
 
 

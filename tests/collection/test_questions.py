@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import re
 import resource
@@ -29,11 +28,10 @@ from robotctl.collection.index_file import files_of, index_path, stamp_of
 from robotctl.collection.indexing import index_recording
 from robotctl.collection.questions import Answer, ask, find, parse_condition
 from robotctl.daemon.recording.indexer import INDEX
-from robotctl.kernel.types import DriveEnded, ModeRequested
-from robotctl.recording import Recorder, Recording, read_journal
+from robotctl.kernel.types import ModeRequested
+from robotctl.recording import Recorder, Recording
 from robotctl.recording.disk.atomic_output import replaced_file
 from robotctl.recording.format.names import derived_files
-from robotctl.rerun.journal_values import read_effect
 from robotctl.testing.drives import BEGIN_NS, TWIST, drive, drive_requested, record
 
 pytest.importorskip("duckdb", reason="indexes are an extra: robotctl[parquet]")
@@ -86,30 +84,6 @@ def values(found: Answer, column: str) -> list[object]:
     return [row[column] for row in found.as_objects()]
 
 
-def test_a_drive_has_the_numbers_that_the_journal_tells(made: Path, catalogue: Catalogue) -> None:
-    for row in find(catalogue, "drives", "").as_objects():
-        with Recording(made / row["recording"]) as recording:
-            entries = [entry for _, entry in read_journal(recording, pytest.fail)]
-        (ended,) = [read_effect(each) for each in entries if each.name == "DriveEnded"]
-        assert isinstance(ended, DriveEnded)
-        assert row["laps"] == ended.report.laps
-        assert row["max_error_m"] == ended.report.cross_track_max_m
-        assert row["distance_m"] == ended.report.distance_m
-        assert (row["completed"], row["ended"]) == (ended.completed, ended.reason)
-
-
-def test_a_recording_has_its_stops_refusals_and_verdicts(catalogue: Catalogue) -> None:
-    rows = find(catalogue, "recordings", "").as_objects()
-    assert [row["recording"] for row in rows] == [LAP, STOPPED]
-    assert [(row["drives"], row["laps"], row["stops"]) for row in rows] == [(1, 1, 0), (1, 0, 1)]
-    assert {row["check"] for row in rows} == {"same"}
-    assert {row["verify"] for row in rows} == {"whole"}
-    refused = find(catalogue, "events", "event == 'refusal'")
-    assert values(refused, "recording") == [STOPPED]
-    stopped = find(catalogue, "events", "mode == 'EMERGENCY_STOP' and event == 'mode'")
-    assert values(stopped, "cause") == ["operator stop"]
-
-
 def test_topics_are_sorted_by_their_recording(catalogue: Catalogue) -> None:
     found = values(find(catalogue, "topics", ""), "recording")
     assert found == sorted(map(str, found))
@@ -122,24 +96,6 @@ def test_samples_follow_the_robot(catalogue: Catalogue) -> None:
     assert farthest_m == pytest.approx(1.0, abs=0.05)
     assert 0.0 <= least_m < 0.05
     assert 100 < count < 250
-
-
-@pytest.mark.parametrize(
-    ("condition", "expected"),
-    [
-        ("laps >= 1", [LAP]),
-        ("laps >= 1 and max_error_m > 0.1", []),
-        ("not completed", [STOPPED]),
-        ("cause == None or laps == 7", [LAP]),
-        ("0 < distance_m <= 3.5", [STOPPED]),
-        ("duration_s * 2 > 3 + 1", [LAP]),
-        ("ended != '' and (laps < 1 or laps > 1)", [STOPPED]),
-    ],
-)
-def test_a_condition_chooses_drives(
-    catalogue: Catalogue, condition: str, expected: list[str]
-) -> None:
-    assert values(find(catalogue, "drives", condition), "recording") == expected
 
 
 def test_rows_are_sorted_and_limited(catalogue: Catalogue) -> None:
@@ -334,14 +290,6 @@ def test_an_unreadable_recording_says_why(tmp_path: Path) -> None:
     with pytest.raises(UnreadableFile) as raised:
         Recording(tmp_path / "file.mcap").__enter__()
     assert said.split(":")[0] == str(raised.value).split(":")[0]
-
-
-def test_objects_have_a_key_for_each_column(catalogue: Catalogue) -> None:
-    (row, _) = find(catalogue, "drives", "").as_objects()
-    assert json.loads(json.dumps(row))["pattern"] == "square"
-
-
-pytest.importorskip("duckdb", reason="indexes are an extra: robotctl[parquet]")
 
 
 def recordings_found(folder: Path) -> list[str]:

@@ -117,22 +117,12 @@ def test_copies_come_back_as_they_were(
 
 def test_one_recording_or_one_file_is_copied_as_such(recordings: Path, tmp_path: Path) -> None:
     whole = {key: data for key, data in files_below(recordings).items() if key.startswith(FIRST)}
-    for number, offered in enumerate(
-        (
-            local_recordings(recordings / FIRST, time.time_ns()),
-            stored_recordings(str(recordings / FIRST)),
-        )
-    ):
-        copy_recordings(offered, open_store(str(tmp_path / f"{number}")))
-        assert files_below(tmp_path / f"{number}") == whole
-    for number, offered in enumerate(
-        (
-            local_recordings(recordings / DATA, time.time_ns()),
-            stored_recordings(str(recordings / DATA)),
-        )
-    ):
-        copy_recordings(offered, open_store(str(tmp_path / f"file {number}")))
-        assert files_below(tmp_path / f"file {number}") == {f"{FIRST}_0.mcap": whole[DATA]}
+    for name, wanted in ((FIRST, whole), (DATA, {f"{FIRST}_0.mcap": whole[DATA]})):
+        source, back = recordings / name, tmp_path / "back"
+        for offered in (local_recordings(source, time.time_ns()), stored_recordings(str(source))):
+            copy_recordings(offered, open_store(str(back)))
+            assert files_below(back) == wanted
+            shutil.rmtree(back)
 
 
 def test_what_does_not_have_the_hash_it_was_stored_with_is_named_and_not_copied(

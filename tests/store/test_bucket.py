@@ -17,7 +17,6 @@ from robotctl.base.errors import UsageError
 from robotctl.base.store import (
     AccessDenied,
     NoSuchObject,
-    ObjectChanged,
     StoreError,
     StoreFailed,
     is_url,
@@ -52,16 +51,6 @@ def test_a_store_that_only_fails_is_an_error_after_some_tries(
     with pytest.raises(StoreFailed, match=r"s3://robots/run\.mcap: .* broke off"):
         store.get_range(found, 0, 5)
     assert bucket.requests == 1 + 2 * 3
-
-
-def test_an_object_that_changes_between_two_ranges_is_told(bucket: FaultyBucket) -> None:
-    bucket["run.mcap"] = b"0123456789"
-    store = open_store(ROBOTS)
-    found = store.head("run.mcap")
-    assert store.get_range(found, 0, 5) == b"01234"
-    bucket["run.mcap"] = b"0123456780"
-    with pytest.raises(ObjectChanged):
-        store.get_range(found, 5, 10)
 
 
 def test_an_object_that_vanishes_is_named(bucket: FaultyBucket) -> None:
