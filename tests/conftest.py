@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, settings
 from robotctl.base.domains import reserved_domain
 from robotctl.base.environment import prepare
 from tests.support.isolation import FileSurroundings, start_once
-from tests.support.s3_server import s3_server
+from tests.support.stores import s3_server
 from tests.support.waiting import loop_until
 
 # The same examples in each run, and no limits on how long one takes: they depend on the machine.

@@ -24,7 +24,7 @@ from robotctl.ipc.client import NoAnswer
 from robotctl.recording.keep.listing import recordings_in
 from robotctl.testing.drives import drive, record
 from tests.cli.conftest import Cli
-from tests.support.s3_server import environment
+from tests.support.stores import environment
 
 Answers = list[str | Exception]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Cli
-from tests.support.faulty_bucket import FaultyBucket, serving
+from tests.support.stores import FaultyBucket, serving
 
 STOPPED = Path(__file__).parents[1] / "golden" / "stopped"
 (FILE,) = STOPPED.glob("*.mcap")

@@ -14,7 +14,7 @@ from robotctl.collection.sources import local_recordings
 from robotctl.collection.sync import Synced, copy_recordings
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.testing.drives import drive, record
-from tests.support.memory_store import MemoryStore
+from tests.support.stores import MemoryStore
 
 FIRST, SECOND = "robot_20260101_120000", "robot_20260102_120000"
 

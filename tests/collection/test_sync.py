@@ -28,7 +28,7 @@ from robotctl.collection.sources import (
 )
 from robotctl.collection.sync import GIVE_UP_AFTER, Synced, copy_recordings
 from tests.collection.conftest import FIRST, SECOND, Run, copy_as, files_below, writing
-from tests.support.memory_store import MemoryStore, works
+from tests.support.stores import MemoryStore, works
 
 DATA = f"{FIRST}/{FIRST}_0.mcap"
 

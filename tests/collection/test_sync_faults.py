@@ -24,8 +24,7 @@ from robotctl.recording.keep.listing import set_kept
 from robotctl.recording.keep.retention import NOTES_FILE, RetentionPolicy
 from robotctl.recording.keep.tidy_job import TidyJob, tidy
 from tests.collection.conftest import FIRST, SECOND, Run, copy_as, files_below
-from tests.support.memory_store import MemoryStore, content
-from tests.support.s3_server import Application, Failing, environment, s3_server
+from tests.support.stores import Application, Failing, MemoryStore, content, environment, s3_server
 from tests.support.waiting import until
 
 ALL = RetentionPolicy(max_bytes=0, max_age_s=None)

@@ -48,7 +48,6 @@ from robotctl.recording.read.mcap_input import InputFile
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import GID, JOURNAL, ODOMETRY, START_NS, TWIST, drive, record
-from tests.support.faulty_bucket import StoredFile, serving
 from tests.support.recordings import (
     first_numbers,
     foreign,
@@ -57,6 +56,7 @@ from tests.support.recordings import (
     salvaged,
     write_numbered,
 )
+from tests.support.stores import StoredFile, serving
 
 
 @pytest.mark.parametrize("compression", list(Compression))

@@ -36,7 +36,7 @@ from robotctl.recording.read.summary_section import index_from_summary
 from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.testing.drives import START_NS, TWIST
 from robotctl.testing.faults import FailingFile, mutated, record_boundaries
-from tests.support.recordings import number_of, numbered, read_strictly, write_numbered
+from tests.support.recordings import Stored, number_of, numbered, read_strictly, write_numbered
 from tests.support.waiting import until
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
@@ -180,7 +180,7 @@ def test_what_recovery_makes_is_what_the_reader_gives(tmp_path: Path) -> None:
             continue
         salvaged += 1
         read = [
-            (m.topic, m.data, m.log_ns, m.publish_ns, m.sequence)
+            Stored(m.topic, m.data, m.log_ns, m.publish_ns, m.sequence)
             for m in read_messages(broken, on_missing=missing.append)
         ]
         assert sorted(read_strictly(target)) == sorted(read)

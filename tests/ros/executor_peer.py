@@ -24,7 +24,7 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from tests.support.lines import obey
-from tests.support.rclpy_types import Node
+from tests.support.open_executor import Node
 from tests.support.waiting import DEADLINE_S, until
 
 

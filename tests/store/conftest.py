@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.base.store import ObjectStore, open_store
-from tests.support.faulty_bucket import FaultyBucket, serving
-from tests.support.s3_server import environment
+from tests.support.stores import FaultyBucket, environment, serving
 
 
 @pytest.fixture(params=["s3", "folder"])

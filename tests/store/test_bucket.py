@@ -23,7 +23,7 @@ from robotctl.base.store import (
     open_store,
 )
 from robotctl.base.store.bucket import RequestLoop, profile_keys
-from tests.support.faulty_bucket import FaultyBucket, Moved
+from tests.support.stores import FaultyBucket, Moved
 from tests.support.waiting import loop_until, until
 
 ROBOTS = "s3://robots"

@@ -16,7 +16,7 @@ import pytest
 
 from robotctl.base.store import NoSuchObject, ObjectChanged, ObjectStore, Stamp, StoreError
 from robotctl.base.store.folder_store import unfinished_file
-from tests.support.memory_store import content
+from tests.support.stores import content
 
 
 def test_what_was_stored_is_listed_and_read_back(store: ObjectStore) -> None:

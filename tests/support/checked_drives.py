@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -107,7 +107,13 @@ CIRCLE = Pattern(PatternKind.CIRCLE, 0.3)
 
 def make_history(folder: Path) -> list[Path]:
     """Make the recordings in a folder."""
-    return [record(folder / name, make(), config=_CONFIGS.get(name)) for name, make in _MADE]
+    return [
+        record(folder / name, written, config=FENCED if name == "fence" else None)
+        for name, written in _histories().items()
+    ]
+
+
+FENCED = Config(kernel=KernelParams(fence=FenceParams(radius_m=0.4)))
 
 
 def _at(after_s: float) -> int:
@@ -137,17 +143,10 @@ def _reset(after_s: float, request_id: int) -> ResetRequested:
     return ResetRequested(_at(after_s), request_id, "operator")
 
 
-def _laps() -> list[Written]:
-    small = Pattern(size_m=0.3)
-    return drive(15.0, requests=[_go(0.1, 1, small, 1), _go(10.0, 2, CIRCLE, 2)])
-
-
-def _eight() -> list[Written]:
-    return drive(5.0, requests=[_go(0.1, 1, Pattern(PatternKind.FIGURE_EIGHT, 0.4), 1)])
-
-
-def _stops() -> list[Written]:
-    requests: list[Event] = [
+def _histories() -> dict[str, list[Written]]:
+    jumped = Odometry(Pose(3.0, 0.0, 0.0), Twist(), _at(0.805))
+    hangs = Odometry(Pose(0.2, 0.0, 0.0), Twist(0.3), _at(1.0))
+    stops: list[Event] = [
         _go(0.1, 1),
         _mode(1.2, 2, Mode.IDLE),
         _mode(1.3, 3, Mode.MOVING),
@@ -158,53 +157,19 @@ def _stops() -> list[Written]:
         _mode(3.1, 8, Mode.ERROR),
         _reset(3.2, 9),
     ]
-    return drive(3.4, requests=requests)
-
-
-def _battery() -> list[Written]:
-    requests: list[Event] = [
-        _go(0.1, 1),
-        BatteryReceived(_at(0.8), 0.15),
-        _reset(0.9, 2),
-    ]
-    return drive(0.95, requests=requests)
-
-
-def _odometry() -> list[Written]:
-    jumped = Odometry(Pose(3.0, 0.0, 0.0), Twist(), _at(0.805))
-    then: list[Event] = [
-        *(Tick(_at(1.5 + 0.02 * number)) for number in range(40)),
-        _reset(2.5, 2),
-    ]
-    requests: list[Event] = [_go(0.1, 1), OdomReceived(_at(0.805), jumped)]
-    return drive(1.48, requests=requests, then=then)
-
-
-def _hanging_odometry() -> list[Written]:
-    hangs = Odometry(Pose(0.2, 0.0, 0.0), Twist(0.3), _at(1.0))
-    then: list[Event] = []
+    still: list[Event] = []
     for number in range(35):
-        then.append(OdomReceived(_at(1.0 + 0.02 * number), hangs))
-        then.append(Tick(_at(1.001 + 0.02 * number)))
-    return drive(0.98, requests=[_go(0.1, 1)], then=then)
-
-
-def _replaced() -> list[Written]:
-    held = Course(held=Held(0.2, 0.3, 0.4))
-    backwards = Course(reverse=True)
-    line = Pattern(PatternKind.LINE, 0.3)
-    requests: list[Event] = [
+        still.append(OdomReceived(_at(1.0 + 0.02 * number), hangs))
+        still.append(Tick(_at(1.001 + 0.02 * number)))
+    silent: list[Event] = [Tick(_at(1.5 + 0.02 * number)) for number in range(40)]
+    replaced: list[Event] = [
         _go(0.1, 1),
         _go(0.9, 2, CIRCLE),
         _go(1.0, 3, CIRCLE, replace=True),
-        _go(1.8, 4, replace=True, course=held),
-        _go(3.2, 5, line, 1, course=backwards),
+        _go(1.8, 4, replace=True, course=Course(held=Held(0.2, 0.3, 0.4))),
+        _go(3.2, 5, Pattern(PatternKind.LINE, 0.3), 1, course=Course(reverse=True)),
     ]
-    return drive(5.0, requests=requests)
-
-
-def _lease() -> list[Written]:
-    requests: list[Event] = [
+    lease: list[Event] = [
         LeaseRequested(_at(0.05), 1, take=True, client=7, source="joystick"),
         _go(0.1, 2),
         _go(0.15, 3, client=7),
@@ -212,29 +177,20 @@ def _lease() -> list[Written]:
         ParameterRequested(_at(0.6), 5, "limits.linear_mps", "0.6", "0.3", "operator"),
         LeaseLost(_at(0.9), 7),
     ]
-    return drive(1.6, requests=requests)
-
-
-def _fence() -> list[Written]:
-    return drive(2.4, config=_CONFIGS["fence"], requests=[_go(0.1, 1)])
-
-
-def _stall() -> list[Written]:
-    requests: list[Event] = [_go(0.1, 1), LoopStalled(_at(0.9), 0.1, 2, 0, "the disk")]
-    return drive(1.6, requests=requests)
-
-
-_CONFIGS = {"fence": Config(kernel=KernelParams(fence=FenceParams(radius_m=0.4)))}
-
-_MADE: list[tuple[str, Callable[[], list[Written]]]] = [
-    ("laps", _laps),
-    ("eight", _eight),
-    ("stops", _stops),
-    ("battery", _battery),
-    ("odometry", _odometry),
-    ("hanging_odometry", _hanging_odometry),
-    ("replaced", _replaced),
-    ("lease", _lease),
-    ("fence", _fence),
-    ("stall", _stall),
-]
+    laps = [_go(0.1, 1, Pattern(size_m=0.3), 1), _go(10.0, 2, CIRCLE, 2)]
+    eight = [_go(0.1, 1, Pattern(PatternKind.FIGURE_EIGHT, 0.4), 1)]
+    battery: list[Event] = [_go(0.1, 1), BatteryReceived(_at(0.8), 0.15), _reset(0.9, 2)]
+    jump: list[Event] = [_go(0.1, 1), OdomReceived(_at(0.805), jumped)]
+    stall: list[Event] = [_go(0.1, 1), LoopStalled(_at(0.9), 0.1, 2, 0, "the disk")]
+    return {
+        "laps": drive(15.0, requests=laps),
+        "eight": drive(5.0, requests=eight),
+        "stops": drive(3.4, requests=stops),
+        "battery": drive(0.95, requests=battery),
+        "odometry": drive(1.48, requests=jump, then=[*silent, _reset(2.5, 2)]),
+        "hanging_odometry": drive(0.98, requests=[_go(0.1, 1)], then=still),
+        "replaced": drive(5.0, requests=replaced),
+        "lease": drive(1.6, requests=lease),
+        "fence": drive(2.4, config=FENCED, requests=[_go(0.1, 1)]),
+        "stall": drive(1.6, requests=stall),
+    }

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from mcap.reader import make_reader
-from mcap.records import Channel, Schema
+from mcap.records import Channel, Message, Schema
 
 from robotctl.recording.disk.storage import new_file
 from robotctl.recording.format.names import LEDGER_RECORD, Compression
@@ -24,7 +24,7 @@ CHUNK = 200
 """The number of messages in a chunk."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, order=True, slots=True)
 class Stored:
     """A message of a recording."""
 
@@ -64,6 +64,13 @@ class Contents:
         return copied
 
 
+def stored(channel: Channel, message: Message) -> Stored:
+    """Return a message as the mcap package reads it."""
+    return Stored(
+        channel.topic, message.data, message.log_time, message.publish_time, message.sequence
+    )
+
+
 def contents_of(path: Path) -> Contents:
     """Return what a file holds."""
     with path.open("rb") as stream:
@@ -72,17 +79,8 @@ def contents_of(path: Path) -> Contents:
         summary = reader.get_summary()
         assert summary is not None
         types = [(each, summary.schemas[each.schema_id]) for each in summary.channels.values()]
-        messages: list[Stored] = []
-        for _, channel, message in reader.iter_messages(log_time_order=False):
-            messages.append(
-                Stored(
-                    channel.topic,
-                    message.data,
-                    message.log_time,
-                    message.publish_time,
-                    message.sequence,
-                )
-            )
+        found = reader.iter_messages(log_time_order=False)
+        messages = [stored(channel, message) for _, channel, message in found]
         metadata = [(each.name, each.metadata) for each in reader.iter_metadata()]
     return Contents(library, types, messages, metadata)
 

@@ -1,4 +1,4 @@
-"""The inside of an open AsyncioExecutor, for tests of how it works; entities and descriptors."""
+"""rclpy's `Node` with correct types; the inside of an open AsyncioExecutor; descriptors."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
@@ -14,6 +14,28 @@ from std_srvs.srv import SetBool
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor.engine import Engine
 from robotctl.ros.executor.runtime import Runtime
+
+if TYPE_CHECKING:
+    import rclpy.node
+    from rclpy.qos import QoSProfile
+    from rclpy.subscription import Subscription
+
+    class Node(rclpy.node.Node):
+        """Its own annotations allow only callbacks of one argument that are no coroutines."""
+
+        def create_subscription(
+            self,
+            msg_type: Any,
+            topic: str,
+            callback: Callable[..., object],
+            qos_profile: QoSProfile | int,
+            **options: Any,
+        ) -> Subscription: ...
+
+        def destroy_node(self) -> None: ...
+
+else:
+    from rclpy.node import Node as Node
 
 
 def engine_of(executor: AsyncioExecutor) -> Engine:

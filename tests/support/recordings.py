@@ -12,7 +12,7 @@ from multiprocessing import forkserver, get_context
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Message
@@ -25,16 +25,8 @@ from robotctl.recording.format.seal_records import Link, Opening, SealOfFile
 from robotctl.recording.seal.keyring import SEED_BYTES, Keyring, SigningKey
 from robotctl.recording.write.file_seal import Sealer
 from robotctl.testing.drives import GID, START_NS, TWIST
-
-
-class Stored(NamedTuple):
-    """A message as a file holds it."""
-
-    topic: str
-    data: bytes
-    log_ns: int
-    publish_ns: int
-    sequence: int
+from tests.support.edited_recordings import Stored as Stored
+from tests.support.edited_recordings import stored
 
 
 def numbered(number: int, size: int = 52) -> bytes:
@@ -70,24 +62,18 @@ def read_strictly(path: Path) -> list[Stored]:
             if isinstance(record, Channel):
                 channels[record.id] = record
             elif isinstance(record, Message):
-                messages.append(_stored(channels[record.channel_id], record))
+                messages.append(stored(channels[record.channel_id], record))
     with path.open("rb") as stream:
         reader = SeekingReader(stream, validate_crcs=True)
         summary = reader.get_summary()
         if summary is None or summary.statistics is None:
             raise ValueError("no summary")
-        indexed = [_stored(channel, message) for _, channel, message in reader.iter_messages()]
+        indexed = [stored(channel, message) for _, channel, message in reader.iter_messages()]
         if sorted(indexed) != sorted(messages):
             raise ValueError("the index leads to other messages than the data section holds")
         if summary.statistics.message_count != len(messages):
             raise ValueError("the statistics count other messages than there are")
     return messages
-
-
-def _stored(channel: Channel, message: Message) -> Stored:
-    return Stored(
-        channel.topic, message.data, message.log_time, message.publish_time, message.sequence
-    )
 
 
 def record_in_real_time(folder: Path, compression: str, period_s: float, ready: Connection) -> None:

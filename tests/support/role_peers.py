@@ -34,7 +34,7 @@ from robot_controller.action import DrivePattern
 from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Bool
 
-from tests.support.ros_peer import NodePeer, run_peer
+from tests.support.ros_peer import NodePeer, fields, run_peer
 from tests.support.waiting import DEADLINE_S, until
 
 GOALS = QoSProfile(depth=1_500)
@@ -87,9 +87,7 @@ class ActionPeer(NodePeer):
     def result(self, number: int) -> dict[str, Any]:
         """Wait for the result of a goal."""
         response = self._answer(self.sent[number].get_result_async)
-        fields = response.result.get_fields_and_field_types()
-        values = {name: getattr(response.result, name) for name in fields}
-        return {"status": STATUS[response.status], **values}
+        return {"status": STATUS[response.status], **fields(response.result)}
 
     def end(self) -> None:
         self.client.destroy()
@@ -141,21 +139,24 @@ class LifecyclePeer(NodePeer):
 
     def state(self) -> str:
         """Return the label of the present state."""
-        return str(self._call(GetState, "get_state", GetState.Request()).current_state.label)
+        return str(
+            self._ask(GetState, "/mode_service/get_state", GetState.Request()).current_state.label
+        )
 
     def change(self, label: str = "", id: int = 0) -> bool:  # noqa: A002 - as in the message
         """Request a transition; return whether it happened."""
         request = ChangeState.Request(transition=Transition(id=id, label=label))
-        return bool(self._call(ChangeState, "change_state", request).success)
+        return bool(self._ask(ChangeState, "/mode_service/change_state", request).success)
 
     def machine(self) -> list[list[str]]:
         """Return the labels of all states, of the transitions of this state, and of all."""
-        states = self._call(
-            GetAvailableStates, "get_available_states", GetAvailableStates.Request()
+        states = self._ask(
+            GetAvailableStates, "/mode_service/get_available_states", GetAvailableStates.Request()
         )
         found = [[each.label for each in states.available_states]]
         for service in ("get_available_transitions", "get_transition_graph"):
-            answer = self._call(GetAvailableTransitions, service, GetAvailableTransitions.Request())
+            request = GetAvailableTransitions.Request()
+            answer = self._ask(GetAvailableTransitions, f"/mode_service/{service}", request)
             found.append([each.transition.label for each in answer.available_transitions])
         return found
 
@@ -170,14 +171,6 @@ class LifecyclePeer(NodePeer):
         until(lambda: len(heard) >= 3)
         self.node.destroy_subscription(subscription)
         return -1 if any(heard) else len(heard)
-
-    def _call(self, kind: Any, name: str, request: Any) -> Any:
-        client = self.node.create_client(kind, f"/mode_service/{name}")
-        assert client.wait_for_service(DEADLINE_S), "no such service"
-        future = client.call_async(request)
-        until(future.done)
-        self.node.destroy_client(client)
-        return future.result()
 
 
 LATCHED_LOCK = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -315,13 +308,6 @@ class ParameterPeer(NodePeer):
             assert client.wait_for_services(DEADLINE_S), f"{node} has no parameter services"
             self._clients[node] = client
         return self._clients[node]
-
-    def _ask(self, kind: Any, service: str, request: Any) -> Any:
-        client = self.node.create_client(kind, service)
-        assert client.wait_for_service(DEADLINE_S), f"no service {service}"
-        answer = self._done(client.call_async(request))
-        self.node.destroy_client(client)
-        return answer
 
     def _done(self, future: Any) -> Any:
         until(future.done)

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 import rclpy
-from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
 from nav_msgs.msg import Odometry, Path
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -34,6 +34,20 @@ class NodePeer:
 
     def end(self) -> None:
         """Destroy what the node does not."""
+
+    def _ask(self, kind: Any, service: str, request: Any) -> Any:
+        """Call a service, and return its response."""
+        client = self.node.create_client(kind, service)
+        assert client.wait_for_service(DEADLINE_S), f"no service {service}"
+        future = client.call_async(request)
+        until(future.done)
+        self.node.destroy_client(client)
+        return future.result()
+
+
+def fields(message: Any) -> dict[str, Any]:
+    """Return the fields of a message."""
+    return {name: getattr(message, name) for name in message.get_fields_and_field_types()}
 
 
 def run_peer(make: Callable[[], NodePeer]) -> None:
@@ -90,12 +104,11 @@ class Peer(NodePeer):
         self.statuses: list[tuple[int, int, str]] = []
         self.marks: list[str] = []
         self.speed = 0.0
-        self.stop = threading.Event()
-        self.robot: threading.Thread | None = None
         self._clients: dict[str, Any] = {}
         self._asked: list[Any] = []
         self._buttons: dict[str, Any] = {}
         self._gamepad = Joy()
+        self._pressing: Any = None
         self._planner: Any = None
 
     def listen(self, namespace: str = "") -> None:
@@ -130,17 +143,8 @@ class Peer(NodePeer):
 
     def set_mode(self, mode: int, namespace: str = "") -> dict[str, Any]:
         """Call `set_mode` and return the response."""
-        client = self.node.create_client(SetMode, f"{namespace}/set_mode")
-        assert client.wait_for_service(DEADLINE_S), "no such service"
-        future = client.call_async(SetMode.Request(requested_mode=mode))
-        until(future.done)
-        answer = future.result()
-        self.node.destroy_client(client)
-        return {
-            "success": answer.success,
-            "message": answer.message,
-            "current_mode": answer.current_mode,
-        }
+        request = SetMode.Request(requested_mode=mode)
+        return fields(self._ask(SetMode, f"{namespace}/set_mode", request))
 
     def ask(self, service: str, mode: int = 0, namespace: str = "") -> int:
         """Begin a call of `set_mode` or `estop`; return its number for `answer`."""
@@ -157,8 +161,7 @@ class Peer(NodePeer):
     def answer(self, number: int) -> dict[str, Any]:
         """Wait for the answer to a call."""
         until(self._asked[number].done)
-        answer = self._asked[number].result()
-        return {name: getattr(answer, name) for name in answer.get_fields_and_field_types()}
+        return fields(self._asked[number].result())
 
     def flood(self, count: int, in_flight: int) -> dict[str, int]:
         """Call every service many times, a number of calls at once; return the results."""
@@ -196,25 +199,13 @@ class Peer(NodePeer):
 
     def be_a_robot(self) -> None:
         """Publish odometry and a full battery until the end."""
-        odometry = self.node.create_publisher(Odometry, "/odom", 10)
         battery = self.node.create_publisher(BatteryState, "/battery_state", 10)
-
-        def run() -> None:
-            message = Odometry()
-            while not self.stop.wait(0.02):
-                message.header.stamp = self.node.get_clock().now().to_msg()
-                odometry.publish(message)
-                battery.publish(BatteryState(percentage=1.0))
-
-        self.robot = threading.Thread(target=run)
-        self.robot.start()
+        self.node.create_timer(0.02, lambda: battery.publish(BatteryState(percentage=1.0)))
+        self.measure(0.0)
 
     def command(self, linear: float) -> None:
         """Publish a velocity command, which only the daemon should do."""
-        publisher = self.node.create_publisher(Twist, "/cmd_vel", 10)
-        message = Twist()
-        message.linear.x = linear
-        publisher.publish(message)
+        self.node.create_publisher(Twist, "/cmd_vel", 10).publish(_forward(linear))
 
     def command_and_go(self, linear: float, namespace: str = "") -> int:
         """Publish one command once there is a subscriber, then destroy the publisher.
@@ -223,22 +214,16 @@ class Peer(NodePeer):
         """
         publisher = self.node.create_publisher(Twist, f"{namespace}/cmd_vel", DEEP)
         until(lambda: publisher.get_subscription_count() >= 2)  # robot and recorder
-        message = Twist()
-        message.linear.x = linear
         sent_ns = time.monotonic_ns()
-        publisher.publish(message)
-        assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
-        self.node.destroy_publisher(publisher)
+        self._publish_and_go(publisher, _forward(linear))
         return sent_ns
 
     def command_best_effort(self, linear: float) -> None:
         """Publish best-effort commands for 0.1 s, then destroy the publisher."""
         publisher = self.node.create_publisher(Twist, "/cmd_vel", BEST_EFFORT)
         until(publisher.get_subscription_count)
-        message = Twist()
-        message.linear.x = linear
         for _ in range(5):
-            publisher.publish(message)
+            publisher.publish(_forward(linear))
             time.sleep(0.02)
         self.node.destroy_publisher(publisher)
 
@@ -248,13 +233,11 @@ class Peer(NodePeer):
         message = Odometry()
         message.pose.pose.position.x, message.pose.pose.orientation.w = x, 1.0
 
-        def run() -> None:
-            while not self.stop.wait(0.01):
-                message.header.stamp = self.node.get_clock().now().to_msg()
-                odometry.publish(message)
+        def publish() -> None:
+            message.header.stamp = self.node.get_clock().now().to_msg()
+            odometry.publish(message)
 
-        self.robot = threading.Thread(target=run)
-        self.robot.start()
+        self.node.create_timer(0.01, publish)
 
     def take_commands(self, kind: str) -> None:
         """Subscribe to the command topic with this type."""
@@ -269,11 +252,7 @@ class Peer(NodePeer):
         """Publish messages once there is a subscriber; wait until they are acknowledged."""
         message_type = {"Twist": Twist, "Odometry": Odometry}[kind]
         publisher = self.node.create_publisher(message_type, topic, DEEP)
-        until(publisher.get_subscription_count)
-        for _ in range(count):
-            publisher.publish(message_type())
-        assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
-        self.node.destroy_publisher(publisher)
+        self._publish_and_go(publisher, *[message_type() for _ in range(count)])
 
     def press(self, topic: str, pressed: bool) -> None:
         """Publish a Bool once there is a subscriber."""
@@ -286,16 +265,9 @@ class Peer(NodePeer):
     def hold_gamepad(self, topic: str, pressed: bool) -> None:
         """Be a gamepad at 50 Hz, its stick forward, with button 4 pressed or not."""
         self._gamepad = Joy(axes=[0.0, 1.0], buttons=[0, 0, 0, 0, int(pressed)])
-        if self.robot is not None:
-            return
-        publisher = self.node.create_publisher(Joy, topic, DEEP)
-
-        def run() -> None:
-            while not self.stop.wait(0.02):
-                publisher.publish(self._gamepad)
-
-        self.robot = threading.Thread(target=run)
-        self.robot.start()
+        if self._pressing is None:
+            publisher = self.node.create_publisher(Joy, topic, DEEP)
+            self._pressing = self.node.create_timer(0.02, lambda: publisher.publish(self._gamepad))
 
     def plan(self, topic: str, points: list[list[float]], frame: str) -> None:
         """Publish a path, also to those who listen later."""
@@ -311,16 +283,15 @@ class Peer(NodePeer):
     def send_large(self, topic: str, size: int) -> None:
         """Publish one message of `size` bytes once there is a subscriber."""
         publisher = self.node.create_publisher(UInt8MultiArray, topic, 1)
+        self._publish_and_go(publisher, UInt8MultiArray(data=array("B", bytes(size))))
+
+    def _publish_and_go(self, publisher: Any, *messages: Any) -> None:
+        """Publish once there is a subscriber, and destroy the publisher once it has all."""
         until(publisher.get_subscription_count)
-        publisher.publish(UInt8MultiArray(data=array("B", bytes(size))))
+        for message in messages:
+            publisher.publish(message)
         assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
         self.node.destroy_publisher(publisher)
-
-    def end(self) -> None:
-        """Destroy the publishers."""
-        self.stop.set()
-        if self.robot is not None:
-            self.robot.join()
 
     def nodes(self) -> list[str]:
         """Return the full names of all other nodes."""
@@ -345,6 +316,10 @@ class Peer(NodePeer):
     def _subscribe(self, kind: Any, topic: str, callback: Any, qos: QoSProfile) -> Any:
         # rclpy's types allow callbacks of one argument only.
         return self.node.create_subscription(kind, topic, callback, qos)
+
+
+def _forward(linear: float) -> Twist:
+    return Twist(linear=Vector3(x=linear))
 
 
 if __name__ == "__main__":

@@ -1,35 +1,111 @@
-"""An S3 server with one bucket that fails as a test wants, and counts what it is asked."""
+"""Stores of objects for tests: in memory, S3 that fails as a test wants, and a real S3 server.
+
+`MemoryStore` is an `ObjectStore`. `FaultyBucket` counts what it is asked.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import random
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from hashlib import md5
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Final
 from urllib.parse import parse_qs, unquote, urlsplit
+from urllib.request import Request, urlopen
 from xml.sax.saxutils import escape
 
 import pytest
 
-from tests.support.s3_server import environment
+from robotctl.base.store import NoSuchObject, ObjectChanged, ObjectStore, Stamp, StoredObject
 
 
-class Content(Protocol):
-    """The bytes of an object, which may be larger than any memory."""
+def works(request: str, key: str) -> None:
+    """Let every request succeed."""
 
-    @property
-    def etag(self) -> str: ...
 
-    def __len__(self) -> int: ...
+NO_STAMP = Stamp()
 
-    def __getitem__(self, piece: slice) -> bytes: ...
+
+def content(store: ObjectStore, key: str) -> bytes:
+    """Return a whole object."""
+    found = store.head(key)
+    return store.get_range(found, 0, found.size_bytes)
+
+
+class MemoryStore:
+    """An `ObjectStore`; `before(request, key)` is called at each request and may raise."""
+
+    name = "memory"
+
+    def __init__(self, before: Callable[[str, str], None] = works) -> None:
+        self.objects: dict[str, bytes] = {}
+        self.stamps: dict[str, Stamp] = {}
+        self.requests: list[tuple[str, str]] = []
+        self.before = before
+
+    def _request(self, request: str, key: str) -> None:
+        self.requests.append((request, key))
+        self.before(request, key)
+
+    def list(self, prefix: str = "") -> Iterator[StoredObject]:
+        self._request("list", prefix)
+        for key in list(self.objects):
+            if not prefix or key.startswith(f"{prefix}/"):
+                yield self._described(key)
+
+    def head(self, key: str) -> StoredObject:
+        self._request("head", key)
+        return self._described(key)
+
+    def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
+        self._request("get", found.key)
+        if self._described(found.key) != found:
+            raise ObjectChanged(f"memory/{found.key} was changed while it was read")
+        return self.objects[found.key][begin:end]
+
+    def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
+        data = b"".join(parts)
+        if key in self.objects:
+            self._request("put", key)
+            return False
+        self._store(key, data, stamp)
+        return True
+
+    def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
+        self._store(key, b"".join(parts), stamp)
+
+    def _store(self, key: str, data: bytes, stamp: Stamp) -> None:
+        self._request("put", key)
+        self.objects[key], self.stamps[key] = data, stamp
+
+    def puts(self) -> Sequence[str]:
+        """Return the keys of all requests that stored something."""
+        return [key for request, key in self.requests if request == "put"]
+
+    def _described(self, key: str) -> StoredObject:
+        if key not in self.objects:
+            raise NoSuchObject(f"memory/{key} does not exist")
+        data = self.objects[key]
+        stamp = self.stamps.get(key, NO_STAMP)
+        etag = hashlib.sha1(data).hexdigest()
+        return StoredObject(key, len(data), etag, stamp.modified_ns, stamp.sha256)
+
+
+def environment(endpoint: str) -> dict[str, str]:
+    """Return what a user sets for a server without https at `endpoint`."""
+    return {
+        "AWS_ENDPOINT_URL": endpoint,
+        "AWS_ALLOW_HTTP": "true",
+        "AWS_ACCESS_KEY_ID": "AKIDEXAMPLE",
+        "AWS_SECRET_ACCESS_KEY": "very-secret",
+        "AWS_REGION": "us-east-1",
+    }
 
 
 class Stored(bytes):
@@ -37,7 +113,7 @@ class Stored(bytes):
 
     @property
     def etag(self) -> str:
-        return md5(self, usedforsecurity=False).hexdigest()
+        return hashlib.md5(self, usedforsecurity=False).hexdigest()
 
 
 class Moved(bytes):
@@ -68,6 +144,9 @@ class StoredFile:
         with self.path.open("rb") as file:
             file.seek(piece.start)
             return file.read(piece.stop - piece.start)
+
+
+Content = Stored | Moved | StoredFile
 
 
 @dataclass
@@ -113,11 +192,8 @@ def faulty_bucket() -> Iterator[FaultyBucket]:
     """Serve an empty bucket on localhost."""
     bucket = FaultyBucket()
 
-    class Handler(_Handler):
-        pass
-
-    Handler.bucket = bucket
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    handler = type("Handler", (_Handler,), {"bucket": bucket})
+    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
     server.daemon_threads = True
     server.block_on_close = False
     bucket.endpoint = f"http://127.0.0.1:{server.server_port}"
@@ -250,3 +326,66 @@ class _Handler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(body)
             self.close_connection |= len(body) != length
+
+
+Application = Callable[[dict[str, Any], Callable[..., Any]], Iterable[bytes]]
+"""A server of WSGI."""
+
+
+class Failing:
+    """Answers a share of the requests, and the first of each kind, with HTTP status 503.
+
+    Half of those requests are done all the same: only their answer is lost.
+    """
+
+    _SHARE: Final = 0.05
+
+    def __init__(self, application: Application) -> None:
+        self._application = application
+        self._chance = random.Random(17)
+        self._lock = threading.Lock()
+        self.kinds: dict[str, int] = {}
+        """Failures by method and the names in the query."""
+
+        self.requests = 0
+
+    def __call__(self, request: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
+        names = sorted(each.partition("=")[0] for each in request["QUERY_STRING"].split("&"))
+        kind = " ".join((request["REQUEST_METHOD"], *names)).strip()
+        with self._lock:
+            self.requests += 1
+            fails = kind not in self.kinds or self._chance.random() < self._SHARE
+            self.kinds[kind] = self.kinds.get(kind, 0) + fails
+            is_done = self._chance.random() < 0.5
+        if not fails:
+            return self._application(request, start)
+        if is_done:
+            b"".join(self._application(request, lambda *_: None))
+        else:
+            request["wsgi.input"].read(int(request.get("CONTENT_LENGTH") or 0))
+        start("503 Slow Down", [("Content-Length", "0")])
+        return [b""]
+
+
+@contextmanager
+def s3_server(
+    within: Callable[[Application], Application] = lambda server: server,
+) -> Iterator[str]:
+    """Serve S3 on localhost with an empty bucket `robots`; yield the endpoint.
+
+    Once the bucket is there, the requests go to `within` the server.
+    """
+    from moto.server import ThreadedMotoServer  # importing it takes 0.4 s
+
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    try:
+        host, port = server.get_host_and_port()
+        endpoint = f"http://{host}:{port}"
+        with urlopen(Request(f"{endpoint}/robots", method="PUT"), timeout=10):
+            pass
+        assert server._server is not None
+        server._server.app = within(server._server.app)
+        yield endpoint
+    finally:
+        server.stop()
