@@ -13,6 +13,7 @@ import random
 import stat
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ from robotctl.config import Config, with_setting
 from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.recording import Recorder
 from robotctl.recording.disk.atomic_output import replaced_file
-from robotctl.recording.disk.storage import MAX_PARTS, DiskFile, is_being_written
+from robotctl.recording.disk.storage import MAX_PARTS, DiskFile
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip
 from robotctl.recording.keep.listing import set_kept
@@ -73,16 +74,6 @@ def test_a_disk_that_takes_nothing_is_an_error(
     file.close()
 
 
-def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("mine")
-    (tmp_path / "link").symlink_to(tmp_path / "new")
-    for name in ("file", "link"):
-        with pytest.raises(FileExistsError):
-            DiskFile(tmp_path / name)
-    assert not (tmp_path / "new").exists()
-    assert (tmp_path / "file").read_text() == "mine"
-
-
 def test_a_folder_that_cannot_be_synced_is_no_reason_not_to_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,26 +88,7 @@ def test_a_folder_that_cannot_be_synced_is_no_reason_not_to_record(
     with pytest.raises(OSError, match="Input/output error"):
         DiskFile(tmp_path / "on_a_broken_disk")
     assert len(os.listdir("/proc/self/fd")) == open_files
-
-
-def test_a_file_is_being_written_until_it_is_closed(tmp_path: Path) -> None:
-    file = DiskFile(tmp_path / "file")
-    assert is_being_written(tmp_path / "file")
-    file.close()
-    assert not is_being_written(tmp_path / "file")
-    assert not is_being_written(tmp_path / "file")
-
-
-def test_a_file_that_cannot_be_begun_is_not_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(fd: int) -> None:
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    monkeypatch.setattr(os, "fsync", fail)
-    with pytest.raises(OSError, match="Input/output error"):
-        DiskFile(tmp_path / "file")
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["on_a_network"]
 
 
 def test_a_descriptor_that_failed_to_close_is_never_used_again(
@@ -138,32 +110,24 @@ def test_a_descriptor_that_failed_to_close_is_never_used_again(
     assert (tmp_path / "other").read_bytes() == b""
 
 
-def test_the_new_content_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
-    target = tmp_path / "report.html"
-    target.write_bytes(b"old")
-    with replaced_file(target) as stream:
-        stream.write(b"new")
-        stream.flush()
-        assert target.read_bytes() == b"old"
-    assert target.read_bytes() == b"new"
-    assert list(tmp_path.iterdir()) == [target]
-
-
-@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt()])
-def test_what_ends_the_writing_leaves_the_old_content_alone(
-    tmp_path: Path, error: BaseException
+@pytest.mark.parametrize("error", [None, OSError(errno.ENOSPC, "full"), KeyboardInterrupt()])
+def test_a_file_is_replaced_when_the_new_one_is_whole_and_else_not(
+    tmp_path: Path, error: BaseException | None
 ) -> None:
     target = tmp_path / "report.html"
     target.write_bytes(b"old")
 
     def write() -> None:
         with replaced_file(target) as stream:
-            stream.write(b"half")
-            raise error
+            stream.write(b"new")
+            stream.flush()
+            assert target.read_bytes() == b"old"
+            if error is not None:
+                raise error
 
-    with pytest.raises(type(error)):
+    with pytest.raises(type(error)) if error else nullcontext():
         write()
-    assert target.read_bytes() == b"old"
+    assert target.read_bytes() == (b"old" if error else b"new")
     assert list(tmp_path.iterdir()) == [target]
 
 
@@ -248,13 +212,6 @@ def test_what_is_recovered_of_a_file_that_all_may_read_is_private(tmp_path: Path
     assert stat.S_IMODE((tmp_path / "ours.mcap").stat().st_mode) == 0o600
 
 
-def test_a_folder_that_is_there_keeps_its_mode(tmp_path: Path) -> None:
-    (tmp_path / "recordings").mkdir()
-    (tmp_path / "recordings").chmod(0o2755)
-    begin(tmp_path / "recordings", shared=False).close()
-    assert stat.S_IMODE((tmp_path / "recordings").stat().st_mode) == 0o2755
-
-
 @pytest.mark.parametrize("shared", [False, True])
 def test_recordings_keep_the_group_of_a_folder_that_hands_it_down(
     tmp_path: Path, shared: bool
@@ -263,6 +220,7 @@ def test_recordings_keep_the_group_of_a_folder_that_hands_it_down(
     (tmp_path / "recordings").chmod(0o2750)
     recording = begin(tmp_path / "recordings", shared=shared).close().file.parent
     assert stat.S_IMODE(recording.stat().st_mode) == (0o2750 if shared else 0o2700)
+    assert stat.S_IMODE(recording.parent.stat().st_mode) == 0o2750
 
 
 def test_a_file_system_without_permissions_is_recorded_to(

@@ -50,50 +50,28 @@ def feed(ledger: SequenceGaps, gid: bytes, *sequences: int) -> None:
             ledger.note(gid, sequence)
 
 
-def test_a_gap_counts_its_messages() -> None:
+@pytest.mark.parametrize(
+    ("heard", "lost", "unseen"),
+    [
+        pytest.param([(b"a", (1, 2, 5, 6, 10))], 2 + 3, 0, id="gaps"),
+        pytest.param([(b"a", (101, 102))], 0, 100, id="sent before the first received"),
+        pytest.param(
+            [(b"a", (1, 2)), (b"b", (1, 2, 3)), (b"a", (3, 4)), (b"b", (5,))], 1, 0, id="two"
+        ),
+        pytest.param([(b"a", (*range(1, 500), *range(1, 300), 301))], 1, 0, id="a restart"),
+        pytest.param([(b"a", (1, 2, 5, 3, 6, 4, 7))], 0, 0, id="late"),
+        pytest.param([(b"a", (0, 0, 0))], 0, 0, id="a publisher that does not count"),
+        pytest.param([(b"a", (1, 2, 3, 3, 4, 2, 3, 4, 5))], 0, 0, id="latched, again"),
+    ],
+)
+def test_of_each_publisher_the_messages_in_its_gaps_are_lost(
+    heard: list[tuple[bytes, tuple[int, ...]]], lost: int, unseen: int
+) -> None:
     ledger = SequenceGaps()
-    feed(ledger, b"a", 1, 2, 5, 6, 10)
-    assert (ledger.lost, ledger.unseen) == (2 + 3, 0)
-
-
-def test_what_was_sent_before_the_first_message_received_is_not_called_lost() -> None:
-    ledger = SequenceGaps()
-    feed(ledger, b"a", 101, 102)
-    assert (ledger.lost, ledger.unseen) == (0, 100)
-
-
-def test_each_publisher_counts_for_itself() -> None:
-    ledger = SequenceGaps()
-    feed(ledger, b"a", 1, 2)
-    feed(ledger, b"b", 1, 2, 3)
-    feed(ledger, b"a", 3, 4)
-    feed(ledger, b"b", 5)
-    assert ledger.lost == 1
-
-
-def test_a_publisher_that_restarts_loses_nothing_by_it() -> None:
-    ledger = SequenceGaps()
-    feed(ledger, b"a", *range(1, 500), *range(1, 300), 301)
-    assert ledger.lost == 1
-
-
-def test_a_message_that_comes_late_is_not_lost() -> None:
-    ledger = SequenceGaps()
-    feed(ledger, b"a", 1, 2, 5, 3, 6, 4, 7)
-    assert ledger.lost == 0
-
-
-def test_a_publisher_that_does_not_count_loses_nothing() -> None:
-    ledger = SequenceGaps()
-    feed(ledger, b"a", 0, 0, 0)
-    assert (ledger.lost, ledger.unseen, ledger.expected) == (0, 0, {})
-
-
-def test_latched_messages_that_are_delivered_again_lose_nothing() -> None:
-    ledger = SequenceGaps()
-    feed(ledger, b"a", 1, 2, 3, 3, 4)
-    feed(ledger, b"a", 2, 3, 4, 5)
-    assert ledger.lost == 0
+    for gid, sequences in heard:
+        feed(ledger, gid, *sequences)
+    assert (ledger.lost, ledger.unseen) == (lost, unseen)
+    assert any(sum(sequences) for _, sequences in heard) or ledger.expected == {}
 
 
 def test_publishers_that_keep_restarting_need_bounded_memory() -> None:
@@ -190,30 +168,22 @@ def test_an_earlier_state_of_a_file_is_not_taken_for_all_of_it(
     assert read_info(tmp_path / "saved").missing == ()
 
 
-def test_what_the_ledger_counts_is_missed_without_metadata_yaml(tmp_path: Path) -> None:
+def test_without_metadata_yaml_the_ledger_tells_what_is_missing_but_no_removed_file(
+    tmp_path: Path,
+) -> None:
     recorder = Recorder(tmp_path / "run", RecorderOptions(chunk_bytes=1024), on_failure=pytest.fail)
     channel = recorder.add_topic(TWIST)
     write_numbered(recorder, channel, range(1, 201))
     recorder.split()
     write_numbered(recorder, channel, range(201, 401))
     recorder.close()
+    first = tmp_path / "run" / "run_0.mcap"
     assert read_info(tmp_path / "run").missing == ()
-    other = recorded(tmp_path / "other" / "run", 50)
-    (tmp_path / "run" / "run_0.mcap").write_bytes(other.read_bytes())
+    first.write_bytes(recorded(tmp_path / "other" / "run", 50).read_bytes())
     (tmp_path / "run" / "metadata.yaml").unlink()
     (named,) = read_info(tmp_path / "run").missing
     assert named == "its ledger counts 400 messages, and 250 are there"
-
-
-def test_a_recording_whose_first_file_was_removed_lacks_nothing(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "run", RecorderOptions(chunk_bytes=1024), on_failure=pytest.fail)
-    channel = recorder.add_topic(TWIST)
-    write_numbered(recorder, channel, range(1, 201))
-    recorder.split()
-    write_numbered(recorder, channel, range(201, 401))
-    recorder.close()
-    (tmp_path / "run" / "run_0.mcap").unlink()
-    (tmp_path / "run" / "metadata.yaml").unlink()
+    first.unlink()
     assert read_info(tmp_path / "run").missing == ()
     assert read_info(tmp_path / "run" / "run_1.mcap").missing == ()
 
@@ -296,19 +266,12 @@ def test_an_event_is_found_while_the_file_grows_and_after_it_was_closed(tmp_path
     for event in EVENTS:
         recorder.add_event(event)
     until(lambda: read_info(tmp_path / "run").events == EVENTS)
-    stats = recorder.close()
+    file = recorder.close().file
     assert read_info(tmp_path / "run").events == EVENTS
-    assert len(read_strictly(stats.file)) == 10
-
-
-def test_an_event_survives_its_summary(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
-    recorder.add_event(EVENTS[0])
-    path = recorder.close().file
-    path.write_bytes(path.read_bytes()[:-30])
-    info = read_info(path)
-    assert (info.indexed, info.events) == (False, EVENTS[:1])
+    assert len(read_strictly(file)) == 10
+    file.write_bytes(file.read_bytes()[:-30])
+    info = read_info(file)
+    assert (info.indexed, info.events) == (False, EVENTS)
 
 
 def test_events_without_end_go_on_in_another_file(

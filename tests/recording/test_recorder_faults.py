@@ -474,11 +474,7 @@ def without_memory(wanted: Callable[..., Any], times: int) -> Callable[..., Any]
     ],
 )
 def test_what_finds_no_memory_is_dropped_and_counted_and_the_next_is_written(
-    small_recorder: Recorder,
-    monkeypatch: pytest.MonkeyPatch,
-    place: Any,
-    name: str,
-    size: int,
+    small_recorder: Recorder, monkeypatch: pytest.MonkeyPatch, place: Any, name: str, size: int
 ) -> None:
     channel = small_recorder.add_topic(TWIST)
     monkeypatch.setattr(place, name, without_memory(getattr(place, name), 3))
@@ -523,9 +519,7 @@ def test_the_thread_survives_a_failure_that_it_cannot_even_tell(
     assert (stats.dropped, stats.queued) == (10, 0)
 
 
-def test_a_message_that_is_packed_by_half_leaves_the_others_whole(
-    small_recorder: Recorder,
-) -> None:
+def test_a_message_that_is_packed_by_half_leaves_the_others_whole(small_recorder: Recorder) -> None:
     channel = small_recorder.add_topic(TWIST)
     write_numbered(small_recorder, channel, range(1, 11))
     until(lambda: small_recorder.stats().queued == 0)

@@ -35,18 +35,12 @@ from robotctl.recording.read.mcap_input import InputFile
 from robotctl.recording.read.summary_section import index_from_summary
 from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.testing.drives import START_NS, TWIST
-from robotctl.testing.faults import FailingFile, mutated, record_boundaries
-from tests.support.recordings import Stored, number_of, numbered, read_strictly, write_numbered
+from robotctl.testing.faults import FailingFile, mutated
+from tests.support.recordings import Stored, numbered, read_strictly, recorded, write_numbered
 from tests.support.waiting import until
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 needs_samples = pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"no sample bags at {SAMPLES}")
-
-
-def ours(folder: Path, count: int) -> Path:
-    recorder = Recorder(folder, RecorderOptions(chunk_bytes=1024), on_failure=pytest.fail)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, count + 1))
-    return recorder.close().file
 
 
 def theirs(path: Path, count: int, *, attachment: bool = False, **options: object) -> Path:
@@ -148,23 +142,10 @@ def test_metadata_of_one_name_is_all_kept(tmp_path: Path) -> None:
     ]
 
 
-def test_a_damaged_chunk_is_left_out(tmp_path: Path) -> None:
-    source = ours(tmp_path / "run", 200)
-    data = bytearray(source.read_bytes())
-    chunks = [offset for offset in record_boundaries(bytes(data)) if data[offset] == Opcode.CHUNK]
-    data[chunks[5] + 80] ^= 0xFF
-    source.write_bytes(data)
-    salvage = recover(source, tmp_path / "out.mcap")
-    assert len(salvage.lost) == 1
-    found = [m.sequence for m in read_strictly(tmp_path / "out.mcap")]
-    assert 150 < len(found) < 200
-    assert found == sorted(found)
-
-
 def test_what_recovery_makes_is_what_the_reader_gives(tmp_path: Path) -> None:
     dice = random.Random(10)
     sources = [
-        ours(tmp_path / "run", 200).read_bytes(),
+        recorded(tmp_path / "run", 200).read_bytes(),
         theirs(tmp_path / "a.mcap", 200, compression=CompressionType.NONE).read_bytes(),
         theirs(tmp_path / "b.mcap", 200, use_chunking=False).read_bytes(),
     ]
@@ -197,6 +178,10 @@ def test_what_recovery_makes_is_what_the_reader_gives(tmp_path: Path) -> None:
         (lambda path: None, "No such file"),
         (lambda path: path.mkdir(), "is not a regular file"),
         (os.mkfifo, "is not a regular file"),
+        (
+            lambda path: path.write_bytes(recorded(path.parent / "run", 100).read_bytes()[:100]),
+            "holds no readable message",
+        ),
     ],
 )
 def test_nothing_to_salvage_is_one_sentence_and_no_file(
@@ -208,16 +193,8 @@ def test_nothing_to_salvage_is_one_sentence_and_no_file(
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_a_header_alone_is_nothing_to_salvage(tmp_path: Path) -> None:
-    source = ours(tmp_path / "run", 100)
-    source.write_bytes(source.read_bytes()[:100])
-    with pytest.raises(UnreadableFile, match="holds no readable message"):
-        recover(source, tmp_path / "out.mcap")
-    assert not (tmp_path / "out.mcap").exists()
-
-
 def test_a_target_that_exists_is_not_overwritten(tmp_path: Path) -> None:
-    source = ours(tmp_path / "run", 10)
+    source = recorded(tmp_path / "run", 10)
     (tmp_path / "out.mcap").write_text("mine")
     with pytest.raises(Refused, match="File exists"):
         recover(source, tmp_path / "out.mcap")
@@ -225,7 +202,7 @@ def test_a_target_that_exists_is_not_overwritten(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_leaves_no_half_target(tmp_path: Path) -> None:
-    source = ours(tmp_path / "run", 500)
+    source = recorded(tmp_path / "run", 500)
     with pytest.raises(Refused, match="No space left"):
         recover(
             source,
@@ -236,7 +213,7 @@ def test_a_full_disk_leaves_no_half_target(tmp_path: Path) -> None:
 
 
 def test_progress_runs_from_nothing_to_all(tmp_path: Path) -> None:
-    source = ours(tmp_path / "run", 500)
+    source = recorded(tmp_path / "run", 500)
     source.write_bytes(source.read_bytes()[:-30])
     steps: list[tuple[int, int]] = []
     recover(source, tmp_path / "out.mcap", on_progress=lambda d, t: steps.append((d, t)))
@@ -258,14 +235,6 @@ def test_bags_of_rosbag2_are_copied_whole_and_salvaged_when_cut(tmp_path: Path) 
         assert {number.data for number in read_strictly(tmp_path / f"out_{source.name}")} <= {
             message.data for message in read_strictly(source)
         }
-
-
-def test_numbers_survive(tmp_path: Path) -> None:
-    source = ours(tmp_path / "run", 50)
-    recover(source, tmp_path / "out.mcap")
-    messages = list(read_messages(tmp_path / "out.mcap"))
-    assert [number_of(m.data) for m in messages] == list(range(1, 51))
-    assert messages[0].log_ns == START_NS + 1_000_000
 
 
 def repair(recordings: Path) -> list[str]:
@@ -349,16 +318,7 @@ def test_what_cannot_be_repaired_stays_as_it_is(tmp_path: Path) -> None:
     ]
 
 
-def test_a_closed_recording_is_not_touched(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
-    recorder.close()
-    before = {path: path.read_bytes() for path in (tmp_path / "run").iterdir()}
-    assert repair(tmp_path) == []
-    assert {path: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
-
-
-def test_a_recording_in_progress_and_files_of_others_are_not_touched(tmp_path: Path) -> None:
+def test_what_is_written_or_closed_and_files_of_others_are_not_touched(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "live", on_failure=pytest.fail)
     (tmp_path / "theirs").mkdir()
     with (tmp_path / "theirs" / "theirs_0.mcap").open("wb") as stream:
@@ -369,11 +329,14 @@ def test_a_recording_in_progress_and_files_of_others_are_not_touched(tmp_path: P
         writer.finish()
     whole = (tmp_path / "theirs" / "theirs_0.mcap").read_bytes()
     (tmp_path / "theirs" / "theirs_0.mcap").write_bytes(whole[:-20])
+    closed = recorded(tmp_path / "closed", 10).parent
+    before_of = {path: path.read_bytes() for path in closed.iterdir()}
     elsewhere = crashed(tmp_path / "away" / "linked", 10)
     (tmp_path / "linked").symlink_to(elsewhere.parent)
     before = elsewhere.read_bytes()
     assert repair(tmp_path) == []
     assert (tmp_path / "theirs" / "theirs_0.mcap").read_bytes() == whole[:-20]
+    assert {path: path.read_bytes() for path in closed.iterdir()} == before_of
     assert elsewhere.read_bytes() == before
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
     assert len(read_strictly(recorder.close().file)) == 10
@@ -387,15 +350,6 @@ def test_a_link_in_a_recording_is_not_followed(tmp_path: Path) -> None:
     (recordings / "run" / "run_1.mcap").symlink_to(elsewhere)
     assert len(repair(recordings)) == 1
     assert elsewhere.read_bytes() == before
-
-
-def test_a_repair_that_was_interrupted_leaves_no_trace(tmp_path: Path) -> None:
-    file = crashed(tmp_path / "run", 100)
-    file.write_bytes(file.read_bytes()[:-10])
-    (tmp_path / "run" / "run_0.mcap.repair").write_bytes(b"half")
-    assert len(repair(tmp_path)) == 1
-    assert len(read_strictly(file)) == 100
-    assert not (tmp_path / "run" / "run_0.mcap.repair").exists()
 
 
 @pytest.mark.parametrize("torn", [False, True])
@@ -422,14 +376,14 @@ def test_what_is_too_much_to_read_is_left_as_it_is(
 Read = Callable[[int, int, int], bytes]
 
 
-def break_once(monkeypatch: pytest.MonkeyPatch, breaks: Callable[[bytes], bool]) -> None:
-    """Make the first read that `breaks` selects fail as a broken disk does."""
+def break_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the first read of a compressed chunk fail as a broken disk does."""
     pread: Read = os.pread
     failed: list[int] = []
 
     def failing(fd: int, length: int, offset: int) -> bytes:
         data = pread(fd, length, offset)
-        if not failed and breaks(data):
+        if not failed and data.startswith(b"\x28\xb5\x2f\xfd"):
             failed.append(offset)
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return data
@@ -437,31 +391,7 @@ def break_once(monkeypatch: pytest.MonkeyPatch, breaks: Callable[[bytes], bool])
     monkeypatch.setattr("robotctl.recording.read.source.os.pread", failing)
 
 
-@pytest.mark.parametrize("torn", [False, True])
-def test_what_the_disk_cannot_read_now_is_left_for_the_next_start(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, torn: bool
-) -> None:
-    file = crashed(tmp_path / "run", 200)
-    if torn:
-        file.write_bytes(file.read_bytes()[:-10])
-    before, listed = file.read_bytes(), listed_messages(tmp_path / "run")
-    break_once(monkeypatch, lambda data: data.startswith(b"\x28\xb5\x2f\xfd"))
-    (sentence,) = repair(tmp_path)
-    assert "run_0.mcap could not be repaired: the disk cannot read it at byte" in sentence
-    assert file.read_bytes() == before
-    assert listed_messages(tmp_path / "run") == listed
-    assert len(repair(tmp_path)) == 1  # the disk works again
-    assert len(read_strictly(file)) == 200
-
-
-@pytest.mark.parametrize("torn", [False, True])
-def test_what_there_is_no_memory_for_is_left_for_the_next_start(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, torn: bool
-) -> None:
-    file = crashed(tmp_path / "run", 200)
-    if torn:
-        file.write_bytes(file.read_bytes()[:-10])
-    before = file.read_bytes()
+def lack_memory_once(monkeypatch: pytest.MonkeyPatch) -> None:
     failed: list[bytes] = []
 
     class OnceNoMemory:
@@ -472,10 +402,33 @@ def test_what_there_is_no_memory_for_is_left_for_the_next_start(
             return ZstdDecompressor().decompress(data, max_output_size=max_output_size)
 
     monkeypatch.setattr("robotctl.recording.read.stored_chunk.ZstdDecompressor", OnceNoMemory)
+
+
+@pytest.mark.parametrize("torn", [False, True])
+@pytest.mark.parametrize(
+    ("fail_once", "why"),
+    [
+        (break_once, "the disk cannot read it at byte"),
+        (lack_memory_once, "no memory for a chunk of"),
+    ],
+)
+def test_what_cannot_be_read_now_is_left_for_the_next_start(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    torn: bool,
+    fail_once: Callable[[pytest.MonkeyPatch], None],
+    why: str,
+) -> None:
+    file = crashed(tmp_path / "run", 200)
+    if torn:
+        file.write_bytes(file.read_bytes()[:-10])
+    before, listed = file.read_bytes(), listed_messages(tmp_path / "run")
+    fail_once(monkeypatch)
     (sentence,) = repair(tmp_path)
-    assert "run_0.mcap could not be repaired: no memory for a chunk of" in sentence
+    assert f"run_0.mcap could not be repaired: {why}" in sentence
     assert file.read_bytes() == before
-    assert len(repair(tmp_path)) == 1
+    assert listed_messages(tmp_path / "run") == listed
+    assert len(repair(tmp_path)) == 1  # the disk works again
     assert len(read_strictly(file)) == 200
 
 
@@ -581,11 +534,15 @@ def test_a_repair_that_was_killed_before_the_list_breaks_nothing_and_the_next_on
     assert listed_messages(tmp_path / "run") == 100
 
 
-def test_a_repair_removes_nothing_that_it_has_not_written(tmp_path: Path) -> None:
-    crashed(tmp_path / "run", 10)
+def test_a_repair_removes_what_an_interrupted_one_left_and_nothing_else(tmp_path: Path) -> None:
+    file = crashed(tmp_path / "run", 100)
+    file.write_bytes(file.read_bytes()[:-10])
+    (tmp_path / "run" / "run_0.mcap.repair").write_bytes(b"half")
     notes = tmp_path / "run" / "how to.repair"
     notes.write_text("a user's")
     assert len(repair(tmp_path)) == 1
+    assert len(read_strictly(file)) == 100
+    assert not (tmp_path / "run" / "run_0.mcap.repair").exists()
     assert notes.read_text() == "a user's"
 
 

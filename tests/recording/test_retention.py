@@ -78,13 +78,6 @@ def test_what_robotctl_made_of_a_recording_goes_with_it_and_nothing_else(tmp_pat
     assert names(tmp_path / "mine") == ["notes.txt"]
 
 
-def test_what_is_too_old_goes(tmp_path: Path) -> None:
-    recorded(tmp_path / "old", age_s=31 * DAY_S)
-    recorded(tmp_path / "new", age_s=29 * DAY_S)
-    enforce_retention(tmp_path, RetentionPolicy(), NOW_S)
-    assert names(tmp_path) == ["new"]
-
-
 def test_without_limits_everything_stays(tmp_path: Path) -> None:
     recorded(tmp_path / "old", age_s=1000 * DAY_S)
     assert enforce_retention(tmp_path, RetentionPolicy(max_bytes=None, max_age_s=None), NOW_S) == []
@@ -100,12 +93,6 @@ def test_part_of_a_recording_may_go_and_the_rest_is_a_bag(tmp_path: Path) -> Non
     assert read_info(tmp_path / "run").missing == ()
 
 
-def test_a_recording_marked_keep_stays(tmp_path: Path) -> None:
-    recorded(tmp_path / "run", age_s=1000 * DAY_S)
-    (tmp_path / "run" / "keep").touch()
-    assert enforce_retention(tmp_path, RetentionPolicy(max_bytes=0), NOW_S) == []
-
-
 def clipped(folder: Path, age_s: float) -> int:
     """Cut a clip from a recording `age_s` ago; return its bytes."""
     moment = Moment(read_info(folder).start_ns)
@@ -114,12 +101,15 @@ def clipped(folder: Path, age_s: float) -> int:
     return clip.stat().st_size
 
 
-def test_clips_go_with_their_recordings(tmp_path: Path) -> None:
+def test_what_is_too_old_goes_with_its_clips_unless_it_is_marked_keep(tmp_path: Path) -> None:
     for name in ("old", "kept"):
-        recorded(tmp_path / name, age_s=1000 * DAY_S)
-        clipped(tmp_path / name, age_s=1000 * DAY_S)
+        recorded(tmp_path / name, age_s=31 * DAY_S)
+        clipped(tmp_path / name, age_s=31 * DAY_S)
+    recorded(tmp_path / "new", age_s=29 * DAY_S)
     (tmp_path / "kept" / "keep").touch()
     enforce_retention(tmp_path, RetentionPolicy(), NOW_S)
+    assert names(tmp_path) == ["kept", "new"]
+    enforce_retention(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
     assert names(tmp_path) == ["kept"]
     assert len(names(tmp_path / "kept" / "clips")) == 1
 

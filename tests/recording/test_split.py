@@ -103,20 +103,6 @@ def test_a_file_is_split_by_its_age(tmp_path: Path) -> None:
     assert found == list(range(1, number + 1))
 
 
-def test_a_split_on_demand_puts_what_came_before_it_into_the_old_file(tmp_path: Path) -> None:
-    begun: list[Path] = []
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail, on_split=begun.append)
-    channel = recorder.add_topic(TWIST)
-    write_numbered(recorder, channel, range(1, 11))
-    recorder.split()
-    until(lambda: bool(begun))
-    write_numbered(recorder, channel, range(11, 16))
-    recorder.close()
-    first, second = files_of(tmp_path / "run")
-    assert [m.sequence for m in read_strictly(first)] == list(range(1, 11))
-    assert [m.sequence for m in read_strictly(second)] == list(range(11, 16))
-
-
 def test_what_comes_after_a_split_is_in_the_new_file_however_slow_the_disk(tmp_path: Path) -> None:
     gate = threading.Event()
     gate.set()
