@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import errno
 import logging
 import os
 import resource
@@ -52,24 +51,6 @@ def test_a_file_at_the_sockets_path_is_left_alone(path: Path) -> None:
     with pytest.raises(UsageError, match="is not a socket"), ControlServer(path, {}, IDENTITY):
         pass
     assert path.read_text() == "precious"
-
-
-def test_a_socket_that_may_not_be_made_is_named(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def bind(sock: socket.socket, address: str) -> None:
-        raise PermissionError(errno.EACCES, "Permission denied")
-
-    monkeypatch.setattr(socket.socket, "bind", bind)
-    with pytest.raises(PermissionError) as raised, ControlServer(path, {}, IDENTITY):
-        pass
-    assert raised.value.filename == str(path)
-
-
-def test_the_socket_is_gone_at_the_end(path: Path) -> None:
-    with ControlServer(path, {}, IDENTITY):
-        assert path.is_socket()
-    assert not path.exists()
 
 
 def test_another_servers_socket_survives_our_end(path: Path) -> None:

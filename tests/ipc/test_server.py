@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from robotctl.ipc import request_handler
-from robotctl.ipc.protocol import MAX_REQUEST_BYTES, Code, encode_request
+from robotctl.ipc.protocol import Code, encode_request
 from tests.support.waiting import DEADLINE_S
 
 
@@ -72,26 +72,10 @@ async def test_hello_returns_the_identity_of_the_daemon(serve: Any, connect: Any
     }
 
 
-async def test_hello_and_a_request_may_come_in_one_write(serve: Any, connect: Any) -> None:
-    async with serve():
-        peer = await connect(greet=False)
-        await peer.send(HELLO, request("status"))
-        assert "result" in await peer.reply()
-        assert (await peer.reply())["result"]["mode"] == 0
-
-
 async def test_an_unknown_value_is_null(serve: Any, connect: Any) -> None:
     async with serve():
         reply = await (await connect()).call("status")
     assert reply["result"]["battery"] is None
-
-
-async def test_a_request_before_hello_is_refused(serve: Any, connect: Any, robot: Any) -> None:
-    async with serve():
-        reply = await (await connect(greet=False)).call("set_mode", mode=1, source="test")
-    assert reply["error"]["code"] == Code.INVALID_REQUEST
-    assert "hello" in reply["error"]["message"]
-    assert robot.mode_requests == 0
 
 
 async def test_another_protocol_is_named_with_the_way_out(serve: Any, connect: Any) -> None:
@@ -113,19 +97,6 @@ async def test_the_emergency_stop_needs_no_common_protocol(
         assert "error" in await peer.reply()
         assert "result" in await peer.reply()
     assert robot.mode == 3
-
-
-async def test_an_error_of_ours_crosses_with_text_and_exit_code(
-    serve: Any, connect: Any, robot: Any
-) -> None:
-    robot.mode = 3
-    async with serve():
-        reply = await (await connect()).call("set_mode", mode=1, source="test")
-    assert reply["error"] == {
-        "code": -32000,
-        "message": "EMERGENCY_STOP is latched: release it with robotctl reset",
-        "data": {"exit_code": 4},
-    }
 
 
 @pytest.mark.parametrize("method", ["break_down", "lose_a_future"])
@@ -228,21 +199,3 @@ async def test_malformed_lines_are_answered_and_change_nothing(
             assert (await bystander.call("status"))["result"]["mode"] == 0
         assert "result" in await vandal.call("status")
     assert robot.mode_requests == 0
-
-
-async def test_requests_may_arrive_byte_by_byte(serve: Any, connect: Any) -> None:
-    async with serve():
-        peer = await connect(greet=False)
-        for byte in HELLO + request("status"):
-            await peer.send(bytes([byte]))
-            await asyncio.sleep(0)
-        assert "result" in await peer.reply()
-        assert "result" in await peer.reply()
-
-
-async def test_an_endless_line_is_refused_and_closed(serve: Any, connect: Any) -> None:
-    async with serve():
-        peer = await connect()
-        await peer.send(b"x" * (MAX_REQUEST_BYTES + 1))
-        assert "longer than" in (await peer.reply())["error"]["message"]
-        assert await peer.is_closed()

@@ -81,20 +81,6 @@ async def test_a_call_without_a_deadline_ends_when_its_client_leaves(
             await robot.left.wait()
 
 
-async def test_a_client_that_only_closed_its_sending_half_is_answered(
-    serve: Any, connect: Any, robot: Any
-) -> None:
-    async with serve(ClientLimits(hangup_poll_s=0.001)):
-        peer = await connect()
-        await peer.send(request("wait"))
-        peer.writer.write_eof()
-        await robot.called.wait()
-        await asyncio.sleep(0.02)  # several checks of the socket
-        robot.never.set()
-        assert (await peer.reply())["result"] == {}
-        assert await peer.is_closed()
-
-
 async def test_a_pending_call_gets_the_answer_that_the_daemon_stops(
     serve: Any, connect: Any, robot: Any
 ) -> None:
@@ -105,12 +91,6 @@ async def test_a_pending_call_gets_the_answer_that_the_daemon_stops(
     reply = await peer.reply()
     assert reply["error"]["message"] == "the daemon is stopping"
     assert reply["error"]["data"] == {"exit_code": 3}
-    assert await peer.is_closed()
-
-
-async def test_the_end_closes_idle_connections(serve: Any, connect: Any) -> None:
-    async with serve():
-        peer = await connect()
     assert await peer.is_closed()
 
 
@@ -135,16 +115,6 @@ async def test_the_loop_turns_between_two_requests_of_one_client(
 
 
 # Too many clients
-
-
-async def test_a_client_above_the_limit_gets_busy(serve: Any, connect: Any) -> None:
-    async with serve(ClientLimits(clients=1)):
-        first, second = await connect(), await connect()
-        reply = await second.call("status")
-        assert reply["error"]["code"] == Code.BUSY
-        assert reply["error"]["data"]["exit_code"] == 4
-        assert await second.is_closed()
-        assert "result" in await first.call("status")
 
 
 @pytest.mark.parametrize("lines", [[ESTOP], [HELLO, ESTOP]])
@@ -261,15 +231,6 @@ async def test_without_a_free_descriptor_an_idle_connection_makes_room(
         assert (await idle.reply())["error"]["code"] == Code.BUSY
         closed.set()
         assert "result" in await stopping.reply()
-
-
-async def test_a_place_is_free_again_when_its_client_leaves(serve: Any, connect: Any) -> None:
-    async with serve(ClientLimits(clients=1)):
-        fds = open_fds()
-        first = await connect()
-        first.writer.close()
-        await loop_until(lambda: open_fds() == fds)
-        assert "result" in await (await connect()).call("status")
 
 
 async def test_each_of_1000_clients_at_once_gets_an_answer_or_busy(
