@@ -24,8 +24,6 @@ from robotctl.kernel.params import KernelParams, TrackingParams, VelocityLimits
 from robotctl.kernel.patterns import MIN_SIZE_M, SHAPES, Pattern, PatternKind, path_of
 from robotctl.kernel.tracking import Reference, follow_blindly, limit, track
 from robotctl.kernel.types import (
-    ZERO,
-    DriveEnded,
     DriveRequested,
     ModeChanged,
     ModeRequested,
@@ -33,7 +31,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.sim.robot import SimParams
-from robotctl.testing.kernels import Driven, drive_simulated, moving, while_moving
+from robotctl.testing.kernels import Driven, drive_simulated
 from tests.support.fed_kernel import lap_of
 
 CLOSED = [kind for kind in PatternKind if SHAPES[kind].closed]
@@ -118,15 +116,6 @@ def test_errors_do_not_add_up_over_laps(kind: PatternKind) -> None:
     assert report.distance_m == pytest.approx(4 * one.distance_m, rel=0.05, abs=0.05)
     assert report.closure_m <= 0.05
     assert report.cross_track_max_m <= 0.030
-
-
-def test_the_robot_does_not_weave() -> None:
-    """On a circle to the left the command turns steadily to the left after the start."""
-    commands = drive(PatternKind.CIRCLE).commands
-    turning = [twist.angular for twist in commands if twist.linear > 0.4]
-    assert len(turning) > 200
-    assert min(turning) > 0.6
-    assert max(turning) < 1.4
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.2])
@@ -230,29 +219,6 @@ def test_a_robot_that_turns_may_stand_on_the_side_before_or_after_the_corner(tur
         assert isclose(path.distance_to(on_the_path, turn, 0.5), 0.0, abs_tol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("pose", "faster", "left"),
-    [
-        (Pose(-0.1, 0.0, 0.0), True, None),
-        (Pose(0.1, 0.0, 0.0), False, None),
-        (Pose(0.0, -0.1, 0.0), None, True),
-        (Pose(0.0, 0.1, 0.0), None, False),
-        (Pose(0.0, 0.0, -0.2), None, True),
-        (Pose(0.0, 0.0, 0.2), None, False),
-    ],
-)
-def test_tracking_leads_back_to_the_reference(
-    pose: Pose, faster: bool | None, left: bool | None
-) -> None:
-    params = KernelParams()
-    twist = track(Reference(ORIGIN, 0.3, 0.0, 0.0), pose, params.tracking, params.limits)
-    if faster is not None:
-        assert (twist.linear > 0.3) is faster
-    if left is not None:
-        assert (twist.angular > 0.0) is left
-        assert twist.angular != 0.0
-
-
 @given(st.floats(-pi, pi), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
 def test_composing_undoes_expressing(theta: float, x: float, y: float) -> None:
     frame, pose = Pose(1.0, -2.0, theta), Pose(x, y, 0.5)
@@ -260,36 +226,6 @@ def test_composing_undoes_expressing(theta: float, x: float, y: float) -> None:
     assert isclose(again.x, x, abs_tol=1e-9)
     assert isclose(again.y, y, abs_tol=1e-9)
     assert isclose(again.theta, 0.5, abs_tol=1e-9)
-
-
-def test_a_drive_that_replaces_another_goes_on_at_the_same_speed() -> None:
-    bench = moving(ticks=0)
-    for _ in range(60):
-        state = bench.state
-        assert state.drive is not None
-        bench.odometry(state.drive.reference().pose)
-        bench.battery(1.0)
-        bench.tick()
-    speed = bench.state.command.linear
-    assert speed > 0.4
-    bench.drive(Pattern(PatternKind.CIRCLE, 1.0), replacing=True)
-    replaced = bench.state.drive
-    assert replaced is not None
-    rise_s = KernelParams().limits.accel_rise_s
-    assert isclose(replaced.progress.ahead, 0.5 * speed * (rise_s - 0.02), rel_tol=0.01)
-    for _ in range(20):
-        assert bench.state.drive is not None
-        bench.odometry(bench.state.drive.reference().pose)
-        bench.tick()
-        assert bench.state.command.linear > 0.9 * speed
-
-
-def test_a_robot_that_catches_up_stays_on_the_curve() -> None:
-    params = KernelParams()
-    reference = Reference(ORIGIN, 0.3, 1.0, 0.0)
-    twist = track(reference, Pose(-0.02, 0.0, 0.0), params.tracking, params.limits)
-    assert twist.linear > 0.3
-    assert isclose(twist.angular, twist.linear)
 
 
 def test_a_step_longer_than_a_whole_lap_ends_the_drive() -> None:
@@ -303,24 +239,6 @@ def test_a_step_longer_than_a_whole_lap_ends_the_drive() -> None:
     assert drive.progress.laps == 2
 
 
-def test_a_drive_without_an_end_goes_on() -> None:
-    pattern = Pattern(PatternKind.CIRCLE, 0.1, 0.5)
-    with pytest.raises(AssertionError, match="did not end"):
-        drive_simulated(pattern, laps=0)
-
-
-def test_the_end_of_a_drive_is_told_with_its_report_while_the_command_is_zero() -> None:
-    bench = moving(ticks=5)
-    bench.request(0)
-    for _ in while_moving(bench):
-        bench.tick()
-    (ended,) = [effect for effect in bench.effects if isinstance(effect, DriveEnded)]
-    assert not ended.completed
-    assert ended.report.laps == 0
-    assert ended.report.closure_m != ended.report.closure_m
-    assert bench.commands[-1] == ZERO
-
-
 @pytest.mark.parametrize(
     ("reference", "command"),
     [
@@ -332,17 +250,6 @@ def test_open_loop_moves_a_perfect_robot_like_the_reference(
     reference: Reference, command: Twist
 ) -> None:
     assert follow_blindly(reference) == command
-
-
-def test_the_reference_keeps_below_the_limits() -> None:
-    """The rest of the limits is needed to catch up; a pattern may ask for more."""
-    params = KernelParams()
-    limits = replace(params.limits, linear_mps=0.3)
-    bench = moving(replace(params, limits=limits), ticks=0)
-    bench.run(40)
-    drive = bench.state.drive
-    assert drive is not None
-    assert 0.2 < drive.reference().linear < 0.3
 
 
 def test_a_ramp_down_with_gentle_limits_is_not_held_against_a_reference_that_stands() -> None:

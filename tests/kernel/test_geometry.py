@@ -21,7 +21,7 @@ from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.tracking import clamp, limit, within
-from robotctl.kernel.types import ZERO, Cause, Tick, Twist
+from robotctl.kernel.types import ZERO, Cause, Twist
 from robotctl.testing.kernels import Bench, moving, ready, reset, start, stopped_by
 
 ANGLE = st.floats(-3.0, 3.0)
@@ -140,12 +140,6 @@ def test_the_fence_stands_where_the_first_motion_began_and_stays_there() -> None
     assert bench.state.health.fence_origin == ORIGIN
 
 
-def test_without_a_fence_nothing_stops() -> None:
-    bench = driving(FenceParams())
-    bench.odometry(Pose(0.45, 0.0, 0.0))
-    assert bench.state.mode is Mode.MOVING
-
-
 @pytest.mark.parametrize(
     ("x", "y", "inside"),
     [(0.5, 0.5, True), (0.5, 3.9, True), (3.9, 0.5, True), (2.0, 2.0, False), (-0.1, 0.5, False)],
@@ -257,20 +251,3 @@ def test_a_kernel_goes_on_from_a_state_of_other_limits() -> None:
     kernel = Kernel(replace(KernelParams(), limits=limits), state)
     assert kernel.state.command.linear == 0.1
     assert Kernel(KernelParams(), state).state == state
-
-
-def test_a_late_tick_changes_the_command_by_no_more_than_two_periods_allow() -> None:
-    bench = moving(ticks=5)
-    before = bench.state.command
-    bench.t_ns += 200_000_000
-    bench.give(Tick(bench.t_ns))
-    params = KernelParams()
-    most = params.limits.linear_accel_mps2 * 2.0 / params.rate_hz
-    assert 0.0 < bench.state.command.linear - before.linear <= most + 1e-12
-
-
-def test_a_steady_clock_that_goes_back_is_a_tick_overrun() -> None:
-    bench = moving()
-    bench.give(Tick(bench.t_ns - 400_000_000))
-    assert bench.state.cause is Cause.TICK_OVERRUN
-    assert "went back by 0.40 s" in bench.state.reason

@@ -269,14 +269,6 @@ def test_an_obstacle_ahead_stops_and_refuses_until_it_is_gone() -> None:
     assert reset(bench)
 
 
-def test_a_faster_robot_stops_earlier() -> None:
-    near, far = replace(PARAMS), seen(0.25 + 0.3 + 0.1, 0.0)
-    slow, fast = Twist(0.1, 0.0), Twist(0.6, 0.0)
-    for command, is_hit in ((slow, False), (fast, True)):
-        reach_m = near.stop_distance_m + command.linear**2 / 2.0
-        assert (distance_ahead(far, command, near, reach_m) < inf) is is_hit
-
-
 @pytest.mark.parametrize("accel_mps2", [1.0, 0.4])
 def test_a_tick_looks_ahead_with_the_command_of_that_tick(accel_mps2: float) -> None:
     bench = driving(accel_mps2=accel_mps2)

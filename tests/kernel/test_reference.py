@@ -106,14 +106,6 @@ def test_less_than_a_nanometre_before_a_stop_is_rounding(ahead_m: float, stands:
     assert advanced(at, (Leg(ahead_m, 1.0, 1.0, 0.0, 0.0),), 1, 1.0, 2)[1] is stands
 
 
-def test_a_circle_brakes_at_the_end_of_the_last_lap_alone() -> None:
-    near_end = going(0.4, length=Circle(0.4).length - 0.1)
-    assert after(drive(CIRCLE, near_end, laps=2), 0.01).speed > 0.4
-    assert after(drive(CIRCLE, near_end, laps=0), 0.01).speed > 0.4
-    last = after(drive(CIRCLE, replace(near_end, laps=1), laps=2), 0.01)
-    assert isclose(last.speed, braking(0.35, 0.1, 0.01))
-
-
 def test_a_circle_too_small_to_brake_in_brakes_as_the_last_lap_begins() -> None:
     pattern, limits = Pattern(PatternKind.CIRCLE, 0.1, 0.6), VelocityLimits(1.0, 9.0, 0.4, 9.0)
     crossing = going(0.6, length=Circle(0.1).length + 0.002)
@@ -325,25 +317,19 @@ def test_the_outline_of_a_square_is_its_corners() -> None:
         assert isclose(pose.y, y, abs_tol=1e-9)
 
 
-def test_the_outline_of_a_circle_is_a_pose_every_2_degrees() -> None:
+def test_the_outline_of_a_circle_is_a_pose_every_2_degrees_and_leaves_no_curve_out() -> None:
     outline = lap_of(PatternKind.CIRCLE, 0.5).outline()
     assert len(outline) == 181
     for number, pose in enumerate(outline):
         assert isclose(pose.theta, number * pi / 90, abs_tol=1e-9)
+    assert len(Path((Circle(5.0),), 5.0).outline()) == 181
+    assert len(Path((Circle(0.5),) * 400, 0.5).outline()) == 401
 
 
 def test_an_outline_begins_where_the_path_begins_and_is_one_place_without_a_path() -> None:
     begin = Pose(1.0, 2.0, 0.1)
     assert Path((Line(begin, 1.0),), 1.0).outline()[0] == begin
     assert Path((), 1.0).outline() == (ORIGIN,)
-
-
-def test_a_wide_curve_is_drawn_as_a_curve() -> None:
-    assert len(Path((Circle(5.0),), 5.0).outline()) == 181
-
-
-def test_an_outline_leaves_no_curve_out_however_many_there_are() -> None:
-    assert len(Path((Circle(0.5),) * 400, 0.5).outline()) == 401
 
 
 def test_behind_a_corner_of_an_open_path_the_side_before_it_counts() -> None:

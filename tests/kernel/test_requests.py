@@ -8,19 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import inf, nan
+from math import nan
 
 import pytest
 
-from robotctl.base.errors import ConfigError
-from robotctl.config import check_together
 from robotctl.kernel.course import MAX_QUIET_S, Course, Held
-from robotctl.kernel.drive import MAX_LAPS, Drive, Progress
+from robotctl.kernel.drive import Drive, Progress
 from robotctl.kernel.geometry import ORIGIN
-from robotctl.kernel.kernel import MAX_WAITING, Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import CommandParams, Foreign, KernelParams, VelocityLimits, WhenIdle
-from robotctl.kernel.patterns import Pattern, PatternKind, named
+from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.remedies import RESETTING, Remedy
 from robotctl.kernel.state import latched
 from robotctl.kernel.types import (
@@ -39,7 +36,6 @@ from robotctl.kernel.types import (
     ReleaseEmergencyStop,
     Reply,
     ResetRequested,
-    Tick,
     Twist,
 )
 from robotctl.kernel.units import NS_PER_S
@@ -93,17 +89,16 @@ def test_a_second_emergency_stop_says_zero_again_and_is_answered() -> None:
     assert bench.replies[-1].message == "Mode is already EMERGENCY_STOP"
 
 
-def test_a_reset_releases_the_latch_before_it_says_so() -> None:
-    bench = in_mode(Mode.EMERGENCY_STOP)
-    effects = reset(bench)
-    assert kinds(effects) == [PublishTwist, ReleaseEmergencyStop, ModeChanged, Reply]
-    assert bench.replies[-1].message == "EMERGENCY_STOP released: mode changed to IDLE"
-
-
-def test_a_reset_of_an_error_leaves_the_latch_alone() -> None:
-    bench = in_mode(Mode.ERROR)
-    assert kinds(reset(bench)) == [PublishTwist, ModeChanged, Reply]
-    assert bench.replies[-1].message == "ERROR cleared: mode changed to IDLE"
+def test_a_reset_releases_the_latch_alone_and_says_so_then() -> None:
+    released = [PublishTwist, ReleaseEmergencyStop, ModeChanged, Reply]
+    for mode, effects, said in (
+        (Mode.IDLE, [PublishTwist, Reply], "Nothing to reset: mode is IDLE"),
+        (Mode.ERROR, [PublishTwist, ModeChanged, Reply], "ERROR cleared: mode changed to IDLE"),
+        (Mode.EMERGENCY_STOP, released, "EMERGENCY_STOP released: mode changed to IDLE"),
+    ):
+        bench = in_mode(mode)
+        assert kinds(reset(bench)) == effects
+        assert bench.replies[-1].message == said
 
 
 def test_a_latched_stop_outlives_the_process() -> None:
@@ -166,18 +161,6 @@ def test_a_drive_whose_last_ramp_is_cut_is_not_completed(stopped_in: Mode) -> No
     assert not ended.completed
 
 
-def test_only_so_many_requests_wait_for_a_ramp() -> None:
-    bench = moving()
-    answered = len(bench.replies)
-    for _ in range(MAX_WAITING + 5):
-        bench.request(Mode.IDLE)
-    assert len(bench.replies) == answered + 5
-    bench.run(200)
-    assert bench.state.mode is Mode.IDLE
-    numbers = [reply.request_id for reply in bench.replies]
-    assert len(set(numbers)) == len(numbers) == answered + MAX_WAITING + 5
-
-
 def test_a_drive_is_replaced_only_on_request() -> None:
     bench = moving()
     before = bench.state
@@ -187,7 +170,9 @@ def test_a_drive_is_replaced_only_on_request() -> None:
     assert bench.state == before
     effects = bench.drive(CIRCLE, replacing=True)
     assert kinds(effects) == [DriveEnded, Reply]
-    allowed = bench.replies[-1]
+    (ended,) = (each for each in effects if isinstance(each, DriveEnded))
+    assert (ended.completed, ended.reason) == (False, "replaced by another drive")
+    *_, allowed = bench.replies
     assert allowed.ok
     assert bench.state.drive is not None
     assert bench.state.drive.pattern == CIRCLE
@@ -210,29 +195,6 @@ def test_no_drive_leads_out_of_a_stop(mode: Mode) -> None:
     assert not bench.replies[-1].ok
     assert not RESETTING.isdisjoint(bench.replies[-1].remedies)
     assert bench.state.mode is mode
-
-
-@pytest.mark.parametrize(
-    ("pattern", "laps"),
-    [
-        (Pattern(size_m=nan), 1),
-        (Pattern(size_m=inf), 1),
-        (Pattern(size_m=-1.0), 1),
-        (Pattern(size_m=1000.0), 1),
-        (Pattern(speed_mps=nan), 1),
-        (Pattern(speed_mps=0.0), 1),
-        (Pattern(speed_mps=-0.5), 1),
-        (Pattern(speed_mps=inf), 1),
-        (Pattern(), -1),
-        (Pattern(), MAX_LAPS + 1),
-    ],
-)
-def test_a_drive_of_impossible_figures_is_refused(pattern: Pattern, laps: int) -> None:
-    bench = ready()
-    bench.drive(pattern, laps)
-    assert not bench.replies[-1].ok
-    assert "use " in bench.replies[-1].message
-    assert bench.state.mode is Mode.IDLE
 
 
 @pytest.mark.parametrize("number", [-1, len(Mode), 255, 2**63])
@@ -259,55 +221,19 @@ def test_a_reset_is_refused_while_the_cause_or_another_one_would_stop_again() ->
     assert bench.state.mode is Mode.IDLE
 
 
-def test_a_finished_drive_says_so_and_leaves_the_robot_in_idle() -> None:
-    from robotctl.testing.kernels import drive_simulated
-
-    driven = drive_simulated(CIRCLE)
-    assert driven.ended.completed
-    assert driven.ended.report.laps == 1
-    assert driven.commands[-1] == ZERO
-
-
-def test_the_report_of_a_drive_tells_the_time_from_its_request_to_its_last_tick() -> None:
-    bench = ready()
-    begin_ns = bench.t_ns
-    bench.drive()
-    bench.run(25)
-    assert bench.t_ns - begin_ns == 500_000_000
-    bench.t_ns += 7_000_000
-    bench.request(Mode.ERROR)
-    (ended,) = (effect for effect in bench.effects if isinstance(effect, DriveEnded))
-    assert ended.report.duration_s == 0.5
-
-
-def test_a_drive_that_ends_before_the_first_tick_took_no_time() -> None:
+@pytest.mark.parametrize(("ticks", "duration_s"), [(0, 0.0), (25, 0.5)])
+def test_the_report_of_a_drive_tells_the_time_from_its_request_to_its_last_tick(
+    ticks: int, duration_s: float
+) -> None:
     bench = Bench()
     bench.odometry()
     bench.battery(1.0)
     bench.drive()
+    bench.run(ticks)
     bench.t_ns += 7_000_000
     bench.request(Mode.ERROR)
     (ended,) = (effect for effect in bench.effects if isinstance(effect, DriveEnded))
-    assert ended.report.duration_s == 0.0
-
-
-def test_zeros_are_published_at_every_tick_while_not_moving() -> None:
-    for mode in (Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP):
-        bench = in_mode(mode)
-        for _ in range(3):
-            assert bench.tick() == (PublishTwist(ZERO),)
-
-
-def test_a_tick_gives_exactly_one_command() -> None:
-    bench = stopping()
-    for _ in while_moving(bench):
-        assert kinds(bench.tick()).count(PublishTwist) == 1
-
-
-def test_a_fresh_kernel_stands_still() -> None:
-    kernel = Kernel(KernelParams())
-    assert kernel.step(Tick(0)) == (PublishTwist(ZERO),)
-    assert kernel.state.mode is Mode.IDLE
+    assert ended.report.duration_s == duration_s
 
 
 QUIET = replace(KernelParams(), command=CommandParams(when_idle=WhenIdle.SILENT))
@@ -388,11 +314,6 @@ def test_warn_lets_the_motion_go_on() -> None:
     assert bench.state.mode is Mode.MOVING
 
 
-def test_yield_without_silence_is_refused() -> None:
-    with pytest.raises(ConfigError, match="when_idle silent with it"):
-        check_together(KernelParams(command=CommandParams(foreign=Foreign.YIELD)))
-
-
 SPEED = Twist(0.1, 0.0)
 HELD = Held(SPEED.linear, 0.0, 1.0, quiet_s=0.5)
 
@@ -423,14 +344,6 @@ def test_after_its_time_a_velocity_is_followed_by_silence_and_then_by_one_zero()
     assert last_s == pytest.approx(1.0, abs=0.05)
     assert end_s == pytest.approx(1.5, abs=0.05)
     assert bench.state.reason == "drive finished: 1.5 s"
-
-
-def test_a_velocity_without_silence_is_commanded_at_every_tick() -> None:
-    bench = ready()
-    bench.drive(course=Course(held=Held(0.1, 0.0, 0.5)))
-    while bench.state.mode is Mode.MOVING:
-        bench.odometry()
-        assert any(isinstance(effect, PublishTwist) for effect in bench.tick())
 
 
 def is_asked_to_stand(bench: Bench) -> None:
@@ -488,12 +401,6 @@ def test_a_drive_that_replaces_the_silence_begins_at_zero() -> None:
 def test_a_silence_that_is_not_allowed_is_refused_by_its_limits(quiet_s: float) -> None:
     assert Held(0.1, 0.0, 1.0, quiet_s=quiet_s).refusal().endswith("use 0 to 5 s")
     assert Held(0.1, 0.0, 1.0, quiet_s=MAX_QUIET_S).refusal() == ""
-
-
-def test_the_silence_is_named() -> None:
-    assert named(Pattern(), Course(held=HELD)) == (
-        "0.1 m/s and 0 rad/s for 1 s, then nothing for 0.5 s"
-    )
 
 
 def test_the_simulated_base_stops_by_its_own_timeout() -> None:

@@ -29,7 +29,6 @@ from robotctl.kernel.types import (
     Tick,
 )
 from robotctl.testing.kernels import (
-    TICK_NS,
     Bench,
     in_mode,
     moving,
@@ -37,7 +36,6 @@ from robotctl.testing.kernels import (
     reset,
     start,
     stopped_by,
-    while_moving,
 )
 
 DAEMON_CAUSES = (Cause.TASK_DIED, Cause.RECORDER_FAILED, Cause.UNREACHABLE)
@@ -79,44 +77,11 @@ def test_a_low_or_unknown_battery_refuses_the_start_and_no_more(level: float) ->
     assert "battery" in start(bench)
 
 
-@pytest.mark.parametrize("level", [0.151, 0.5, 1.0, 1.004])
-def test_a_charged_battery_lets_the_robot_start(level: float) -> None:
-    assert not start(with_battery(level))
-
-
 @pytest.mark.parametrize("level", [nan, inf, -1.0, 87.0])
 def test_an_unknown_battery_stops_a_moving_robot(level: float) -> None:
     bench = moving()
     bench.battery(level)
     assert stopped_by(bench, Cause.BATTERY_UNKNOWN, Mode.ERROR)
-
-
-def test_a_battery_that_falls_silent_stops_a_moving_robot() -> None:
-    bench = moving()
-    began_ns = bench.t_ns
-    for _ in while_moving(bench):
-        drive = bench.state.drive
-        assert drive is not None
-        bench.odometry(drive.reference().pose)
-        bench.tick()
-    assert stopped_by(bench, Cause.BATTERY_UNKNOWN, Mode.ERROR)
-    assert bench.t_ns - began_ns <= 5_000_000_000 + 2 * TICK_NS
-
-
-@pytest.mark.parametrize("level", [0.15, 0.199, nan, inf, -1.0])
-def test_a_low_battery_has_not_cleared_below_20_percent_or_unknown(level: float) -> None:
-    bench = moving()
-    bench.battery(0.1)
-    bench.battery(level)
-    assert not reset(bench)
-    assert "not yet at 20%" in bench.replies[-1].message
-
-
-def test_a_low_battery_has_cleared_at_20_percent() -> None:
-    bench = moving()
-    bench.battery(0.1)
-    bench.battery(0.2)
-    assert reset(bench)
 
 
 def test_a_robot_without_a_battery_is_not_asked_for_one() -> None:
@@ -129,14 +94,6 @@ def test_a_robot_without_a_battery_is_not_asked_for_one() -> None:
 
 
 # Time
-
-
-def test_a_late_tick_stops_a_moving_robot() -> None:
-    bench = moving()
-    bench.t_ns += 400_000_000
-    bench.odometry()
-    bench.tick()
-    assert stopped_by(bench, Cause.TICK_OVERRUN, Mode.ERROR)
 
 
 @pytest.mark.parametrize("first", [Bench.tick, Bench.odometry, lambda bench: bench.battery(1.0)])
@@ -180,14 +137,6 @@ def test_steady_time_that_jumps_stops_a_moving_robot_and_no_more(jump_ns: int) -
     assert effects[0] == PublishTwist(ZERO)
 
 
-def test_odometry_from_the_future_is_as_stale_as_from_the_past() -> None:
-    bench = ready()
-    bench.t_ns -= 10_000_000_000
-    bench.tick()
-    bench.tick()
-    assert "no odometry" in start(bench)
-
-
 @pytest.mark.parametrize("begin_ns", [0, 86_400_000_000_000, 2**53, 2**62])
 def test_a_drive_is_the_same_at_any_steady_time(begin_ns: int) -> None:
     commands = []
@@ -227,31 +176,6 @@ def test_a_fault_that_is_reported_again_is_one_fault_and_its_last_words_count() 
     assert bench.state.health.reported == ((Cause.TASK_DIED, "death 99"),)
 
 
-@pytest.mark.parametrize("mode", [Mode.ERROR, Mode.EMERGENCY_STOP])
-@pytest.mark.parametrize("cause", DAEMON_CAUSES)
-def test_a_fault_changes_nothing_about_a_robot_that_is_stopped(mode: Mode, cause: Cause) -> None:
-    bench = in_mode(mode)
-    assert bench.give(FaultReported(bench.t_ns, cause, "it broke")) == ()
-    assert bench.state.mode is mode
-
-
-def test_the_gravest_of_two_faults_names_the_stop() -> None:
-    bench = moving()
-    bench.battery(0.1)
-    assert bench.state.cause is Cause.BATTERY_LOW
-    bench = moving()
-    bench.t_ns += 600_000_000
-    bench.give(FaultReported(bench.t_ns, Cause.RECORDER_FAILED, "the disk is full"))
-    assert bench.state.cause is Cause.RECORDER_FAILED
-
-
-def test_a_daemon_that_ends_lets_no_motion_begin() -> None:
-    bench = ready()
-    assert bench.give(FaultReported(bench.t_ns, Cause.DAEMON_ENDS, "told to stop")) == ()
-    assert bench.state.mode is Mode.IDLE
-    assert "told to stop" in start(bench)
-
-
 def test_a_daemon_that_ends_lets_a_motion_ramp_down() -> None:
     bench = moving()
     bench.give(FaultReported(bench.t_ns, Cause.DAEMON_ENDS, "told to stop"))
@@ -264,23 +188,6 @@ def test_commands_of_a_node_without_a_name_stop_the_robot() -> None:
     bench = moving()
     bench.give(CommandPublishersSeen(bench.t_ns, ("",)))
     assert stopped_by(bench, Cause.FOREIGN_PUBLISHER, Mode.ERROR)
-
-
-def test_another_node_that_commands_is_named() -> None:
-    bench = moving()
-    bench.give(CommandPublishersSeen(bench.t_ns, ("/teleop",)))
-    assert stopped_by(bench, Cause.FOREIGN_PUBLISHER, Mode.ERROR)
-    assert "/teleop" in bench.state.reason
-    assert not reset(bench)
-    bench.give(CommandPublishersSeen(bench.t_ns, ()))
-    assert reset(bench)
-
-
-def test_an_idle_robot_only_refuses_to_start_beside_another_publisher() -> None:
-    bench = ready()
-    bench.give(CommandPublishersSeen(bench.t_ns, ("/teleop",)))
-    assert bench.state.mode is Mode.IDLE
-    assert "/teleop" in start(bench)
 
 
 def test_a_stop_is_said_once() -> None:
