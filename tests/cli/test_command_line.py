@@ -1,10 +1,4 @@
-"""What every command line does: the quick way and typer, words of other tools, --json.
-
-Quick commands import no library that they do not need.
-Words that people bring are answered with a command, and common options may stand first.
-What a version retired answers with what to use instead.
-Every command has --json, or a reason why no machine reads it.
-"""
+"""What every command line does: the quick way, words of other tools, what is retired, --json."""
 
 from __future__ import annotations
 
@@ -22,7 +16,7 @@ from hypothesis import strategies as st
 
 from robotctl.base import retired
 from robotctl.base.errors import UsageError
-from robotctl.cli import app, quick, registry
+from robotctl.cli import quick, registry
 from robotctl.cli.app import behind_the_command
 from robotctl.cli.registry import COMMANDS, other_words
 from robotctl.kernel.patterns import PatternKind
@@ -227,34 +221,25 @@ def test_the_error_names_the_robot_that_was_given_first(cli: Cli) -> None:
     assert (ran.exit_code, "robot 'r2'" in ran.err) == (3, True)
 
 
-def test_a_retired_command_names_what_replaces_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_retired_names_what_replaces_it(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(retired, "COMMANDS", {"steer": "use: robotctl drive"})
-    assert app.run(["steer", "left"]) == 2
-    assert "use: robotctl drive" in capsys.readouterr().err
-
-
-def test_a_retired_option_names_what_replaces_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
     monkeypatch.setattr(retired, "OPTIONS", {("info", "--steer"): "use: robotctl drive"})
-    assert app.run(["info", "last", "--steer"]) == 2
-    assert "--steer is retired: use: robotctl drive" in capsys.readouterr().err
+    ran = cli("steer", "left")
+    assert (ran.exit_code, "use: robotctl drive" in ran.err) == (2, True)
+    ran = cli("info", "last", "--steer")
+    assert (ran.exit_code, "--steer is retired: use: robotctl drive" in ran.err) == (2, True)
 
 
-@pytest.mark.parametrize(("command", "option"), sorted(retired.OPTIONS))
-def test_each_retired_option_answers_so(
-    command: str, option: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert app.run([*command.split(), option]) == 2
-    assert retired.OPTIONS[command, option] in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("command", sorted(retired.ARGUMENTS))
-def test_each_retired_argument_answers_so(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.run([*command.split(), "word"]) == 2
-    assert retired.ARGUMENTS[command] in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        *((" ".join(words), told) for words, told in sorted(retired.OPTIONS.items())),
+        *((f"{command} word", told) for command, told in sorted(retired.ARGUMENTS.items())),
+    ],
+)
+def test_each_retired_option_and_argument_answers_so(line: str, told: str, cli: Cli) -> None:
+    ran = cli(*line.split())
+    assert (ran.exit_code, told in ran.err) == (2, True)
 
 
 def test_no_command_of_today_is_retired() -> None:

@@ -1,8 +1,4 @@
-"""status, set-mode, estop, reset, stop and drive, against a fake daemon.
-
-A background call ends even if the thread that waits for it is interrupted.
-Reasons of requests, and commands about every robot of a user, against fake daemons.
-"""
+"""status, set-mode, estop, reset, stop and drive, with reasons, against fake daemons."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""The points of a path are read from CSV and YAML; anything else is named.
-
-The points of a `nav_msgs/Path`; what cannot be driven is named.
-The path that a recorded robot drove is driven again: all of it, and of this robot.
-"""
+"""Paths to drive from CSV, YAML, messages and recordings; anything else is named."""
 
 from __future__ import annotations
 
@@ -24,6 +20,7 @@ from robotctl.kernel.patterns import Pattern, PatternKind, path_of
 from robotctl.kernel.types import DriveRequested, ModeRequested
 from robotctl.messages.definition import parse_definition
 from robotctl.messages.values import encode
+from robotctl.recording.convert.sources import installed_definition
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.driven_path import simplified
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested, record
@@ -142,37 +139,7 @@ def test_a_missing_file_a_fifo_and_a_folder_without_a_recording_are_named(tmp_pa
 
 FRAMES = {"odom": Frame.ODOM, "base_link": Frame.START}
 
-TEXT = """std_msgs/Header header
-geometry_msgs/PoseStamped[] poses
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-================================================================================
-MSG: geometry_msgs/PoseStamped
-std_msgs/Header header
-geometry_msgs/Pose pose
-================================================================================
-MSG: geometry_msgs/Pose
-geometry_msgs/Point position
-geometry_msgs/Quaternion orientation
-================================================================================
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z
-================================================================================
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
-"""
-DEFINITION = parse_definition(PATH_TYPE, TEXT)
+DEFINITION = parse_definition(PATH_TYPE, installed_definition(PATH_TYPE, ""))
 
 
 def header(frame: str) -> dict[str, Any]:
@@ -181,13 +148,8 @@ def header(frame: str) -> dict[str, Any]:
 
 def message(points: list[tuple[float, float]], frame: str = "odom", each: str = "") -> bytes:
     turned = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
-    poses = [
-        {
-            "header": header(each),
-            "pose": {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turned},
-        }
-        for x, y in points
-    ]
+    places = ({"position": {"x": x, "y": y, "z": 0.0}, "orientation": turned} for x, y in points)
+    poses = [{"header": header(each), "pose": place} for place in places]
     return encode(DEFINITION, {"header": header(frame), "poses": poses})
 
 

@@ -1,8 +1,4 @@
-"""`robotctl evidence`: one report from the journal of decisions and the recordings.
-
-Recordings show which entries the journal of decisions must hold, whatever times it tells.
-`verify` of a folder and `evidence` agree on a file that stands in the place of a sealed one.
-"""
+"""`evidence`: one report from the journal of decisions and the recordings that show it whole."""
 
 from __future__ import annotations
 
@@ -184,15 +180,14 @@ def test_recordings_that_were_moved_are_found_by_name(
 ) -> None:
     moved = tmp_path / "archive" / "robot_20251231_120000"
     record(moved, drive(1.0))
-    found = report(cli, "--recordings", str(moved.parent))
-    assert [each["check"] for each in found["recordings"]] == [None, "same", "same"]
+    found = report(cli, "--no-check", "--recordings", str(moved.parent))
+    assert [each["state"] for each in found["recordings"]] == ["removed", "there", "there"]
 
 
-@pytest.mark.parametrize("text", ["yesterday", "-3d", "nand", "1e400d", "12", "", "d"])
-def test_a_time_that_is_none_is_refused(journal: Path, cli: Cli, text: str) -> None:
-    ran = cli("evidence", f"--since={text}")
-    assert ran.exit_code == 2
-    assert "30d" in ran.err
+def test_a_time_that_is_none_is_refused(journal: Path, cli: Cli) -> None:
+    for text in ("yesterday", "-3d", "nand", "1e400d", "12", "", "d"):
+        ran = cli("evidence", f"--since={text}")
+        assert (ran.exit_code, "30d" in ran.err) == (2, True)
 
 
 def test_a_robot_without_a_journal_is_told_how_to_begin(state: Path, cli: Cli) -> None:
@@ -284,20 +279,14 @@ def times_of(path: Path) -> list[int]:
     return [json.loads(line)["time_ns"] for line in path.read_bytes().splitlines()]
 
 
-def journal_report(cli: Cli, *options: str, exit_code: int = 0) -> Any:
-    ran = cli("evidence", "--no-check", "--json", *options)
-    assert ran.exit_code == exit_code, ran
-    return json.loads(ran.out)
-
-
 @pytest.mark.parametrize("first_ns", [None, 0, YEAR_2100_NS])
 def test_a_journal_that_was_made_again_without_its_stops_exits_with_7(
     small_files: Path, tmp_path: Path, cli: Cli, first_ns: int | None
 ) -> None:
     make(small_files, tmp_path / "runs", (3, 2, 1))
-    assert len(journal_report(cli)["stops"]) == 3
+    assert len(report(cli, "--no-check")["stops"]) == 3
     rewrite(small_files, lambda line: b"EMERGENCY_STOP" not in line, first_ns)
-    found = journal_report(cli, exit_code=7)
+    found = report(cli, "--no-check", exit_code=7)
     assert [each["named"] for each in found["recordings"]] == [True] * 3
     assert "knows an entry that is not there" in found["journal"]["broken"][0]
 
@@ -314,7 +303,7 @@ def test_entries_that_are_older_than_they_are_kept_are_not_missed(
     second = read_info(tmp_path / "runs" / NAMES[1]).metadata[INFO_RECORD]
     assert second["decisions"] not in read_log(small_files).heads
     assert times_of(files_of(small_files)[0])[0] < oldest_ns
-    found = journal_report(cli)
+    found = report(cli, "--no-check")
     assert found["journal"]["broken"] == []
 
 
@@ -327,7 +316,7 @@ def test_a_recording_that_retention_did_not_remove_is_missing(
     log.close()
     for name in NAMES[:2]:
         shutil.rmtree(tmp_path / "runs" / name)
-    states = [each["state"] for each in journal_report(cli)["recordings"]]
+    states = [each["state"] for each in report(cli, "--no-check")["recordings"]]
     assert states == ["removed", "missing", "there"]
 
 
@@ -338,7 +327,7 @@ def test_since_asks_the_recordings_for_their_times_and_not_the_journal_alone(
     for path in files_of(small_files):  # as if all entries were from 1970
         lines = [json.loads(line) | {"time_ns": 1} for line in path.read_bytes().splitlines()]
         path.write_bytes(b"".join(json.dumps(line).encode() + b"\n" for line in lines))
-    found = journal_report(cli, "--since", "60h", exit_code=7)
+    found = report(cli, "--no-check", "--since", "60h", exit_code=7)
     assert [Path(each["path"]).name for each in found["recordings"]] == list(NAMES[1:])
 
 
@@ -396,22 +385,16 @@ def another(runs: Path) -> None:
     shutil.rmtree(runs / SECOND)
 
 
-def sealed_again(runs: Path) -> None:
-    contents = contents_of(file_of(runs))
-    shutil.rmtree(runs / FIRST)
-    write_contents(runs / FIRST, contents, keyring(runs.parent / "attacker"))
+def written_again(by: str | None) -> Callable[[Path], None]:
+    """Return what writes the first recording again, sealed with a key of that name."""
 
+    def write(runs: Path) -> None:
+        contents = contents_of(file_of(runs))
+        shutil.rmtree(runs / FIRST)
+        sealer = keyring(runs.parent / "attacker", by) if by else None
+        write_contents(runs / FIRST, contents, sealer)
 
-def sealed_by_another_name(runs: Path) -> None:
-    contents = contents_of(file_of(runs))
-    shutil.rmtree(runs / FIRST)
-    write_contents(runs / FIRST, contents, keyring(runs.parent / "attacker", "nobody"))
-
-
-def without_a_seal(runs: Path) -> None:
-    contents = contents_of(file_of(runs))
-    shutil.rmtree(runs / FIRST)
-    write_contents(runs / FIRST, contents)
+    return write
 
 
 def test_sealed_recordings_of_the_journal_exit_with_0(sealed_runs: Path, cli: Cli) -> None:
@@ -427,9 +410,9 @@ def test_sealed_recordings_of_the_journal_exit_with_0(sealed_runs: Path, cli: Cl
     [
         (early, "this machine knows another end of it"),
         (another, f"knows {FIRST}_0.mcap with another key"),
-        (sealed_again, f"knows {FIRST}_0.mcap with another key"),
-        (sealed_by_another_name, f"knows {FIRST}_0.mcap with another key"),
-        (without_a_seal, "knows a seal of it, which is not there"),
+        (written_again("robot"), f"knows {FIRST}_0.mcap with another key"),
+        (written_again("nobody"), f"knows {FIRST}_0.mcap with another key"),
+        (written_again(None), "knows a seal of it, which is not there"),
     ],
 )
 def test_what_stands_in_the_place_of_a_sealed_file_exits_with_7(

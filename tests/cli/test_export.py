@@ -1,7 +1,4 @@
-"""export: the messages of a topic as CSV, JSON lines or Parquet.
-
-convert: its options, its answers, its exit codes.
-"""
+"""export and convert: formats, options, answers, exit codes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""start, stop and logs: start returns when the daemon is ready, or says why it failed.
-
-What `robotctl view` refuses.
-"""
+"""start, stop, logs and view: start returns when the daemon is ready, or says why it failed."""
 
 from __future__ import annotations
 
@@ -286,15 +283,14 @@ def logged() -> None:
 
 
 @pytest.mark.usefixtures("logged")
-@pytest.mark.parametrize(
-    ("arguments", "count"),
-    [("", 4), ("-n 2", 2), ("-n 0", 0), ("-n 9", 4), ("--since 2026-01-01T12:00:01", 2)],
-)
-def test_logs_shows_the_last_or_newest_lines(arguments: str, count: int, cli: Cli) -> None:
-    ran = cli("logs", *arguments.split())
-    assert ran.exit_code == 0
-    assert LOG.endswith(ran.out) if not arguments.startswith("--since") else True
-    assert len(ran.out.splitlines()) == count
+def test_logs_shows_the_last_or_newest_lines(cli: Cli) -> None:
+    for arguments, count in (("", 4), ("-n 2", 2), ("-n 0", 0), ("-n 9", 4)):
+        ran = cli("logs", *arguments.split())
+        assert (ran.exit_code, len(ran.out.splitlines())) == (0, count)
+        assert LOG.endswith(ran.out)
+    assert len(cli("logs", "--since", "2026-01-01T12:00:01").out.splitlines()) == 2
+    ran = cli("logs", "--since", "soon")
+    assert (ran.exit_code, "--since soon is not a time" in ran.err) == (2, True)
 
 
 @pytest.mark.usefixtures("logged")
@@ -316,11 +312,6 @@ def test_logs_f_begins_with_the_last_lines(tmp_path: Path) -> None:
     log.write_text(LOG)
     begin = logs._begin_of_last(log, 1)
     assert next(logs._lines(log, follow=True, begin=begin)) == LOG.splitlines()[-1]
-
-
-def test_logs_refuses_a_time_that_is_none(cli: Cli) -> None:
-    ran = cli("logs", "--since", "soon")
-    assert (ran.exit_code, "--since soon is not a time" in ran.err) == (2, True)
 
 
 def test_the_daemon_is_not_imported_from_the_working_directory(

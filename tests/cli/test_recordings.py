@@ -1,8 +1,4 @@
-"""recordings and recover find the folder of the daemon and show its contents.
-
-`recordings rm` removes what robotctl recorded, after a question, and nothing else.
-Times as users type them, in a recording that begins before midnight and ends after it.
-"""
+"""recordings, recover and rm find the folder of the daemon; times as users type them."""
 
 from __future__ import annotations
 
@@ -14,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.base.errors import Interrupted, Refused, UsageError
+from robotctl.base.errors import Refused, UsageError
 from robotctl.base.paths import recordings_note_path
 from robotctl.cli.commands.recordings.recordings import remove
 from robotctl.cli.targets.recordings import parse_moment
@@ -91,14 +87,9 @@ def test_the_list_tells_the_errors_and_the_time_of_drives_within_80_columns(
     folder = tmp_path / "driven" / OLDER
     recorder = Recorder(folder, on_failure=pytest.fail)
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, 10))
-    errors = {
-        "cross_track_max_m": 0.021,
-        "true_cross_track_max_m": 0.024,
-        "heading_max_rad": 0.031,
-        "true_heading_max_rad": 0.034,
-        "closure_m": 0.005,
-        "true_closure_m": 0.006,
-    }
+    names = ("cross_track_max_m", "heading_max_rad", "closure_m")
+    errors = dict(zip(names, (0.021, 0.031, 0.005), strict=True))
+    errors |= dict(zip((f"true_{name}" for name in names), (0.024, 0.034, 0.006), strict=True))
     ended = RecordedEvent(
         EventKind.DRIVE_ENDED, START_NS, "drive finished: 1 lap", 1, **errors, drive_s=77.0
     )
@@ -333,43 +324,35 @@ def with_clips(open_recorder: Recorder) -> Path:
     return file.parent
 
 
-def test_a_recording_goes_with_its_clips(with_clips: Path, cli: Cli) -> None:
+def test_a_recording_goes_with_its_clips_and_what_others_put_there_stays(
+    with_clips: Path, cli: Cli
+) -> None:
+    (with_clips / "notes.txt").write_text("mine")
     ran = cli("recordings", "rm", NAME, "--yes", "--json")
     assert ran.exit_code == 0
     assert json.loads(ran.out)["removed_bytes"] > 1000
-    assert not with_clips.exists()
-
-
-def test_what_others_put_into_the_folder_stays(with_clips: Path, cli: Cli) -> None:
-    (with_clips / "notes.txt").write_text("mine")
-    assert cli("recordings", "rm", NAME, "-y").exit_code == 0
     assert [path.name for path in with_clips.iterdir()] == ["notes.txt"]
-
-
-def test_without_a_terminal_nothing_is_removed_unasked(with_clips: Path, cli: Cli) -> None:
-    ran = cli("recordings", "rm", "last")
-    assert (ran.exit_code, "give --yes" in ran.err) == (2, True)
-    assert with_clips.exists()
 
 
 @pytest.mark.parametrize(("answer", "is_removed"), [("y", True), ("n", False), ("", False)])
 def test_only_yes_means_yes(
-    answer: str, is_removed: bool, with_clips: Path, monkeypatch: pytest.MonkeyPatch
+    answer: str, is_removed: bool, with_clips: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ours, theirs = pty.openpty()
     os.write(ours, f"{answer}\n".encode())
     with os.fdopen(theirs, closefd=True) as terminal:
         monkeypatch.setattr("sys.stdin", terminal)
-        if is_removed:
-            assert remove(with_clips, without_asking=False) > 0
-        else:
-            with pytest.raises(Interrupted, match="nothing was removed"):
-                remove(with_clips, without_asking=False)
+        ran = cli("recordings", "rm", NAME)
     os.close(ours)
+    assert ran.exit_code == (0 if is_removed else 130)
     assert with_clips.exists() is not is_removed
 
 
-def test_a_kept_recording_is_refused(with_clips: Path, cli: Cli) -> None:
+def test_a_kept_recording_and_without_a_terminal_each_is_refused(
+    with_clips: Path, cli: Cli
+) -> None:
+    ran = cli("recordings", "rm", "last")
+    assert (ran.exit_code, "give --yes" in ran.err) == (2, True)
     set_kept(with_clips, True)
     ran = cli("recordings", "rm", NAME, "--yes")
     assert (ran.exit_code, f"recordings unkeep {NAME}" in ran.err) == (4, True)
@@ -383,16 +366,10 @@ def test_a_recording_that_is_being_written_is_refused(open_recorder: Recorder, c
 
 
 def test_a_folder_without_a_recording_and_a_link_are_refused(with_clips: Path) -> None:
-    link = with_clips.parent / "link"
+    link, empty = with_clips.parent / "link", with_clips.parent / "empty"
     link.symlink_to(with_clips)
-    empty = with_clips.parent / "empty"
     empty.mkdir()
-    for path in (
-        link,
-        empty,
-        with_clips.parent / "none",
-        next(with_clips.glob("*.mcap")),
-    ):
+    for path in (link, empty, with_clips.parent / "none", next(with_clips.glob("*.mcap"))):
         with pytest.raises(Refused, match="is not the folder of a recording"):
             remove(path, without_asking=True)
     assert with_clips.exists()

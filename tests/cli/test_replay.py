@@ -1,8 +1,4 @@
-"""`replay --check` on the command line: what it prints, and its exit code.
-
-`replay --what-if` and `--resim` on the command line.
-Keys control a replay, and the terminal settings are restored in every case.
-"""
+"""`replay` with --check, --what-if and --resim, and with keys on a terminal."""
 
 from __future__ import annotations
 

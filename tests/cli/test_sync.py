@@ -1,7 +1,4 @@
-"""`robotctl sync`: to a folder and to S3, with its exit codes.
-
-Copies of an earlier `robotctl sync`, each file in a folder named by its hash, are read.
-"""
+"""`robotctl sync`: to a folder and to S3, and copies of an earlier version, with its exit codes."""
 
 from __future__ import annotations
 

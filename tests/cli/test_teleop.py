@@ -1,9 +1,4 @@
-"""Keys from the bytes of a terminal, and what the hands on them want.
-
-The screen of `robotctl teleop`: the instructions are seen whole on any terminal.
-The speeds of `robotctl teleop`: what is asked for is what is driven, or it is refused.
-A gamepad steers while its button is held; odd messages and a second gamepad move nothing.
-"""
+"""teleop: keys and gamepads, what the hands on them want, the speeds and the screen."""
 
 from __future__ import annotations
 
@@ -85,13 +80,8 @@ def test_a_key_is_read_in_the_forms_of_xterm_and_kitty(text: str, key: Key) -> N
 @pytest.mark.parametrize(
     "text",
     [
-        "\x1b[?62;4c",
-        "\x1b[57441;2u",
-        "\x1b[3~",
-        "\x1b[u",
-        "\x1b]52;c;abcwasd\x07",
-        "\x1b]11;rgb:ffff/0000/dddd\x1b\\",
-        "\x1bP>|a terminal we saw\x1b\\",
+        *("\x1b[?62;4c", "\x1b[57441;2u", "\x1b[3~", "\x1b[u", "\x1b]52;c;abcwasd\x07"),
+        *("\x1b]11;rgb:ffff/0000/dddd\x1b\\", "\x1bP>|a terminal we saw\x1b\\"),
         "\x1b[200~w a s d\x1b[119;1:1u e\x1b[201~",
     ],
 )

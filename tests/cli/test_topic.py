@@ -1,8 +1,4 @@
-"""`topic`, `node` and `service` on recordings, and what they refuse before they look at ROS.
-
-What `topic echo` prints is YAML that says the same as the message, and harms no terminal.
-Topics fit into 80 columns and remain distinguishable.
-"""
+"""`topic` and `service` on recordings; what `topic echo` prints is YAML and harms no terminal."""
 
 from __future__ import annotations
 
@@ -144,13 +140,8 @@ def test_values_that_are_no_yaml_of_fields_are_refused(words: list[str]) -> None
 
 
 def test_the_rate_is_of_the_periods_between_messages() -> None:
-    assert statistics([0, 10**9, 3 * 10**9]) == {
-        "rate_hz": pytest.approx(2 / 3),
-        "min_s": 1.0,
-        "max_s": 2.0,
-        "std_dev_s": 0.5,
-        "window": 3,
-    }
+    told = {"min_s": 1.0, "max_s": 2.0, "std_dev_s": 0.5, "window": 3}
+    assert statistics([0, 10**9, 3 * 10**9]) == {"rate_hz": pytest.approx(2 / 3), **told}
     assert statistics([5]) is None
     assert statistics([5, 5]) is None
 

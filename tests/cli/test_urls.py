@@ -30,10 +30,7 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[FaultyBucket]:
 @pytest.mark.parametrize(
     "command",
     [
-        "info PATH",
-        "info PATH --json",
-        "replay --check PATH --all-bytes",
-        "verify PATH",
+        *("info PATH", "info PATH --json", "replay --check PATH --all-bytes", "verify PATH"),
         "export PATH --topic /odom --json",
     ],
 )

@@ -1,8 +1,4 @@
-"""`robotctl verify`: what it prints, and its exit code.
-
-`robotctl key`: what it shows, and that it never shows a secret.
-No command reports a file as complete if a power cut has left zeros in it.
-"""
+"""`verify` and `key`, and files in which a power cut has left zeros: answers and exit codes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The bytes of the protocol are those of Foxglove's own SDK.
-
-Requests of viewers: decoded strictly, and anything else is one kind of error.
-"""
+"""The bytes of the protocol are those of Foxglove's own SDK; requests are decoded strictly."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The server of the view, by a client of the protocol over real sockets.
-
-The socket of a view: what is refused says which option to change.
-"""
+"""The server of the view, by a client of the protocol over real sockets."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What viewers ask of the robot: calls, each answered, and velocities that this robot can have.
-
-A view without a free descriptor says so in a line, and takes the viewer later.
-"""
+"""What viewers ask of the robot, and a view without a free descriptor."""
 
 from __future__ import annotations
 

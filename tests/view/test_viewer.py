@@ -1,7 +1,4 @@
-"""One connection against peers that leave in the middle, send pieces, or no ASCII.
-
-What waits for a viewer is bounded, and frames stay whole.
-"""
+"""One connection against peers that leave in the middle; what waits for a viewer is bounded."""
 
 from __future__ import annotations
 
