@@ -8,7 +8,6 @@ import json
 import os
 import random
 import socket
-import time
 from contextlib import suppress
 
 import pytest
@@ -18,7 +17,7 @@ from robotctl.base.errors import Refused
 from robotctl.view.admission import Admission, new_token
 from robotctl.view.foxglove import Offer, StatusLevel
 from robotctl.view.server import MAX_OFFERS, ViewServer, listening_socket
-from robotctl.view.viewer import MAX_MESSAGES, MAX_REQUEST_BYTES
+from robotctl.view.viewer import MAX_REQUEST_BYTES
 from tests.support.view_client import STRING, TOKEN, Served, ViewClient, served, view_client
 from tests.support.waiting import loop_until
 
@@ -131,10 +130,6 @@ def handshake_request(host: str, origin: str | None, token: str) -> bytes:
     return "\r\n".join([*lines, "", ""]).encode()
 
 
-async def test_a_token_is_of_one_run() -> None:
-    assert len({new_token() for _ in range(100)}) == 100
-
-
 async def test_a_client_without_one_of_the_protocols_is_refused() -> None:
     async with served() as view:
         with pytest.raises(InvalidHandshake):
@@ -213,15 +208,6 @@ async def test_what_is_no_handshake_is_answered_or_ended(sent: bytes) -> None:
         writer.close()
         async with view_client(view.url) as client:
             await client.until(lambda: client.op("serverInfo"))
-
-
-async def test_too_many_viewers_are_told_to_try_later(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(f"{SERVER}.MAX_VIEWERS", 1)
-    async with served() as view, view_client(view.url) as first:
-        await first.until(lambda: first.op("serverInfo"))
-        with pytest.raises(ConnectionClosed, match="1 viewers are connected already"):
-            async with view_client(view.url) as second:
-                await second.until(lambda: False)
 
 
 async def test_a_connection_beyond_the_limit_is_ended_at_once(
@@ -305,45 +291,6 @@ async def test_a_port_that_is_taken_is_named_and_the_usual_one_replaced(
             await server.listen("127.0.0.1", port)
         assert await server.listen("127.0.0.1", None) != port
         server.close()
-
-
-async def test_a_hundred_stalled_viewers_hold_little(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each waits for the same messages, and these are held once."""
-    async with served() as view:
-        subscribed: list[int] = []
-        view.server.on_subscribed = subscribed.append
-        channel = view.server.offer("/a", *STRING)
-        clients = []
-        try:
-            for _ in range(100):
-                manager = view_client(view.url)
-                client = await manager.__aenter__()
-                clients.append((manager, client))
-                await client.subscribe("/a")
-                client.socket.transport.pause_reading()
-            await loop_until(lambda: subscribed == [channel] * 100)
-            before, began = _resident_bytes(), time.process_time()
-            for number in range(4 * MAX_MESSAGES):
-                view.server.publish(channel, number, bytes(2000))
-                await asyncio.sleep(0)
-            assert time.process_time() - began < 30.0
-            assert _resident_bytes() - before < 64 << 20
-        finally:
-            for manager, client in clients:
-                client.socket.transport.abort()
-                await manager.__aexit__(None, None, None)
-
-
-def _resident_bytes() -> int:
-    with open("/proc/self/statm") as statm:
-        return int(statm.read().split()[1]) * 4096
-
-
-async def test_a_viewer_that_leaves_gets_the_end_of_the_closing_handshake() -> None:
-    async with served() as view, view_client(view.url) as client:
-        await client.until(lambda: client.op("serverInfo"))
-        await client.socket.close()
-        assert client.socket.close_code == 1000
 
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no-such-name.invalid", "..", "a" * 70, ""])

@@ -22,7 +22,6 @@ from robotctl.view.viewer import (
     BINARY,
     MAX_BYTES,
     MAX_CONTROL_BYTES,
-    MAX_MESSAGES,
     PIECE_BYTES,
     Outbox,
     OverfullOutbox,
@@ -138,20 +137,9 @@ def drained(outbox: Outbox) -> bytes:
 
 @pytest.mark.parametrize("length", [0, 125, 126, 65_535, 65_536, 1 << 20])
 def test_heads_of_frames_are_those_of_the_websocket_library(length: int) -> None:
-    from websockets.frames import Frame, Opcode
-
     data = bytes(length)
     whole = Frame(Opcode.BINARY, data).serialize(mask=False)
     assert frame_head(BINARY, length) + data == whole
-
-
-def test_the_oldest_messages_are_dropped_and_counted() -> None:
-    outbox = Outbox()
-    for number in range(MAX_MESSAGES + 5):
-        outbox.put_message(b"", number.to_bytes(4, "big"))
-    assert outbox.dropped == 5
-    assert drained(outbox)[:4] == (5).to_bytes(4, "big")
-    assert not outbox
 
 
 def test_the_bytes_that_wait_are_bounded_but_one_large_message_may_wait() -> None:
