@@ -13,6 +13,8 @@ import pytest
 
 from robotctl.config import Config, flat, load
 from robotctl.config.ros_settings import node_of
+from robotctl.rerun.check import check_recording
+from robotctl.rerun.check_report import Verdict
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
 from tests.support.world import World, entries_of, new_world
@@ -236,6 +238,8 @@ def test_a_limit_changes_between_two_drives_and_the_check_decides_across_it(
     simulated.ok("set-mode", "moving")
     until(lambda: (simulated.status()["velocity"] or {"linear": 0.0})["linear"] > 0.05)
     simulated.ok("set-mode", "idle")
-    file = Path(simulated.answer("record", "split")["finished"])  # the world's end checks it
+    file = Path(simulated.answer("record", "split")["finished"])
+    report = check_recording(file)
+    assert report.verdict is Verdict.SAME, report.missing
     assert [entry.name for entry in entries_of(file)].count("ParameterChanged") >= 3
     assert "limits.linear_mps: 0.6 -> 0.2, by robotctl param set" in simulated.log()

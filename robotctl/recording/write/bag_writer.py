@@ -107,6 +107,9 @@ class BagWriter:
         self._files_begun = 0
         self._begun = time.monotonic()
         self._file = self._new_file()
+        self.path = self._file.path
+        """The current file: the last one that `metadata.yaml` lists."""
+
         self._write_metadata()
 
     @property
@@ -114,11 +117,6 @@ class BagWriter:
         """A sentence about a problem that may become an error, or about a missing seal; or ""."""
         seal = self._file.seal
         return "; ".join(filter(None, [self._space_warning, "" if seal is None else seal.failure]))
-
-    @property
-    def path(self) -> Path:
-        """The current file."""
-        return self._file.path
 
     @property
     def size(self) -> int:
@@ -179,6 +177,7 @@ class BagWriter:
                 state.not_repeated += 1
                 state.mark()
         self._write_metadata()
+        self.path = successor.path
         with suppress(Exception):  # a failing listener must not stop the recording
             self._on_split(successor.path)
 
