@@ -57,11 +57,6 @@ def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
     return note
 
 
-def has_foreign_ros() -> bool:
-    """Return whether `prepare` would restart the process, because another ROS precedes ours."""
-    return _has_own_rclpy() and bool(without_foreign_ros(os.environ, Path(sys.prefix))[1])
-
-
 def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[dict[str, str], str]:
     """Return the environment for processes whose ROS is below `prefix`, and what was removed.
 

@@ -111,16 +111,12 @@ def figures_svg(figures: Sequence[Figure]) -> str:
     width, step, pieces = TIME_FRAME.width, TIME_FRAME.height + TITLE_HEIGHT, []
     for number, figure in enumerate(figures):
         top = number * step
-        pieces.append(tag("text", figure.title, x=TIME_FRAME.left, y=top + 16, class_="title"))
-        pieces.append(
+        pieces += [
+            tag("text", figure.title, x=TIME_FRAME.left, y=top + 16, class_="title"),
             drawing(
-                figure,
-                TIME_FRAME,
-                y=top + TITLE_HEIGHT,
-                width=width,
-                height=TIME_FRAME.height,
-            )
-        )
+                figure, TIME_FRAME, y=top + TITLE_HEIGHT, width=width, height=TIME_FRAME.height
+            ),
+        ]
     height = len(figures) * step
     return tag(
         "svg",
