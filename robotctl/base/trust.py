@@ -159,7 +159,7 @@ class FolderChain:
 
 
 def user_text(uid: int) -> str:
-    """Return the text for a user in a message."""
+    """Return how a message names the user with this uid."""
     if uid == OVERFLOW_UID:
         return f"uid {uid} (nobody, or a user that this container does not know)"
     return f"uid {uid}"

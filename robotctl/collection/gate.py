@@ -75,7 +75,7 @@ class Baseline:
         }
 
     def find(self, result: Judgement) -> Accepted | None:
-        """Return who accepted this result, None if it is not accepted."""
+        """Return the entry that accepts this result, None if there is none."""
         return self._accepted.get(_key(result.recording, result.settings, result.outcome))
 
     def accept(self, name: str, result: Judgement, *, by: str, why: str, at: str) -> None:

@@ -72,7 +72,7 @@ class ServiceManager:
 
 @asynccontextmanager
 async def reporting(manager: ServiceManager, status: Callable[[], str]) -> AsyncIterator[None]:
-    """Report for the time of the block; at its end the daemon is stopping."""
+    """Report to the service manager within the block; at its end, that the daemon is stopping."""
     task = asyncio.create_task(manager.run(status))
     try:
         yield

@@ -42,7 +42,7 @@ def service_of(topic: TopicInfo) -> str:
 
 
 def selected(recorded: Sequence[TopicInfo], job: Job) -> list[TopicInfo]:
-    """Return the topics to play. A service is named by its name or that of its introspection topic.
+    """Return the topics to play; a service has its own name or that of its introspection topic.
 
     Raises:
         UsageError: A name is not in the recording.

@@ -431,7 +431,7 @@ class CommandPairs:
         self.counts.begin_again()
 
     def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Note an event and its effects: the commands that messages must be found for."""
+        """Note an event with its effects: each command of them needs a recorded message."""
         if not self.is_counting:
             return
         self._t_ns, self._log_ns, _ = moments

@@ -20,7 +20,7 @@ around a change of the clock.
 @final
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A place where journal entries are missing or out of order; `text` says which."""
+    """A place where journal entries are missing or out of order; `text` is a sentence about it."""
 
     text: str
 

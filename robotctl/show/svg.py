@@ -95,7 +95,7 @@ text.title{font-weight:600;font-size:13px;fill:#1c2430}.grid{stroke:#e8edf2;fill
 def drawing(
     figure: Figure, frame: Frame, *over: Content, class_: str = "", **attributes: Content
 ) -> Markup:
-    """Return a figure as an element, with what is drawn over it."""
+    """Return a figure as an `<svg>` element; `over` is drawn on top of it."""
     return tag(
         "svg",
         *map(element, laid_out(figure, frame)),

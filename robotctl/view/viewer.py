@@ -242,7 +242,7 @@ class Viewer(asyncio.Protocol):
         self._host.connected(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Leave the server."""
+        """Remove the viewer from the server."""
         self._transport = None
         self._host.leave(self)
 

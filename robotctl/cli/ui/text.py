@@ -42,7 +42,7 @@ def row(label: str, text: object) -> Iterator[str]:
         return
     from textwrap import wrap
 
-    lines = wrap(line, width, break_on_hyphens=False)
+    lines = wrap(line, max(width, 1), break_on_hyphens=False) or [""]
     yield f"{label}{lines[0]}"
     yield from (f"{'':{len(label)}}{line}" for line in lines[1:])
 

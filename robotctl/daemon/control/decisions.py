@@ -46,7 +46,7 @@ class Decisions:
         self._open[request.request_id] = request, self._changes
 
     def decided(self, effect: Effect) -> None:
-        """Note an effect; velocity commands need not be told."""
+        """Note an effect; the caller may leave out velocity commands."""
         match effect:
             case LatchEmergencyStop():
                 self._latch = {"latched": True}

@@ -66,8 +66,8 @@ class MotionRequest(Protocol):
 class ParameterRequested:
     """A request to change the parameter `key` from the text `old` to the text `new`.
 
-    It gets one `Reply`. A float is written as its repr. The kernel knows its own parameters; the
-    daemon has checked the values of all others.
+    It gets one `Reply`. A float is written as its repr. The kernel checks values of its own
+    parameters; the daemon has checked those of all others.
     """
 
     t_ns: int

@@ -142,7 +142,7 @@ class KnownHeads:
         return self._lists[robot]
 
     def compare(self, file: SealedFile) -> KnownFile:
-        """Compare a file with the lists, by its key, its own name, and its name in the seal."""
+        """Return what the user's lists know of a file, by its key, its name now and in the seal."""
         opening = file.seal.opening
         name = file.path.name.removesuffix(SUFFIX)
         lists = list(self._lists_for(name, opening))

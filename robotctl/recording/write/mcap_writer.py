@@ -101,7 +101,7 @@ class Room(NamedTuple):
 
 
 def write_hidden(parts: Sequence[Buffer], start: int, storage: Storage) -> None:
-    """Write records at `start` into the room; the head of the first, which is last, shows them.
+    """Write records into the room from `start`, the first head last: until then nobody reads them.
 
     Raises:
         OSError: The file must be cut back.

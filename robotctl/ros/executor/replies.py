@@ -57,7 +57,7 @@ class _Waiting:
 
 
 class Replies:
-    """Sends the responses of one service once their readers are discovered; in the loop only."""
+    """Sends each response of a service once its client's reader is discovered; loop thread only."""
 
     def __init__(
         self, runtime: Runtime, where: str, readers: Callable[[], Container[bytes]]

@@ -58,8 +58,8 @@ def plot(
 ) -> None:
     """Draw fields of a topic over time, here or as a picture.
 
-    A message stands for its numbers, as in pose.pose.position. Without FIELD the numbers of the
-    topic are named. `export` writes the numbers themselves. Needs neither ROS nor a daemon.
+    A FIELD that is a message, as pose.pose.position, means all its numbers. Without FIELD, the
+    names of the numbers are listed; `export` writes their values. Needs neither ROS nor a daemon.
 
     \b
     Examples:

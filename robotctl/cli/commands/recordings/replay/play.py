@@ -234,7 +234,7 @@ class _Viewer:
             self._robot.advance(next_ns)
 
     def suspend(self) -> None:
-        """Pause while this process is stopped."""
+        """Pause the replay before Ctrl-Z stops this process."""
         self._was_playing = not self.control.schedule.paused
         self.control.pause()
         self._screen.suspend()
