@@ -119,10 +119,7 @@ def spawn(command: list[str]) -> Iterator[Spawn]:
 
     def spawned(*arguments: str) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [*command, *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
+            [*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         started.append(process)
         return process

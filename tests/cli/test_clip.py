@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 
 import pytest
@@ -71,16 +70,6 @@ def test_the_last_such_event_is_cut_out_of_the_newest_recording_that_has_one(
     assert (made["source"], made["event"]) == (str(library / name), about)
     assert Path(made["target"]).parent == library / name / "clips"
     assert numbers(made["target"]) == list(range(window[0], window[1] + 1))
-
-
-def test_a_time_of_day_and_a_date_are_understood(library: Path, cli: Cli, tmp_path: Path) -> None:
-    local = time.localtime(START_NS // 10**9)
-    for number, form in enumerate(("%H:%M:%S", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%d %H:%M:%S")):
-        out = tmp_path / f"{number}.mcap"
-        at, to = time.strftime(form, local) + ".002", ("-o", str(out))
-        ran = cli("clip", FIRST, "--at", at, "--before", ".0015", "--after", ".0015", *to)
-        assert (ran.exit_code, ran.err) == (0, "")
-        assert numbers(str(out)) == [1, 2, 3]
 
 
 def test_the_bag_and_its_count_stay_as_they_were(library: Path, cli: Cli) -> None:

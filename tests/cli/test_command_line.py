@@ -161,14 +161,6 @@ def test_no_ros_is_imported_to_draw_check_or_explain_a_recording() -> None:
     assert ran.returncode == 0, ran.stderr
 
 
-def test_a_path_of_this_computer_needs_no_store() -> None:
-    program = "import sys; from robotctl.cli.targets.recordings import recording_path as path"
-    program += "; path('run.mcap'); print(*sys.modules)"
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
-    assert b"robotctl.base.store.remote_file" in ran.stdout
-    assert b"robotctl.base.store.folder_store" not in ran.stdout
-
-
 @pytest.mark.parametrize("word", ["list", "kill", "run", "bag", "figure8", "rm", "circle"])
 def test_a_word_of_another_tool_is_answered_with_the_command(word: str, cli: Cli) -> None:
     ran = cli(word)
@@ -214,11 +206,6 @@ def test_common_options_may_stand_before_the_command(given: str, meant: str) -> 
 
 def test_an_emergency_stop_with_the_robot_first_takes_the_short_way() -> None:
     assert quick.match(behind_the_command(["--robot", "r2", "estop"])) is not None
-
-
-def test_the_error_names_the_robot_that_was_given_first(cli: Cli) -> None:
-    ran = cli("--robot", "r2", "status")
-    assert (ran.exit_code, "robot 'r2'" in ran.err) == (3, True)
 
 
 def test_what_is_retired_names_what_replaces_it(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:

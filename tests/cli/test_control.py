@@ -189,8 +189,7 @@ def waiting(daemon: None, spawn: Spawn) -> Spawn:
 
 
 @pytest.mark.parametrize(
-    ("number", "options"),
-    [(signal.SIGINT, ()), (signal.SIGTERM, ("--json",)), (signal.SIGHUP, ())],
+    ("number", "options"), [(signal.SIGINT, ()), (signal.SIGTERM, ("--json",)), (signal.SIGHUP, ())]
 )
 def test_a_drive_that_is_waited_for_ends_with_its_command(
     number: int, options: tuple[str, ...], waiting: Spawn

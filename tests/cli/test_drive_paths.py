@@ -234,11 +234,6 @@ def test_a_recording_without_motion_holds_no_path(standing: list[Written]) -> No
         points_of(str(folder))
 
 
-def test_a_recording_is_found_by_its_name(recorded: Path) -> None:
-    Path("recordings").symlink_to(recorded.parent)
-    assert points_of(recorded.name) == points_of(str(recorded))
-
-
 def test_the_last_path_is_that_of_the_robot_in_the_newest_recording_in_which_it_drove(
     recorded: Path, standing: list[Written], capsys: pytest.CaptureFixture[str]
 ) -> None:

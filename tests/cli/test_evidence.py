@@ -144,15 +144,6 @@ def test_recordings_that_are_there_get_their_verdicts(
     assert there["verify"] in ("whole", "sealed")
 
 
-def test_since_leaves_out_what_is_older(journal: Path, cli: Cli) -> None:
-    found = report(cli, "--no-check", "--since", "2027-01-16T12:00:00+00:00")
-    assert (len(found["daemons"]), found["refusals"], len(found["stops"])) == (1, [], 1)
-    assert [each["changed"] for each in found["configuration_changes"]] == [
-        {"limits.linear_mps": [0.6, 0.3]},
-        {"rate_hz": ["50.0", "40.0"]},
-    ]
-
-
 def test_a_changed_recording_exits_with_7(
     journal: Path, recorded: Path, cli: Cli, tmp_path: Path
 ) -> None:
@@ -305,19 +296,6 @@ def test_entries_that_are_older_than_they_are_kept_are_not_missed(
     assert times_of(files_of(small_files)[0])[0] < oldest_ns
     found = report(cli, "--no-check")
     assert found["journal"]["broken"] == []
-
-
-def test_a_recording_that_retention_did_not_remove_is_missing(
-    small_files: Path, tmp_path: Path, cli: Cli
-) -> None:
-    make(small_files, tmp_path / "runs", (3, 2, 1))
-    log = DecisionLog(small_files, 0.0)
-    log.add(DecisionKind.REMOVED, file=str(tmp_path / "runs" / NAMES[0] / f"{NAMES[0]}_0.mcap"))
-    log.close()
-    for name in NAMES[:2]:
-        shutil.rmtree(tmp_path / "runs" / name)
-    states = [each["state"] for each in report(cli, "--no-check")["recordings"]]
-    assert states == ["removed", "missing", "there"]
 
 
 def test_since_asks_the_recordings_for_their_times_and_not_the_journal_alone(

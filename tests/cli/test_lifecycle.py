@@ -197,12 +197,6 @@ def test_a_second_start_leaves_the_running_daemons_log_alone(
         assert [path.name for path in log.parent.glob("daemon.log*")] == ["daemon.log"]
 
 
-def test_the_log_of_a_failed_start_can_be_read(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("FAKE_START", "crash")
-    cli("start")
-    assert "Traceback" in cli("logs").out
-
-
 def test_logs_shows_control_characters_escaped_and_no_colours(daemon: None, cli: Cli) -> None:
     assert "in red\n" in cli("logs").out
     with log_path("robot").open("a") as log:

@@ -164,17 +164,6 @@ def test_an_option_before_keep_is_refused_and_nothing_is_changed(
     assert not list(library.glob("*/keep"))
 
 
-def test_info_takes_a_name_and_last(library: Path, cli: Cli) -> None:
-    for name, found in ((OLDER, OLDER), ("last", NEWER)):
-        ran = cli("info", name)
-        assert ran.exit_code == 0
-        assert found in ran.out
-        assert "estop        requested by \\x1b[2J" in ran.out
-    ran = cli("info", "last", "--robot", "r2")
-    assert ran.exit_code == 4
-    assert "no recording of robot 'r2'" in ran.err
-
-
 def test_a_table_in_a_pipe_is_not_cut(cli: Cli) -> None:
     name = "a_recording_with_a_name_" + "of_many_words" * 10
     topic = Topic("/a" * 60, "some_package/msg/" + "Type" * 30)
@@ -205,18 +194,8 @@ def test_last_is_the_newest_in_the_folder_at_hand(library: Path, cli: Cli) -> No
     assert cli("info", "last", "--recordings", "recordings", "--robot", "robot").exit_code == 4
 
 
-def test_last_leads_to_the_last_daemon_of_any_robot_where_the_default_one_never_ran(
-    cli: Cli, tmp_path: Path
-) -> None:
-    record(tmp_path / "elsewhere" / HERE)
-    note = recordings_note_path("demo_7")
-    note.parent.mkdir(parents=True)
-    note.write_text(f"{tmp_path / 'elsewhere'}\n")
-    assert HERE in cli("info", "last").out
-    assert cli("info", "last", "--robot", "r2").exit_code == 4
-
-
 def test_info_tells_machines_events_ledger_and_metadata(library: Path, cli: Cli) -> None:
+    assert "estop        requested by \\x1b[2J" in cli("info", OLDER).out
     found = json.loads(cli("info", OLDER, "--json").out)
     assert found["events"] == [
         {"kind": "estop", "time_ns": START_NS, "text": "requested by \x1b[2J"}

@@ -9,7 +9,6 @@ import pytest
 
 from robotctl.testing.drives import drive, record
 from tests.cli.conftest import Cli
-from tests.support.bags import talk, write_bag
 from tests.support.html_page import HtmlPage
 
 
@@ -29,12 +28,6 @@ def test_the_page_is_written_beside_the_recording(folder: Path, cli: Cli) -> Non
     assert cli("report", "last").exit_code == 0  # again: the page is replaced
     assert cli("replay", "last", "--check").exit_code == 0
     assert cli("verify", "last").exit_code == 4  # whole, not sealed: as before
-
-
-def test_the_page_of_a_file_stands_beside_the_file(cli: Cli) -> None:
-    write_bag(Path("run.mcap"), talk("/chat", 3))
-    assert cli("report", "run.mcap").exit_code == 0
-    assert Path("run.report.html").exists()
 
 
 def test_json_tells_what_was_written(folder: Path, cli: Cli) -> None:

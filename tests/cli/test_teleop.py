@@ -334,17 +334,6 @@ def test_a_button_that_is_down_already_must_be_released_first(now: list[float]) 
     assert hands.say(held=True) == STAND
 
 
-def test_the_screen_says_to_let_go_first_and_then_to_hold(now: list[float]) -> None:
-    hands = Hands()
-    hands.say(held=True)
-    assert str(hands.gamepad) == "let go of button 4 of /joy first"
-    hands.say(held=False)
-    assert str(hands.gamepad) == "hold button 4 of /joy, and steer"
-    hands.say(held=True)
-    hands.gamepad.forget()
-    assert str(hands.gamepad) == "let go of button 4 of /joy first"
-
-
 def test_a_button_that_is_down_counts_no_sooner_for_a_stick_at_rest(now: list[float]) -> None:
     hands = Hands()
     assert hands.say(held=True, axes=(0.0, 0.0)) == STAND

@@ -208,13 +208,6 @@ def test_long_lists_and_texts_are_cut_unless_all_is_wanted() -> None:
     assert len(list(message_lines(message, None))) == 1 + 200 + 1
 
 
-@pytest.mark.parametrize("text", ["\x1b[2J", "a\nb", "\u202e", "\x9b31m", "é", "yes", "1", "- a"])
-def test_no_text_reaches_the_terminal_as_it_is_or_becomes_something_else(text: str) -> None:
-    (line,) = message_lines({"text": text})
-    assert line.isprintable()
-    assert yaml.safe_load(line) == {"text": text}
-
-
 def test_json_holds_no_number_that_json_does_not_know() -> None:
     assert plain_json({"a": [nan, inf, 1.5], "b": b"\x01"}) == {"a": [None, None, 1.5], "b": [1]}
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.base.paths import recordings_note_path
-from robotctl.kernel.types import ModeRequested, Twist
+from robotctl.kernel.types import ModeRequested
 from robotctl.recording import read_info
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested, record
 from tests.cli.conftest import Cli
@@ -69,28 +69,6 @@ def test_a_stop_is_not_forgotten_at_a_restart(cli: Cli, stopped: list[Written]) 
     assert (found["path"], found["later"]) == (str(FOLDER.absolute()), [str(LATER.absolute())])
     ran = cli("why", str(LATER))
     assert (ran.exit_code, "nothing was refused" in ran.err) == (4, True)
-
-
-def test_a_later_recording_that_cannot_say_is_named_and_the_one_before_it_tells(
-    cli: Cli, stopped: list[Written]
-) -> None:
-    record(FOLDER, stopped)
-    record(LATER, [Twist()])
-    (Path("recordings") / "robot_20260101_140000").mkdir()
-    found = json.loads(cli("why", "--json").out)
-    assert (found["path"], found["later"]) == (str(FOLDER.absolute()), [str(LATER.absolute())])
-    (missing,) = found["missing"]
-    assert "robot_20260101_140000 holds no .mcap file" in missing
-
-
-def test_a_time_before_the_last_recording_is_looked_for_in_those_before(
-    cli: Cli, stopped: list[Written]
-) -> None:
-    record(FOLDER, stopped)
-    start_s = read_info(FOLDER).start_ns / 1e9
-    record(LATER, drive(0.5, requests=[]), clock=lambda time_ns: time_ns + 3_600 * 10**9)
-    at = datetime.fromtimestamp(start_s + 2.1, UTC).isoformat()
-    assert "MOVING -> EMERGENCY_STOP" in cli("why", "--at", at).out
 
 
 def test_a_recording_that_cannot_be_read_does_not_hide_the_time_in_one_before_it(

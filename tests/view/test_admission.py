@@ -18,8 +18,7 @@ ADMISSION = Admission(TOKEN)
 
 
 @pytest.mark.parametrize(
-    "host",
-    [HOST, "localhost:8765", "[::1]:8765", "192.168.1.7:9", f"{socket.gethostname()}:8765"],
+    "host", [HOST, "localhost:8765", "[::1]:8765", "192.168.1.7:9", f"{socket.gethostname()}:8765"]
 )
 @pytest.mark.parametrize("origins", [[], *([each] for each in KNOWN_ORIGINS)])
 def test_known_pages_and_programs_are_admitted(host: str, origins: list[str]) -> None:
