@@ -117,7 +117,7 @@ async def test_steps_and_rates_reach_the_player_also_those_that_were_asked_for_e
 
 async def test_what_is_no_command_stops_nothing(listener: Any, play: Any, until: Until) -> None:
     playing = play(5, paused=True)
-    playing.write(b"nonsense\n\xff\n{}\n")
+    playing.write(b'nonsense\n\xff\n{}\n\n[]\n{"do": "explode"}\n{"do": {}}\n')
     playing.tell(Command.RESUME)
     await until(lambda: len(listener.heard["/alpha"]) == 5)
 
@@ -199,13 +199,6 @@ async def test_a_subscriber_that_reads_slowly_gets_everything_at_full_speed(
     assert ran.summary["failed"] == 0
 
 
-async def test_the_recorded_gaps_are_kept(tmp_path: Path, replay: Any) -> None:
-    file = write_bag(tmp_path / "run.mcap", talk("/alpha", 3, 200.0))
-    ran = await replay(file, "--rate", "2", "--json")
-    assert ran.summary["played_s"] == pytest.approx(0.4)
-    assert 0 <= ran.summary["timing_error_us"]["p50"] <= ran.summary["timing_error_us"]["max"]
-
-
 async def test_topics_exclude_offset_and_duration_choose_what_is_played(
     tmp_path: Path, listener: Any, replay: Any, until: Until
 ) -> None:
@@ -220,6 +213,8 @@ async def test_topics_exclude_offset_and_duration_choose_what_is_played(
     assert ran.exit_code == 0, ran.err
     await until(lambda: len(listener.heard["/alpha"]) == ran.summary["sent"])
     assert listener.heard == {"/alpha": data(alpha[20:51]), "/beta": [], "/gamma": []}
+    assert ran.summary["played_s"] == pytest.approx(0.3)
+    assert 0 <= ran.summary["timing_error_us"]["p50"] <= ran.summary["timing_error_us"]["max"]
 
 
 async def test_a_loop_begins_again_until_ctrl_c_which_takes_the_publishers_away(
@@ -334,9 +329,6 @@ async def test_the_cure_for_changed_types_moves_no_idle_robot(
     for topic, type_name in (("/cmd_vel", TWIST), ("/replay/cmd_vel", TWIST)):
         listener.listen(topic, type_name)
     async with daemon():
-        ran = await replay(file)
-        assert ran.exit_code == 4
-        assert "play it anyway: --force-types)" in ran.err
         ran = await replay(file, "--force-types")
     assert ran.exit_code == 0, ran.err
     await until(lambda: listener.heard["/replay/cmd_vel"] == data(commands))
