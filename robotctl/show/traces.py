@@ -37,7 +37,7 @@ from robotctl.messages.motion import decode_twist, decode_twist_stamped, read_sa
 from robotctl.recording import Recording, RecordingInfo, TopicInfo
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.format.names import OWN_LIBRARY, EventKind
-from robotctl.recording.format.recorded_events import NOTED_MODES
+from robotctl.recording.format.noted_events import NOTED_MODES
 from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic

@@ -33,7 +33,8 @@ from robotctl.recording import Recorder, RecorderOptions, Topic
 from robotctl.recording.convert.sources import installed_definition
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
 from robotctl.recording.format.names import PARAMETER_PREFIX
-from robotctl.recording.format.recorded_events import RecordedEvent, noted_event
+from robotctl.recording.format.noted_events import noted_event
+from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.rerun.journal_values import read_effect
 

@@ -26,7 +26,8 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.kernel.types.events import ParameterChanged
-from robotctl.recording.format.recorded_events import RecordedEvent, noted_event
+from robotctl.recording.format.noted_events import noted_event
+from robotctl.recording.format.recorded_events import RecordedEvent
 
 _log = logging.getLogger(__name__)
 

@@ -9,13 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import isfinite
-from types import MappingProxyType
-from typing import Final, Self
+from typing import Self
 
 from mcap.records import Metadata
 
-from robotctl.kernel.modes import Mode
-from robotctl.kernel.types import DriveEnded, Effect, ModeChanged
 from robotctl.recording.format.names import EVENT_RECORD, EventKind
 from robotctl.recording.format.records import MAX_TIME_NS
 
@@ -100,37 +97,3 @@ def events_in(metadata: Iterable[Metadata]) -> list[RecordedEvent]:
             except (KeyError, ValueError):  # of a later version
                 continue
     return events
-
-
-NOTED_MODES: Final[Mapping[Mode, EventKind]] = MappingProxyType(
-    {Mode.EMERGENCY_STOP: EventKind.EMERGENCY_STOP, Mode.ERROR: EventKind.ERROR}
-)
-"""The modes whose begin is an event."""
-
-_NONE: Final[Mapping[str, float]] = MappingProxyType({})
-
-
-def noted_event(
-    effect: Effect, log_ns: int, true_figures: Mapping[str, float] = _NONE
-) -> RecordedEvent | None:
-    """Return the event that a recorder notes for an effect, None if it notes none.
-
-    `true_figures` are those of a simulated drive, by their names in `RecordedEvent`. What is not
-    finite is not known.
-    """
-    if isinstance(effect, ModeChanged) and effect.mode in NOTED_MODES:
-        return RecordedEvent(NOTED_MODES[effect.mode], log_ns, effect.reason)
-    if not isinstance(effect, DriveEnded):
-        return None
-    report = effect.report
-    figures = {
-        "cross_track_max_m": report.cross_track_max_m,
-        "cross_track_rms_m": report.cross_track_rms_m,
-        "heading_rms_rad": report.heading_rms_rad,
-        "heading_max_rad": report.heading_max_rad,
-        "closure_m": report.closure_m,
-        "drive_s": report.duration_s,
-        **true_figures,
-    }
-    known = {name: value for name, value in figures.items() if isfinite(value)}
-    return RecordedEvent(EventKind.DRIVE_ENDED, log_ns, effect.reason, report.laps, **known)
