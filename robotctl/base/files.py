@@ -39,3 +39,13 @@ def open_folder(folder: Path) -> Iterator[int]:
         yield descriptor
     finally:
         os.close(descriptor)
+
+
+def sync_folder(folder: Path) -> None:
+    """Force the names in a folder to the disk.
+
+    Raises:
+        OSError: It cannot be opened or synced, or is no folder.
+    """
+    with open_folder(folder) as descriptor:
+        os.fsync(descriptor)

@@ -15,7 +15,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
-from robotctl.base.files import open_folder, open_regular
+from robotctl.base.files import open_regular, sync_folder
 from robotctl.base.paths import make_private, robot_state_folder
 from robotctl.kernel.units import DAY_S
 
@@ -174,7 +174,7 @@ def open_last(folder: Path) -> int:
         os.close(descriptor)
         raise OSError(errno.EINVAL, "it is not a regular file", str(path))
     if begun:
-        _sync(folder)
+        sync_folder(folder)
     return descriptor
 
 
@@ -191,11 +191,6 @@ def remove_oldest(folder: Path, keep_s: float, now_s: float) -> Path | None:
         return None
     files[0].unlink()
     return files[0]
-
-
-def _sync(folder: Path) -> None:
-    with open_folder(folder) as descriptor:
-        os.fsync(descriptor)
 
 
 def _name(number: int) -> str:

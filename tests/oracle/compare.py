@@ -64,7 +64,6 @@ FOLLOWS_FROM_A_VIOLATION: Final = re.compile(
 _MAGIC: Final = 8
 _HEAD: Final = struct.Struct("<BQ")
 _CHUNK: Final = 6
-_MESSAGE: Final = 5
 
 Records = list[bytes]
 

@@ -15,7 +15,7 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import NamedTuple
 
-from robotctl.base.files import open_folder, open_regular
+from robotctl.base.files import open_regular, sync_folder
 from robotctl.base.paths import chain_to, make_private
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety import RULES
@@ -79,7 +79,7 @@ def write(path: Path, stop: LatchedStop) -> None:
         file.flush()
         os.fsync(file.fileno())
     partial.replace(path)
-    _sync_folder(path.parent)
+    sync_folder(path.parent)
 
 
 def remove(path: Path) -> None:
@@ -90,17 +90,12 @@ def remove(path: Path) -> None:
     """
     with suppress(FileNotFoundError):
         path.unlink()
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
 
 
 def _read_text(path: Path) -> str:
     with open_regular(path) as file:
         return file.read(MAX_BYTES).decode("utf-8", errors="replace")
-
-
-def _sync_folder(folder: Path) -> None:
-    with open_folder(folder) as descriptor:
-        os.fsync(descriptor)
 
 
 _log = logging.getLogger(__name__)

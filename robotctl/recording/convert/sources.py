@@ -20,6 +20,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 
 from robotctl.base.files import open_regular
 from robotctl.messages.definition import UnreadableType, needed_types, short_type
+from robotctl.recording.disk.access import size_of
 from robotctl.recording.format.names import PROFILE, natural_order
 from robotctl.recording.format.records import MAX_TIME_NS, PlainMessage
 from robotctl.recording.format.rosbag2 import metadata_text, total_count_in
@@ -352,13 +353,13 @@ class Sources:
 
         self._text = text
         self._on_progress = on_progress
-        self._total = sum(map(_size, self._paths))
+        self._total = sum(map(size_of, self._paths))
 
     def __iter__(self) -> Iterator[ConvertibleFile]:
         """Yield each file; it is open until the next one is asked for."""
         before = 0
         for path in self._paths:
-            size = _size(path)
+            size = size_of(path)
             open_file = _open_sqlite if _is_sqlite(path) else self._open_mcap
             try:
                 yield from open_file(path, _Share(self._on_progress, before, size, self._total))
@@ -424,10 +425,3 @@ def _sqlite_files(path: Path) -> list[Path]:
 
 def _is_sqlite(path: Path) -> bool:
     return path.name.endswith((SQLITE_SUFFIX, SQLITE_SUFFIX + SUFFIX))
-
-
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size
-    except OSError:
-        return 0

@@ -108,6 +108,14 @@ _CURES: Final[Mapping[int, str]] = {
 }
 
 
+def size_of(path: Path) -> int:
+    """Return the size of a file [bytes], 0 if it cannot be read."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
+
+
 def reason_of(error: BaseException) -> str:
     """Return what went wrong, in words."""
     return (error.strerror if isinstance(error, OSError) else None) or repr(error)

@@ -11,6 +11,7 @@ from pathlib import Path
 from mcap.records import Channel
 
 from robotctl.base.errors import UnreadableFile
+from robotctl.recording.disk.access import size_of
 from robotctl.recording.format.names import LEDGER_RECORD
 from robotctl.recording.format.rosbag2 import (
     METADATA_RECORD,
@@ -69,7 +70,7 @@ def read_whole_recording(
     paths = recording_files(path)
     whole_folder = paths != [path]
     unreadable = problems + absent_files(text, paths) if whole_folder else []
-    sizes = [_size(each) for each in paths]
+    sizes = [size_of(each) for each in paths]
     files: list[WholeFile] = []
     for number, each in enumerate(paths):
         before, total = sum(sizes[:number]), sum(sizes)
@@ -90,13 +91,6 @@ def read_whole_recording(
     if not wrong and not unreadable:
         wrong += _contradictions(text, files, whole_folder=whole_folder)
     return WholeRecording(path, tuple(files), tuple(unreadable), tuple(wrong))
-
-
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size
-    except OSError:
-        return 0
 
 
 def _miscounted(file: WholeFile) -> Iterator[str]:
