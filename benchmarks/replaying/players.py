@@ -52,10 +52,10 @@ def play_with_robotctl(file: Path, domain_id: int) -> list[int]:
 @contextmanager
 def opened(domain_id: int) -> Iterator[Callable[[bytes], bool]]:
     """The same publisher for the others."""
-    from robotctl.ros.playback.membership import Membership
+    from robotctl.ros.graph.membership import Membership
     from robotctl.ros.playback.playback import ReplaySession
 
-    with Membership(domain_id) as membership:
+    with Membership(domain_id, "publisher") as membership:
         ros = ReplaySession(membership)
         ros.settle()
         send = ros.open("/odom", ODOMETRY, QOS, patient=False)

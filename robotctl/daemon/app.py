@@ -40,8 +40,7 @@ from robotctl.ipc.server import ControlServer
 from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.kernel.params import CommandParams, Stamping
 from robotctl.ros.graph import endpoints
-from robotctl.ros.messages.command_type import PLAIN, CommandType, stamped
-from robotctl.ros.messages.qos import COMMANDS
+from robotctl.ros.messages.command_type import COMMANDS, PLAIN, CommandType, stamped
 from robotctl.ros.nodes.velocity_publisher import is_monitor
 from robotctl.ros.session import RECORDER_NODE, Naming, ros_session
 

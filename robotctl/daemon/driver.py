@@ -48,7 +48,6 @@ from robotctl.kernel.state import Health, State, latched
 from robotctl.kernel.types import Odometry, Reply
 from robotctl.kernel.types.events import LifecycleState
 from robotctl.ros.messages.command_type import CommandType
-from robotctl.ros.messages.qos import ODOMETRY
 from robotctl.ros.nodes.drive_action import DriveAction
 from robotctl.ros.nodes.input_subscribers import (
     BatterySubscriber,
@@ -58,7 +57,7 @@ from robotctl.ros.nodes.input_subscribers import (
 )
 from robotctl.ros.nodes.mode_service import CALLS, STATUS, ModeService
 from robotctl.ros.nodes.node_services import ManagedNode
-from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
+from robotctl.ros.nodes.odom_subscriber import WANTED, OdomSubscriber
 from robotctl.ros.nodes.publishers import CommandLock, JournalPublisher
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher, command_topic
@@ -257,7 +256,7 @@ def build(host: Host, command: CommandType) -> Driver:
         params.odometry.topic,
         hear_odometry,
         inputs.odometry_source,
-        ODOMETRY[params.odometry.qos],
+        WANTED[params.odometry.qos],
     )
     create_input_roles(session, params, robot, inputs, command)
     modes = ModeService(session, robot, inputs.service_call, say)

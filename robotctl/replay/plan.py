@@ -6,11 +6,13 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from robotctl.base.errors import UsageError
-from robotctl.recording import TopicInfo
-from robotctl.replay.job import Job
+
+if TYPE_CHECKING:
+    from robotctl.recording import TopicInfo
+    from robotctl.replay.job import Job
 
 MAX_NAMES_SHOWN: Final = 12
 

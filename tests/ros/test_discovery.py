@@ -27,7 +27,7 @@ from robotctl.ros.graph.discovery import (
     count_complete,
     read_introduction,
 )
-from robotctl.ros.playback.membership import Membership
+from robotctl.ros.graph.membership import Membership
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S
 
@@ -51,7 +51,7 @@ def others(domain_id: int) -> Iterator[Node]:
 
 
 def test_everybody_is_known_in_full_when_the_wait_ends(domain_id: int, others: Node) -> None:
-    with Membership(domain_id) as membership:
+    with Membership(domain_id, "member") as membership:
         node = membership.node
         membership.discovery.wait(0.0, time.monotonic() + 30.0, threading.Event())
         assert not membership.was_certainly_empty
@@ -62,9 +62,9 @@ def test_everybody_is_known_in_full_when_the_wait_ends(domain_id: int, others: N
 def test_who_is_alone_on_this_machine_has_nothing_to_wait_for(
     domain_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with Membership(domain_id) as membership:
+    with Membership(domain_id, "member") as membership:
         assert membership.discovery.is_alone()
-        with Membership(domain_id):
+        with Membership(domain_id, "member"):
             assert not membership.discovery.is_alone()
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
         assert not membership.discovery.is_alone()
@@ -73,7 +73,7 @@ def test_who_is_alone_on_this_machine_has_nothing_to_wait_for(
 def test_where_others_may_be_on_other_machines_all_the_time_is_taken(
     domain_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with Membership(domain_id) as membership:
+    with Membership(domain_id, "member") as membership:
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
         until_s = time.monotonic() + 0.5
         membership.discovery.wait(0.1, until_s, threading.Event())
@@ -83,7 +83,7 @@ def test_where_others_may_be_on_other_machines_all_the_time_is_taken(
 def test_a_wait_that_is_stopped_ends(domain_id: int, monkeypatch: pytest.MonkeyPatch) -> None:
     stopped = threading.Event()
     stopped.set()
-    with Membership(domain_id) as membership:
+    with Membership(domain_id, "member") as membership:
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
         membership.discovery.wait(0.1, time.monotonic() + 3600.0, stopped)
 
@@ -121,7 +121,7 @@ def test_an_introduction_that_is_cut_short_is_none(cut: int) -> None:
 
 
 def test_others_know_our_publishers_when_they_have_said_so(domain_id: int, others: Node) -> None:
-    with Membership(domain_id) as membership:
+    with Membership(domain_id, "member") as membership:
         membership.discovery.wait(0.0, time.monotonic() + DEADLINE_S, threading.Event())
         for topic in TOPICS:
             membership.node.create_publisher(String, topic, 10)
@@ -132,7 +132,7 @@ def test_others_know_our_publishers_when_they_have_said_so(domain_id: int, other
 
 def test_a_process_that_hangs_has_not_said_that_it_knows_our_publishers(domain_id: int) -> None:
     hanging = Hanging(domain_id)
-    with closing(hanging), Membership(domain_id) as membership:
+    with closing(hanging), Membership(domain_id, "member") as membership:
         discovery, never = membership.discovery, threading.Event()
         discovery.wait(0.0, time.monotonic() + DEADLINE_S, never)
         with hanging:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import threading
-from asyncio import AbstractEventLoop
 from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from asyncio import AbstractEventLoop
 
 
 class LoopThread:

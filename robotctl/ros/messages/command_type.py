@@ -9,8 +9,9 @@ from typing import Any
 
 from geometry_msgs.msg import Twist as TwistMessage
 from geometry_msgs.msg import TwistStamped as TwistStampedMessage
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from robotctl.kernel.params import CommandQos
 from robotctl.kernel.types import Twist
 from robotctl.messages.motion import (
     StampedTwistEncoder,
@@ -20,6 +21,13 @@ from robotctl.messages.motion import (
 )
 from robotctl.ros.messages.classes import type_name_of
 from robotctl.ros.messages.qos import COMMAND
+
+COMMANDS = {
+    CommandQos.RELIABLE: COMMAND,
+    CommandQos.BEST_EFFORT: QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
+    CommandQos.TRANSIENT_LOCAL: QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+}
+"""The values of `command.qos`. A latched command is one tick old at most."""
 
 
 @dataclass(frozen=True, slots=True)

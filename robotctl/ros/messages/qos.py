@@ -13,27 +13,16 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
-from robotctl.kernel.params import CommandQos, OdometryQos
 from robotctl.kernel.units import NS_PER_S
 
 COMMAND = QoSProfile(depth=10)
 """Reliable, volatile, as ros2_control and Nav2 expect of a velocity command."""
-
-COMMANDS = {
-    CommandQos.RELIABLE: COMMAND,
-    CommandQos.BEST_EFFORT: QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
-    CommandQos.TRANSIENT_LOCAL: QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
-}
-"""The values of `command.qos`. A latched command is one tick old at most."""
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """A late subscriber gets the last message."""
 
 SENSOR = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Best effort: what robots publish, and what a subscription requests to match any publisher."""
-
-ODOMETRY = {OdometryQos.BEST_EFFORT: SENSOR, OdometryQos.RELIABLE: QoSProfile(depth=10)}
-"""The values of `odometry.qos`."""
 
 JOURNAL = QoSProfile(depth=1000)
 

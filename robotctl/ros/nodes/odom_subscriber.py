@@ -10,6 +10,7 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.qos import QoSProfile
 
 from robotctl.base.text import short_name
+from robotctl.kernel.params import OdometryQos
 from robotctl.kernel.types import Odometry
 from robotctl.messages.motion import FRAME_AT, frame_bytes, frame_id_of, read_odometry
 from robotctl.ros.executor import RawTap
@@ -17,6 +18,9 @@ from robotctl.ros.graph.endpoints import publisher_names
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.session import Session
+
+WANTED = {OdometryQos.BEST_EFFORT: qos.SENSOR, OdometryQos.RELIABLE: QoSProfile(depth=10)}
+"""The values of `odometry.qos`."""
 
 MAX_SOURCES = 256
 """Limit on remembered publishers; beyond it, the one that was silent longest is forgotten."""

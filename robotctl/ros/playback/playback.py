@@ -25,9 +25,9 @@ from robotctl.base.text import short_name
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.ros.graph import endpoints
+from robotctl.ros.graph.membership import Membership
 from robotctl.ros.messages.classes import UnusableType, is_installed, message_class, parse_type_name
 from robotctl.ros.messages.type_definition import holds_bytes, type_hash_of
-from robotctl.ros.playback.membership import NODE_NAME, Membership
 from robotctl.ros.playback.senders import PatientSender, RequestSender, clock_sender, sender
 
 _WORD: Final = re.compile(r"(?<=.)(?=[A-Z][a-z])|(?<=[a-z0-9])(?=[A-Z])")
@@ -221,7 +221,7 @@ class ReplaySession:
         return sorted(
             f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in endpoints.publishers(self._node, topic)
-            if info.node_name != NODE_NAME
+            if info.node_name != self._node.get_name()
         )
 
     def robots_with_daemon(self) -> list[str]:
@@ -231,7 +231,7 @@ class ReplaySession:
             for topic, types in endpoints.topics(self._node).items()
             if JOURNAL_ENTRY in types
             for info in endpoints.publishers(self._node, topic)
-            if info.node_name != NODE_NAME
+            if info.node_name != self._node.get_name()
         )
 
     def check_type(self, type_name: str) -> None:

@@ -36,7 +36,7 @@ from robotctl.messages.inputs import (
 )
 from robotctl.messages.motion import OdometryEncoder
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.command_type import PLAIN
+from robotctl.ros.messages.command_type import COMMANDS, PLAIN
 from robotctl.ros.nodes import odom_subscriber
 from robotctl.ros.nodes.input_subscribers import BatterySubscriber, SafetyInputs, ScanSubscriber
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
@@ -179,7 +179,7 @@ async def test_another_frame_of_a_known_publisher_is_told(session: Session) -> N
 async def test_a_base_hears_the_command_with_each_quality_of_service(
     session: Session, executor: Any, node: Any, offered: CommandQos
 ) -> None:
-    command = replace(PLAIN, qos=qos.COMMANDS[offered])
+    command = replace(PLAIN, qos=COMMANDS[offered])
     velocity = VelocityPublisher(session, "cmd_vel", command)
     heard: list[Any] = []
     node.create_subscription(

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from robotctl.base.errors import Interrupted, RobotctlError, UsageError, error_for_exit_code
 from robotctl.base.processes import Child, program, start
@@ -15,11 +15,12 @@ from robotctl.cli.commands.recordings.replay.screen import Screen, screen, summa
 from robotctl.cli.ui.keys import Keyboard
 from robotctl.cli.ui.output import print_answer
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording import Recording
 from robotctl.replay.job import Job
 from robotctl.replay.playback_control import Command, PlaybackControl, carry_out
-from robotctl.replay.recorded_robot import RecordedRobot
-from robotctl.replay.timeline import Span, span_of
+
+if TYPE_CHECKING:
+    from robotctl.replay.recorded_robot import RecordedRobot
+    from robotctl.replay.timeline import Span
 
 KEYS: Final = {
     " ": Command.TOGGLE,
@@ -199,6 +200,11 @@ def draw_command(job: Job, *, quiet: bool) -> None:
 @contextmanager
 def recorded_robot(job: Job) -> Iterator[tuple[RecordedRobot, Span]]:
     """Open the recording, and yield its robot and the span of the recording that is played."""
+    # Here, because these take as long to import as the player's process takes to start.
+    from robotctl.recording import Recording
+    from robotctl.replay.recorded_robot import RecordedRobot
+    from robotctl.replay.timeline import span_of
+
     with Recording(job.file) as recording:
         span = span_of(recording.info(), job)
         yield RecordedRobot(recording, span, loop=job.loop), span

@@ -1,111 +1,37 @@
-"""Short questions to the graph: who is there, call a service, listen to a topic."""
+"""Exchanging messages for a command: call a service, listen to a topic."""
 
 from __future__ import annotations
 
 import asyncio
 import base64
-import os
-import time
 from collections.abc import Callable, Coroutine
-from typing import Any, Final, Self
+from typing import Any
 
-from rclpy.context import Context
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 
 from robotctl.base.errors import NoDaemon, Refused, UsageError
-from robotctl.base.processes import readable_within
 from robotctl.base.unknown_name import only_type, unknown_name
 from robotctl.messages.definition import Definition, UnreadableType, parse_definition
 from robotctl.messages.values import WrongValue, decode, encode, filled
-from robotctl.ros.context import close_context, open_context
 from robotctl.ros.executor import AsyncioExecutor, RawTap
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.discovery import Discovery
-from robotctl.ros.graph.endpoints import LOOK_NODE
-from robotctl.ros.graph.overview import node_facts, overview, services, topic_facts
+from robotctl.ros.graph.overview import services
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, UnusableType, message_class
 from robotctl.ros.messages.type_definition import definition_of, holds_bytes
+from robotctl.ros.queries.visitor import STDIN, Visitor
 
 Send = Callable[[dict[str, Any]], None]
 """Sends a report."""
 
-STDIN: Final = 0
-"""Readable only when the command has closed it: after the first line it sends nothing."""
 
-SETTLE_S: Final = 3.5
-"""How long discovery may take: an announcement that was lost is repeated after 3 s."""
+def run(work: Coroutine[Any, Any, None]) -> None:
+    """Run `work` in a loop to its end.
 
-EXPECTED_S: Final = 20.0
-"""How long discovery may take of what the daemon has already discovered."""
-
-QUIET_S: Final = 0.1
-"""How long the graph must not change until it counts as discovered."""
-
-_POLL_S: Final = 0.01
-
-
-class Visitor:
-    """A node in a ROS domain during a `with` block."""
-
-    def __init__(self, domain_id: int) -> None:
-        self._since_s = time.monotonic()
-        self._context = open_context(domain_id)
-        self.node = Node(
-            f"{LOOK_NODE}{os.getpid()}",
-            context=self._context,
-            start_parameter_services=False,
-            enable_rosout=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )
-        self._discovery = Discovery(self.node, domain_id)
-
-    def __enter__(self) -> Self:
-        """Return the visitor itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Leave the domain, with everything that was made of the node."""
-        close_context(self._context, [self.node], [self._discovery.close])
-
-    @property
-    def context(self) -> Context:
-        """The context of its node."""
-        return self._context
-
-    def settle(self) -> None:
-        """Wait until every process in the domain is discovered."""
-        self.discover(lambda: False)
-
-    def discover(self, is_known: Callable[[], bool], *, expected: bool = False) -> bool:
-        """Wait until something is known, and return whether it is.
-
-        The wait ends when all processes are discovered; of what is `expected` only after 20 s.
-
-        Raises:
-            asyncio.CancelledError: The command that asked has closed stdin: it has ended.
-        """
-        until_s = self._since_s + (EXPECTED_S if expected else SETTLE_S)
-        while not is_known():
-            if time.monotonic() > until_s:
-                return False
-            if not expected and (
-                self._discovery.is_alone() or self._discovery.is_complete(QUIET_S)
-            ):
-                return is_known()
-            if readable_within(STDIN, _POLL_S):
-                raise asyncio.CancelledError
-        return True
-
-    def run(self, work: Coroutine[Any, Any, None]) -> None:
-        """Run `work` in a loop to its end.
-
-        Raises:
-            asyncio.CancelledError: The command that asked has closed stdin: it has ended.
-        """
-        asyncio.run(_until_stdin_ends(work))
+    Raises:
+        asyncio.CancelledError: The command that asked has closed stdin: it has ended.
+    """
+    asyncio.run(_until_stdin_ends(work))
 
 
 async def _until_stdin_ends(work: Coroutine[Any, Any, None]) -> None:
@@ -139,7 +65,7 @@ async def call(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
     kind, request_class = _classes(type_name)
     message = _message(f"{type_name}_Request", request_class, request["values"])
     client = node.create_client(kind, name)
-    async with AsyncioExecutor(visitor.context) as executor:
+    async with AsyncioExecutor(visitor.node.context) as executor:
         executor.add_node(node)
         try:
             await executor.wait_for_service(client, timeout_s=request["wait_s"])
@@ -268,32 +194,6 @@ async def listen(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
     node.create_subscription(
         kind, topic, callback, wanted, event_callbacks=NO_SUBSCRIPTION_EVENTS, raw=True
     )
-    async with AsyncioExecutor(visitor.context, on_exception=fail) as executor:
+    async with AsyncioExecutor(visitor.node.context, on_exception=fail) as executor:
         executor.add_node(node)
         await failed
-
-
-def look(request: dict[str, Any], send: Send) -> None:
-    """Join the domain, look, and leave it.
-
-    Raises:
-        RobotctlError: The look is refused; the text says why.
-    """
-    with Visitor(request["domain_id"]) as visitor:
-        match request["look"]:
-            case "names":
-                visitor.settle()
-                send(overview(visitor.node))
-            case "topic":
-                visitor.settle()
-                send(topic_facts(visitor.node, request["name"]))
-            case "node":
-                visitor.settle()
-                found = node_facts(visitor.node, request["name"])
-                if found is None:
-                    raise UsageError(f"no node {request['name']!r}")
-                send(found)
-            case "listen":
-                visitor.run(listen(visitor, request, send))
-            case "call":
-                visitor.run(call(visitor, request, send))

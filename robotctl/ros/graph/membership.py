@@ -1,9 +1,9 @@
-"""A node in a ROS domain, from which a replay discovers the other processes."""
+"""A node in a ROS domain, from which a command discovers the other processes."""
 
 from __future__ import annotations
 
 import time
-from typing import Final, Self
+from typing import Self
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -11,16 +11,14 @@ from rclpy.parameter import Parameter
 from robotctl.base.domains import is_certainly_empty
 from robotctl.ros.context import close_context, open_context
 
-NODE_NAME: Final = "robotctl_replay"
-
 
 class Membership:
     """A node in a ROS domain during a `with` block; the middleware's threads discover others.
 
-    It imports no message modules, which bring numpy: these can be imported during discovery.
+    It imports little: what the command imports afterwards is imported during discovery.
     """
 
-    def __init__(self, domain_id: int) -> None:
+    def __init__(self, domain_id: int, node_name: str) -> None:
         self.domain_id = domain_id
         self.was_certainly_empty = is_certainly_empty(domain_id)
         """Whether the domain certainly had no other process when this one joined."""
@@ -28,7 +26,7 @@ class Membership:
         self.since_s = time.monotonic()
         self._context = open_context(domain_id)
         self.node = Node(
-            NODE_NAME,
+            node_name,
             context=self._context,
             start_parameter_services=False,
             enable_rosout=False,
