@@ -15,6 +15,7 @@ from types import ModuleType
 import pytest
 
 from tests.support.isolation import FileSurroundings
+from tests.support.waiting import until
 
 
 def variable(stack: ExitStack, folder: Path) -> None:
@@ -34,6 +35,7 @@ def thread(stack: ExitStack, folder: Path) -> None:
 def child(stack: ExitStack, folder: Path) -> None:
     process = stack.enter_context(subprocess.Popen(["sleep", "60"]))
     stack.callback(process.kill)
+    until((Path("/proc") / str(process.pid) / "cmdline").read_bytes)  # empty during its start
 
 
 def descriptor(stack: ExitStack, folder: Path) -> None:

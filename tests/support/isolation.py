@@ -42,7 +42,6 @@ ALLOWED: Final[Mapping[str, str]] = {
     r"environ PYTEST_CURRENT_TEST": "pytest sets it",
     r"cache .*\._provenance:": "what made a recording, once for each folder of a start",
     r"descriptor \d+: not there -> /tmp/#\d+ \(deleted\)": "objects that the S3 server keeps",
-    r"child \d+: not there -> $": "it ended; Python waits for it when it starts the next one",
     r"descriptor \d+: not there -> .*/\.ros/log/": "rcl opens its log at the first message",
     r"descriptor \d+: .*socket:": "connections that the library of the stores keeps for a while",
     r"thread .*\(process_request_thread\)": "the other end of those connections",
@@ -138,7 +137,8 @@ def _children() -> Iterator[tuple[str, str]]:
     own = str(os.getpid())
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):  # it ended after it was listed
-            if (folder / "stat").read_text().rpartition(")")[2].split()[1] == own:
+            state, parent, *_ = (folder / "stat").read_text().rpartition(")")[2].split()
+            if parent == own and state != "Z":  # Python waits for those when it starts the next
                 yield folder.name, (folder / "cmdline").read_text().replace("\0", " ")
 
 
