@@ -11,7 +11,7 @@ Anchors and aliases are refused: with them, a file of a few lines can expand bey
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from pathlib import Path
 from reprlib import repr as short_repr
 from typing import Any
@@ -22,6 +22,7 @@ from robotctl.config.settings import (
     RATE_KEYS,
     Config,
     check_together,
+    log_warning,
     warn_of_retired,
     with_setting,
 )
@@ -30,15 +31,15 @@ MAX_FILE_BYTES = 1_000_000
 """The largest file that is read."""
 
 
-def load(path: Path) -> Config:
-    """Return the configuration in the file `path`; a retired key is ignored with a warning.
+def load(path: Path, warn: Callable[[str], object] = log_warning) -> Config:
+    """Return the configuration in the file `path`; call `warn` of a retired key, and ignore it.
 
     Raises:
         ConfigError: The file cannot be read, or a key or value is not allowed.
     """
     config = Config()
     for key, value in read_settings(path):
-        if warn_of_retired(key, f"{path}: "):
+        if warn_of_retired(key, warn, f"{path}: "):
             continue
         try:
             config = with_setting(config, key, value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +18,7 @@ from robotctl.config.settings import (
     check_together,
     flat,
     keyed_leaves,
+    log_warning,
     warn_of_retired,
     with_setting,
 )
@@ -128,10 +129,15 @@ class RosSettings:
     use_sim_time: bool
 
 
-def apply_arguments(config: Config, given: RosArguments, namespace: str) -> RosSettings:
+def apply_arguments(
+    config: Config,
+    given: RosArguments,
+    namespace: str,
+    warn: Callable[[str], object] = log_warning,
+) -> RosSettings:
     """Return the configuration as the arguments change it, for nodes in this namespace.
 
-    A retired key is ignored with a warning.
+    `warn` is called of a retired key, which is ignored.
 
     Raises:
         ConfigError: A key, a value, or a file is wrong, or is for other nodes.
@@ -143,7 +149,7 @@ def apply_arguments(config: Config, given: RosArguments, namespace: str) -> RosS
             if not isinstance(value, bool):
                 raise ConfigError(f"{key}: {value!r} is not allowed", "use true or false")
             use_sim_time = value
-        elif not warn_of_retired(key):
+        elif not warn_of_retired(key, warn):
             config = with_setting(config, key, value)
     config, others = _with_topics(config, given.remaps, namespace)
     if given != NO_ARGUMENTS:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -258,14 +258,19 @@ def check_together(kernel: KernelParams) -> None:
         raise not_allowed(*clash)
 
 
-def warn_of_retired(key: str, where: str = "") -> bool:
-    """Return whether an earlier version had this key; log what replaces it, if so.
+def log_warning(sentence: str) -> None:
+    """Log a warning: where nobody else is told."""
+    _log.warning(sentence)
+
+
+def warn_of_retired(key: str, warn: Callable[[str], object], where: str = "") -> bool:
+    """Return whether an earlier version had this key; call `warn` with what replaces it, if so.
 
     `where` is the beginning of the warning.
     """
     instead = retired.CONFIG_KEYS.get(key)
     if instead is not None:
-        _log.warning("%s%s is retired and ignored: %s", where, key, instead)
+        warn(f"{where}{key} is retired and ignored: {instead}")
     return instead is not None
 
 

@@ -19,6 +19,7 @@ from robotctl.base.own_process import end_signals
 from robotctl.base.paths import chain_to, robot_state_folder, socket_path
 from robotctl.config import Config, flat, load
 from robotctl.config.ros_settings import MODE_SERVICE, NODES
+from robotctl.config.settings import log_warning
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.driver import build
 from robotctl.daemon.host import DaemonKind, Host, Ready
@@ -180,7 +181,14 @@ async def serve(
     """
     stop = end_signals()
     manager = ServiceManager()
-    settings = options.applied_to(load(options.config) if options.config else Config())
+    notes = list(notes)
+
+    def warn(sentence: str) -> None:
+        log_warning(sentence)
+        notes.append(sentence)
+
+    chosen = load(options.config, warn) if options.config else Config()
+    settings = options.applied_to(chosen, warn)
     config = settings.config
     group = socket_group(config.socket.group)
     address = socket_path(options.robot)
@@ -206,10 +214,7 @@ async def serve(
         own_logger = session.logger_name(RECORDER_NODE if options.observe else MODE_SERVICE)
         levels = LoggerLevels(own_logger)
         apply_levels(levels, options.log_levels)
-        notes = [
-            *notes,
-            *await asyncio.to_thread(save_recordings_path, options.recordings, options.robot),
-        ]
+        notes += await asyncio.to_thread(save_recordings_path, options.recordings, options.robot)
         for folder in (address.parent, robot_state_folder(options.robot)):
             notes += chain_to(folder).group_writable()
         if group is not None:

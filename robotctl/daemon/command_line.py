@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -58,13 +59,15 @@ class DaemonOptions:
                 return given
         return namespace_of(self.robot)
 
-    def applied_to(self, config: Config) -> RosSettings:
+    def applied_to(self, config: Config, warn: Callable[[str], object]) -> RosSettings:
         """Return the configuration as the command line changes it, and what is left for ROS.
+
+        `warn` is called of each retired key.
 
         Raises:
             ConfigError: A parameter, a value, or a file of parameters is wrong.
         """
-        settings = apply_arguments(config, self.ros, self.namespace)
+        settings = apply_arguments(config, self.ros, self.namespace, warn)
         config = settings.config
         given = config.recording
         include, exclude = (*given.include, *self.include), (*given.exclude, *self.exclude)

@@ -96,9 +96,10 @@ def test_a_member_of_the_group_stops_the_robot_and_the_journal_names_the_user(wo
     world.folder.chmod(0o711)
     (world.folder / "run").chmod(0o711)
     config = world.folder / "robot.yaml"
-    config.write_text(f"socket.group: {group.gr_name}\n")
+    config.write_text(f"socket.group: {group.gr_name}\nstandalone: true\n")
     started = world.ok("start", "--sim", "--config", str(config))
     assert f"each member of group {group.gr_name} may give commands (socket.group)" in started
+    assert f"note: {config}: standalone is retired and ignored: " in started
     member = process_of(
         MEMBER, [group.gr_gid], IMPORTS, "raise SystemExit(app.run(['estop']))", world.environment
     )
