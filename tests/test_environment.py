@@ -127,7 +127,8 @@ def test_the_rclpy_of_this_run_is_our_own() -> None:
 def test_pytest_in_a_shell_with_another_ros_uses_ours_and_says_so(tmp_path: Path) -> None:
     environment = sourced(foreign_ros(tmp_path), "humble")
     this = f"{__file__}::{test_the_rclpy_of_this_run_is_our_own.__name__}"
-    ran = run(environment, "-m", "pytest", "-p", "no:cacheprovider", "tests/ros/conftest.py", this)
+    options = ("-n0", "-p", "no:cacheprovider")
+    ran = run(environment, "-m", "pytest", *options, "tests/ros/conftest.py", this)
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert "1 passed" in ran.stdout
     assert (

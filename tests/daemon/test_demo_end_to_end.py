@@ -18,6 +18,7 @@ from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import World, read_back
 
 
+@pytest.mark.slow  # .ci/run runs the demo of the wheel
 def test_the_demo_drives_a_lap_and_shows_what_was_recorded(world: World) -> None:
     world.source_another_ros()
     ran = world.robotctl("demo")

@@ -429,7 +429,7 @@ def test_after_a_power_cut_all_that_was_synced_is_readable(
         if dice.random() < 0.25:
             writer.sync()
             synced = number
-        for _ in range(17):
+        for _ in range(6):
             crashed.write_bytes(disks[0].after_power_cut(dice))
             missing: list[str] = []
             found = [m.data for m in read_messages(crashed, on_missing=missing.append)]
