@@ -45,7 +45,6 @@ TICK_S = 0.02
 
 CONFIG = f"""{PATIENT}
 sim.battery_life_s: 1.0e+6
-recording.clip_before_s: 0
 pattern.kind: circle
 """
 
