@@ -16,7 +16,7 @@ from typing import Any, get_type_hints
 from robotctl.base import retired
 from robotctl.base.errors import ConfigError
 from robotctl.kernel.fence import corners_of
-from robotctl.kernel.parameters import Leaf, conflict, leaves, value_at, with_value
+from robotctl.kernel.parameter_keys import Leaf, conflict, leaves, value_at, with_value
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.ranges import Change, Range, bounded, setting
 from robotctl.recording.format.names import Compression

@@ -15,7 +15,13 @@ from robotctl.daemon.host import Diagnostics, Host, Ready, running
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.ipc.answers import RobotFacts
 from robotctl.ipc.method_names import DRIVE, PARAM_SET, PATH, PREFLIGHT, RESET, SET_MODE
-from robotctl.ipc.params import DriveParams, NoParams, ParamSetParams, ResetParams, SetModeParams
+from robotctl.ipc.method_params import (
+    DriveParams,
+    NoParams,
+    ParamSetParams,
+    ResetParams,
+    SetModeParams,
+)
 from robotctl.ipc.request_handler import Method
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.remedies import Remedy

@@ -14,7 +14,7 @@ from robotctl.daemon.control.dispatcher import Control
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import ParameterAnswer
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.parameters import kernel_leaves
+from robotctl.kernel.parameter_keys import kernel_leaves
 from robotctl.kernel.ranges import Change
 from robotctl.kernel.types import Reply
 from robotctl.kernel.types.events import ParameterChanged, ParameterRequested

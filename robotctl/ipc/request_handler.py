@@ -18,7 +18,7 @@ import msgspec
 from robotctl.base.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.answers import Hello
 from robotctl.ipc.listener import is_hung_up
-from robotctl.ipc.params import HelloParams, decode
+from robotctl.ipc.method_params import HelloParams, decode
 from robotctl.ipc.protocol import (
     MAX_RESPONSE_BYTES,
     PROTOCOL_VERSION,

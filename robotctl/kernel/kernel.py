@@ -11,7 +11,7 @@ from robotctl.kernel.drive import MAX_LAPS, Drive, origin_of
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
 from robotctl.kernel.obstacles import look_again, look_ahead
 from robotctl.kernel.odometry import source_found, with_odometry
-from robotctl.kernel.parameters import conflict, kernel_leaves, text_of, value_at, with_text
+from robotctl.kernel.parameter_keys import conflict, kernel_leaves, text_of, value_at, with_text
 from robotctl.kernel.params import KernelParams, WhenIdle
 from robotctl.kernel.patterns import SHAPES, Pattern, local_points
 from robotctl.kernel.ranges import Change

@@ -12,7 +12,7 @@ from typing import assert_never
 
 from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameters import kernel_leaves, with_text
+from robotctl.kernel.parameter_keys import kernel_leaves, with_text
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.ranges import Change
 from robotctl.kernel.types import (

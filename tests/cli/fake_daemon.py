@@ -21,7 +21,13 @@ from mcap.writer import Writer
 from robotctl import __version__
 from robotctl.base.errors import Refused
 from robotctl.base.paths import log_path, socket_path
-from robotctl.ipc.params import DriveParams, EndDriveParams, NoParams, ResetParams, SetModeParams
+from robotctl.ipc.method_params import (
+    DriveParams,
+    EndDriveParams,
+    NoParams,
+    ResetParams,
+    SetModeParams,
+)
 from robotctl.ipc.request_handler import Identity, Method
 from robotctl.ipc.server import ControlServer
 

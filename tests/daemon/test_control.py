@@ -30,7 +30,7 @@ from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.shutdown import send_zero, stand_still
 from robotctl.ipc.answers import RobotFacts
 from robotctl.ipc.method_names import STATUS
-from robotctl.ipc.params import MarkParams, NoParams
+from robotctl.ipc.method_params import MarkParams, NoParams
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams

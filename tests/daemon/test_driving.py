@@ -17,7 +17,7 @@ from robotctl.daemon.control import inputs
 from robotctl.daemon.control.inputs import Inputs, RemoteRequests
 from robotctl.daemon.control.robot_report import GroundTruth
 from robotctl.daemon.drive_goals import DriveGoals
-from robotctl.ipc.params import (
+from robotctl.ipc.method_params import (
     DriveParams,
     DrivePathParams,
     DriveVelocityParams,

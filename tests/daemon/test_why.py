@@ -18,7 +18,7 @@ from robotctl.daemon.recording.provenance import DIGEST, software
 from robotctl.decisions.journal import DecisionKind, Entry, log_folder, read_log
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import RECORD_COMMIT
-from robotctl.ipc.params import NoParams
+from robotctl.ipc.method_params import NoParams
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern

@@ -17,7 +17,7 @@ from robotctl.daemon.api.parameters import parameter_methods
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.simulation import simulation_methods
 from robotctl.daemon.api.status import common_methods, graph_methods
-from robotctl.ipc.params import HelloParams
+from robotctl.ipc.method_params import HelloParams
 from robotctl.ipc.protocol import PROTOCOL_VERSION
 from robotctl.ipc.request_handler import Method
 from robotctl.kernel.codec import to_json

@@ -14,7 +14,7 @@ import pytest
 
 from robotctl.base.errors import Refused
 from robotctl.base.paths import socket_path
-from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
+from robotctl.ipc.method_params import DriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.ipc.protocol import encode_request
 from robotctl.ipc.request_handler import ClientLimits, Identity, Method
 from robotctl.ipc.server import ControlServer

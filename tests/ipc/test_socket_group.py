@@ -28,7 +28,7 @@ OTHERS = SocketGroup("others", 65511)
 SERVER_IMPORTS = """
 import asyncio
 from robotctl.ipc.request_handler import Method
-from robotctl.ipc.params import ResetParams
+from robotctl.ipc.method_params import ResetParams
 from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
 from robotctl.ipc.listener import SocketGroup

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.parameters import Conflict, conflict, kernel_leaves, value_at
+from robotctl.kernel.parameter_keys import Conflict, conflict, kernel_leaves, value_at
 from robotctl.kernel.params import (
     BatteryParams,
     BatteryScale,

@@ -18,7 +18,7 @@ import pytest
 
 import tests.support.rosidl_parser  # noqa: F401
 from robotctl.base.paths import make_private, runtime_folder, socket_path
-from robotctl.ipc.params import NoParams
+from robotctl.ipc.method_params import NoParams
 from robotctl.ipc.request_handler import Identity, Method
 from robotctl.ipc.server import ControlServer
 from robotctl.ros import AsyncioExecutor, RawTap

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from robotctl.config import Config, flat
 from robotctl.kernel.course import Course, Frame, Held
 from robotctl.kernel.geometry import Pose
-from robotctl.kernel.parameters import kernel_leaves
+from robotctl.kernel.parameter_keys import kernel_leaves
 from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types import (

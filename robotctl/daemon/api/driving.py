@@ -24,7 +24,7 @@ from robotctl.ipc.method_names import (
     RESET,
     SET_MODE,
 )
-from robotctl.ipc.params import (
+from robotctl.ipc.method_params import (
     DriveParams,
     DrivePathParams,
     DriveVelocityParams,

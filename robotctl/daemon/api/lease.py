@@ -13,7 +13,7 @@ from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.daemon.control.dispatcher import Control, granted
 from robotctl.ipc.answers import HoldAnswer, LeaseAnswer, LeaseKept, LeaseStatus
 from robotctl.ipc.method_names import HOLD, LEASE_KEEP, LEASE_RELEASE, LEASE_STATUS, LEASE_TAKE
-from robotctl.ipc.params import (
+from robotctl.ipc.method_params import (
     HoldParams,
     LeaseKeepParams,
     LeaseReleaseParams,

@@ -11,7 +11,7 @@ from robotctl.daemon.parameters import Parameters, listed
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import ParameterList, ParameterSet
 from robotctl.ipc.method_names import PARAM_LIST, PARAM_SET
-from robotctl.ipc.params import NoParams, ParamSetParams
+from robotctl.ipc.method_params import NoParams, ParamSetParams
 from robotctl.ipc.request_handler import Method
 
 

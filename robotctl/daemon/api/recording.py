@@ -11,7 +11,7 @@ from robotctl.daemon.waiting import until
 from robotctl.ipc.advice import for_robot
 from robotctl.ipc.answers import Committed, FileSplit, Marked, RecordStatus
 from robotctl.ipc.method_names import MARK, RECORD_COMMIT, RECORD_SPLIT, RECORD_STATUS
-from robotctl.ipc.params import MarkParams, NoParams
+from robotctl.ipc.method_params import MarkParams, NoParams
 from robotctl.ipc.request_handler import Method
 
 SPLIT_DEADLINE_S = 5.0

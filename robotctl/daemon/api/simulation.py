@@ -11,7 +11,7 @@ from robotctl.base.errors import Refused, UsageError
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.ipc.answers import SimFaulted, SimSet
 from robotctl.ipc.method_names import SIM_FAULT, SIM_SET
-from robotctl.ipc.params import SimFaultParams, SimSetParams
+from robotctl.ipc.method_params import SimFaultParams, SimSetParams
 from robotctl.ipc.request_handler import Method
 from robotctl.kernel.modes import Mode
 from robotctl.sim.robot import SimFault

@@ -25,7 +25,7 @@ from robotctl.ipc.answers import (
     Stopped,
 )
 from robotctl.ipc.method_names import GRAPH, GRAPH_NODE, GRAPH_TOPIC, STATUS, STOP
-from robotctl.ipc.params import GraphNameParams, NoParams
+from robotctl.ipc.method_params import GraphNameParams, NoParams
 from robotctl.ipc.request_handler import Method
 from robotctl.kernel.remedies import Remedy
 from robotctl.recording import RecorderStats
