@@ -24,8 +24,8 @@ from robotctl.collection.judging import Judged, Judging, ResultStore
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report
 from robotctl.testing.drives import drive, record
+from tests.collection.dask_processes import DaskProcesses, dask_processes
 from tests.support.checked_drives import altered
-from tests.support.dask_processes import DaskProcesses, dask_processes
 from tests.support.waiting import until
 
 WORKERS = 3

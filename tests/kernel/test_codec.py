@@ -64,7 +64,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.kernel.types.events import LeaseLost, LeaseRequested, ParameterChanged
 from robotctl.testing.kernels import moving
-from tests.support import strategies
+from tests.kernel import strategies
 
 EVENTS = strategies.event(strategies.INT64, strategies.INT64)
 FLOAT = strategies.ANY_FLOAT

@@ -32,7 +32,7 @@ from robotctl.kernel.types import (
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.sim.robot import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated
-from tests.support.fed_kernel import lap_of
+from tests.kernel.fed_kernel import lap_of
 
 CLOSED = [kind for kind in PatternKind if SHAPES[kind].closed]
 SIZES = {kind: shape.default_size_m for kind, shape in SHAPES.items()}

@@ -65,8 +65,8 @@ from robotctl.testing.kernels import (
     reset,
     stopping,
 )
-from tests.support import strategies
-from tests.support.fed_kernel import LONGEST_TICKS, MOMENTARY, PROVOKED, FedKernel
+from tests.kernel import strategies
+from tests.kernel.fed_kernel import LONGEST_TICKS, MOMENTARY, PROVOKED, FedKernel
 
 REQUESTS = (ModeRequested, ResetRequested, DriveRequested, ParameterRequested, LeaseRequested)
 RELEASES = (0,)

@@ -16,7 +16,7 @@ from robotctl.kernel.path import Arc, Circle, Line, Path, Turn
 from robotctl.kernel.patterns import FigureEight, Pattern, PatternKind, figure_eight
 from robotctl.kernel.speed_plan import Leg, legs_for, path_for, speed_plan
 from robotctl.kernel.tracking import Reference, track
-from tests.support.fed_kernel import lap_of
+from tests.kernel.fed_kernel import lap_of
 
 LIMITS = VelocityLimits(1.0, 2.0, 0.5, 4.0)
 FAR = Pose(50.0, 50.0, 0.0)

@@ -13,7 +13,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety import RULES, Rule, failed_start_condition
 from robotctl.kernel.types import ZERO, Cause
 from robotctl.testing.kernels import reset
-from tests.support.fed_kernel import LONGEST_TICKS, MOMENTARY, PROVOKED, FedKernel, in_mode
+from tests.kernel.fed_kernel import LONGEST_TICKS, MOMENTARY, PROVOKED, FedKernel, in_mode
 
 IDLE, MOVING = Mode.IDLE, Mode.MOVING
 STOP, ERROR = Mode.EMERGENCY_STOP, Mode.ERROR

@@ -43,7 +43,7 @@ from robotctl.recording.keep.recover import recover
 from robotctl.recording.read.file_index import read_attachment
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
-from tests.support.mcap_files import CHANNEL, chunk, finished
+from tests.recording.mcap_files import CHANNEL, chunk, finished
 from tests.support.recordings import salvaged
 
 Content = MessageRecord | Attachment | Metadata

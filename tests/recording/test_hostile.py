@@ -65,7 +65,7 @@ from robotctl.recording.write.mcap_writer import McapFile
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import BEGIN_NS, drive, record
-from tests.support.mcap_files import CHANNEL, RECORD_HEAD, chunk, finished, stored_chunk
+from tests.recording.mcap_files import CHANNEL, RECORD_HEAD, chunk, finished, stored_chunk
 from tests.support.recordings import numbered, salvaged
 
 SIZE: Final = 1_000_000

@@ -23,8 +23,8 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
+from tests.ros.open_executor import Node
 from tests.support.lines import obey
-from tests.support.open_executor import Node
 from tests.support.waiting import DEADLINE_S, until
 
 

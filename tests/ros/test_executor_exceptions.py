@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import RclCallFailed
-from tests.support.open_executor import Node, populate, sources_of
+from tests.ros.open_executor import Node, populate, sources_of
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 

@@ -29,7 +29,7 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap, Ticker
-from tests.support.open_executor import Node, loop_descriptors, populate, sources_of
+from tests.ros.open_executor import Node, loop_descriptors, populate, sources_of
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 

@@ -26,7 +26,7 @@ from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap, Ticker
 from robotctl.ros.executor.event_loop import SHORTEST_SLICE_NS, SLICE_NS, TURN_NS
-from tests.support.open_executor import Node, runtime_of
+from tests.ros.open_executor import Node, runtime_of
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 

@@ -18,7 +18,7 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
-from tests.support.open_executor import engine_of, loop_descriptors, populate
+from tests.ros.open_executor import engine_of, loop_descriptors, populate
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 

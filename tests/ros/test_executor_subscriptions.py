@@ -24,7 +24,7 @@ from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import announcements
 from robotctl.ros.executor.raw_tap import LARGE_BYTES, SerializedTaker
 from robotctl.ros.executor.sources import subscriptions
-from tests.support.open_executor import Node, sources_of
+from tests.ros.open_executor import Node, sources_of
 from tests.support.waiting import loop_until as until
 from tests.support.waiting import until as wait_until
 

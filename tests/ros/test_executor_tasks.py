@@ -13,7 +13,7 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
-from tests.support.open_executor import loop_descriptors, populate
+from tests.ros.open_executor import loop_descriptors, populate
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 

@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from robotctl.ros import AsyncioExecutor, Tick, Ticker
-from tests.support.open_executor import loop_descriptors
+from tests.ros.open_executor import loop_descriptors
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 

@@ -134,7 +134,7 @@ class DaskProcesses:
 @contextmanager
 def dask_processes(workers: int = 3) -> Iterator[DaskProcesses]:
     """Yield a scheduler with workers, connected over TCP; kill all at the end."""
-    told = Told(peer_command("tests.support.dask_processes"), os.environ | QUIET)
+    told = Told(peer_command("tests.collection.dask_processes"), os.environ | QUIET)
     try:
         yield DaskProcesses(told, workers)
     finally:
