@@ -85,11 +85,14 @@ class Budget:
         return bool(self._folded)
 
     def counts(self) -> Entry:
-        """Return the entry that tells the counts, and count from 0 again."""
+        """Return the entry that tells the counts."""
         counts: dict[str, Any] = {str(kind): count for kind, count in self._folded.items()}
         values = {"counts": counts, "first_ns": self._first_ns, "last_ns": self._last_ns}
-        self._folded.clear()
         return Entry(self._last_ns, DecisionKind.MORE, values)
+
+    def forget_counts(self) -> None:
+        """Count from 0 again."""
+        self._folded.clear()
 
 
 _log = logging.getLogger(__name__)
@@ -208,6 +211,7 @@ class DecisionLog:
             del self._waiting[0]
         if self._budget.has_folded and (self._ending or self._steady_s() >= self._counts_due_s):
             self._append(self._budget.counts())
+            self._budget.forget_counts()
             self._counts_due_s = self._steady_s() + COUNTS_PERIOD_S
         os.fsync(self._descriptor)
         self._tell("")

@@ -64,12 +64,12 @@ def read_waypoints(name: str, frame: Frame, robot: str) -> list[list[float]]:
         UnreadableFile: The file holds no path, or more than a path may have.
     """
     if name == LAST and not os.path.exists(name):
-        points: Iterable[Point] = _last(robot, frame)
+        points: Iterable[Point] = last_path(robot, frame)
     else:
         path = find_recording(name, robot)
         data = _content(name, path)
         if data is None or data.startswith(MCAP):
-            points = _recorded(path, frame)
+            points = recorded_path(path, frame)
         else:
             points = _points_in(printable(name), data)
     return [[round(x, 4), round(y, 4)] for x, y in points]
@@ -86,16 +86,6 @@ def _content(name: str, path: Path) -> bytes | None:
         raise UsageError(f"no file {printable(name)}", KINDS) from None
     except OSError as error:
         raise UnreadableFile(f"{printable(name)}: {error.strerror}") from None
-
-
-def _last(robot: str, frame: Frame) -> tuple[Point, ...]:
-
-    return last_path(robot, frame)
-
-
-def _recorded(recording: Path, frame: Frame) -> tuple[Point, ...]:
-
-    return recorded_path(recording, frame)
 
 
 def _points_in(name: str, data: bytes) -> list[Point]:
