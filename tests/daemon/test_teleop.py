@@ -19,7 +19,7 @@ from robotctl.ipc.method_names import HOLD
 from robotctl.kernel.types import DriveRequested, HoldReceived, PublishTwist
 from robotctl.rerun.journal_values import read_effect, read_event
 from tests.support.terminals import CODE, Terminal
-from tests.support.waiting import until
+from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import Peer, World, entries_of, new_world
 
 TELLS_RELEASES, IDENTIFY = b"\x1b[?u", b"\x1b[c"
@@ -46,6 +46,13 @@ class AnsweringTerminal(Terminal):
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._answer)
         self._thread.start()
+
+    def end(self) -> int:
+        code = super().end()
+        self._thread.join(DEADLINE_S)  # it has read everything that the process drew
+        while self._read(0.0):
+            pass
+        return code
 
     def hang_up(self) -> None:
         self._end_thread()

@@ -284,6 +284,30 @@ def test_a_full_disk_is_said_and_the_entries_follow_later(
     assert [values["number"] for _, values in written(folder)] == [0, 1]
 
 
+def test_counts_that_could_not_be_written_follow_later(
+    begin: Callable[[], DecisionLog], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writer, "MAX_WAITING", 1 << 30)
+    failed: list[bytes] = []
+    write = os.write
+
+    def once_full(descriptor: int, data: bytes) -> int:
+        if b'"kind":"more"' in data and not failed:
+            failed.append(data)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(descriptor, data)
+
+    monkeypatch.setattr(os, "write", once_full)
+    log = begin()
+    flood = 3000
+    for _ in range(flood):
+        log.add(DecisionKind.REFUSED, asked="MOVING", by="a node that asks for ever", answer="no")
+    wait_for(lambda: failed)
+    log.close()
+    counts = [values["counts"]["refused"] for kind, values in written(folder) if kind == "more"]
+    assert sum(counts) + sum(kind == "refused" for kind, _ in written(folder)) == flood
+
+
 def test_a_disk_that_hangs_delays_nobody(
     begin: Callable[[], DecisionLog], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
