@@ -63,7 +63,10 @@ async def test_every_topic_of_a_robot_is_offered_with_its_type_and_messages(
         async with view_client(ready["url"]) as client, view_client(ready["url"]) as second:
             topics = ("/odom", "/cmd_vel", "/robotctl/journal", "/robot_status", "/robotctl/marks")
             await client.subscribe(*topics)
-            driving.ok("mark", "seen by the view")
+            async with asyncio.timeout(DEADLINE_S):
+                while not client.of("/robotctl/marks"):  # nobody hears a mark before it subscribes
+                    driving.ok("mark", "seen by the view")
+                    await client.receive_for(0.2)
             await client.until(lambda: all(client.of(topic) for topic in topics))
             odometry = decoded(client, "/odom")
             assert odometry["header"]["frame_id"] == "odom"
