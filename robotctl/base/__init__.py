@@ -1,1 +1,1 @@
-"""What every room may use: errors, paths, files and trust, text, processes, ROS domains, stores."""
+"""What all packages may use: errors, paths, files and trust, text, processes, domains, stores."""

@@ -1,4 +1,4 @@
-"""ROS domains: the discovery range, which domains are in use, and reserving a free one.
+"""ROS domains: the discovery range, domains in use, and the reservation of a free domain.
 
 A domain is in use if processes on this machine have bound its ports.
 """
@@ -17,20 +17,20 @@ MAX_DOMAIN_ID = 232
 """The last ROS domain whose ports exist (DDSI-RTPS 2.5, 9.6.2.3)."""
 
 DOMAINS = range(1, 102)
-"""The domains to reserve. 0 is the default of every process; the ports of domains above 101 are
-ephemeral ports of Linux."""
+"""The domains that can be reserved. 0 is the default of every process; the ports of domains above
+101 are ephemeral ports of Linux."""
 
 _PORT_BASE, _PORTS_PER_DOMAIN = 7400, 250
 """The well-known ports of a domain (DDSI-RTPS 2.5, 9.6.2.3, Well-known Ports)."""
 
 _FIRST_OWN_PORT = 10
-"""The offset of the first port of a participant; each has two, the even one for discovery."""
+"""The offset of the first participant's ports; each has two, the even port for discovery."""
 
 _RESERVATION = 9
 """The offset of the port that reserves a domain; DDS does not use it."""
 
 _WIDER_RANGES = ("SUBNET", "SYSTEM_DEFAULT", "")
-"""The discovery ranges beyond this machine; ROS takes SUBNET for an empty one."""
+"""The discovery ranges beyond this machine; ROS treats an empty one as SUBNET."""
 
 _PEERS = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")
 """Variables that name other machines to discover."""
@@ -39,7 +39,7 @@ _TABLES = ("/proc/net/udp", "/proc/net/udp6")
 
 
 def requested_domain(given: int | None) -> int | None:
-    """Return the ROS domain of --domain-id, else of ROS_DOMAIN_ID, or None.
+    """Return `given` (--domain-id) or, if it is None, ROS_DOMAIN_ID; None if both are unset.
 
     Raises:
         UsageError: The number is not a ROS domain.
@@ -59,10 +59,10 @@ def discovery_range() -> str:
 
 
 def wider_discovery() -> str:
-    """Return the setting by which this process discovers other machines; "" if it does not.
+    """Return the setting that makes this process discover other machines, or "" if none does.
 
-    Static peers and a discovery server are used in the range LOCALHOST, too. ROS takes LOCALHOST
-    for a range that it does not know.
+    Static peers and a discovery server are also used in the range LOCALHOST. ROS treats an unknown
+    range as LOCALHOST.
     """
     if discovery_range() == "OFF":
         return ""
@@ -77,7 +77,7 @@ def is_on_this_machine_only() -> bool:
 
 
 def is_certainly_empty(domain_id: int) -> bool:
-    """Return whether the domain certainly has no participants; False if that is unknown."""
+    """Return True if the domain has no participants, and False if it has some or may have."""
     ports = _bound_udp_ports()
     if ports is None or not is_on_this_machine_only():
         return False
@@ -85,7 +85,7 @@ def is_certainly_empty(domain_id: int) -> bool:
 
 
 def participants_here(domain_id: int) -> int | None:
-    """Return the number of participants on this machine, or None if it is unknown."""
+    """Return the number of the domain's participants on this machine, or None if it is unknown."""
     ports = _bound_udp_ports()
     if ports is None:
         return None
@@ -97,7 +97,7 @@ def participants_here(domain_id: int) -> int | None:
 def reserved_domain() -> Iterator[int]:
     """Reserve a domain that is not in use on this machine, until the block ends.
 
-    The reservation is a bound port, so that the system releases it however the process ends.
+    The reservation is a bound port: the system releases it when the process ends in any way.
 
     Raises:
         Refused: Every domain is in use.
@@ -134,7 +134,7 @@ def _first_port(domain_id: int) -> int:
 
 
 def _places(ports: Iterable[int]) -> Iterator[tuple[int, int]]:
-    """Yield the domain of each port and its offset there, also for ports of other programs."""
+    """Yield (domain, offset of the port in it) for each port, also for ports of other programs."""
     return (divmod(port - _PORT_BASE, _PORTS_PER_DOMAIN) for port in ports)
 
 

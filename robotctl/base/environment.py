@@ -23,7 +23,7 @@ RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 _NOTE = "_ROBOTCTL_ENVIRONMENT_NOTE"
 _WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-"""While it is not set, the ROS wheels extend LD_LIBRARY_PATH when Python starts."""
+"""The variable whose absence makes the ROS wheels extend LD_LIBRARY_PATH when Python starts."""
 
 _PREFIXES, _PACKAGES, _LIBRARIES = "AMENT_PREFIX_PATH", "PYTHONPATH", "LD_LIBRARY_PATH"
 
@@ -32,15 +32,15 @@ _MARKS = {
     _LIBRARIES: ("librcl.so",),
     _PREFIXES: ("share/rclpy", "lib/librcl.so"),
 }
-"""The files by which a folder on each of these paths would replace our rclpy."""
+"""Files that identify, for each variable, a folder that would replace our rclpy."""
 
 
 def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
-    """Prepare the environment for the import of rclpy; return a note on what was removed, or "".
+    """Prepare the environment for the import of rclpy; return a note on the changes, or "".
 
-    If another ROS precedes ours, call `before_restart`, restart the process without that ROS, and
-    return in the new process. Unless the user has chosen otherwise, also limit discovery to this
-    machine and announce this process more often.
+    If another ROS precedes ours, call `before_restart` and restart the process without that ROS;
+    `prepare` returns the note in the new process. Unless the user has chosen otherwise, also limit
+    discovery to this machine and announce this process more often.
     """
     note = os.environ.pop(_NOTE, "")
     if _has_own_rclpy():
@@ -58,10 +58,10 @@ def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
 
 
 def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[dict[str, str], str]:
-    """Return the environment for processes whose ROS is below `prefix`, and what was removed.
+    """Return the environment for processes with the ROS below `prefix`, and a note on the changes.
 
-    Of a sourced ROS of the same distribution, only folders with another rclpy are removed; message
-    packages of overlays stay. Of another distribution, everything is removed.
+    If the sourced ROS is of the same distribution, only folders with another rclpy are removed;
+    message packages of overlays stay. If its distribution differs, all its folders are removed.
     """
     distro = environment.get("ROS_DISTRO", "")
     cleaned = dict(environment)
@@ -123,7 +123,7 @@ def _entries(environment: Mapping[str, str], variable: str) -> list[str]:
 
 
 def _is_marked(entry: str, variable: str) -> bool:
-    # Unlike Path.exists, os.path.exists is False for the folder of a user who hides it.
+    # os.path.exists returns False for a folder without permission; Path.exists would raise.
     return any(os.path.exists(os.path.join(entry, mark)) for mark in _MARKS[variable])
 
 

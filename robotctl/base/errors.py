@@ -1,17 +1,17 @@
-"""The errors that users can see; each class has its own exit code.
+"""The errors that users can see, with the exit code of each class.
 
+The text of an error says what happened and what to do about it.
     RobotctlError            1   internal, unexpected
     |-- UsageError           2   a wrong argument
     |   `-- ConfigError      2   a wrong configuration file or key
     |-- NoDaemon             3   no daemon answers for this robot
     |-- Refused              4   a condition does not hold; nothing was changed
+    |-- NotSealed            4   no signature proves the origin of a recording
     |-- AlreadyRunning       5   another process owns this robot
-    |-- UnreadableFile       6   nothing can be read from the file
+    |-- UnreadableFile       6   nothing, or not everything, can be read from the file
     |-- Divergence           7   a re-run decided differently from the recording
     |-- RecoveredWithLoss    8   a file was recovered, but not all of it
     `-- Interrupted        130   ended by Ctrl-C or a signal
-
-The text of an error says what happened and what to do about it.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from typing import Any, ClassVar
 INTERRUPTED_EXIT_CODE = 130
 
 IN_PARENTHESES = "{cause} ({cure})"
-"""The form of a sentence with the cure in parentheses after the cause."""
+"""The format of an error text with the cure in parentheses after the cause."""
 
 
 class RobotctlError(Exception):
     """The base class; raised itself for an internal error of robotctl.
 
-    `str(error)` is the sentence for people. `cause` is what happened, and `cure` what to do about
-    it; if `cure` is empty, `cause` may contain both. `answer` is the partial result: the numbers
-    of a drive that was stopped, or the readable part of a damaged file.
+    `str(error)` is the text for people. `cause` says what happened, and `cure` what to do about it;
+    if `cure` is empty, `cause` may contain both. `answer` is the partial result: the numbers of a
+    drive that was stopped, or the readable part of a damaged file.
     """
 
     exit_code: ClassVar[int] = 1
@@ -45,14 +45,14 @@ class RobotctlError(Exception):
         sentence: str = "{cause}: {cure}",
         answer: Mapping[str, Any] | None = None,
     ) -> None:
-        """Make the text of `cause` and `cure`, joined in the form of `sentence`."""
+        """Format the text from `cause` and `cure` with `sentence`; without a cure it is `cause`."""
         super().__init__(sentence.format(cause=cause, cure=cure) if cure else cause)
         self.cause = cause
         self.cure = cure
         self.answer: Mapping[str, Any] = answer or {}
 
     def details(self) -> dict[str, Any]:
-        """Return what another process gets in addition to exit code and text."""
+        """Return the fields that are sent to another process along with exit code and text."""
         details: dict[str, Any] = {}
         if self.cure:
             details |= {"cause": self.cause, "cure": self.cure}
@@ -104,7 +104,7 @@ class NotSealed(RobotctlError):
 
 
 class AlreadyRunning(RobotctlError):
-    """A start while another process owns the robot's name; the text has its pid."""
+    """A start while another process owns the robot's name; the text names it if it is known."""
 
     exit_code = 5
     kind = "already_running"

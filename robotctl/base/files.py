@@ -1,4 +1,4 @@
-"""Open files and folders of any origin, but no FIFOs and devices. Standard library only."""
+"""Open files and folders of any origin, but refuse FIFOs and devices. Standard library only."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file for reading; a FIFO would wait for a writer, a device may never end.
+    """Open a regular file for reading. A FIFO would wait for a writer; a device may never end.
 
     Raises:
         OSError: The file cannot be opened, or is not a regular file.
@@ -42,7 +42,7 @@ def open_folder(folder: Path) -> Iterator[int]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Force the names in a folder to the disk.
+    """Write the entries of a folder to the disk (fsync).
 
     Raises:
         OSError: It cannot be opened or synced, or is no folder.

@@ -1,4 +1,4 @@
-"""The names of the modes as users write them; imports nothing, for commands that must be quick."""
+"""The names of the modes as users write them. Quick commands need it, so it imports nothing."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ MODES = {"idle": 0, "moving": 1, "error": 2, "emergency-stop": 3}
 
 
 def find_mode(text: str) -> int | None:
-    """Return the number of a mode given by name, in any case, with - or _, or as 0 to 3."""
+    """Return the number of the mode with this name (any case, - or _) or number, or None."""
     given = text.strip().lower().replace("_", "-")
     for name, number in MODES.items():
         if given in (name, str(number)):

@@ -1,4 +1,4 @@
-"""A process of robotctl: its standard streams, its limit of open files, the signals that end it."""
+"""This process: its standard streams, its limit of open files, and the signals that end it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 def open_standard_streams() -> None:
     """Open /dev/null in place of each standard stream that is closed.
 
-    Otherwise a socket or file would get its descriptor, and output to stderr would go there.
+    Otherwise the next socket or file would get descriptor 0, 1 or 2, and output would go there.
     """
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(descriptor, True)
@@ -20,15 +20,15 @@ def open_standard_streams() -> None:
 
 
 LEAST_OPEN_FILES: Final = 128
-"""With fewer, a daemon does not start: without a free one it could answer no client."""
+"""A daemon refuses to start with a lower limit: without a free descriptor it accepts no client."""
 
 ENOUGH_OPEN_FILES: Final = 256
 MORE_OPEN_FILES: Final = "raise the limit with ulimit -n 1024, or LimitNOFILE in a unit"
 
 
 def end_signals() -> asyncio.Event:
-    """Return an event that SIGINT, SIGTERM and, unless ignored as by nohup, SIGHUP set."""
-    import asyncio  # here: a quick command opens its streams without them
+    """Return an event that SIGINT and SIGTERM set, and SIGHUP unless it is ignored (nohup)."""
+    import asyncio  # here: quick commands import this module, but not asyncio
     import signal
 
     numbers = [signal.SIGINT, signal.SIGTERM]

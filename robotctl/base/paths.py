@@ -15,15 +15,15 @@ MAX_SOCKET_PATH_BYTES = 107
 
 MAX_ROBOT_NAME_LENGTH = 48
 SHARED_FOLDER = Path("/tmp")
-"""The place for sockets if RUNTIME_VARIABLE is not set; every user may create folders in it."""
+"""The folder of `robotctl-UID` if RUNTIME_VARIABLE is not set; every user may write to it."""
 
 RUNTIME_VARIABLE = "XDG_RUNTIME_DIR"
 STATE_VARIABLE = "XDG_STATE_HOME"
 ROBOT_VARIABLE = "ROBOTCTL_ROBOT"
-"""The default of `--robot`, as an environment variable."""
+"""The environment variable with the default of `--robot`."""
 
 LEASE_VARIABLE = "ROBOTCTL_LEASE"
-"""The token of a lease: who has it acts for the holder."""
+"""The environment variable with a lease token; requests with this token count as the holder's."""
 
 _NAMESPACE_PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ROBOT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -33,7 +33,7 @@ def check_robot_name(name: str) -> str:
     """Return `name` if it can be a ROS namespace and a file name.
 
     Raises:
-        UsageError: It cannot.
+        UsageError: `name` cannot be both.
     """
     if len(name) > MAX_ROBOT_NAME_LENGTH or not _ROBOT_NAME.fullmatch(name) or "__" in name:
         raise UsageError(
@@ -64,13 +64,13 @@ def check_namespace(text: str) -> str:
 
 
 def runtime_folder() -> Path:
-    """Return the folder of sockets and locks, which is private and may be lost in a reboot."""
+    """Return the private folder of sockets and locks; a reboot may delete it."""
     base = os.environ.get(RUNTIME_VARIABLE) or SHARED_FOLDER / f"robotctl-{os.getuid()}"
     return Path(base) / "robotctl"
 
 
 def unit_runtime_base(robot: str) -> Path:
-    """Return what RUNTIME_VARIABLE is for a daemon that a unit of the machine starts."""
+    """Return the value of RUNTIME_VARIABLE for a daemon that a systemd system unit starts."""
     return SYSTEM_RUNTIME / f"{UNIT_PREFIX}{robot}"
 
 
@@ -90,7 +90,7 @@ def state_folder() -> Path:
 def chain_to(folder: Path) -> FolderChain:
     """Return the folders to check before a file in `folder` is trusted.
 
-    For a folder outside those of this module, it is that folder alone.
+    A folder outside `runtime_folder` and `state_folder` is checked without its parents.
     """
     runtime = runtime_folder()
     if folder.is_relative_to(runtime):
@@ -101,7 +101,7 @@ def chain_to(folder: Path) -> FolderChain:
 
 
 def make_private(folder: Path) -> Path:
-    """Create `folder` for this user alone, and return it.
+    """Create `folder` with access for this user only, and return it.
 
     Raises:
         UsageError: Another user could change it, or it cannot be created.
@@ -126,7 +126,7 @@ def socket_path(robot: str) -> Path:
 
 
 def lock_path(robot: str) -> Path:
-    """Return the path of the lock file, whose flock owner is the robot's only daemon.
+    """Return the path of the lock file; the process that holds its flock is the robot's daemon.
 
     The file contains the pid of the owner.
     """

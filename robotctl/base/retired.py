@@ -1,9 +1,9 @@
-"""What earlier versions had and this one has not, with what a user does instead.
+"""Features of earlier versions that were removed, each with what a user does instead.
 
-A retired command or option is refused with that sentence, a retired key of a configuration gives
-one warning and is ignored, and a retired field of a journal at its default changes no verdict.
-Each row stays for one version, but those of journals, which are read for as long as there are
-recordings.
+A retired command or option is refused with that text. A retired configuration key causes one
+warning and is ignored. A retired journal field is ignored if it has its default.
+An entry is kept for one version; an entry about journals is kept forever, because old recordings
+stay readable.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 COMMANDS: Mapping[str, str] = {}
-"""Commands, as typed after `robotctl`, with what replaces them."""
+"""Removed commands, as typed after `robotctl`, with what replaces them."""
 
 OPTIONS: Mapping[tuple[str, str], str] = {
     ("replay", "--force"): "--original-names publishes where a daemon runs, and --force-types "
@@ -21,24 +21,24 @@ OPTIONS: Mapping[tuple[str, str], str] = {
     ("view", "--at"): "Foxglove and Lichtblick open the .mcap file themselves",
     ("report", "--compare"): "use: robotctl gate RECORDINGS --baseline FILE",
 }
-"""Options by command (`replay`, `boot install`), with what replaces them."""
+"""Removed options as (command, option), with what replaces them."""
 
 ARGUMENTS: Mapping[str, str] = {
     "view": "Foxglove and Lichtblick open the .mcap file themselves; or use: robotctl report FILE",
     "doctor": "docs/tutorial.md has the usual mistakes of a first ROS 2 package, with their cures",
 }
-"""Commands that had an argument, with what replaces it."""
+"""Commands that no longer accept an argument, with what replaces the argument."""
 
 CONFIG_KEYS: Mapping[str, str] = {
     "shadow": "compare other parameters on recordings: robotctl replay FILE --what-if KEY=VALUE",
     "standalone": "MOVING needs a robot; robotctl start --sim simulates one",
 }
-"""Dotted keys of configuration files and launch arguments, with what replaces them."""
+"""Removed keys of configuration files and launch arguments, with what replaces them."""
 
 JOURNAL_FIELDS: Mapping[str, object] = {"Snapshot.params.standalone": False}
-"""Fields of a journal's snapshots as `Snapshot.path`, with the default that is ignored."""
+"""Removed fields of a journal's snapshots as `Snapshot.path`, with the default to ignore."""
 
 CAUSES: Mapping[str, str] = {
     "gate lost": "the daemon commands the robot itself, without a gate in another process",
 }
-"""Causes that journals name, with why there is no such cause any more."""
+"""Removed causes that old journals may contain, with the reason for the removal."""

@@ -1,7 +1,7 @@
-"""`--ros-args` of a command line: parameters, files of them, remaps, names, levels of the log.
+"""`--ros-args` of a command line: parameters, parameter files, remaps, names, log levels.
 
 The syntax is that of rcl (https://design.ros2.org/articles/ros_command_line_arguments.html). Each
-argument is checked here, so that a wrong one is named before a node exists.
+argument is checked here, so that the error about a wrong one comes before a node exists.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ LEVELS: Final = {"DEBUG": 10, "INFO": 20, "WARN": 30, "ERROR": 40, "FATAL": 50}
 """The numbers of rcl_interfaces/msg/Log, which are also those of `logging`."""
 
 UNSET: Final = 0
-"""The level of a logger that takes the level of its parent."""
+"""The level of a logger that inherits the level of its parent."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogLevel:
-    """A level for a logger; `logger` is "" for all that have no level of their own."""
+    """The level of a logger; `logger` "" means all loggers whose level is not set separately."""
 
     logger: str
     level: int
 
 
 def read_log_level(text: str) -> LogLevel:
-    """Return the meaning of a `--log-level LEVEL` or `--log-level LOGGER:=LEVEL`.
+    """Parse the value of `--log-level`, which is LEVEL or LOGGER:=LEVEL.
 
     Raises:
         UsageError: The text has another form, or there is no such level.
@@ -44,7 +44,7 @@ def read_log_level(text: str) -> LogLevel:
 
 
 def level_name(level: int) -> str:
-    """Return the name of the highest ROS level up to this one, "UNSET" below all."""
+    """Return the name of the highest ROS level that is at most `level`, or "UNSET"."""
     return max((each, name) for name, each in {"UNSET": UNSET, **LEVELS}.items() if each <= level)[
         1
     ]
@@ -65,7 +65,7 @@ _TAKEN = (
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """A parameter of `-p [NODE:]KEY:=VALUE`; `node` is "" for all, `text` is YAML."""
+    """A parameter from `-p [NODE:]KEY:=VALUE`; `node` "" means all nodes, `text` is YAML."""
 
     node: str
     key: str
@@ -74,14 +74,14 @@ class Assignment:
 
 @dataclass(frozen=True, slots=True)
 class Remap:
-    """A rule of `-r [NODE:]FROM:=TO`; `node` is "" for all."""
+    """A remapping rule from `-r [NODE:]FROM:=TO`; `node` "" means all nodes."""
 
     node: str
     source: str
     target: str
 
     def argument(self) -> str:
-        """Return the rule as it stands on a command line."""
+        """Return the rule as a command-line argument, without `-r`."""
         return (
             f"{self.node}:{self.source}:={self.target}"
             if self.node
@@ -91,10 +91,10 @@ class Remap:
 
 @dataclass(frozen=True, slots=True)
 class RosArguments:
-    """What the arguments say, in their order; `namespace` is None where they name none.
+    """The parsed arguments in their order; `namespace` is None if no argument sets it.
 
-    `settings` holds parameters and files of parameters; a later one wins. `node_names` maps the
-    usual name of a node to the new one, with "" for every node. Of `log_levels` a later one wins.
+    `settings` holds parameters and parameter files. In `settings` and `log_levels`, later items
+    override earlier ones. `node_names` maps a node's usual name to the new one; "" is every node.
     """
 
     settings: tuple[Assignment | Path, ...] = ()
@@ -108,7 +108,7 @@ NO_ARGUMENTS = RosArguments()
 
 
 def split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return a command line without its `--ros-args` sections, and the words of those sections."""
+    """Return a command line without `--ros-args` sections, and the words in those sections."""
     others: list[str] = []
     ros: list[str] = []
     inside = False
@@ -123,10 +123,10 @@ def split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def with_log_levels(arguments: Sequence[str]) -> list[str]:
-    """Return a command line whose `--log-level LEVEL` stand in a `--ros-args` section, for rcl.
+    """Return a command line with each `--log-level LEVEL` moved to a `--ros-args` section, for rcl.
 
     Raises:
-        UsageError: There is no such level.
+        UsageError: A level is not allowed.
     """
     others: list[str] = []
     levels: list[str] = []
@@ -145,7 +145,7 @@ def with_log_levels(arguments: Sequence[str]) -> list[str]:
 
 
 def parse(words: Sequence[str]) -> RosArguments:
-    """Return the meaning of the words of the `--ros-args` sections.
+    """Parse the words in the `--ros-args` sections.
 
     Raises:
         UsageError: An argument is unknown or wrong.
@@ -192,7 +192,7 @@ def _options(words: Sequence[str]) -> Iterator[tuple[str, str]]:
 
 
 def _rule(option: str, value: str) -> tuple[str, str, str]:
-    """Return node, left and right side of `[NODE:]LEFT:=RIGHT`."""
+    """Split `[NODE:]LEFT:=RIGHT` into (NODE or "", LEFT, RIGHT)."""
     left, sign, right = value.partition(":=")
     node, colon, name = left.rpartition(":")
     if not sign or not name or (colon and not _NODE.fullmatch(node)):
@@ -201,7 +201,7 @@ def _rule(option: str, value: str) -> tuple[str, str, str]:
 
 
 def _namespace(text: str) -> str:
-    """Return a namespace as robotctl keeps it: /NAME, or "" for the root."""
+    """Return a namespace in the form /NAME, or "" for the root."""
     full = text if text.startswith("/") else f"/{text}"
     if not _NAMESPACE.fullmatch(full) or "__" in full:
         raise _wrong(

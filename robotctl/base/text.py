@@ -11,7 +11,7 @@ _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 def printable(text: object) -> str:
-    """Return `text` on one line, with all other than printable characters escaped."""
+    """Return `text` on one line, with non-printable characters escaped."""
     line = str(text)
     if line.isprintable():
         return line
@@ -25,5 +25,5 @@ def short_name(name: str) -> str:
 
 
 def without_colours(text: str) -> str:
-    """Return the text without escape sequences for colours, which libraries add."""
+    """Return `text` without the ANSI colour sequences that libraries add."""
     return _COLOUR.sub("", text)

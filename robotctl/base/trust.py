@@ -17,21 +17,21 @@ from robotctl.base.errors import UsageError
 ROOT_UID: Final = 0
 
 SYSTEM_RUNTIME: Final = Path("/run")
-"""Where root alone makes folders: the unit of a robot gets `robotctl-ROBOT` there."""
+"""Only root creates folders here, such as `robotctl-ROBOT` for the systemd unit of a robot."""
 
 UNIT_PREFIX: Final = "robotctl-"
 
 PRIVATE_MODE: Final = 0o700
 
 SHARED_MODE: Final = 0o750
-"""The mode of a folder with sockets that a group may use; the group can replace nothing in it."""
+"""The mode of a socket folder for a group: its members can connect, but replace nothing."""
 
 OVERFLOW_UID: Final = 65534
-"""The uid of every user that a container does not know (user_namespaces(7))."""
+"""The uid that a container shows for each user without a mapping (user_namespaces(7))."""
 
 
 class FolderChain:
-    """The folders from `base`, the value of `variable` if it is set, down to `folder`.
+    """The folders from `base` down to `folder`; the environment variable `variable` sets `base`.
 
     Folders above `base` are not checked: they belong to the system, or the user chose them.
     """
@@ -52,10 +52,10 @@ class FolderChain:
         self._trusted = (ROOT_UID, os.getuid(), guest)
 
     def for_client(self) -> FolderChain:
-        """Return the chain for a client, which may also use these folders of another user.
+        """Return the chain for a client; if `variable` is set, it may trust the owner of `base`.
 
-        Root may use each: `sudo -E robotctl estop` stops the robot of the user who runs it.
-        Everyone may use the folder that root has made for a unit of the machine.
+        Root trusts any owner: `sudo -E robotctl estop` stops the robot of the user who runs it.
+        Other users trust the owner if `base` is a folder that root created for a system unit.
         """
         if not os.environ.get(self.variable):
             return self
@@ -68,7 +68,7 @@ class FolderChain:
         return FolderChain(self.base, self.folder, self.variable, guest)
 
     def trusts(self, uid: int) -> bool:
-        """Return whether a user is trusted: this user, root and the owner of a client's folder."""
+        """Return whether `uid` is root, this user, or the owner that `for_client` added."""
         return uid in self._trusted
 
     def check(self) -> None:
@@ -83,9 +83,9 @@ class FolderChain:
             self._check(path)
 
     def make(self) -> None:
-        """Create missing folders for this user alone, and make `folder` private.
+        """Create missing folders with access for this user only, and make `folder` private.
 
-        With `may_be_shared`, a folder that another robot of this user shares with a group stays so.
+        With `may_be_shared`, a `folder` that already has SHARED_MODE keeps it.
 
         Raises:
             UsageError: Another user could change one of the folders, `folder` belongs to another
@@ -108,7 +108,7 @@ class FolderChain:
             self.folder.chmod(PRIVATE_MODE)
 
     def group_writable(self) -> list[str]:
-        """Return a warning for each folder that a group can change.
+        """Return a warning for each folder that members of a group can change.
 
         The private group of a user, whose gid equals the uid, is ignored.
         """
@@ -123,7 +123,7 @@ class FolderChain:
         ]
 
     def _is_of_a_unit(self) -> bool:
-        """Return whether only root can have made `base`, for the user to whom it belongs."""
+        """Return whether `base` is a unit's runtime folder, which only root can have created."""
         if self.base.parent != SYSTEM_RUNTIME or not self.base.name.startswith(UNIT_PREFIX):
             return False
         above = SYSTEM_RUNTIME.stat()
@@ -159,7 +159,7 @@ class FolderChain:
 
 
 def user_text(uid: int) -> str:
-    """Return how a message names the user with this uid."""
+    """Return the name for a user in messages: the uid, with an explanation if it is unmapped."""
     if uid == OVERFLOW_UID:
         return f"uid {uid} (nobody, or a user that this container does not know)"
     return f"uid {uid}"

@@ -1,4 +1,4 @@
-"""What to say about a name that is neither on ROS nor in a recording."""
+"""Error texts for names that are neither on ROS nor in a recording."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from robotctl.base.text import printable, short_name
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> tuple[str, str]:
-    """Return cause and cure for a `kind` (topic, node, service) that no node has announced."""
+    """Return cause and cure of the error for a topic, node or service that is not in `known`."""
     names = sorted(each for each in known if "/_" not in each)
     near = get_close_matches(name, names, n=1) or [
         each for each in names if each.endswith(name) or name.endswith(each)
@@ -20,10 +20,10 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> tuple[str, str]:
 
 
 def only_type(name: str, types: Collection[str]) -> str:
-    """Return the type of a topic.
+    """Return the only one of `types`, the types of the topic `name`.
 
     Raises:
-        UsageError: It has several.
+        UsageError: The topic has several types.
     """
     if len(types) == 1:
         return next(iter(types))

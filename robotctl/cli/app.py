@@ -16,7 +16,7 @@ from robotctl.base.own_process import open_standard_streams
 def main() -> None:
     """Run the command line of this process, and exit."""
     open_standard_streams()
-    gc.disable()  # imports make no garbage; a search takes a tenth more time
+    gc.disable()  # imports make no garbage; collecting adds a tenth to their time
     sys.exit(run(sys.argv[1:]))
 
 
@@ -25,7 +25,7 @@ def run(arguments: list[str]) -> int:
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
     as_json = _wants_json(arguments)  # before a parser consumes the list
-    # They are None in a process that was started with them closed.
+    # Python sets a stream to None if it was closed when the process started.
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
@@ -71,7 +71,7 @@ def _wants_json(arguments: list[str]) -> bool:
 
 
 ENDS_OF_OPTIONS = ("--", "--ros-args")
-"""Words after which no option of the command may stand."""
+"""The words that end the options of the command."""
 
 
 def behind_the_command(arguments: list[str]) -> list[str]:

@@ -75,7 +75,7 @@ ProfileName = Annotated[
 
 
 def given_options(context: typer.Context) -> dict[str, str]:
-    """Return how each parameter that the user typed is spelt, by its name: `{"rate": "--rate"}`."""
+    """Return the option of each parameter that the user typed, such as `{"rate": "--rate"}`."""
     given = {}
     for parameter in context.command.params:
         name = parameter.name or ""

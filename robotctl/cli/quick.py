@@ -60,7 +60,7 @@ def estop(robot: str, as_json: bool, reason: str = "", every: bool = False) -> N
     """Latch the emergency stop, of `every` robot of this user or of one.
 
     Raises:
-        UsageError: The reason was left out: it is not allowed.
+        UsageError: The reason is not allowed; the robot was stopped without it.
         RobotctlError: A robot was not stopped.
     """
     if every:
@@ -79,7 +79,7 @@ def estop(robot: str, as_json: bool, reason: str = "", every: bool = False) -> N
 
 
 def _others_than(robot: str) -> dict[str, list[str]]:
-    """Return the names of other robots that move, and of those that do not answer."""
+    """Return the names of other robots that move, and of those that do not report a status."""
     from robotctl.cli.targets.robots import others_than
 
     found = others_than(robot)
@@ -106,7 +106,7 @@ def _estop_all(as_json: bool, reason: str) -> None:
 
 
 def _stopped(command: str, robot: str, reason: str) -> tuple[ModeAnswer, UsageError | None]:
-    """Stop the robot in any case; return what is wrong with the reason as well."""
+    """Stop the robot, even with a wrong reason; return the answer, and that error or None."""
     params, problem = _asked_by_or_why_not(command, reason)
     return call(robot, SET_MODE, {"mode": EMERGENCY_STOP_MODE, **params}), problem
 

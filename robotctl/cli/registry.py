@@ -53,7 +53,7 @@ COMMANDS = tuple(name for names in SECTIONS.values() for name in names)
 
 
 def module_of(command: str) -> str:
-    """Return the module of a command below `commands`: in the folder of its section."""
+    """Return a command's module, relative to `commands`: it is in the folder of its section."""
     section = next(title for title, names in SECTIONS.items() if command in names)
     folder = section.removeprefix("The ").lower().replace(" ", "_")
     return f"{folder}.{command.replace('-', '_')}"
@@ -87,11 +87,11 @@ OTHER_WORDS = {
     "check": "`robotctl replay FILE --check` checks a recording",
     "figure8": "`robotctl drive figure-eight`",
 }
-"""The words that people bring from ros2 and other tools, with the command that does it here."""
+"""Words of ros2 and other tools, with the commands of robotctl that do the same."""
 
 
 def other_words() -> dict[str, str]:
-    """Return OTHER_WORDS, and those of `robotctl drive`."""
+    """Return OTHER_WORDS, and the motions of `robotctl drive`."""
     from robotctl.cli.commands.robot.drive import MOTIONS
 
     return OTHER_WORDS | {word: f"`robotctl drive {word}`" for word in MOTIONS}
@@ -121,7 +121,7 @@ class LazyGroup(TyperGroup):
         """Return the command of that name, or None; an unknown name loads all, for a suggestion.
 
         Raises:
-            UsageError: The word is one of ros2 or of another tool; the error names ours.
+            UsageError: The word is retired, or of ros2 or another tool; the error names ours.
         """
         if cmd_name not in COMMANDS:
             if cmd_name in retired.COMMANDS:

@@ -1,7 +1,7 @@
 """The catalogue of a folder: the indexes of all its recordings in one file, without the samples.
 
-Opening 10,000 small files takes seconds; the catalogue is read at once, and holds what it was made
-from: only what has changed since then is read again.
+Opening 10,000 small files takes seconds; the catalogue is one file. It stores the stamp of each
+recording, so only changed recordings are indexed again.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ Failures = dict[Path, str]
 def index_recordings(
     recordings: Sequence[Path], on_progress: Done = lambda done, total: None
 ) -> Failures:
-    """Index recordings, a process per processor, and return those that failed."""
-    # A question about indexed recordings needs neither processes nor the kernel.
+    """Index recordings, in one process per CPU; return the failed ones, each with the reason."""
+    # Imported here: a question about indexed recordings needs neither processes nor the kernel.
     from robotctl.collection.indexing import index_recording
     from robotctl.collection.jobs import local_processes, results_of
 
@@ -55,10 +55,10 @@ def index_recordings(
 
 
 MAX_ROWS: Final = 10_000_000
-"""Rows of a catalogue, without samples: a month of a robot has some 100,000."""
+"""Limit on a file's rows other than samples; a month of one robot has about 100,000."""
 
 Stamps = dict[str, str]
-"""The stamp of each recording, by its name."""
+"""The stamp of each recording (see `stamp_of`), by the recording's name."""
 
 _TYPES_IN_FILES: Final = {
     "VARCHAR": "BYTE_ARRAY UTF8",
@@ -67,11 +67,11 @@ _TYPES_IN_FILES: Final = {
     "FLOAT": "FLOAT ",
     "BOOLEAN": "BOOLEAN ",
 }
-"""Physical and converted type in Parquet."""
+"""SQL type -> physical and converted type in Parquet."""
 
 
 def stamps_in(path: Path | str) -> Stamps:
-    """Return the stamps of the recordings in an index or a catalogue; none of one that is wrong.
+    """Return the stamps of the recordings in an index or a catalogue, {} if the file is wrong.
 
     Raises:
         UsageError: duckdb is not installed.
@@ -80,10 +80,10 @@ def stamps_in(path: Path | str) -> Stamps:
 
 
 def stamps_of_each(paths: Sequence[Path | str]) -> list[Stamps]:
-    """Return the stamps of the recordings in each file; none of a file that is wrong.
+    """Return the stamps of the recordings in each file, {} for a wrong file.
 
-    A file is wrong if it cannot be read, is a link, has another layout, or over `MAX_ROWS` rows
-    other than samples.
+    A file is wrong if it cannot be read, is a link, has another layout, or has more than
+    `MAX_ROWS` rows other than samples.
 
     Raises:
         UsageError: duckdb is not installed.
@@ -103,9 +103,9 @@ def _is_file(path: Path) -> bool:
 def _collect(
     connection: DuckDBPyConnection, paths: Sequence[str], found: dict[str, Stamps]
 ) -> None:
-    """Add the stamps in these files, all at once: one after the other takes ten times as long.
+    """Add the stamps in all files to `found` by one query: one per file takes ten times as long.
 
-    Unreadable files are found by bisection.
+    If the query fails, the list is bisected to skip the unreadable files.
     """
     import duckdb
 
@@ -124,7 +124,7 @@ def _collect(
 
 
 def _well_formed(connection: DuckDBPyConnection, paths: Sequence[str]) -> list[str]:
-    """Return the files of the right layout."""
+    """Return the files whose columns are those of an index."""
     columns = {f"{name} {_TYPES_IN_FILES[kind]}" for name, kind in table_columns().items()}
     known = ", ".join(map(text, columns))
     column = "name || ' ' || type || ' ' || coalesce(converted_type, '')"
@@ -139,7 +139,7 @@ def _well_formed(connection: DuckDBPyConnection, paths: Sequence[str]) -> list[s
 def _verified_stamps(
     connection: DuckDBPyConnection, paths: Sequence[str]
 ) -> list[tuple[str, object, object]]:
-    """Return file, recording and stamp of each row of a recording."""
+    """Return file, recording and stamp of each 'recording' row; skip files over `MAX_ROWS`."""
     source = parquet(paths, ", filename = true")
     counted = connection.execute(
         f"SELECT filename, count(*) FROM {source} WHERE kind <> 'sample' GROUP BY filename"
@@ -155,12 +155,12 @@ def _verified_stamps(
 def write_catalogue(
     targets: Iterable[Path], before: str | None, kept: Collection[str], indexes: Sequence[Path]
 ) -> Path:
-    """Write a catalogue: of the one before, the recordings `kept`, and the indexes.
+    """Write a catalogue of the recordings `kept` from the catalogue `before`, and of `indexes`.
 
     Returns the first of `targets` that can be written.
 
     Raises:
-        Refused: None of them.
+        Refused: None of them can be written.
     """
     parts = []
     if before is not None:
@@ -194,8 +194,8 @@ NOT_ALLOWED: Final = "this user may not read it"
 class Catalogue:
     """A catalogue that is up to date: its file, and the path of each recording's index.
 
-    `left_out` has a sentence for each recording that is missing, or missing in part because it
-    goes on. `failures` are those that cannot be indexed, each with the reason.
+    `left_out` has a sentence for each recording that is missing, or missing in part because it is
+    still being recorded. `failures` are those that cannot be indexed, each with the reason.
     """
 
     path: Path
@@ -208,14 +208,14 @@ class Catalogue:
 def catalogue_of(
     folder: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Iterator[Catalogue]:
-    """Index what has changed in a folder, and yield its catalogue.
+    """Index the changed recordings of a folder, and yield the folder's catalogue.
 
-    Where the folder cannot be written, or its disk is full, the catalogue is a file that exists for
-    the block only.
+    If the folder cannot be written or its disk is full, the catalogue is a temporary file that is
+    removed after the block.
 
     Raises:
         OSError: The folder cannot be listed.
-        Refused: The catalogue cannot be written anywhere, or the folder has an impossible name.
+        Refused: The catalogue cannot be written anywhere, or the folder's path is not UTF-8.
         UsageError: duckdb is not installed.
     """
     path = folder / CATALOGUE_NAME
@@ -258,7 +258,7 @@ def _is_text(path: str) -> bool:
 
 
 def _opened(path: Path, stack: ExitStack) -> str | None:
-    """Return the path of an open catalogue, which holds if another process replaces it."""
+    """Open a catalogue; return a path that stays valid if another process replaces the file."""
     try:
         if path.is_symlink():
             return None
@@ -268,10 +268,10 @@ def _opened(path: Path, stack: ExitStack) -> str | None:
 
 
 def _stamps(folder: Path, known: Stamps) -> tuple[Stamps, list[str]]:
-    """Return the stamp of each recording directly below a folder, and what is left out.
+    """Return the stamp of each recording directly below a folder, and sentences on those left out.
 
-    Only a recording whose stamp is not the one `known` can go on: then it is that of its closed
-    files. Links are not followed.
+    A recording with its `known` stamp is complete. If another one is still being recorded, its
+    stamp covers its closed files only. Links are not followed.
     """
     stamps: Stamps = {}
     left_out = []

@@ -1,4 +1,4 @@
-"""The gate's jobs on the workers of a Dask cluster, which may come, go and be killed."""
+"""Runs the gate's jobs on a Dask cluster, whose workers may join, leave or be killed meanwhile."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
 
 
 CONNECT_S: Final = 10.0
-"""How long the gate waits for a scheduler at first."""
+"""How long the gate waits for its first connection to the scheduler."""
 
 PATIENCE_S: Final = 60.0
-"""How long it waits for a lost scheduler and for the first worker; a restart takes up to that."""
+"""How long the gate waits for a lost scheduler, and for a first worker: a restart may last this."""
 
 _CHECK_S: Final = 5.0
-"""Without an answer for this time, the gate asks whether there are still workers."""
+"""After this time without an answer, the gate checks whether there are still workers."""
 
 _ADDRESS = re.compile(r"(?:tcp|tls)://(?P<host>[^/\s]+|\[[^]\s]+\]):(?P<port>\d{1,5})")
 
 
 class Cluster:
-    """The workers of the scheduler at an address; all of them see the files in `place`."""
+    """The workers of the Dask scheduler at an address; each must see the folder `place`."""
 
     def __init__(
         self,
@@ -48,10 +48,10 @@ class Cluster:
         connect_s: float = CONNECT_S,
         patience_s: float = PATIENCE_S,
     ) -> None:
-        """Check the address; nothing is connected yet.
+        """Check the address, without connecting yet.
 
         Raises:
-            UsageError: It is no address of a scheduler, or Dask is not installed.
+            UsageError: The address is not tcp:// or tls://HOST:PORT, or Dask is not installed.
         """
         found = _ADDRESS.fullmatch(address)
         if found is None or int(found["port"]) > 65535:
@@ -69,7 +69,7 @@ class Cluster:
         self._patience_s = patience_s
 
     def judge(self, judging: Judging, recordings: Sequence[Path], on_progress: Done) -> Answers:
-        """Do the jobs of a gate; a scheduler that was restarted gets those that are left.
+        """Judge recordings on the workers; a restarted scheduler gets the unfinished ones again.
 
         Raises:
             Refused: The scheduler or its workers are gone for too long, or a worker has another
@@ -85,7 +85,7 @@ class Cluster:
                     connect_s = self._patience_s
                     try:
                         self._check(client, judging, token)
-                    except OSError:  # it is gone again
+                    except OSError:  # the scheduler is gone again
                         continue
                     for path, answer in _answers(client, judged, list(left)):
                         del left[path]
@@ -115,12 +115,12 @@ class Cluster:
                 yield client
 
     def _wait_for_port(self, seconds: float) -> None:
-        """Wait until a scheduler answers there: a client of Dask that fails is noisy."""
+        """Wait until the scheduler's port answers: a Dask client that cannot connect logs a lot."""
         until = time.monotonic() + seconds
         while True:
             try:
                 with socket.create_connection(self._endpoint, timeout=seconds) as connection:
-                    # A scheduler speaks first; for one that does not, a client waits without end.
+                    # A scheduler sends first; if the server does not, a Dask client waits forever.
                     if self._address.startswith("tcp:") and not connection.recv(1):
                         raise ConnectionError("it closes the connection")
             except OSError as error:
@@ -131,11 +131,11 @@ class Cluster:
                 return
 
     def _check(self, client: Client, judging: Judging, token: str) -> None:
-        """Refuse the cluster, and name the unsuitable worker."""
+        """Raise Refused if a worker is unsuitable; the error names the worker."""
         asked = str(self._place), str(judging.store), token
         found = client.run(_state, *asked, on_error="return")
         for worker, state in found.items():
-            if isinstance(state, OSError):  # it has ended; others get its jobs
+            if isinstance(state, OSError):  # the worker has ended; others get its jobs
                 continue
             if isinstance(state, RobotctlError):
                 raise Refused(f"the worker {worker} does not see it: {state.cause}", state.cure)
@@ -169,9 +169,9 @@ class Cluster:
 def _answers(
     client: Client, judged: Callable[[Path], Judged], recordings: Sequence[Path]
 ) -> Answers:
-    """Yield what is answered until all is, or the scheduler or all workers are gone.
+    """Yield each answer; stop early if the scheduler has restarted or no worker is left.
 
-    Dask connects again to a scheduler that was restarted, but what was on its way is lost to it.
+    Dask reconnects to a restarted scheduler, but the jobs that were submitted before are lost.
     """
     if not (scheduler := _scheduler(client)):
         return
@@ -206,7 +206,7 @@ def _answers(
 
 
 def _scheduler(client: Client) -> str:
-    """Return which scheduler the client is connected to, "" if none or one without workers."""
+    """Return the id of the connected scheduler, "" if there is none or it has no workers."""
     try:
         info = client.scheduler_info() if client.status == "running" else {}
     except OSError:
@@ -215,7 +215,7 @@ def _scheduler(client: Client) -> str:
 
 
 class _State(NamedTuple):
-    """What a worker is and sees."""
+    """The software of a worker, and whether it sees the recordings and the results."""
 
     software: str
     name: str
@@ -224,7 +224,7 @@ class _State(NamedTuple):
 
 
 def _state(place: str, results: str, token: str) -> _State:
-    """Return, in a worker, its software, and whether it sees recordings and results."""
+    """Return the state of this worker; runs in the worker."""
     sees_results = _sees(token, results)
     return _State(software_hash(), software_name(), Path(place).exists(), sees_results)
 
@@ -236,7 +236,7 @@ def _judged(token: str, judging: Judging, path: Path) -> Judged:
 
 
 def _sees(token: str, results: str) -> bool:
-    """Return, in a worker, whether it sees the results of this run of the gate."""
+    """Return whether this worker sees the results of this run of the gate; runs in the worker."""
     return ResultStore(results).has_token(token)
 
 
@@ -249,7 +249,7 @@ def _no_results(worker: str, store: ResultStore) -> Refused:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Dask from logging what the gate handles, or says in a sentence."""
+    """Silence Dask's logs and all warnings: the gate handles or reports these errors itself."""
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
     levels = [logger.level for logger in loggers]
     with warnings.catch_warnings():

@@ -1,4 +1,4 @@
-"""What a judgement follows from: the content of a recording, and the robotctl that judges."""
+"""What a judgement depends on: the content of a recording, and the robotctl that judges."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
 
 
 class BeingWritten(UnreadableFile):
-    """A recording to which a running process still adds."""
+    """A running process is still writing the recording."""
 
 
 @dataclass(frozen=True, slots=True)
 class Content:
     """The content of a recording at one moment.
 
-    `digest` is the SHA-256 over names and contents.
+    `digest` is the SHA-256 over the names and contents of its files.
     """
 
     digest: str
     _marks: tuple[tuple[int, ...], ...]
-    """Size, times of change [ns] and inode of each file on a disk."""
+    """Size, mtime [ns], ctime [ns] and inode of each file."""
 
     def check(self, path: Path) -> None:
-        """Raise what was wrong with reading the recording since then, if anything was.
+        """Check that the files have not changed since the content was read.
 
         Raises:
             OSError: A file is gone or cannot be examined.
@@ -58,7 +58,7 @@ def read_content(path: Path) -> Content:
     """
     digest = hashlib.sha256()
     for file in recording_files(path):
-        with suppress(OSError):  # no locks there; what cannot be opened is told below
+        with suppress(OSError):  # a file system without locks; errors of opening are raised below
             if is_being_written(file):
                 raise BeingWritten(f"{path.name} is being written")
     marks = tuple(_marks(path))
@@ -97,5 +97,5 @@ def software_hash() -> str:
 
 
 def software_name() -> str:
-    """Return the same for people."""
+    """Return the versions of robotctl, Python and the C library as readable text."""
     return f"robotctl {robotctl.__version__} on {MADE_BY}"

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 
 READING: Final = "120MB"
-"""What a question may take; the process needs 60 MB more."""
+"""DuckDB's memory limit for a question; the process needs 60 MB more."""
 
 WRITING: Final = "1GB"
-"""What a file may take that is being written."""
+"""DuckDB's memory limit while it writes a file."""
 
 ABANDONED_S: Final = 3600.0
-"""An unfinished file that has not changed for so long is of a process that was killed."""
+"""An unfinished file that is unchanged for this time was left by a killed process."""
 
 
 @contextmanager
@@ -35,7 +35,7 @@ def database(
 ) -> Iterator[DuckDBPyConnection]:
     """Open a database that may read and write these files, and no others.
 
-    It loads no extension, and what is run in it cannot change that.
+    It loads no extension. Queries cannot change these limits.
 
     Raises:
         UsageError: duckdb is not installed.
@@ -63,13 +63,13 @@ _CLOSED: Final[Mapping[str, str]] = {
     "python_enable_replacements": "false",
     "lock_configuration": "true",
 }
-"""The last one must be last: it lets nothing be set after it."""
+"""`lock_configuration` must be last: after it, nothing can be set."""
 
 
 def write_parquet(
     target: Path, query: str, sources: Sequence[Path | str], options: str = ""
 ) -> None:
-    """Write the rows of a query over the files `sources` as a Parquet file, or nothing.
+    """Write the rows of a query over the files `sources` to `target`, completely or not at all.
 
     Raises:
         OSError: The file cannot be written, or a source cannot be read.
@@ -93,12 +93,12 @@ def write_parquet(
 
 
 def file_of(stream: IO[bytes]) -> str:
-    """Return a path for an open file that holds even if its name is another one's."""
+    """Return a path of an open file that stays valid if the file is renamed or replaced."""
     return f"/proc/self/fd/{stream.fileno()}"
 
 
 def _remove_abandoned(target: Path) -> None:
-    """Remove what processes that were killed have left of this file; and a link in its place."""
+    """Remove unfinished copies of `target` that killed processes left; if it is a link, it, too."""
     with suppress(OSError):
         if target.is_symlink():
             target.unlink()
@@ -108,12 +108,12 @@ def _remove_abandoned(target: Path) -> None:
 
 
 def parquet(paths: Iterable[Path | str], options: str = "") -> str:
-    """Return the rows of Parquet files in SQL, whatever characters their paths have."""
+    """Return SQL for the rows of Parquet files; special characters in the paths are escaped."""
     return f"read_parquet([{patterns(paths)}], hive_partitioning = false{options})"
 
 
 def patterns(paths: Iterable[Path | str]) -> str:
-    """Return paths in SQL for functions that look for patterns in them."""
+    """Return paths as SQL strings, escaped for functions that read paths as glob patterns."""
     return ", ".join(text(_pattern(each)) for each in paths)
 
 
@@ -122,10 +122,10 @@ def _pattern(path: Path | str) -> str:
 
 
 def text(value: object) -> str:
-    """Return the value as a string in SQL."""
+    """Return the value as an SQL string literal."""
     return "'" + str(value).replace("'", "''") + "'"
 
 
 def name(value: str) -> str:
-    """Return a name in SQL, whatever its characters."""
+    """Return the name as a quoted SQL identifier."""
     return '"' + value.replace('"', '""') + '"'

@@ -1,6 +1,6 @@
-"""Judges every recording of a folder, and says whether history lets this robotctl pass.
+"""Judges every recording of a folder with this robotctl, and reports those that fail.
 
-A baseline names what was accepted although the gate names it: by whom, when and why.
+A baseline lists failures that were accepted: by whom, when and why.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from robotctl.collection.judging import Engine, Judging, ResultStore, judge_here
 MAX_BYTES: Final = 64 << 20
 
 FORMAT: Final = 2
-"""A file without this number accepted more than a person had seen."""
+"""The format of a baseline; older files without it could accept changes that no person had seen."""
 
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """One accepted result: of the recording with this hash, this outcome with these settings.
+    """One accepted result: the outcome of the recording with this hash under these settings.
 
-    `outcome` is the hash over all that is wrong or changed; `verdict` and `says` are for people.
+    `outcome` is the hash over all findings; `verdict` and `says` describe it for a reader.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Accepted:
     by: str
     why: str
     at: str
-    """When, as ISO 8601."""
+    """The time of acceptance, ISO 8601."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ _Key = tuple[str, tuple[tuple[str, str], ...], str]
 
 
 class Baseline:
-    """The accepted results of a file: another content, setting or outcome is not accepted."""
+    """The accepted results in a file; content, settings and outcome must all match."""
 
     def __init__(self, accepted: Iterable[Accepted] = ()) -> None:
         self._accepted = {
@@ -75,7 +75,7 @@ class Baseline:
         }
 
     def find(self, result: Judgement) -> Accepted | None:
-        """Return the entry that accepts this result, None if there is none."""
+        """Return the entry that accepts this result, or None."""
         return self._accepted.get(_key(result.recording, result.settings, result.outcome))
 
     def accept(self, name: str, result: Judgement, *, by: str, why: str, at: str) -> None:
@@ -108,7 +108,7 @@ def read_baseline(path: Path) -> Baseline:
     """Return the baseline in a file, an empty one if there is no file.
 
     Raises:
-        ConfigError: It is not a baseline, or one of an older robotctl.
+        ConfigError: The file is not a baseline, or an older robotctl wrote it.
     """
     try:
         with open_regular(path) as opened:
@@ -134,16 +134,16 @@ def _key(recording: str, settings: Mapping[str, str], outcome: str) -> _Key:
 
 
 CHANGED: Final = "changed"
-"""The cause of a recording where other parameters change modes or answers."""
+"""Begins the cause of a recording in which only other parameters change modes or answers."""
 
 
 @dataclass(slots=True)
 class GateReport:
-    """The judgements of the recordings by their paths, in that order.
+    """The judgement of each recording by its path, in the order in which they were given.
 
-    `stored` counts those that were in the store already. `lost` are recordings whose process was
-    killed twice, or whose files cannot be read. `live` are those that are being written: they are
-    left out.
+    `stored` counts the results that were in the store before. `lost` are recordings whose process
+    was killed twice, or that cannot be read. `live` are recordings that are still being written:
+    they are not judged.
     """
 
     results: dict[Path, Judgement] = field(default_factory=dict)
@@ -153,17 +153,17 @@ class GateReport:
     stored: int = 0
 
     def pass_accepted(self, baseline: Baseline) -> None:
-        """Let pass what the baseline accepts."""
+        """Add the results that the baseline accepts to `accepted`."""
         for path, result in self.results.items():
             if (by := baseline.find(result)) is not None:
                 self.accepted[path] = by
 
     def failures(self) -> dict[Path, Judgement]:
-        """Return what closes the gate and is not accepted."""
+        """Return the results that fail the gate and are not accepted."""
         return {path: each for path, each in self._open() if each.verdict in FAILED or each.differs}
 
     def unknown(self) -> dict[Path, Judgement]:
-        """Return what could not be judged completely and is not accepted."""
+        """Return the results that could not be judged completely and are not accepted."""
         return {
             path: each
             for path, each in self._open()
@@ -176,23 +176,23 @@ class GateReport:
         return {verdict: found[verdict] for verdict in VERDICTS}
 
     def causes(self) -> dict[str, list[Path]]:
-        """Return what is not the same by its cause, the most frequent first."""
+        """Return the recordings of `failures` and `unknown` by cause, the most frequent first."""
         wrong = self.failures() | self.unknown()
         return _grouped({path: cause_of(each) for path, each in wrong.items()})
 
     def lost_causes(self) -> dict[str, list[Path]]:
-        """Return what was lost by its reason, the most frequent first."""
+        """Return the lost recordings by reason, the most frequent first."""
         return _grouped(self.lost)
 
     def acceptances(self) -> dict[tuple[str, str, str], list[Path]]:
-        """Return what was accepted, by whom, when and why."""
+        """Return the accepted recordings, grouped by who accepted them, when and why."""
         groups: dict[tuple[str, str, str], list[Path]] = {}
         for path, each in self.accepted.items():
             groups.setdefault((each.by, each.at, each.why), []).append(path)
         return groups
 
     def totals(self) -> Totals | None:
-        """Return what other parameters change in all drives; None if none were asked for."""
+        """Return the totals with other parameters over all drives; None without such results."""
         changes = [each.other for each in self.results.values() if each.other is not None]
         return totals_of(changes) if changes else None
 
@@ -201,7 +201,7 @@ class GateReport:
 
 
 def cause_of(result: Judgement) -> str:
-    """Return the verdict with its cause; that of other parameters where they change something."""
+    """Return the verdict and its cause, or CHANGED and a cause if only other parameters matter."""
     if result.verdict not in FAILED and result.differs:
         failure = None if result.other is None else result.other.failure
         if failure is not None:
@@ -227,11 +227,11 @@ def judge_all(
 ) -> GateReport:
     """Judge recordings; those with a stored result are not judged again.
 
-    Recordings that are being written are left out. Each result is stored as soon as it is there, so
-    a run that is killed goes on where it was.
+    Recordings that are being written are left out. Each result is stored at once, so the next run
+    after a kill judges only the rest.
 
     Raises:
-        Refused: A result cannot be stored, or the engine is not there.
+        Refused: A result cannot be stored, or the engine is not available.
     """
     found: dict[Path, Judgement] = {}
     report = GateReport()
@@ -253,10 +253,10 @@ def judge_all(
 
 
 def junit_text(report: GateReport) -> str:
-    """Return the report: a test case for each recording, a failure for each that closes the gate.
+    """Return the report as JUnit XML: a test case per recording, a failure if it fails the gate.
 
-    What could not be judged is an error, what is being written is skipped; what was accepted
-    passes, with the reason.
+    A recording that could not be judged is an error. One that is being written is skipped. An
+    accepted one passes, with the reason.
     """
     failures, unknown = report.failures(), report.unknown()
     suite = ElementTree.Element(

@@ -1,8 +1,8 @@
-"""The index of a recording: one Parquet file next to it, with rows of what it contains.
+"""The index of a recording: one Parquet file with rows about its content.
 
-It names the recording's files by size and time of change, and is made again when these differ.
-Times `..._ns` are since the epoch. None stands for what is not known. The column `kind` of the
-table says which of these classes a row is of; a column that the class lacks is NULL.
+It has a stamp of the files' names, sizes and mtimes; if this differs, the index is made again.
+Times `..._ns` are since the epoch. None means not known. The column `kind` names the class of a
+row; columns that the class lacks are NULL.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from robotctl.recording.format.rosbag2 import entries_of
 
 @dataclass(frozen=True, slots=True)
 class RecordingRow:
-    """A recording: its size, its software, what happened in all, and its verdicts.
+    """A recording: its size, software, totals and verdicts.
 
     `software` is the digest of the modules that decided and commanded, `parameters` the JSON of
     the kernel's first parameters. `check` and `verify` are the verdicts of `replay --check` and
-    `verify`, and `check_says` the first thing that the check names.
+    `verify`, and `check_says` is the first finding of the check.
     """
 
     kind: ClassVar[str] = "recording"
@@ -59,8 +59,8 @@ class RecordingRow:
 class DriveRow:
     """A drive, numbered from 1 in its recording, with the errors of its `DriveReport`.
 
-    `wanted_laps` of 0 means until stopped. `ended` is the reason; it is None where the recording
-    ends before the drive, and with it all that is known only at the end.
+    `wanted_laps` of 0 means until stopped. `ended` is the reason of the end. If the recording ends
+    before the drive does, all fields with a default are None.
     """
 
     kind: ClassVar[str] = "drive"
@@ -86,7 +86,7 @@ class DriveRow:
 
 @dataclass(frozen=True, slots=True)
 class EventRow:
-    """A change of mode, a refusal, or an event that the recording names (see `EventKind`)."""
+    """A change of mode, a refusal, or an event noted in the recording (see `EventKind`)."""
 
     kind: ClassVar[str] = "event"
 
@@ -99,7 +99,7 @@ class EventRow:
 
 @dataclass(frozen=True, slots=True)
 class TopicRow:
-    """A topic: how much was recorded and lost, and at which mean rate."""
+    """A topic: its recorded and lost messages, and its mean rate."""
 
     kind: ClassVar[str] = "topic"
 
@@ -134,7 +134,7 @@ KINDS: tuple[type[Any], ...] = (RecordingRow, DriveRow, EventRow, TopicRow, Samp
 _SQL_TYPES = {"str": "VARCHAR", "int": "BIGINT", "float": "DOUBLE", "bool": "BOOLEAN"}
 
 _SINGLE_PRECISION = ("x_m", "y_m", "theta_rad", "linear_mps", "angular_rps", "error_m")
-"""Columns of the samples, the most of a file: 7 digits are enough for a question."""
+"""Columns stored as FLOAT: samples fill most of a file, and 7 digits are enough for a question."""
 
 
 def columns(kind: type[Any]) -> dict[str, str]:
@@ -156,25 +156,25 @@ def all_columns() -> dict[str, str]:
 
 
 LAYOUT: Final = 1
-"""The number of the columns' layout; an index with another one is made again."""
+"""The version of the column layout; an index with another version is made again."""
 
 
 def index_path(recording: Path) -> Path:
-    """Return where the index of a recording is; that of a single file is FILE.index.parquet."""
+    """Return the path of a recording's index; for a single file it is FILE.mcap.index.parquet."""
     if recording.suffix == ".mcap":
         return recording.with_name(f"{recording.name}.{INDEX_FILE}")
     return recording / INDEX_FILE
 
 
 def index_path_text(recording: str) -> str:
-    """Return the path of a local index as text; for 10,000 recordings this saves a second."""
+    """Return `index_path` as text, without `Path`: for 10,000 recordings this saves a second."""
     return (
         f"{recording}.{INDEX_FILE}" if recording.endswith(".mcap") else f"{recording}/{INDEX_FILE}"
     )
 
 
 def files_of(recording: Path | str) -> list[str]:
-    """Return the MCAP files of a recording; links are among them.
+    """Return the MCAP files of a recording, including links.
 
     Raises:
         OSError: The recording cannot be read.
@@ -184,13 +184,13 @@ def files_of(recording: Path | str) -> list[str]:
         return [path]
     with os.scandir(path) as entries:
         names = [each.name for each in entries]
-    if any(map(is_hash, names)):  # a copy of an earlier robotctl
+    if any(map(is_hash, names)):  # a copy that an earlier robotctl made
         return [str(each) for each in entries_of(Path(path)) if each.suffix == ".mcap"]
     return [f"{path}/{name}" for name in names if name.endswith(".mcap")]
 
 
 def closed_files(files: Iterable[Path | str]) -> list[Path]:
-    """Return those files of a recording that no process is writing any more, in their order.
+    """Return the files of a recording that no process is writing, in natural order.
 
     Raises:
         OSError: One cannot be opened.
@@ -200,7 +200,7 @@ def closed_files(files: Iterable[Path | str]) -> list[Path]:
 
 
 def stamp_of(files: Iterable[Path | str]) -> str:
-    """Return a text that is another one after these files have changed.
+    """Return a hash of the files' names, sizes and mtimes, with LAYOUT in front.
 
     Raises:
         OSError: One is gone.
@@ -211,7 +211,7 @@ def stamp_of(files: Iterable[Path | str]) -> str:
 
 
 def write_index(target: Path, recording: str, rows: Sequence[IndexRow], stamp: str) -> None:
-    """Write the index of a recording of that name.
+    """Write the rows of the recording with this name as the index file `target`.
 
     Raises:
         Refused: It cannot be written.

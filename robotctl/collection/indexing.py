@@ -1,4 +1,4 @@
-"""Indexes one recording: reads its rows from its journal, events and counts, and its verdicts."""
+"""Indexes one recording: rows from its journal, events and counts, and its verdicts."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ SAMPLE_PERIOD_NS = NS_PER_S // 10
 """The time between two samples while the robot moves."""
 
 VELOCITY = "velocity"
-"""The pattern of a velocity for a time, which has no path."""
+"""The `pattern` of a drive that holds a velocity instead of following a path."""
 
 STOPS = (Mode.ERROR, Mode.EMERGENCY_STOP)
 
@@ -62,9 +62,9 @@ _DIGEST = "digest"
 def rows_of(
     path: Path, check: str, check_says: str | None, verify: str, files: Sequence[Path] = ()
 ) -> list[IndexRow]:
-    """Return the rows of a recording, with these verdicts; that of the recording comes first.
+    """Return the rows of a recording with these verdicts; its RecordingRow comes first.
 
-    Only `files` of its folder are read, if given.
+    If `files` are given, only these files of its folder are read.
 
     Raises:
         UnreadableFile: Nothing can be read from it.
@@ -120,19 +120,19 @@ def _recorded_events(info: RecordingInfo) -> Iterator[EventRow]:
 
 
 class _History:
-    """One pass over the journal, with a kernel that follows it for pose and error."""
+    """Reads the journal once; a kernel repeats its decisions to get pose and error."""
 
     def __init__(self, recording: Recording, info: RecordingInfo) -> None:
         self._recording = recording
         self._robot = info.metadata.get(INFO_RECORD, {}).get("robot", "")
         self._offset_ns = 0
-        """From steady time to the time since the epoch."""
+        """Added to a steady time, gives the time since the epoch."""
 
         self._kernel: Kernel | None = None
         self._mode: Mode | None = None
         self._asked: dict[int, DriveRequested | ModeRequested] = {}
         self._drives: dict[int, DriveRow] = {}
-        """By the id of the request that began it, in the order of their begin."""
+        """By the id of the drive's request, in the order of `DriveRow.drive`."""
 
         self._present: int | None = None
         self._sampled_ns = 0
@@ -142,7 +142,7 @@ class _History:
         self.samples: list[SampleRow] = []
 
     def read(self) -> None:
-        """Collect everything.
+        """Read the whole journal into the attributes.
 
         Raises:
             UnreadableFile: There is no journal, or an entry is damaged.
@@ -194,7 +194,7 @@ class _History:
             self._sample(event.t_ns)
 
     def _follow(self, t_ns: int) -> None:
-        """Begin a row where the kernel has begun a drive."""
+        """Add a row if the kernel has begun a drive."""
         drive = None if self._kernel is None else self._kernel.state.drive
         self._present = None if drive is None else drive.request_id
         if drive is not None and drive.request_id not in self._drives:
@@ -223,7 +223,7 @@ class _History:
             self._end(event, effect)
 
     def _end(self, event: Event, ended: DriveEnded) -> None:
-        """Complete the row of a drive; one that the kernel could not follow gets it now."""
+        """Complete the row of a drive, or add it if the kernel could not follow the drive."""
         asked = self._asked.get(ended.request_id)
         row = self._drives.get(ended.request_id)
         has_path = row is None or row.pattern != VELOCITY
@@ -275,19 +275,19 @@ class _History:
 
 
 def _rounded(value: float) -> float | None:
-    """Return a sample to 0.1 mm or 0.1 mrad, which takes a third less in a file; None for inf."""
+    """Round to 0.1 mm or 0.1 mrad, which makes the file a third smaller; None if not finite."""
     return round(value, 4) if isfinite(value) else None
 
 
 NOT_CHECKED: Final = "not checked"
-"""The verdicts of a recording that goes on: it is checked and verified when it is complete."""
+"""Both verdicts of a recording that is still being made: it is checked when it is complete."""
 
 
 def index_recording(recording: Path) -> str:
     """Write the index of a recording, with its verdicts; return why that failed, or "".
 
-    Of a recording that goes on, the closed files are indexed. It runs in another process, so that
-    it returns its error as a text.
+    If the recording is still being made, only its closed files are indexed. The error is returned
+    as text because this runs in another process.
     """
     try:
         files = files_of(recording)
@@ -307,10 +307,10 @@ def index_recording(recording: Path) -> str:
 
 
 def index_job(given: dict[str, Any], report: Report) -> None:
-    """Index the recording of a job in a process of its own.
+    """Index `given["recording"]`; the daemon runs this in a separate process.
 
     Raises:
-        RobotctlError: It was not indexed.
+        RobotctlError: The recording was not indexed.
     """
     failure = index_recording(Path(given["recording"]))
     if failure:

@@ -36,10 +36,10 @@ def results_of(
     processes: Processes,
     on_progress: Done = lambda done, total: None,
 ) -> Iterator[tuple[Path, Result | None]]:
-    """Yield each recording with its result, in the order in which they are ready.
+    """Yield each recording with its result, in the order of completion.
 
-    The result is None where the process was killed. When a process dies, all unfinished jobs are
-    lost; they run again, each in a process of its own.
+    When a process dies, all unfinished jobs are lost; they run again, each in a separate process.
+    The result is None if that process dies, too.
     """
     done = 0
     lost: list[Path] = []
@@ -71,7 +71,7 @@ def _run(
 
 @contextmanager
 def local_threads(jobs: int) -> Iterator[Executor]:
-    """Yield an executor for jobs that wait for disks and stores, or hash files."""
+    """Yield an executor of threads, for jobs that wait for disks and stores or hash files."""
     executor = ThreadPoolExecutor(min(jobs, THREADS))
     try:
         yield executor
@@ -93,10 +93,10 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def local_processes(jobs: int) -> Iterator[Executor]:
-    """Yield an executor with a process per processor, and no more than there are jobs.
+    """Yield an executor with a process per CPU, but at most one per job.
 
-    They ignore Ctrl-C, which ends the process that started them, and are killed at the end, also
-    if that process is killed.
+    The processes ignore Ctrl-C: their parent handles it. They are killed at the end of the block,
+    and also if the parent is killed.
     """
     executor = ProcessPoolExecutor(
         min(jobs, len(os.sched_getaffinity(0))),

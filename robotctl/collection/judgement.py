@@ -24,9 +24,9 @@ Kind = TypeVar("Kind")
 
 
 class Typed(Generic[Kind]):
-    """Turns plain values into one class. Make it when a module is imported.
+    """Converts plain values to one class. Create it while a module is imported.
 
-    msgspec prepares a class when it first meets it; two threads that do so at once crash Python.
+    msgspec prepares a class on its first use; two threads that do this at once crash Python.
     """
 
     def __init__(self, kind: type[Kind]) -> None:
@@ -37,7 +37,7 @@ class Typed(Generic[Kind]):
         """Return the value as an object of the class.
 
         Raises:
-            ValueError: It is none.
+            ValueError: The value does not fit the class.
         """
         try:
             return msgspec.convert(value, self._kind)
@@ -47,7 +47,7 @@ class Typed(Generic[Kind]):
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """A number with the recorded parameters, and with the other ones."""
+    """A number under the recorded parameters, and under the other ones (`what_if`)."""
 
     recorded: float
     what_if: float
@@ -55,7 +55,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class Apart:
-    """How far the commands are apart; `max_after_s` is None if they are equal."""
+    """The difference of two kernels' commands; `max_after_s` is None if they are equal."""
 
     rms: float
     max: float
@@ -74,7 +74,7 @@ class FirstDifference:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """The first event at which only the kernel with other parameters could not go on."""
+    """The first event at which the kernel fails with the other parameters only."""
 
     after_s: float
     text: str
@@ -92,7 +92,7 @@ class OtherAnswer:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What the robot did in a drive, under the recorded commands; None is not known."""
+    """What the robot did in a drive, under the recorded commands; None means not known."""
 
     laps: int
     distance_m: float | None
@@ -102,7 +102,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Commanded:
-    """What one kernel decided in a drive; the last five are None before its end."""
+    """What one kernel decided in a drive; the last five fields are None if it did not end."""
 
     modes_s: dict[str, float]
     commanded_m: float
@@ -116,13 +116,13 @@ class Commanded:
 
     @property
     def end(self) -> tuple[bool | None, str | None, str | None]:
-        """How it ends, without the numbers of the reason."""
+        """Completion, cause and mode at the end; not the reason, whose numbers may differ."""
         return self.completed, self.cause, self.end_mode
 
 
 @dataclass(frozen=True, slots=True)
 class DriveChange:
-    """A drive with both parameters; a side is None where the drive did not begin."""
+    """A drive under both sets of parameters; a side is None if the drive did not begin there."""
 
     drive: int
     request_id: int
@@ -133,14 +133,14 @@ class DriveChange:
 
     @property
     def ends_otherwise(self) -> bool:
-        """Whether only one of both begins it, or it has another cause or mode at its end."""
+        """Whether only one side begins it, or completion, cause or mode at its end differ."""
         mine, theirs = self.recorded, self.what_if
         return mine is None or theirs is None or mine.end != theirs.end
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What other parameters change in one recording; the robot does not react to them."""
+    """What other parameters change in one recording; the robot's recorded motion stays the same."""
 
     duration_s: float
     settings: dict[str, dict[str, Any]]
@@ -159,18 +159,18 @@ class Change:
 
     @property
     def differs(self) -> bool:
-        """Whether modes or answers change, not only velocities, or the kernel fails."""
+        """Whether modes or answers change, or the kernel fails; changed velocities do not count."""
         return bool(self.mode_differs_s or self.answer_count or self.failure)
 
 
 @dataclass(frozen=True, slots=True)
 class Totals:
-    """The numbers of all drives in many recordings."""
+    """Sums and maxima over all drives in many recordings."""
 
     drives: int
     end_otherwise: int
     modes_s: dict[str, Pair]
-    """Of the whole recordings, not only of their drives."""
+    """Times in each mode, over the whole recordings, not only their drives."""
 
     commanded_m: Pair
     max_linear_mps: Pair
@@ -181,12 +181,12 @@ _change = Typed(Change)
 
 
 def change_of(found: Mapping[str, Any]) -> Change:
-    """Return the object of `replay --what-if` with its types."""
+    """Return the JSON object of `replay --what-if` as a Change."""
     return _change(found)
 
 
 def totals_of(changes: Iterable[Change]) -> Totals:
-    """Return the totals of some recordings."""
+    """Return the totals over recordings, each given by its Change."""
     all_changes = list(changes)
     drives = [drive for change in all_changes for drive in change.drives]
     before = [each.recorded for each in drives if each.recorded is not None]
@@ -225,9 +225,9 @@ def outcome_of(
     report: Report | None,
     other: Change | None,
 ) -> str:
-    """Return the SHA-256 over a verdict, all that the check has found, and what settings change.
+    """Return the SHA-256 over a verdict, all findings of the check, and what settings change.
 
-    Where the recording lies and which version finds the same make no difference.
+    It does not depend on the recording's folder, nor on the version that finds the same.
     """
     found = None if report is None else report.divergence
     parts = {
@@ -250,24 +250,24 @@ def outcome_of(
 
 
 def _missing(report: Report) -> list[str]:
-    """Return what could not be checked; for another version the report counts a divergence, too."""
+    """Return what could not be checked, without the divergence that another version adds to it."""
     found = "" if report.divergence is None else report.divergence.sentence()
     sentences = [_OTHER_RULES.sub("", each) for each in report.missing]
     return [each for each in sentences if each != found]
 
 
 VerdictName = Literal["diverged", "broken", "crashed", "incomplete", "unfit", "unreadable", "same"]
-"""Those of `replay --check`, and three more; the most severe first.
+"""The verdicts of `replay --check` and three more, the most severe first.
 
-In the gate a recording is `diverged` whatever version recorded it. `crashed` is one at which
-robotctl itself fails, `unfit` one whose parameters do not fit together with the other ones, and
-`unreadable` one from which other parameters can decide nothing.
+In the gate a recording is `diverged` whatever version recorded it. `crashed`: robotctl itself fails
+on it. `unfit`: its parameters conflict with the other ones. `unreadable`: the check, or the run
+with other parameters, cannot read it.
 """
 
 VERDICTS: Final[tuple[VerdictName, ...]] = VerdictName.__args__  # type: ignore[attr-defined]
 
 FAILED: Final = ("diverged", "broken", "crashed")
-"""The verdicts that close the gate; with other parameters also a change of modes or answers."""
+"""The verdicts that fail the gate; a change of modes or answers fails it, too (see `Change`)."""
 
 UNKNOWN: Final = ("incomplete", "unfit", "unreadable")
 
@@ -279,9 +279,9 @@ class Judgement:
     """What the gate knows of one recording.
 
     `recording` is the SHA-256 of its files and `software` that of robotctl. `says` is the first
-    sentence about what is wrong, `cause` the same without its numbers, "" if all is the same, and
-    `outcome` the SHA-256 over all that is wrong and changed. `other` is what other parameters
-    change, where they were asked for.
+    finding as a sentence, and `cause` the same without its numbers; both are "" if nothing is
+    wrong. `outcome` is the SHA-256 over all findings. `other` is what other parameters change, None
+    if none were given.
     """
 
     recording: str
@@ -295,27 +295,27 @@ class Judgement:
 
     @property
     def key(self) -> str:
-        """The name of this result: the same bytes, software and parameters give the same."""
+        """The key of this result in a store: a hash over recording, software and settings."""
         return key_of(self.recording, self.settings)
 
     @property
     def differs(self) -> bool:
-        """Whether other parameters change modes or answers, not only velocities."""
+        """Whether other parameters change modes or answers, or make the kernel fail."""
         return self.other is not None and self.other.differs
 
     def as_object(self) -> dict[str, Any]:
-        """Return it as JSON values."""
+        """Return the judgement as JSON values."""
         return asdict(self)
 
 
 def judge(path: Path, settings: Mapping[str, str], content: Content | None = None) -> Judgement:
-    """Decide a recording again, and with other parameters if there are settings.
+    """Repeat a recording's decisions, and again with other parameters if there are `settings`.
 
-    `content` is given if it was read before.
+    `content` is the recording's content if it has been read already.
 
     Raises:
-        OSError: A file cannot be read, also not a part of it.
-        UnreadableFile: There are no files, or a process writes or has changed them.
+        OSError: A file cannot be read.
+        UnreadableFile: There are no files, a part cannot be read, or a process changes them.
     """
     content = content or read_content(path)
     with noted_read_failures() as failures:
@@ -336,7 +336,7 @@ def judge(path: Path, settings: Mapping[str, str], content: Content | None = Non
 
 
 def crashed(content: Content, settings: Mapping[str, str], error: Exception) -> Judgement:
-    """Return the judgement of a recording at which robotctl itself fails."""
+    """Return the judgement of a recording on which robotctl itself fails."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
@@ -356,7 +356,7 @@ def crashed(content: Content, settings: Mapping[str, str], error: Exception) -> 
 
 
 def key_of(recording: str, settings: Mapping[str, str]) -> str:
-    """Return the name of the result for a recording, by its hash, and settings."""
+    """Return the key of a result: the SHA-256 over the recording's hash, software and settings."""
     parts = [recording, software_hash(), *(f"{key}={settings[key]}" for key in sorted(settings))]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
@@ -402,7 +402,7 @@ def _difference(found: Divergence) -> str:
     if found.differences:
         return "; ".join(found.differences)
     name, _, fields = found.decided.partition(" ")
-    if name and not fields.startswith("{"):  # no effect, but what the kernel raised
+    if name and not fields.startswith("{"):  # not an effect, but an error of the kernel
         return f"the kernel fails: {name}: {fields[:200]}"
     return f"{name or 'nothing'} was decided"
 

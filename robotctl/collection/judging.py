@@ -1,4 +1,4 @@
-"""Judges one recording, unless a folder has its result: the work of one job, on any machine."""
+"""The job of the gate for one recording: judge it, unless its result is stored. Runs anywhere."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ _sealed_result, _judgement = Typed(_Sealed), Typed(Judgement)
 
 
 class ResultStore:
-    """The results in a folder; several gates may use them at once.
+    """The results in a folder; several gates may use it at once.
 
-    It can be sent to another machine, which then reads and writes the same results.
+    A store can be pickled and sent to another machine, which then uses the same folder.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -54,7 +54,7 @@ class ResultStore:
         return str(self.folder)
 
     def get(self, key: str) -> Judgement | None:
-        """Return the result of that name, None if there is none, or a damaged one.
+        """Return the result with this key, None if there is none or it is damaged.
 
         Raises:
             Refused: It cannot be read.
@@ -72,7 +72,7 @@ class ResultStore:
         return result if result.key == key else None
 
     def put(self, result: Judgement) -> Judgement:
-        """Store a result unless there is one of its name; return the one that is stored.
+        """Store a result unless there is one with its key; return the one that is stored.
 
         Raises:
             Refused: The store cannot be written.
@@ -89,7 +89,7 @@ class ResultStore:
         return result
 
     def put_token(self) -> str:
-        """Store an object by which others see that they use the same results; return its name.
+        """Store a file by which workers see that they use the same folder; return its name.
 
         Raises:
             Refused: The store cannot be written.
@@ -123,7 +123,7 @@ def _sealed(result: Judgement) -> bytes:
 
 
 def _opened(data: bytes) -> Judgement:
-    """Return the result in an object.
+    """Return the result in a stored object.
 
     Raises:
         ValueError: It is damaged.
@@ -147,9 +147,9 @@ def _name(key: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """The answer of a job: a judgement, and whether the store had it; or what is in the way.
+    """The answer of a job: a judgement and whether it `was_stored`, or the `problem`.
 
-    A recording that is `live` is still being written, and left out.
+    A recording that is `live` is still being written; it is not judged.
     """
 
     judgement: Judgement | None
@@ -160,21 +160,21 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class Judging:
-    """What the jobs of a gate have in common; it can be sent to another process or machine."""
+    """What the jobs of a gate have in common; can be pickled for another process or machine."""
 
     settings: dict[str, str]
     store: ResultStore
     software: str
-    """The hash of the robotctl that asks: a result of another one is none."""
+    """The hash of the gate's robotctl; a process with another one refuses the job."""
 
     def judged(self, path: Path) -> Judged:
-        """Return the stored result, else judge the recording and store the result.
+        """Return the stored result, or judge the recording and store the result.
 
-        A recording at which robotctl itself fails is judged, but not stored: the failure may come
+        If robotctl itself fails, the verdict is `crashed` and is not stored: the failure may come
         from what is installed here.
 
         Raises:
-            Refused: The robotctl of this process is another one, or the result cannot be stored.
+            Refused: This process has another robotctl, or the store cannot be read or written.
         """
         if software_hash() != self.software:
             raise Refused(
@@ -199,7 +199,7 @@ class Judging:
         return Judged(self.store.put(found))
 
     def stored(self, path: Path) -> Judged | None:
-        """Return the result if it is stored, or why the recording cannot be read.
+        """Return the stored result or why the recording cannot be read, None without a result.
 
         Raises:
             Refused: The store cannot be read.
@@ -215,10 +215,10 @@ class Judging:
 
 
 Answers = Iterator[tuple[Path, Judged | None]]
-"""Each recording with its answer, in any order; None where the process was killed."""
+"""Each recording with its answer, in any order; None if the process was killed."""
 
 Engine = Callable[[Judging, Sequence[Path], Done], Answers]
-"""Does the jobs of a gate."""
+"""Runs the jobs of a gate."""
 
 
 def judge_here(
@@ -227,7 +227,7 @@ def judge_here(
     on_progress: Done,
     processes: Processes = local_processes,
 ) -> Answers:
-    """Do the jobs on this machine; no process is started for what is stored."""
+    """Run the jobs on this machine; stored results need no process."""
     new: list[Path] = []
     done = 0
     for path, known in results_of(judging.stored, recordings, local_threads):

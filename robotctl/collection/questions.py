@@ -2,7 +2,7 @@
 
 A condition is such as `laps >= 1 and max_error_m > 0.1`. Its language is Python's for comparisons:
 names of columns, numbers, texts, True, False and None, `+ - * /`, `< <= == != >= >`, `and or not`
-and parentheses. It becomes SQL with parameters; nothing of it is run by Python.
+and parentheses. It is translated to SQL with parameters; Python never evaluates it.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Condition:
 
 
 def parse_condition(source: str, columns: Collection[str]) -> Condition:
-    """Return the condition in SQL.
+    """Return a condition as SQL.
 
     Raises:
         UsageError: It is not a condition, or names an unknown column.
@@ -77,10 +77,10 @@ def parse_condition(source: str, columns: Collection[str]) -> Condition:
 
 
 def known_column(wanted: str, columns: Collection[str]) -> str:
-    """Return the name of a column.
+    """Return `wanted` if it is one of the columns.
 
     Raises:
-        UsageError: There is none of that name.
+        UsageError: There is no such column.
     """
     if wanted in columns:
         return wanted
@@ -90,7 +90,7 @@ def known_column(wanted: str, columns: Collection[str]) -> str:
 
 
 class _Parser:
-    """Turns the tree of a condition into SQL; raises ValueError for what is not of the language."""
+    """Translates the tree of a condition to SQL; ValueError for anything outside the language."""
 
     def __init__(self, columns: Collection[str]) -> None:
         self._columns = columns
@@ -149,10 +149,10 @@ TABLES: Final[dict[str, type[Any]]] = {
 """The tables of a catalogue, each with its class of rows."""
 
 SAMPLES: Final = "samples"
-"""The table that is read from the indexes themselves."""
+"""The table that is read from the indexes, since a catalogue has no samples."""
 
 _QUESTION: Final = "robotctl_question"
-"""A view that no user's query names."""
+"""The name of the temporary view that checks a user's query."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,10 +175,10 @@ def columns_of(table: str) -> tuple[str, ...]:
 def find(
     catalogue: Catalogue, table: str, condition: str, sort: str = "", limit: int = 0
 ) -> Answer:
-    """Return the rows of a table for which a condition holds, "" for all.
+    """Return the rows of a table that meet a condition, or all rows if it is "".
 
-    They are sorted by a column, in falling order if its name begins with "-"; by the time if it is
-    "", and rows without a time by their recording.
+    `sort` is a column, with "-" before it for descending order. If it is "", rows are sorted by
+    `start_ns`, or by recording in a table without it. A `limit` of 0 means no limit.
 
     Raises:
         UsageError: The condition or the column is wrong.
@@ -199,17 +199,17 @@ def find(
 
 
 def ask(catalogue: Catalogue, sql: str) -> Answer:
-    """Return what a query in SQL over `TABLES` and `SAMPLES` gives; it can write nothing.
+    """Return the answer to a user's SQL query over `TABLES` and `SAMPLES`; it can only read.
 
     Raises:
-        UsageError: The query is wrong, or does more than to read.
+        UsageError: The query is wrong, or does more than read.
         Refused: An index was removed meanwhile.
     """
     return _run(catalogue, sql, None)
 
 
 def _run(catalogue: Catalogue, sql: str, values: Sequence[Any] | None) -> Answer:
-    """Run a query; one without `values` comes from a user, and must be harmless."""
+    """Run a query; if `values` is None, it comes from a user and is checked first."""
     indexes = _present(catalogue.indexes) if SAMPLES in sql.lower() else []
     with database([catalogue.path, *indexes]) as connection:
         import duckdb
@@ -236,7 +236,7 @@ def _present(paths: Iterable[Path | str]) -> list[Path | str]:
 def _make_tables(
     connection: DuckDBPyConnection, catalogue: Path, indexes: Sequence[Path | str]
 ) -> None:
-    """Make a view of each table; that of the samples only if there are `indexes`."""
+    """Create a view of each table; the view of the samples only if there are `indexes`."""
     source = parquet([catalogue])
     for table, kind in TABLES.items():
         names = ", ".join(map(name, columns_of(table)))
@@ -252,13 +252,13 @@ def _make_tables(
 
 
 def _check_reads_only(connection: DuckDBPyConnection, sql: str) -> None:
-    """Refuse what could write into the files that the database may read.
+    """Refuse a query that could write into the files that the database may read.
 
-    One statement that selects may still write, in its WITH clause. A view may not.
+    A SELECT statement may still write, in its WITH clause; a view must not contain such a clause.
 
     Raises:
-        UsageError: It is not one statement that selects.
-        duckdb.Error: It is wrong, or writes.
+        UsageError: The query is not exactly one SELECT statement.
+        duckdb.Error: The query is wrong, or writes.
     """
     import duckdb
 

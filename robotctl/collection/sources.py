@@ -1,7 +1,7 @@
 """What `sync` copies: the recordings of a folder, or those below a URL.
 
-What is removed must be robotctl's own for certain; what is copied need not be. A file that cannot
-be copied is named: nothing is left out in silence.
+Recordings of other recorders are copied, too; only robotctl's own may be removed. Each file that
+cannot be copied is reported.
 """
 
 from __future__ import annotations
@@ -32,43 +32,43 @@ from robotctl.recording.keep.listing import CLIPS_FOLDER, is_own
 SUFFIX: Final = ".mcap"
 
 REPLACED: Final = (METADATA_FILE, INDEX_FILE)
-"""The files that are made anew from the data; a newer one replaces an older copy."""
+"""Files that are generated from the data; a newer one replaces an older copy."""
 
 YOUNG_NS: Final = 60 * NS_PER_S
-"""Another recorder holds no lock: a file of it without an end is finished after so long a rest."""
+"""Other recorders hold no lock: a file without an end is finished if unchanged for this time."""
 
 OF_THE_SYSTEM: Final = "lost+found"
-"""For root alone on each disk, and no recording."""
+"""A folder at the top of many disks that only root can read; it is no recording."""
 
 PIECE_BYTES: Final = 1 << 18
 STORED_PIECE_BYTES: Final = 8 << 20
 
 _PLAIN: Final = re.compile(r"[A-Za-z0-9_+=@-][A-Za-z0-9_.+=@-]*")
-"""The names that every store accepts, and that no shell, no URL and no file system changes."""
+"""Names that are the same in every store, shell, URL and file system."""
 
 _RENAME: Final = "rename it: letters, digits and _ . + = @ - only"
 
 _DEPTH: Final = 3
-"""RECORDING/clips/FILE."""
+"""The parts of the longest key, RECORDING/clips/FILE."""
 
 Pace = Callable[[int], None]
-"""Called before this number of bytes is sent or read back, and with 0 while a file here is read.
+"""Called with a number of bytes before they are sent or read back, and with 0 between local reads.
 
-It waits as long as a limit demands, or while the robot must not be disturbed.
+It sleeps as long as a rate limit demands, or while the robot must not be disturbed.
 """
 
 
 class FileChanged(UnreadableFile):
-    """A file that was written while it was read."""
+    """A file changed while it was read."""
 
 
 class WrongContent(Divergence):
-    """An object of a store with other content than the file of its name."""
+    """An object of a store has other content than its file, or than its hash."""
 
 
 @dataclass(frozen=True, slots=True)
 class LocalFile:
-    """A file of this computer; `key` is its name in the copy."""
+    """A file of this computer; `key` is its path in the copy."""
 
     key: str
     path: Path
@@ -76,7 +76,7 @@ class LocalFile:
     modified_ns: int
 
     def sha256(self, pace: Pace) -> str:
-        """Return the hash of its content.
+        """Return the SHA-256 of the content.
 
         Raises:
             UnreadableFile: It cannot be read.
@@ -90,11 +90,11 @@ class LocalFile:
         return digest.hexdigest()
 
     def content(self, sha256: str) -> Iterator[bytes]:
-        """Yield its content.
+        """Yield the content in pieces.
 
         Raises:
-            UnreadableFile: It cannot be read.
-            FileChanged: It does not have this hash, as is known at its end.
+            UnreadableFile: The file cannot be read.
+            FileChanged: The content does not have this hash; raised after the last piece.
         """
         digest = hashlib.sha256()
         with open_regular_file(self.path) as file:
@@ -107,7 +107,7 @@ class LocalFile:
 
 @dataclass(frozen=True, slots=True)
 class StoredFile:
-    """An object of a store; `key` is its name in the copy."""
+    """An object of a store; `key` is its path in the copy."""
 
     key: str
     store: ObjectStore
@@ -115,7 +115,7 @@ class StoredFile:
 
     @property
     def size_bytes(self) -> int:
-        """Its size."""
+        """The size of the object."""
         return self.found.size_bytes
 
     @property
@@ -124,23 +124,23 @@ class StoredFile:
         return self.found.modified_ns
 
     def with_stamp(self) -> StoredFile:
-        """Return it with the hash and the time that were stored with it, where they were.
+        """Return the file with the hash and mtime from the object's metadata, if they are there.
 
         Raises:
-            StoreError: The store fails, or has it no more.
+            StoreError: The store fails, or the object is gone.
         """
         return StoredFile(self.key, self.store, self.store.head(self.found.key))
 
     def sha256(self, pace: Pace) -> str:
-        """Return the hash that was stored with it or is in its name, "" if there is none."""
+        """Return the hash from the object's metadata or name, "" if there is none."""
         return self.found.sha256 or hash_in(self.found.key)
 
     def content(self, sha256: str) -> Iterator[bytes]:
-        """Yield its content.
+        """Yield the content in pieces.
 
         Raises:
             StoreError: The store fails, or the object changes.
-            WrongContent: It does not have this hash, as is known at its end; "" is any.
+            WrongContent: The hash is another one, known after the last piece; "" is not checked.
         """
         digest = hashlib.sha256()
         for begin in range(0, self.size_bytes, STORED_PIECE_BYTES):
@@ -179,10 +179,10 @@ def recording_of(key: str) -> str:
 
 @contextmanager
 def open_regular_file(path: Path) -> Iterator[FileIO]:
-    """Open a regular file that is no link for the block.
+    """Open a regular file for the block; links are not followed.
 
     Raises:
-        UnreadableFile: It is another one, or cannot be read.
+        UnreadableFile: It is not a regular file, or an OSError occurs, also within the block.
     """
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
     try:
@@ -197,8 +197,8 @@ def open_regular_file(path: Path) -> Iterator[FileIO]:
 def stored_recordings(place: str) -> list[OfferedRecording]:
     """Return the recordings below a URL, or in a folder in the layout RECORDING/SHA256/FILE.
 
-    `place` is a folder of recordings, one recording, or one MCAP file. Of several objects with one
-    name it is the newest.
+    `place` is a folder of recordings, one recording, or one MCAP file. If several objects have one
+    name, the newest counts.
 
     Raises:
         StoreError: The store cannot be listed, or there is no such file.
@@ -233,10 +233,10 @@ def _is_copied(key: str) -> bool:
 
 
 def local_recordings(place: Path, now_ns: int) -> list[OfferedRecording]:
-    """Return the recordings in a folder, ordered by name; or the one that `place` is.
+    """Return the recordings in the folder `place`, ordered by name, or `place` if it is one.
 
-    A single file is a recording of its name, without `.mcap`. Links are not followed. `now_ns` is
-    since the epoch.
+    A single file is a recording named like the file without `.mcap`. Links are not followed.
+    `now_ns` is since the epoch.
 
     Raises:
         OSError: The folder cannot be listed.
@@ -266,7 +266,7 @@ def _recording(path: Path, now_ns: int) -> OfferedRecording:
 
 
 def _link(recording: OfferedRecording, path: Path) -> None:
-    """Name a link to recordings that are elsewhere; one to its neighbour is no other recording."""
+    """Report a link to recordings elsewhere; ignore one to a neighbour, which is copied itself."""
     target = path.resolve()
     if target.is_relative_to(path.parent.resolve()):
         return
@@ -297,7 +297,7 @@ def _data_in(folder: Path) -> Iterator[Path]:
 
 
 def _add_data(recording: OfferedRecording, path: Path, key: str, now_ns: int) -> None:
-    """Add a file, unless it is being written; name it if it cannot be copied."""
+    """Add a file; mark the recording `live` if it is being written; report it if unusable."""
     if path.is_symlink():
         _leave_out(recording, path.name, "it is a link")
     elif not _is_plain(path.name):
@@ -320,7 +320,7 @@ def _add(recording: OfferedRecording, path: Path, key: str, status: os.stat_resu
 
 
 def _is_live(path: Path, file: FileIO, status: os.stat_result, now_ns: int) -> bool:
-    """Return whether a process is writing a file: one of robotctl locks it."""
+    """Return whether a file is being written: it is locked, or foreign, recent and without end."""
     try:
         if is_locked(file.fileno()):
             return True

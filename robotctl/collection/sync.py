@@ -1,7 +1,7 @@
-"""Copies recordings between folders and buckets, and removes here what was read back from there.
+"""Copies recordings between folders and buckets; removes local files whose copies were read back.
 
-A copy lies as the recording lies: RECORDING/FILE. A file counts as copied where a file of its name
-and size is. Copies in the earlier layout RECORDING/SHA256/FILE count as well.
+A copy has the layout of the recording: RECORDING/FILE. A file counts as copied if the store has one
+of its name and size. Copies in the earlier layout RECORDING/SHA256/FILE count as well.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ GIVE_UP_AFTER: Final = 3
 """After this number of failures in a row the store counts as unreachable, and the run ends."""
 
 Stored = dict[str, list[StoredObject]]
-"""The objects of a store by their names in a copy; several only in the earlier layout."""
+"""The objects of a store by their paths in a copy; only the earlier layout has several per path."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,18 +57,18 @@ class CopiedFile:
 
 @dataclass(slots=True)
 class Synced:
-    """What a run did, and sentences about the rest."""
+    """What a run copied, and a sentence for each thing that it did not copy."""
 
     complete: list[str] = field(default_factory=list)
     """Recordings that the store has completely."""
 
     copied: list[CopiedFile] = field(default_factory=list)
     live: list[str] = field(default_factory=list)
-    """Recordings that are being made: the store has their finished files."""
+    """Recordings that are still being made; only their finished files are copied."""
 
     problems: list[str] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
-    """Files of which the store has other content under their name."""
+    """A sentence for each file whose object in the store has other content."""
 
     @property
     def copied_bytes(self) -> int:
@@ -78,7 +78,7 @@ class Synced:
 
 @dataclass(slots=True)
 class Pruned:
-    """What was removed, and a sentence for each file that was not because of the store."""
+    """The removed files, and a sentence for each file that had to be kept."""
 
     removed: list[Removed] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -93,9 +93,9 @@ def copy_recordings(
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     dry_run: bool = False,
 ) -> Synced:
-    """Copy what the store lacks; `on_progress` gets bytes done and in total.
+    """Copy what the store lacks; `on_progress` gets the bytes done and in total.
 
-    What cannot be copied is told in `problems`, and the next file or recording is tried.
+    A failure adds a sentence to `problems`, and the next file or recording is tried.
 
     Raises:
         StoreError: The store cannot be listed.
@@ -138,7 +138,7 @@ def _add(run: Synced, recording: OfferedRecording, copy: _Copy) -> None:
 
 
 class _Copy:
-    """The copy of one recording: what was sent, and a sentence for all that is not there."""
+    """Copies one recording; keeps the sent files and a sentence for each that was not copied."""
 
     def __init__(
         self,
@@ -159,7 +159,7 @@ class _Copy:
         self.wrong: list[str] = []
 
     def make(self) -> None:
-        """Copy the data, then what was made from it.
+        """Copy the data files, then the files that were generated from them.
 
         Raises:
             StoreError: The store fails.
@@ -172,14 +172,14 @@ class _Copy:
             elif all(each.size_bytes != file.size_bytes for each in found):
                 self.wrong.append(str(_wrong_content(self._store, found[0].key)))
         if self.wrong or len(self.problems) > len(self._recording.left_out):
-            return  # a list of files comes after them
+            return  # metadata that lists the files must not be there before them
         for file in (each for each in files if _is_replaced(each.key)):
             found = self._there.get(file.key, [])
             if not (_has_as_new(found, file) or (found and self._more_is_there())):
                 self._send(file)
 
     def _more_is_there(self) -> bool:
-        """Return whether retention has removed here what the store has: its list tells more."""
+        """Return whether the store has data that was removed here: then its metadata stays."""
         here = {file.key for file in self._recording.files}
         return any(
             recording_of(key) == self._recording.name and key.endswith(SUFFIX) and key not in here
@@ -233,7 +233,7 @@ def _is_replaced(key: str) -> bool:
 def _has_as_new(there: Sequence[StoredObject], here: LocalFile | StoredFile) -> bool:
     """Return whether one of the objects has the size of the file, and is not older.
 
-    A listing tells when an object was stored, only its stamp when its content was written.
+    A listing has the time of storing; only the stamp has the time at which the file was written.
     """
     same = [each for each in there if each.size_bytes == here.size_bytes]
     if isinstance(here, StoredFile) and any(each.modified_ns < here.modified_ns for each in same):
@@ -257,10 +257,10 @@ def prune(
     complete: Collection[str],
     pace: Pace = lambda count: None,
 ) -> Pruned:
-    """Remove what exceeds `policy`, the oldest first, as retention does.
+    """Remove the files that exceed `policy`, the oldest first, as retention does.
 
-    A file is removed only if its recording is one of the `complete` ones, and if the bytes that
-    the store sends now are those that the file holds now. `now_s` is in seconds since the epoch.
+    A file is removed only if its recording is in `complete`, and if the bytes that the store sends
+    now equal those of the file. `now_s` is in seconds since the epoch.
 
     Raises:
         OSError: The folder cannot be listed.
@@ -312,7 +312,7 @@ def prune(
 def _read_back(
     store: ObjectStore, key: str, found: Sequence[StoredObject], path: Path, pace: Pace
 ) -> None:
-    """Raise an error unless an object of the store holds the bytes of a file.
+    """Check that one of the objects `found` in the store has exactly the bytes of a file.
 
     Raises:
         StoreError: The store fails.

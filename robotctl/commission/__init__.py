@@ -1,1 +1,1 @@
-"""Commissioning: what three short motions tell about a base, measured from their recording."""
+"""Commissioning: properties of a base, measured from the recording of three short motions."""

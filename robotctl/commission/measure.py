@@ -1,4 +1,4 @@
-"""What a motion tells about a base: its delay, its stopping distance, its command timeout."""
+"""Measures a base from recorded motions: its delay, stopping distance and command timeout."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _EVENTS = (OdomReceived.__name__, DriveRequested.__name__)
 
 
 class TrialSample(NamedTuple):
-    """A sample of odometry: its arrival (steady), and how long after its stamp it arrived."""
+    """A sample of odometry: its arrival (steady time), pose, and delay from stamp to arrival."""
 
     t_s: float
     pose: Pose
@@ -40,7 +40,7 @@ class TrialCommand(NamedTuple):
 
 @dataclass(slots=True)
 class Motion:
-    """What was asked for, and all commands and odometry until the next motion was."""
+    """A requested motion, with all commands and odometry until the next request."""
 
     held: Held
     begin_s: float
@@ -49,20 +49,20 @@ class Motion:
 
     @property
     def is_turn(self) -> bool:
-        """Whether the robot was to turn on its place."""
+        """Whether the request was to turn on the spot."""
         return self.held.linear_mps == 0.0
 
     @property
     def wanted(self) -> float:
-        """The velocity that was asked for [m/s], of a turn its rate [rad/s]."""
+        """The requested speed [m/s], or of a turn its rate [rad/s]."""
         return self.held.angular_rps if self.is_turn else self.held.linear_mps
 
     def sent(self) -> list[tuple[float, float]]:
-        """Return time and velocity of each command, as `wanted` is one."""
+        """Return time and speed of each command, or of a turn time and turn rate."""
         return [(c.t_s, c.angular_rps if self.is_turn else c.linear_mps) for c in self.commands]
 
     def way(self) -> list[tuple[float, float]]:
-        """Return time and distance forward, of a turn the angle, of each sample from the first."""
+        """Return time and distance [m] (turn: angle [rad]) from the first sample to each sample."""
         begin = self.samples[0].pose if self.samples else ORIGIN
         if not self.is_turn:
             return [(each.t_s, begin.express(each.pose).x) for each in self.samples]
@@ -76,13 +76,13 @@ class Motion:
 
 @dataclass(slots=True)
 class Trial:
-    """The odometry of a whole recording, and its motions of a held velocity."""
+    """All odometry of a recording, and its motions at a held velocity."""
 
     samples: list[TrialSample] = field(default_factory=list)
     motions: list[Motion] = field(default_factory=list)
 
     def begin(self, held: Held, t_s: float) -> None:
-        """Note the request for the next motion; the robot stands, as the last sample told."""
+        """Begin the next motion; its first sample is the last one before, at standstill."""
         self.motions.append(Motion(held, t_s, samples=self.samples[-1:]))
 
     def sample(self, sample: TrialSample) -> None:
@@ -98,7 +98,7 @@ class Trial:
 
 
 def read_trial(path: Path) -> Trial:
-    """Return what a recording tells.
+    """Return the odometry and the motions of a recording.
 
     Raises:
         UnreadableFile: A part of it cannot be read.
@@ -131,26 +131,26 @@ def _refuse(missing: str) -> None:
 
 
 STEADY_S = 0.8
-"""The end of a velocity, in which the base has reached its speed."""
+"""The last part of a motion before its last command; the base has reached its speed by then."""
 
 STANDS_S = 0.4
-"""The end of a motion, in which the base must stand."""
+"""The last part of a motion's odometry, in which the base must stand."""
 
 MOVES_SHARE = 0.2
 """A base moves if its speed is more than this share of the command."""
 
 NEAR_S = 0.02
-"""A base stands once it is nearer to its place than it drives in this time."""
+"""A base has stopped once it is closer to its final position than it drives in this time."""
 
 MIN_SAMPLES = 3
 
 CLOCKS_DIFFER_S = 1.0
-"""A delay of odometry beyond this, or below zero, is the difference of two clocks."""
+"""An odometry delay above this, or below zero, counts as the difference of two clocks."""
 
 
 @dataclass(frozen=True, slots=True)
 class Turned:
-    """What a turn on the place tells, as odometry tells it; see `Measured`."""
+    """The properties of a turn on the spot, measured by odometry; see `Measured`."""
 
     commanded_rps: float
     reached_rps: float
@@ -161,14 +161,14 @@ class Turned:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """The properties of a base; distances [m] and times as odometry tells them.
+    """The properties of a base: distances [m] and times, measured by odometry.
 
-    `odometry_delay_s` is from the stamp to the arrival, None where the clocks differ, by
-    `clock_offset_s`. `command_delay_s` is the time by which the motion, as odometry tells it,
-    follows the command: all delays and the lag of the base. `stopping_m` and `stopping_s` are from
-    the command of zero to the standstill. `base_timeout_s` is how long the base goes on without a
-    command, None if it was still moving after `quiet_s`. `turn` is None if it does not turn on its
-    place, as a car does not.
+    `odometry_delay_s` is the median time from stamp to arrival; if the clocks differ, it is None
+    and `clock_offset_s` is that time. `command_delay_s` is how far the measured motion lags behind
+    the command: all delays and the lag of the base. `stopping_m` and `stopping_s` are from the zero
+    command to the standstill. `base_timeout_s` is how long the base moves on without a command,
+    None if it was still moving after `quiet_s`. `turn` is None if the base cannot turn on the spot,
+    like a car.
     """
 
     odometry_hz: float
@@ -187,7 +187,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """The way of a base at constant speed [m/s or rad/s]: speed * (t - since)."""
+    """The distance of a base at constant speed [m/s or rad/s]: speed * (t - since)."""
 
     speed: float
     since_s: float
@@ -197,10 +197,10 @@ class _Line:
 
 
 def measured(trial: Trial) -> Measured:
-    """Return what three motions tell: one ended by zero, one by silence, and a turn by zero.
+    """Measure a base from three motions, ended by zero, by silence, and (a turn) by zero.
 
     Raises:
-        Refused: There are other motions, or the base did not move, or did not stop.
+        Refused: There are other motions, too few samples, or the base did not move or stop.
     """
     kinds = [(motion.is_turn, motion.held.quiet_s > 0.0) for motion in trial.motions]
     if kinds != [(False, False), (False, True), (True, False)]:
@@ -228,10 +228,10 @@ def measured(trial: Trial) -> Measured:
 
 
 def _turned(motion: Motion) -> Turned | None:
-    """Return what a turn tells, None if the base did not turn.
+    """Return the properties of a turn, None if the base did not turn.
 
     Raises:
-        Refused: It told too little, did not stop, or turned the other way.
+        Refused: There are too few samples, or the base did not stop or turned the other way.
     """
     line = _line(motion)
     if line.speed <= -MOVES_SHARE * motion.wanted:
@@ -247,17 +247,17 @@ def _turned(motion: Motion) -> Turned | None:
 
 
 def _last_s(motion: Motion) -> float:
-    """Return when the velocity was commanded last."""
+    """Return the time of the last command with the wanted velocity."""
     return max((t_s for t_s, value in motion.sent() if value == motion.wanted), default=0.0)
 
 
 def _delay_s(motion: Motion, line: _Line) -> float:
-    """Return by how much the motion follows the command."""
+    """Return how far the motion lags behind the command."""
     return max(line.since_s - _commanded_since_s(motion), 0.0)
 
 
 def _commanded_since_s(motion: Motion) -> float:
-    """Return when a velocity that begins at once would have led as far as its ramp."""
+    """Return when a step command would have to begin to cover as much distance as the ramp."""
     last_s = _last_s(motion)
     sent = [(t_s, value) for t_s, value in motion.sent() if t_s <= last_s]
     driven = sum(value * (after_s - t_s) for (t_s, value), (after_s, _) in pairwise(sent))
@@ -268,7 +268,7 @@ def _moving_line(motion: Motion) -> _Line:
     """Return the line through the steady part.
 
     Raises:
-        Refused: The base did not move, or told too little.
+        Refused: The base did not move, or there are too few samples.
     """
     line = _line(motion)
     if not _moves(motion, line):
@@ -287,7 +287,7 @@ def _line(motion: Motion) -> _Line:
     """Return the line through the steady part.
 
     Raises:
-        Refused: It told too little.
+        Refused: There are too few samples.
     """
     last_s = _last_s(motion)
     steady = [(t_s, x) for t_s, x in motion.way() if last_s - STEADY_S <= t_s <= last_s]
@@ -298,7 +298,7 @@ def _line(motion: Motion) -> _Line:
 
 
 def _rest(motion: Motion, from_s: float, until_s: float) -> tuple[float, bool]:
-    """Return where the base was at the end of a time, and whether it stood then."""
+    """Return the mean position of the base in a period, and whether the base stood."""
     xs = [x for t_s, x in motion.way() if from_s <= t_s <= until_s]
     if len(xs) < MIN_SAMPLES - 1:
         raise Refused("odometry ended before the base stood")
@@ -307,10 +307,10 @@ def _rest(motion: Motion, from_s: float, until_s: float) -> tuple[float, bool]:
 
 
 def _stop(motion: Motion, line: _Line) -> tuple[float, float]:
-    """Return distance, or angle, and time from the first command of zero to the standstill.
+    """Return distance (or angle) and time from the first zero command to the standstill.
 
     Raises:
-        Refused: The base did not stand in the end.
+        Refused: The base did not stand in the end, or odometry ended before.
     """
     last_s, way = _last_s(motion), motion.way()
     zero_s = min((t_s for t_s, _ in motion.sent() if t_s > last_s), default=last_s)
@@ -324,7 +324,7 @@ def _stop(motion: Motion, line: _Line) -> tuple[float, float]:
 
 
 def _timeout_s(motion: Motion, stopping_m: float) -> float | None:
-    """Return how long the base went on after the last command, beyond its stopping distance."""
+    """Return how long the base kept its speed after the last command, None if it did not stop."""
     last_s, line = _last_s(motion), _moving_line(motion)
     end_s = last_s + motion.held.quiet_s
     rest_m, stands = _rest(motion, end_s - STANDS_S, end_s)

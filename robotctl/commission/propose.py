@@ -1,4 +1,4 @@
-"""Limits and gains that fit a base, from what was measured."""
+"""Proposes limits and gains for a base from its measured properties."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from robotctl.commission.measure import Measured, Turned
 from robotctl.kernel.params import KernelParams
 
 STEERED_DELAY_S: Final = 0.2
-"""The delay up to which the default gains steer; beyond it, gain times delay is kept."""
+"""The largest delay at which the default gains are proposed; beyond it, smaller ones are."""
 
 STOP_WITHIN_M: Final = 0.3
-"""The distance within which the proposed speed stops."""
+"""The distance within which the base stops from the proposed speed."""
 
 STOP_WITHIN_RAD: Final = pi / 4.0
-"""The angle within which the proposed rate of turning stops."""
+"""The angle within which the base stops from the proposed turn rate."""
 
 ODOMETRY_PERIODS: Final = 10
 LARGEST_GAPS: Final = 3
@@ -35,7 +35,7 @@ class Proposal:
 
 
 def proposals(base: Measured, present: KernelParams) -> list[Proposal]:
-    """Return the values that fit this base; within the ranges that the keys allow."""
+    """Return the proposed values for this base, within the ranges that their keys allow."""
     follow_s = base.command_delay_s
     lag_s = _rounded(min(max(follow_s - (base.odometry_delay_s or 0.0), 0.0), 0.5))
     steer_s = max(follow_s, base.turn.command_delay_s if base.turn else 0.0)
@@ -74,12 +74,12 @@ def proposals(base: Measured, present: KernelParams) -> list[Proposal]:
 
 
 def configuration(settings: Mapping[str, object], proposed: list[Proposal]) -> dict[str, object]:
-    """Return settings with the proposed values in place of theirs."""
+    """Return `settings`, overridden by the proposed values."""
     return {**settings, **{each.key: each.value for each in proposed}}
 
 
 def _turning(turn: Turned | None, present: KernelParams) -> list[Proposal]:
-    """Return the limit of turning; none for a base that does not turn on its place."""
+    """Return the proposed limit of the turn rate; [] for a base that cannot turn on the spot."""
     if turn is None:
         return []
     limits = present.limits
@@ -115,7 +115,7 @@ def _stopping_within(way: float, reaction_s: float, braking: float) -> float:
 
 
 def _rounded(value: float) -> float:
-    """Round to two digits after the point, so that the value can be read."""
+    """Round to two decimals, so that the value is readable."""
     return round(value, 2)
 
 

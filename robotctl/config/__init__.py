@@ -1,8 +1,8 @@
 """The daemon's configuration: one frozen `Config`, validated when it is read.
 
-- `settings`: what may be set, with the defaults; read and change a `Config` by dotted keys.
+- `settings`: all settings with their defaults; read and change a `Config` by dotted keys.
 - `file`: read a `Config` from a YAML file.
-- `ros_settings`: the same from parameter files and arguments of ROS.
+- `ros_settings`: change a `Config` by ROS parameter files and `--ros-args`.
 """
 
 from robotctl.config.file import MAX_FILE_BYTES, load

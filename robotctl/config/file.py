@@ -6,7 +6,7 @@ A file is YAML, nested or with dotted keys, plain or in the form of a ROS parame
     limits: {linear_mps: 0.3}               ros__parameters:
                                               tracking.k_y: 8.0
 
-Anchors and aliases are refused: with them, a file of a few lines can expand beyond the memory.
+Aliases are refused: with them, a file of a few lines can expand beyond the memory.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MAX_FILE_BYTES = 1_000_000
 
 
 def load(path: Path, warn: Callable[[str], object] = log_warning) -> Config:
-    """Return the configuration in the file `path`; call `warn` of a retired key, and ignore it.
+    """Return the configuration in the file `path`; call `warn` for a retired key, and ignore it.
 
     Raises:
         ConfigError: The file cannot be read, or a key or value is not allowed.
@@ -53,7 +53,7 @@ def load(path: Path, warn: Callable[[str], object] = log_warning) -> Config:
 
 
 def read_settings(path: Path) -> list[tuple[str, object]]:
-    """Return the dotted keys of a file with their values, in its order; neither is checked.
+    """Return the dotted keys of a file with their values, unchecked and in the file's order.
 
     Raises:
         ConfigError: The file cannot be read, or has a key twice.
@@ -68,7 +68,7 @@ def read_settings(path: Path) -> list[tuple[str, object]]:
 
 
 def file_error(path: Path, key: str, error: ConfigError) -> ConfigError:
-    """Return the error with the path of the file, and the line on which it names `key`."""
+    """Return `error` with the path of the file and, if found, the line that names `key`."""
     line = _line_of(path, key)
     where = f"{path}: " if line is None else f"{path}: line {line}: "
     return ConfigError(f"{where}{error.cause}", error.cure)
@@ -78,7 +78,7 @@ def read_value(name: str, text: str) -> object:
     """Return the value that a text means in YAML.
 
     Raises:
-        ConfigError: It is not valid YAML.
+        ConfigError: The text is not valid YAML.
     """
     import yaml
 
@@ -89,15 +89,15 @@ def read_value(name: str, text: str) -> object:
 
 
 def read_yaml(path: Path) -> Any:
-    """Return the content of a YAML file without aliases and duplicate keys.
+    """Return the content of a YAML file.
 
     Raises:
-        ConfigError: The file cannot be read, or is not valid.
+        ConfigError: The file cannot be read, is not valid, or has aliases or duplicate keys.
     """
-    import yaml  # here, because it takes 15 ms and most daemons have no configuration file
+    import yaml  # here: the import lasts 15 ms, and most daemons have no configuration file
 
     class Loader(yaml.SafeLoader):
-        """A loader that refuses aliases and duplicate keys, of which YAML would keep the last."""
+        """A loader that refuses aliases and duplicate keys: PyYAML would keep the last value."""
 
         def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
             if self.check_event(yaml.AliasEvent):
@@ -141,13 +141,13 @@ def _line_of(path: Path, key: str) -> int | None:
     try:
         named = lines(yaml.compose(_text(path), yaml.SafeLoader), "")
         found = [line for name, line in named if f".{name}".endswith(f".{key}")]
-    except (OSError, yaml.YAMLError):  # it was changed meanwhile
+    except (OSError, yaml.YAMLError):  # the file was changed meanwhile
         return None
     return found[-1] if found else None
 
 
 def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:
-    """Return the settings of a file; in a ROS parameter file they are below `ros__parameters`."""
+    """Return the settings of a file, those below `ros__parameters` for a ROS parameter file."""
     if content is None:
         return {}
     if not isinstance(content, dict):
@@ -162,7 +162,7 @@ def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:
 def flatten(
     settings: Mapping[Any, Any], path: Path, prefix: str = ""
 ) -> Iterator[tuple[str, object]]:
-    """Yield each setting as a dotted key and its value; rates by topic stay a mapping."""
+    """Yield each setting as a dotted key and its value; for RATE_KEYS the value is a mapping."""
     for name, value in settings.items():
         key = f"{prefix}{name}"
         if isinstance(value, dict) and key not in RATE_KEYS:

@@ -1,4 +1,4 @@
-"""Applies `--ros-args` to a configuration: parameters, files of them, and remaps of its topics."""
+"""Applies `--ros-args` to a configuration: parameters, parameter files and remaps of topics."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PREFIXES: Final = {
     SIMULATED_ROBOT: ("sim.",),
     MODE_SERVICE: ("",),
 }
-"""The beginnings of the keys that a node declares; the first node that fits has the key."""
+"""The prefixes of the keys that each node declares; the first node with a match has the key."""
 
 NODES: Final = tuple(PREFIXES)
 """The nodes that have parameters."""
@@ -50,7 +50,7 @@ _PARAMETERS = "ros__parameters"
 
 
 class NodeParameter(NamedTuple):
-    """One value in a file, and the name or pattern of the nodes that it is for."""
+    """A key and its value in a file, with the name or pattern of the nodes that they are for."""
 
     node: str
     key: str
@@ -61,7 +61,7 @@ def read_parameter_file(path: Path) -> tuple[NodeParameter, ...]:
     """Return the parameters in the file, in its order.
 
     Raises:
-        ConfigError: The file cannot be read, or is no ROS parameter file.
+        ConfigError: The file cannot be read, or is not a ROS parameter file.
     """
     content = read_yaml(path)
     found = tuple(_sections(content, path, "")) if isinstance(content, dict) else ()
@@ -86,10 +86,10 @@ def _sections(content: Mapping[Any, Any], path: Path, node: str) -> Iterator[Nod
 
 
 def is_for(pattern: str, node: str) -> bool:
-    """Return whether a name or pattern of a file means the node with this full name.
+    """Return whether the name or pattern in a file matches the node with the full name `node`.
 
-    `*` stands for one part of a name and `**` for any number of parts; a name without a slash means
-    the node in every namespace.
+    `*` stands for one part of a name and `**` for any number of parts; a name without
+    a slash or a `*` matches the node in every namespace.
     """
     if "/" not in pattern and "*" not in pattern:
         return pattern == node.rpartition("/")[2]
@@ -102,7 +102,7 @@ def is_for(pattern: str, node: str) -> bool:
 
 
 def check_parameter_files(words: Sequence[str], node: str) -> None:
-    """Check that each `--params-file` of a command line has something for the node.
+    """Check that each `--params-file` of a command line has a parameter for the node.
 
     Raises:
         ConfigError: A file cannot be read, or is for other nodes only.
@@ -122,7 +122,7 @@ USE_SIM_TIME: Final = "use_sim_time"
 
 @dataclass(frozen=True, slots=True)
 class RosSettings:
-    """The configuration, the remaps of other names than its topics, and `use_sim_time`."""
+    """The configuration, the remaps that do not concern its topics, and `use_sim_time`."""
 
     config: Config
     remaps: tuple[Remap, ...]
@@ -135,13 +135,13 @@ def apply_arguments(
     namespace: str,
     warn: Callable[[str], object] = log_warning,
 ) -> RosSettings:
-    """Return the configuration as the arguments change it, for nodes in this namespace.
+    """Return the configuration changed by the arguments, for nodes in `namespace`.
 
-    `warn` is called of a retired key, which is ignored.
+    For a retired key, `warn` is called; the key is ignored.
 
     Raises:
         ConfigError: A key, a value, or a file is wrong, or is for other nodes.
-        UsageError: There is no such node.
+        UsageError: An argument names a node that the daemon does not have.
     """
     use_sim_time = False
     for key, value in _given_values(given, namespace).items():
@@ -208,7 +208,7 @@ def _check_owner(node: str, key: str) -> None:
 def _with_topics(
     config: Config, remaps: tuple[Remap, ...], namespace: str
 ) -> tuple[Config, tuple[Remap, ...]]:
-    """Return the configuration with its topics remapped, and the rules that are left for rcl."""
+    """Return the configuration with its topics remapped, and the other rules, which are for rcl."""
 
     def full(name: str) -> str:
         return name if name.startswith("/") else f"{namespace}/{name}"

@@ -27,15 +27,15 @@ from robotctl.sim.robot import SimParams
 class RecordingParams:
     """What is recorded, and how long recordings are kept.
 
-    `compression` is zstd, lz4 or none. The oldest recordings are removed until at most
-    `max_total_gb` are left and none is older than `max_age_days`; 0 means no limit. A topic is
+    `compression` is zstd, lz4 or none. The oldest recordings that are not kept are removed until at
+    most `max_total_gb` are left and none is older than `max_age_days`; 0 means no limit. A topic is
     recorded if a pattern of `include` matches it, or `include` is empty, and no pattern of
     `exclude` matches it. `throttle` and `expected_rates` give rates [1/s] to patterns, each as
-    PATTERN=RATE; the first pattern that matches counts. A clip is cut around each emergency stop
+    PATTERN=RATE; the first pattern that matches counts. A clip is saved around each emergency stop
     and error, from `clip_before_s` before it to `clip_after_s` after it; with `clip_before_s` 0 no
-    clips are cut. `group_readable` lets the group read the recordings, otherwise only their owner
-    may. `seal` signs them with a key of the robot; `publish_heads` publishes the newest head on a
-    topic, and `head_command` is run with it.
+    clips are saved. `group_readable` lets the group read the recordings, otherwise only their owner
+    may. `seal` signs them with a key of the robot; `publish_heads` publishes the seal's newest head
+    on a topic, and `head_command` is run with each new head as an argument.
     """
 
     compression: Compression = setting(Compression.ZSTD, "compression of the chunks", Change.START)
@@ -91,7 +91,7 @@ class DecisionParams:
 
 @dataclass(frozen=True, slots=True)
 class SocketParams:
-    """Who may give commands on the control socket besides its owner and root."""
+    """Who may give commands on the control socket, in addition to its owner and root."""
 
     group: str = setting(
         "", "Unix group whose members may give every command (0660, 0750)", Change.START, group=True
@@ -104,8 +104,8 @@ class Config:
 
     `fifo_priority` is the SCHED_FIFO priority of the loop's thread, from 1 (low) to 99; 0 leaves
     the scheduling as it is. `on_recorder_failure` is stop or warn: whether the robot must stop
-    when recording fails. `on_topic_trouble` is warn or refuse: whether a topic of others that is
-    not as expected refuses the start of a motion.
+    when recording fails. `on_topic_trouble` is warn or refuse: whether a topic of another node that
+    is silent, slow or fast prevents the start of a motion.
     """
 
     kernel: KernelParams = field(default_factory=KernelParams)
@@ -134,13 +134,13 @@ _PATTERN = re.compile(r"(?:type:|(?=[/*?\[]))[A-Za-z0-9_/*?!\[\]-]{1,300}")
 MAX_RATE_HZ = 1e5
 RATES_HELP = 'use topics, globs or types with rates, such as {"/camera/*": 5}'
 MAX_GROUP_NAME = 256
-"""Longer than a name of group(5) or of a directory service."""
+"""A limit that no group name in group(5) or a directory service reaches."""
 
 PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/msg/Image)"
 
 
 def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any]) -> object:
-    """Return `value` in the type of its field, if it is allowed for `key`.
+    """Return `value` as the type `kind` of its field, if it is allowed for `key`.
 
     Raises:
         ConfigError: The value is not allowed; the error says what is.
@@ -149,7 +149,7 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
         return (_checked_rates if metadata.get("rates") else _checked_patterns)(key, value)
     if issubclass(kind, Enum):
         choices = {member.value: member for member in kind}
-        # 100 and true are no text in YAML.
+        # YAML reads 100 and true as int and bool, not as text.
         if type(value) in (str, int, bool) and (text := str(value).lower()) in choices:
             return choices[text]
         raise not_allowed(key, value, f"use {', '.join(choices)}")
@@ -236,7 +236,7 @@ def _is_topic(value: object, *, optional: bool) -> bool:
 
 
 def not_allowed(key: str, value: object, allowed: str) -> ConfigError:
-    """Return the error for a value that is not allowed, with what is."""
+    """Return the error for a value that is not allowed; `allowed` says what to use."""
     return ConfigError(f"{key}: {short_repr(value)} is not allowed", allowed)
 
 
@@ -248,7 +248,7 @@ _log = logging.getLogger(__name__)
 
 
 def check_together(kernel: KernelParams) -> None:
-    """Check values against one another.
+    """Check that the values of the kernel do not conflict.
 
     Raises:
         ConfigError: Two values are allowed separately, but not together.
@@ -259,12 +259,12 @@ def check_together(kernel: KernelParams) -> None:
 
 
 def log_warning(sentence: str) -> None:
-    """Log a warning: where nobody else is told."""
+    """Log a warning; the default for the parameter `warn`."""
     _log.warning(sentence)
 
 
 def warn_of_retired(key: str, warn: Callable[[str], object], where: str = "") -> bool:
-    """Return whether an earlier version had this key; call `warn` with what replaces it, if so.
+    """Return whether `key` is retired; if so, call `warn` with a sentence on what replaces it.
 
     `where` is the beginning of the warning.
     """
@@ -304,7 +304,7 @@ def check_all(config: Config) -> None:
 
 
 def with_text(config: Config, key: str, text: str) -> Config:
-    """Return `config` with the dotted `key` set to a value typed on a command line.
+    """Return `config` with the dotted `key` set to the value that a command line gives as text.
 
     Raises:
         ConfigError: There is no such key, or the value is not allowed.
@@ -340,7 +340,7 @@ def keyed_leaves(config: Config) -> Iterator[tuple[str, Leaf]]:
 RATE_KEYS = frozenset(
     key for key, leaf in keyed_leaves(Config()) if leaf.declared.metadata.get("rates")
 )
-"""The keys whose value is a mapping of topics to rates."""
+"""The keys whose value may be a mapping of topics to rates."""
 
 
 @cache

@@ -1,4 +1,4 @@
-"""The composition root: what every daemon does from start to end, driving or only recording."""
+"""The composition root: the steps of every daemon from start to end (driver or observer)."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ from robotctl.ros.nodes.velocity_publisher import is_monitor
 from robotctl.ros.session import RECORDER_NODE, Naming, ros_session
 
 PROBE_NODE = "_command_probe"
-"""ROS tools hide names with a leading underscore; the node lives until a base is found."""
+"""A short-lived node that looks for a base; ROS tools hide names with a leading underscore."""
 
 
 async def choose_command_type(host: Host) -> CommandType:
-    """Return the configured type; for `auto`, the one that the subscribers of the topic take.
+    """Return the configured command type; for `auto`, the type that the topic's subscribers use.
 
-    Where no base is found until the end of discovery, or none is looked for, that is Twist.
+    `auto` gives TwistStamped only if all discovered subscribers use it, otherwise Twist.
     """
     command = host.config.kernel.command
     looks = not (host.alone or host.options.sim)
@@ -80,7 +80,7 @@ async def _taken_type(host: Host, command: CommandParams) -> CommandType:
 
 
 STABLE_S: Final = 0.6
-"""No new node for this long: all are discovered. Daemons announce themselves every 0.5 s."""
+"""After this time without a new node, discovery is complete: daemons announce every 0.5 s."""
 
 LOOK_S: Final = 0.05
 
@@ -88,11 +88,11 @@ LOOK_S: Final = 0.05
 async def refuse_same_names(host: Host) -> None:
     """Wait until the other nodes of the domain are discovered; refuse a second mode service.
 
-    Both would serve the same requests and command the same robot. It is looked for before this
+    Two of them would serve the same requests and command the same robot. The check runs before this
     daemon has a publisher that could disturb the other one.
 
     Raises:
-        Refused: Another daemon has the names, and the options do not allow that.
+        Refused: Another daemon has nodes of the same names, and the options do not allow it.
     """
     options = host.options
     if host.alone or options.allow_same_names:
@@ -124,7 +124,7 @@ async def refuse_same_names(host: Host) -> None:
 
 
 OF_ONE_START: Final = ("directory", "git.directory", "user")
-"""What the start itself tells; it is no part of the software's identity."""
+"""Values that describe one start; they are not part of the software's identity."""
 
 
 def open_decision_log(options: DaemonOptions, config: Config) -> DecisionLog:
@@ -135,7 +135,7 @@ def open_decision_log(options: DaemonOptions, config: Config) -> DecisionLog:
 def _note_start(
     log: DecisionLog, options: DaemonOptions, config: Config, recorder: FlightRecorder
 ) -> None:
-    """Note who started the daemon, and software and configuration where they have changed."""
+    """Log who started the daemon, and software and configuration if they have changed."""
     known = provenance()
     log.add(
         DecisionKind.START,
@@ -155,7 +155,7 @@ def _note_start(
 async def noted(
     log: DecisionLog, options: DaemonOptions, config: Config, recorder: FlightRecorder
 ) -> AsyncIterator[None]:
-    """Note start and end around a block; the end waits for the disk, for a moment."""
+    """Log the start and the end of the block; the end waits for the disk, for END_S at most."""
     _note_start(log, options, config, recorder)
     recorder.tidier.on_removed = lambda path: log.add(DecisionKind.REMOVED, file=path)
     failure: dict[str, str] = {}
@@ -254,7 +254,7 @@ async def serve(
             raise
         gc.collect()
         gc.freeze()  # a full collection over all imported objects would block the loop for 70 ms
-        gc.enable()  # in a process of its own it is off until here
+        gc.enable()  # `__main__` has disabled it
 
         def ready(summary: StartSummary) -> None:
             serve_logger_levels(session, levels)

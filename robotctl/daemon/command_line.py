@@ -19,7 +19,7 @@ from robotctl.kernel.patterns import PatternKind
 
 @dataclass(frozen=True, slots=True)
 class DaemonOptions:
-    """The options of a start; `sim` None: simulate unless odometry has a publisher already."""
+    """The options of a start; if `sim` is None, simulate unless odometry has a publisher."""
 
     robot: str
     config: Path | None
@@ -28,11 +28,11 @@ class DaemonOptions:
     sim: bool | None
     domain_id: int
     observe: bool = False
-    """Record only."""
+    """Record only: do not drive or simulate a robot."""
 
     include: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
-    """Patterns of topics, added to those of the configuration."""
+    """`include` and `exclude` are topic patterns, added to those of the configuration."""
 
     ros_namespace: str | None = None
     """A namespace other than the one that the robot's name gives."""
@@ -60,12 +60,12 @@ class DaemonOptions:
         return namespace_of(self.robot)
 
     def applied_to(self, config: Config, warn: Callable[[str], object]) -> RosSettings:
-        """Return the configuration as the command line changes it, and what is left for ROS.
+        """Return `config` with the changes of the command line, and the settings for ROS.
 
-        `warn` is called of each retired key.
+        `warn` is called with a sentence for each retired key.
 
         Raises:
-            ConfigError: A parameter, a value, or a file of parameters is wrong.
+            ConfigError: A parameter, a value or a parameter file is wrong.
         """
         settings = apply_arguments(config, self.ros, self.namespace, warn)
         config = settings.config
@@ -119,7 +119,7 @@ def parse(arguments: list[str]) -> DaemonOptions:
 
 
 def absolute(recordings: Path) -> Path:
-    """Return the path of the folder from the root.
+    """Return the absolute path of the folder.
 
     Raises:
         UsageError: It is relative, and the working folder was removed.
@@ -132,7 +132,7 @@ def absolute(recordings: Path) -> Path:
 
 
 def _patterns(option: str, given: list[str]) -> tuple[str, ...]:
-    """Return the patterns of a repeatable option; each use may hold several, with commas."""
+    """Return the patterns of a repeatable option; each use may have several, split by commas."""
     patterns = [pattern for text in given for pattern in text.split(",")]
     for pattern in patterns:
         if not is_topic_pattern(pattern):
@@ -141,7 +141,7 @@ def _patterns(option: str, given: list[str]) -> tuple[str, ...]:
 
 
 def parse_ready_fd(arguments: list[str]) -> int | None:
-    """Return the descriptor for the report of the start, even if other options are wrong."""
+    """Return the descriptor for the start report or None, even if other options are wrong."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--ready-fd", type=int)
     others, _ = ros_arguments.split(arguments)

@@ -14,7 +14,7 @@ from robotctl.kernel.types import DriveRequested
 from robotctl.ros.nodes.drive_action import DriveProgress, Goal
 
 MAX_SHOWN = 40
-"""The part of an unknown pattern's name that a refusal shows, in characters."""
+"""How many characters of an unknown pattern's name a refusal shows."""
 
 
 class RequestedDrive:
@@ -28,7 +28,7 @@ class RequestedDrive:
         self.reply = control.begin(event)
 
     def progress(self) -> DriveProgress | None:
-        """Return how far the drive has come, None if it is not going on."""
+        """Return the progress of the drive, or None if it is not running."""
         state = self._control.state
         drive, odometry = state.drive, state.health.odometry
         if drive is None or drive.request_id != self._event.request_id or odometry is None:
@@ -37,14 +37,14 @@ class RequestedDrive:
         return DriveProgress(drive.score.distance_m, laps, drive.cross_track_m(odometry.pose))
 
     def ramp_down(self) -> bool:
-        """End the drive with a ramp; return whether it was still going on."""
+        """End the drive with a ramp; return whether it was still running."""
         return self._driving.ramp_down(
             self._event.request_id, f"{self._event.source}, which was cancelled"
         )
 
 
 class DriveGoals:
-    """Turns goals into requests."""
+    """Converts goals into requests for the kernel."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class DriveGoals:
         self._is_remote = is_remote
 
     def begin(self, goal: Goal, source: str) -> RequestedDrive:
-        """Request the drive of a goal now.
+        """Request the drive of a goal at once.
 
         Raises:
             ValueError: The goal has no laps, an unknown pattern or a speed above the limit.

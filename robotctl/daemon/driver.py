@@ -67,7 +67,7 @@ from robotctl.ros.session import Session
 def create_input_roles(
     session: Session, params: KernelParams, robot: str, inputs: Inputs, command: CommandType
 ) -> None:
-    """Subscribe to each input that is configured, and pass it to `inputs`."""
+    """Subscribe to each configured input topic, and pass its messages to `inputs`."""
     if params.battery.topic:
         BatterySubscriber(session, params.battery.topic, inputs.battery)
     if params.scan.use is not Use.OFF:
@@ -78,13 +78,13 @@ def create_input_roles(
 
 
 def with_lifecycle(state: State, *, autostart: bool) -> State:
-    """Return the first state of a kernel whose node is activated at once, or is not configured."""
+    """Return `state` with the lifecycle ACTIVE if `autostart`, otherwise UNCONFIGURED."""
     first = LifecycleState.ACTIVE if autostart else LifecycleState.UNCONFIGURED
     return replace(state, health=Health(lifecycle=first))
 
 
 def follow_lifecycle(node: ManagedNode, inputs: Inputs, *, autostart: bool) -> None:
-    """Activate the node where it activates itself, and pass its later transitions on."""
+    """Activate the node if `autostart`; pass its later transitions to `inputs`."""
     if autostart:
         node.start()
     source = f"the lifecycle of {node.get_fully_qualified_name()}"
@@ -100,7 +100,7 @@ subscriber of the command. Discovery by Fast DDS takes up to 2.6 s; a robot may 
 
 @dataclass(slots=True)
 class Driver:
-    """A daemon that drives a robot: its wired parts, as `build` makes them."""
+    """A daemon that drives a robot, with the parts that `build` creates and connects."""
 
     host: Host
     command: CommandType
@@ -119,7 +119,7 @@ class Driver:
     leases: LeaseMethods
     driving: DrivingMethods
     simulated: SimulatedRobot | None = None
-    """Made by `run`, where the daemon simulates the robot."""
+    """Set by `run` if the daemon simulates the robot."""
 
     def methods(self) -> Mapping[str, Method[Any]]:
         """Return the methods of the control socket."""
@@ -207,10 +207,10 @@ class Driver:
 
 
 def build(host: Host, command: CommandType) -> Driver:
-    """Wire kernel, ROS roles and recorder.
+    """Create kernel, ROS roles and recorder, and connect them.
 
-    A part is made after those that it uses. The two that use later ones, control and recorder, get
-    those as attributes, before any event comes.
+    Each part is created after the parts that it uses. Control and recorder also use parts that are
+    created later: these are assigned as attributes, before the first event arrives.
     """
     session, params, robot = host.session, host.config.kernel, host.options.robot
     say = partial(_sentence, robot=robot)
@@ -248,7 +248,7 @@ def build(host: Host, command: CommandType) -> Driver:
     inputs = Inputs(control, report, remote.is_remote)
 
     def hear_odometry(odometry: Odometry, source: int, sequence: int) -> None:
-        loop.look_at_commands()  # twice as often as the ticks alone
+        loop.look_at_commands()  # in addition to the ticks, so twice as often
         inputs.odometry(odometry, source, sequence)
 
     odometry = OdomSubscriber(
@@ -304,5 +304,5 @@ def build(host: Host, command: CommandType) -> Driver:
 
 
 def _sentence(reply: Reply, robot: str) -> str:
-    """Return what a reply says, with its cure."""
+    """Return the message of a reply with its cure, as one sentence."""
     return advice(reply.message, reply.remedies, robot).sentence

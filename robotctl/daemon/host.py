@@ -1,4 +1,4 @@
-"""What the app gives to each kind of daemon, what each must offer, and its diagnostics."""
+"""The input (Host) and interface (DaemonKind) of both kinds of daemon, and their diagnostics."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ Ready = Callable[[StartSummary], None]
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """The environment that a daemon is made in."""
+    """The options, session and other objects that a daemon is created with."""
 
     options: DaemonOptions
     config: Config
     alone: bool
-    """Whether no other process was in the ROS domain at the start."""
+    """Whether the ROS domain certainly had no other participant at the start."""
 
     supervisor: Supervisor
     discovered_by_s: float
-    """The steady time [s] until which a start waits for a robot before it simulates one."""
+    """The steady time [s] at which a start no longer waits for discovery."""
 
     stop: asyncio.Event
     """Set to end the daemon."""
@@ -49,11 +49,11 @@ class Host:
     decisions: DecisionLog
 
     warnings: list[PartWarning]
-    """Called at each `status`; a part of the daemon appends its warning here."""
+    """Functions that are called at each `status`; a part of the daemon appends its function."""
 
 
 class DaemonKind(Protocol):
-    """A kind of daemon: Driver or Observer. It publishes nothing before the recorder runs."""
+    """A kind of daemon: Driver or Observer. Its recorder starts before anything is published."""
 
     recorder: FlightRecorder
 
@@ -64,7 +64,7 @@ class DaemonKind(Protocol):
         """Run every task until the daemon is stopped."""
 
     def mode(self) -> str:
-        """Return what the daemon does now, in a word."""
+        """Return the mode of the daemon as one word."""
 
     async def stop_robot(self) -> None:
         """Stop the robot at once: the daemon is about to fail."""
@@ -72,7 +72,7 @@ class DaemonKind(Protocol):
 
 @asynccontextmanager
 async def running(supervisor: Supervisor, work: Mapping[str, Work]) -> AsyncIterator[None]:
-    """Run the tasks under the supervisor until the end of the block."""
+    """Run the tasks under the supervisor, and cancel them at the end of the block."""
     async with asyncio.TaskGroup() as group:
         tasks = [group.create_task(supervisor.run(name, each)) for name, each in work.items()]
         yield
@@ -83,11 +83,11 @@ async def running(supervisor: Supervisor, work: Mapping[str, Work]) -> AsyncIter
 PERIOD_S: Final = 1.0
 
 MAX_WARNINGS: Final = 100
-"""Limit on the warnings that are listed."""
+"""Limit on the warnings in a diagnosis."""
 
 
 class Diagnostics:
-    """Samples the recorder's rates and publishes both diagnoses, once a second."""
+    """Samples the recorder's rates and publishes the diagnoses of recorder and daemon at 1 Hz."""
 
     def __init__(
         self, session: Session, robot: str, recorder: RecorderReport, warnings: Warnings
@@ -104,7 +104,7 @@ class Diagnostics:
             await asyncio.sleep(PERIOD_S)
 
     def publish(self) -> None:
-        """Publish once."""
+        """Publish both diagnoses now."""
         stats = self._recorder.stats()
         of_recording = self._warnings.of_recording(stats)
         self._publisher.publish(
@@ -113,7 +113,7 @@ class Diagnostics:
 
 
 def diagnose(warnings: Sequence[str]) -> Diagnosis:
-    """Return the diagnosis of the daemon: WARN where `status` warns of something, else OK."""
+    """Return the diagnosis of the daemon: WARN if there are warnings, otherwise OK."""
     values = {f"warning {n}": text for n, text in enumerate(warnings[:MAX_WARNINGS], start=1)}
     if not warnings:
         return Diagnosis("daemon", DiagnosticLevel.OK, "no warnings", values)

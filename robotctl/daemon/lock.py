@@ -14,7 +14,7 @@ from robotctl.base.paths import make_private
 from robotctl.ipc.client import command_for
 
 PID_S = 1.0
-"""How long the owner may take from the lock to writing its pid into the file."""
+"""How long the owner may take to write its pid into the file after it has locked it."""
 
 
 @contextmanager
@@ -22,7 +22,7 @@ def owned(path: Path, robot: str) -> Iterator[None]:
     """Own the robot's lock within the block.
 
     Raises:
-        AlreadyRunning: Another daemon owns it; names that daemon's pid.
+        AlreadyRunning: Another daemon owns it; the message names its pid.
     """
     make_private(path.parent)
     fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -46,7 +46,7 @@ def owned(path: Path, robot: str) -> Iterator[None]:
 
 
 def is_owned(path: Path) -> bool:
-    """Return whether a running daemon owns the lock; of another user's lock, that it may."""
+    """Return whether a daemon owns the lock; True if we may not open another user's lock file."""
     try:
         fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     except PermissionError:

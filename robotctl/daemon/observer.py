@@ -1,4 +1,4 @@
-"""The daemon that only records, next to any other stack: no commands, no simulation."""
+"""The daemon that only records while any other stack drives: no commands, no simulation."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Observer:
         host.supervisor.report_to(self._note)
 
     def methods(self) -> Mapping[str, Method[Any]]:
-        """Return the methods of the control socket; those that move a robot are refused."""
+        """Return the methods of the control socket; methods about driving are refused."""
         return {
             **common_methods(self._status, self._host.stop),
             **recording_methods(self.recorder, self._host.options.robot),

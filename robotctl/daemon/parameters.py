@@ -25,14 +25,14 @@ START_CURE = "stop the daemon, and start it with --config, or with --ros-args -p
 
 
 class Setting(NamedTuple):
-    """A new value for a key, in the form that a file uses."""
+    """A new value for a key, in the form that a configuration file uses."""
 
     key: str
     value: object
 
 
 class Parameters:
-    """The present configuration: the kernel owns its parameters, this object all others."""
+    """The present configuration: the kernel owns its parameters, this object owns all others."""
 
     def __init__(
         self, config: Config, control: Control, on_change: Callable[[Config], None]
@@ -50,7 +50,7 @@ class Parameters:
         return replace(self._config, kernel=self._control.params)
 
     def parsed(self, key: str, text: str) -> Setting:
-        """Return the setting that a text means.
+        """Return the setting of `key` to the value that `text` represents.
 
         Raises:
             ConfigError: There is no such key, or the value is not allowed.
@@ -58,7 +58,7 @@ class Parameters:
         return Setting(key, flat(with_text(self.config, key, text))[key])
 
     def request(self, settings: Sequence[Setting], source: str) -> Reply:
-        """Change all the parameters, or none; return the last reply, or that of the first refusal.
+        """Change all the parameters, or none; return the last reply, or the first refusal.
 
         Raises:
             ConfigError: There is no such key, or a value is not allowed.
@@ -90,7 +90,7 @@ class Parameters:
         return replies[-1]
 
     def changed(self, change: ParameterChanged) -> None:
-        """Carry out a change that the kernel granted."""
+        """Apply a change that the kernel granted, and pass it to the followers."""
         if change.key not in kernel_leaves():
             self._config = with_text(self._config, change.key, change.new)
         config = self.config
@@ -118,7 +118,7 @@ def listed(config: Config) -> list[ParameterAnswer]:
 
 
 def serve_parameters(session: Session, parameters: Parameters, robot: str) -> None:
-    """Give each visible node its parameters and their services; cures in errors name `robot`."""
+    """Add its parameters and parameter services to each visible node; cures name `robot`."""
 
     def ask(settings: Sequence[tuple[str, Any]], source: str) -> str:
         try:
@@ -145,9 +145,9 @@ def serve_parameters(session: Session, parameters: Parameters, robot: str) -> No
 
 
 def _served_by(key: str, nodes: Container[str]) -> str:
-    """Return the node that declares a key: `mode_service`, where its usual node is not here.
+    """Return the node that declares a key: its usual node if that runs, else `mode_service`.
 
-    The simulated robot's keys are left out where none is simulated.
+    If no robot is simulated, no node declares the keys of the simulated robot.
     """
     node = node_of(key)
     return node if node in nodes or node == SIMULATED_ROBOT else MODE_SERVICE

@@ -17,7 +17,7 @@ from robotctl.ros.session import Session
 
 @contextmanager
 def published_log(session: Session, levels: LoggerLevels) -> Iterator[None]:
-    """Publish the log on /rosout within the block, which runs in the loop."""
+    """Publish the log on /rosout within the block; used in the loop's thread."""
     publisher = RosoutPublisher(session)
 
     def publish(record: logging.LogRecord, text: str) -> None:
@@ -44,7 +44,7 @@ def published_log(session: Session, levels: LoggerLevels) -> Iterator[None]:
 
 
 def serve_logger_levels(session: Session, levels: LoggerLevels) -> None:
-    """Give each visible node the services that tell and change levels."""
+    """Add the services that get and set logger levels to each visible node."""
 
     def change(name: str, level: int, source: str) -> str:
         refusal = levels.refusal(name, level) or _set_native(LogLevel(name, level))
@@ -64,8 +64,8 @@ def apply_levels(levels: LoggerLevels, given: tuple[LogLevel, ...]) -> None:
 
 
 def _set_native(level: LogLevel) -> str:
-    """Set the level of a named logger of rcl; return the refusal.
+    """Set the level of a named logger of rcl; return why it was refused, or "".
 
-    That of all loggers stays: at the level of debug, rcl writes two lines for each message.
+    rcl's default level is never changed: at DEBUG, rcl writes two lines for each message.
     """
     return set_native_level(level.logger, level.level) if level.logger else ""

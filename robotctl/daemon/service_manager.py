@@ -1,4 +1,4 @@
-"""Reports to systemd, where it started the daemon: ready, alive, mode, stopping (sd_notify(3))."""
+"""Reports to systemd, if it started the daemon: ready, alive, mode, stopping (sd_notify(3))."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _US_PER_S = NS_PER_S // 1000
 
 
 class ServiceManager:
-    """The socket of the service manager; without one, nothing is sent.
+    """The socket of the service manager; nothing is sent if there is none.
 
-    The socket is opened once: a report needs no free descriptor later. A report that cannot be sent
-    is dropped, as sd_notify(3) recommends.
+    The socket is opened once, so that later reports need no free descriptor. A report that cannot
+    be sent is dropped, as sd_notify(3) recommends.
     """
 
     def __init__(self) -> None:
-        """Remove the variables from the environment, so that no child process reports, too."""
+        """Open the socket; remove its variables, so that no child process reports as well."""
         address = os.environ.pop(SOCKET_VARIABLE, "")
         watchdog = os.environ.pop(WATCHDOG_VARIABLE, "")
         self._period_s = STATUS_PERIOD_S
@@ -53,7 +53,7 @@ class ServiceManager:
             self._socket = None
 
     async def run(self, status: Callable[[], str]) -> None:
-        """Report in time that the loop runs, and the status when it changes, until cancelled."""
+        """Send the watchdog's keep-alive, and the status when it changes, until cancelled."""
         if self._socket is None:
             return
         told = ""
@@ -72,7 +72,7 @@ class ServiceManager:
 
 @asynccontextmanager
 async def reporting(manager: ServiceManager, status: Callable[[], str]) -> AsyncIterator[None]:
-    """Report to the service manager within the block; at its end, that the daemon is stopping."""
+    """Run the reports within the block; at its end, report that the daemon is stopping."""
     task = asyncio.create_task(manager.run(status))
     try:
         yield

@@ -21,7 +21,7 @@ RAMP_DOWN_S = 3.0
 """How long the ramp may take before the command is cut to zero."""
 
 LAST_ZERO_S = 1.0
-"""How long the last zero is tried; after that the robot's command timeout has stopped it."""
+"""How long the last zero is retried; then the robot's command timeout has stopped the robot."""
 
 
 _ENDING = "the daemon is stopping"
@@ -58,9 +58,9 @@ async def stand_still(
 
 
 def send_zero(control: Control, velocity: VelocityPublisher) -> None:
-    """Send a zero now: as a decision of the kernel if the robot stands, else directly.
+    """Send a zero now: by the kernel if the robot stands and the kernel works, otherwise directly.
 
-    The journal tells that the daemon ends, so that a check knows its end.
+    A fault in the journal marks the end of the daemon for later checks.
     """
     sent = velocity.published
     with suppress(Exception):  # the kernel may be what has failed
@@ -75,12 +75,12 @@ DRAIN_S = 3.0
 """How long a stop waits until the recorder has received the last command."""
 
 ACKNOWLEDGED_S = 1.0
-"""How long a stop waits until the robot has received it. Fast DDS forgets what was not acknowledged
-when the publisher goes; later the robot's command timeout has stopped it."""
+"""How long a stop waits until the robot has acknowledged the last zero. A publisher that is
+destroyed earlier discards it (Fast DDS); later, the command timeout has stopped the robot."""
 
 
 class LastZero:
-    """Waits until the last command and status have arrived.
+    """Waits until the last command and the last status message have arrived.
 
     `received()` returns how many messages of each topic the recorder has received.
     """
@@ -96,7 +96,7 @@ class LastZero:
         self._received = received
 
     async def arrived(self) -> None:
-        """Wait, but not longer than a stop may take; warn if the robot has not received it."""
+        """Wait for the recorder, then for the robot; warn if the robot does not acknowledge."""
         await until(self._is_recorded, DRAIN_S)
         if not await until(self._velocity.is_acknowledged, ACKNOWLEDGED_S):
             _log.warning(

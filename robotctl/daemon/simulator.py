@@ -1,4 +1,4 @@
-"""The simulated robot, also as its own process, which outlives a daemon that dies."""
+"""The simulated robot, in a daemon or in its own process, which outlives a crashed daemon."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ async def simulate(
 ) -> None:
     """Run the robot until a signal ends it; the exit of `at_end` leaves the ROS domain.
 
-    With `only_if_missing`, return where another node publishes the odometry topic already.
+    With `only_if_missing`, return if another node publishes the odometry topic already.
     """
     stop = end_signals()
     topics = config.kernel
@@ -51,7 +51,7 @@ async def simulate(
 
 
 def simulated_robot(session: Session, config: Config, command_type: CommandType) -> SimulatedRobot:
-    """Return the robot that the configuration describes; its commands are of this type."""
+    """Return the robot that the configuration describes; it subscribes to `command_type`."""
     topics = config.kernel
     return SimulatedRobot(
         session,
@@ -67,7 +67,7 @@ def simulated_robot(session: Session, config: Config, command_type: CommandType)
 def recorded_robot(
     session: Session, config: Config, command_type: CommandType, tap: Tap
 ) -> SimulatedRobot:
-    """Return the robot of a daemon, whose recorder subscribes before the first message."""
+    """Return the robot of a daemon; first, the daemon's recorder subscribes to its topics."""
     topics = config.kernel
     tap.subscribe_own(odometry_topic(topics.odometry.topic))
     if topics.battery.topic:
@@ -76,7 +76,7 @@ def recorded_robot(
 
 
 async def _has_odometry(session: Session, topic: str, stop: asyncio.Event) -> bool:
-    """Return whether odometry is published, after the time that discovery may take."""
+    """Wait up to DISCOVERY_S; return whether odometry is published or `stop` is set."""
     node = session.node("simulated_robot_wanted")
     name = session.resolve(topic)
     await until(lambda: node.count_publishers(name) > 0 or stop.is_set(), DISCOVERY_S)

@@ -28,7 +28,7 @@ _STDOUT = 1
 
 
 class StartReport:
-    """One report to the starter, on `ready_fd`, or on stdout and stderr if that is None."""
+    """A report to the process that starts the daemon: on `ready_fd`, or on stdout and stderr."""
 
     def __init__(self, ready_fd: int | None) -> None:
         self._ready_fd = ready_fd
@@ -39,8 +39,7 @@ class StartReport:
     def send(self, report: Mapping[str, Any]) -> None:
         """Send the report. A daemon in the background sends only its first report.
 
-        If it reports that it is ready, but the process that started it is gone, it ends itself with
-        SIGTERM.
+        If it is ready but the process that started it is gone, it ends itself with SIGTERM.
         """
         line = f"{json.dumps(report)}\n".encode()
         if not self._in_background:  # stdout may block: the loop must not wait
@@ -53,7 +52,7 @@ class StartReport:
                 signal.raise_signal(signal.SIGTERM)  # no user knows of this daemon
 
     def fail(self, error: RobotctlError) -> int:
-        """Report why the daemon ends; return its exit code."""
+        """Report the error that ends the daemon; return the exit code."""
         if not self._in_background:
             with suppress(OSError):  # stderr is closed
                 print(f"robotctl: {error}", file=sys.stderr)
@@ -64,7 +63,7 @@ class StartReport:
         return error.exit_code
 
     def fail_unexpectedly(self, error: Exception) -> int:
-        """Report a bug as `fail` does; its traceback goes into the log only."""
+        """Report a bug as `fail` does; in the background, also log its traceback."""
         if self._in_background:
             _log.error("the daemon failed", exc_info=error)
         return self.fail(RobotctlError(f"unexpected {type(error).__name__}: {error}"))
@@ -89,7 +88,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
-    """Run as `main` does; `at_end` holds what must happen after everything else, the log too."""
+    """Run a daemon; the callbacks of `at_end` run after everything else, even after the log."""
     report = StartReport(command_line.parse_ready_fd(arguments))
     try:
         allow_many_files()
@@ -121,7 +120,7 @@ def _run(
 
 
 def allow_many_files() -> None:
-    """Raise the limit: each recorded topic takes a file, and 1,024 is only for select(2).
+    """Raise the limit of open files to the hard limit: each recorded topic needs a descriptor.
 
     Raises:
         Refused: The limit cannot be raised far enough.

@@ -1,4 +1,4 @@
-"""Failures in the daemon as events: the kernel answers with zero and ERROR."""
+"""Reports failures in the daemon to the kernel, which answers with zero and ERROR."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RESTART_S = 1.0
 """Pause before a failed task runs again: a lasting fault must not fill log and journal."""
 
 MAX_DETAIL = 1000
-"""Length of a fault in journal and status [characters]; the log has it whole."""
+"""Limit on a fault's text in journal and status [characters]; the log has the full text."""
 
 RESERVE_BYTES = 16 * 1024 * 1024
 """Released when memory runs out, so that the daemon can stop the robot and end.
@@ -66,11 +66,11 @@ class Supervisor:
             await asyncio.sleep(RESTART_S)
 
     def callback_failed(self, error: Exception, where: str) -> None:
-        """Handle the exception of a ROS callback; the executor's exception handler."""
+        """Handle an exception of a ROS callback: this is the executor's exception handler."""
         self._report(error, f"the callback of {where} failed")
 
     def loop_failed(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Handle an exception that no task awaits; the loop's exception handler."""
+        """Handle an exception that no task awaits: this is the loop's exception handler."""
         error = context.get("exception")
         if isinstance(error, Exception):
             self._report(error, str(context.get("message", "a callback failed")))
@@ -78,11 +78,11 @@ class Supervisor:
             loop.default_exception_handler(context)
 
     def unreachable(self, problem: str) -> None:
-        """Report the problem that makes the control socket unreachable, "" once it is over."""
+        """Report why the control socket is unreachable; "" clears the fault."""
         self._report_state(Cause.UNREACHABLE, problem)
 
     def topics_in_trouble(self, problem: str) -> None:
-        """Report which topics of others are not as expected, "" once all are."""
+        """Report which recorded topics have an unexpected rate; "" clears the fault."""
         self._report_state(Cause.TOPIC_TROUBLE, problem)
 
     def _report_state(self, cause: Cause, problem: str) -> None:
@@ -105,7 +105,7 @@ class Supervisor:
         self._stop_robot(detail[:MAX_DETAIL])
 
     def _run_out(self, what: str) -> None:
-        """End the daemon, once; further failures from lack of memory are ignored."""
+        """Stop the robot and end the daemon at the first lack of memory; ignore later ones."""
         if self._reserve is None:
             return
         self._reserve.close()

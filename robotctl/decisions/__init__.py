@@ -1,6 +1,6 @@
 """The long-lived journal of decisions: who changed mode, parameters or software, for years.
 
-- `journal`: its entries and files, and what is wrong with them.
+- `journal`: its entries and files, and the check of their hash chain.
 - `log`: the writer.
-- `evidence`: what the journal tells, as one report.
+- `evidence`: the report that is made from the journal.
 """

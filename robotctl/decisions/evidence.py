@@ -14,7 +14,7 @@ STANDING: Final = ("ERROR", "EMERGENCY_STOP")
 ENDED: Final = "in order"
 KILLED: Final = "killed, or the power was cut"
 RUNS: Final = "it runs"
-"""How a daemon ended; or it is the text of the failure that ended it."""
+"""Values of `ended` of a daemon; a daemon that failed has the text of its failure instead."""
 
 
 @dataclass(slots=True)
@@ -22,7 +22,7 @@ class Evidence:
     """What happened to one robot; each item is an object of `evidence --json`.
 
     `software` and `configuration` are those of the last start. The items of the lists have
-    `time_ns` since the epoch and, where a daemon recorded, its `recording`.
+    `time_ns` since the epoch, and the `recording` of the daemon, "" if there is none.
     """
 
     software: Mapping[str, Any] = field(default_factory=dict)
@@ -38,15 +38,15 @@ class Evidence:
     unwritten: list[dict[str, Any]] = field(default_factory=list)
 
     def recordings(self) -> list[str]:
-        """Return the recordings of the daemons, in their order, each once."""
+        """Return the recordings of the daemons in chronological order, each once."""
         return list(dict.fromkeys(each["recording"] for each in self.daemons if each["recording"]))
 
 
 def collect(entries: Sequence[Entry], since_ns: int = 0) -> Evidence:
-    """Return what the entries tell; of what happened before `since_ns`, only what still holds.
+    """Return the evidence since `since_ns`, with the software and configuration of the last start.
 
-    A daemon that was started before and ended after that moment is included. Of the last daemon,
-    the entries alone cannot tell whether it runs or was killed: it counts as running.
+    A daemon that started before `since_ns` is included unless it ended before. If the last daemon
+    has no END entry, it counts as running: the entries cannot show whether it was killed.
     """
     collector = _Collector(since_ns)
     for entry in entries:
@@ -80,7 +80,7 @@ class _Collector:
                 place.append(self._item(entry, entry.values))
 
     def finish(self) -> Evidence:
-        """Return the report without the daemons that ended before its time."""
+        """Return the report without the daemons that ended before `since_ns`."""
         self._found.daemons = [
             each
             for each in self._found.daemons
@@ -139,7 +139,7 @@ class _Collector:
 
 
 def difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Return old and new value of each key that differs, None where it is missing."""
+    """Return `[old, new]` for each key whose value differs; the value of a missing key is None."""
     keys = [*before, *(key for key in after if key not in before)]
     return {
         key: [before.get(key), after.get(key)] for key in keys if before.get(key) != after.get(key)

@@ -20,29 +20,29 @@ from robotctl.base.paths import make_private, robot_state_folder
 from robotctl.kernel.units import DAY_S
 
 MAX_LINE_BYTES: Final = 32_768
-"""No entry is longer; of a longer line a reader takes nothing."""
+"""Limit on the length of an entry; readers reject a longer line."""
 
 MAX_TEXT: Final = 500
-"""Characters that are kept of a text, such as a reason."""
+"""Limit on the characters of a text, such as a reason; longer texts are cut."""
 
 _HASH_CHARACTERS: Final = 16
 _RESERVED: Final = ("time_ns", "kind", "prev")
 
 
 class DecisionKind(StrEnum):
-    """What an entry tells."""
+    """The event that an entry describes, and the values of the entry."""
 
     START = "start"
-    """A daemon began: `by`, `version`, `software` (digest), `recording`, `observe`."""
+    """A daemon began: `by`, `version`, `software` (digest), `recording`, `observe`, `config`."""
 
     END = "end"
-    """The daemon ended in order. A start that no end precedes was a kill or a power cut."""
+    """The daemon ended; `failure` is the error, if any. A kill or a power cut leaves no END."""
 
     SOFTWARE = "software"
-    """Versions and content hash, where they differ from those of the start before."""
+    """Versions and content hash, if one of them differs from the last entry of this kind."""
 
     CONFIGURATION = "configuration"
-    """Every setting, where one differs from those of the start before."""
+    """All settings, if one of them differs from the last entry of this kind."""
 
     MODE = "mode"
     """The mode changed: `from`, `to`, `reason`, `cause`; `latched` or `released` for a stop."""
@@ -51,7 +51,7 @@ class DecisionKind(StrEnum):
     """A request was granted: `asked`, `by`, `answer`, and `because` if the client gave a reason."""
 
     REFUSED = "refused"
-    """A request was refused: the same."""
+    """A request was refused: the same values as for REQUEST."""
 
     PARAMETER = "parameter"
     """A setting was changed in a running daemon: `key`, `from`, `to`, `by`."""
@@ -65,9 +65,9 @@ class DecisionKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """An entry; `time_ns` since the epoch, `values` as JSON.
+    """An entry; `time_ns` is since the epoch, and `values` can be encoded as JSON.
 
-    `kind` is a `DecisionKind`, or of a later version.
+    `kind` is a `DecisionKind`, or a kind that a later version of robotctl wrote.
     """
 
     time_ns: int
@@ -75,22 +75,22 @@ class Entry:
     values: Mapping[str, Any]
 
     def line(self, prev: str) -> bytes:
-        """Return the line without its end; `prev` is the hash of the line before it."""
+        """Return the line without its newline; `prev` is the hash of the line before it."""
         head = {"time_ns": self.time_ns, "kind": self.kind, "prev": prev}
         values = {key: _bounded(value) for key, value in self.values.items()}
         return json.dumps({**head, **values, **head}, separators=(",", ":")).encode()
 
 
 def hash_of(line: bytes) -> str:
-    """Return what the next line holds as its `prev`."""
+    """Return the hash of a line, which the next line has as its `prev`."""
     return hashlib.sha256(line).hexdigest()[:_HASH_CHARACTERS]
 
 
 def parse(line: bytes) -> tuple[Entry, str]:
-    """Return the entry of a line, and the hash that it holds of the line before it.
+    """Return a line's entry and its `prev`, the hash of the line before it.
 
     Raises:
-        ValueError: It is no entry.
+        ValueError: The line is not an entry.
     """
     if len(line) > MAX_LINE_BYTES:
         raise ValueError("longer than an entry")
@@ -112,16 +112,16 @@ def _bounded(value: object) -> object:
 
 
 FILE_BYTES: Final = 1_000_000
-"""A file that has grown to this size is followed by the next one."""
+"""When a file has grown to this size, the next file is begun."""
 
 MAX_FILE_BYTES: Final = 2 * FILE_BYTES
-"""Of a larger file, which robotctl did not write, only this much is read."""
+"""Readers read no more than this of a file; robotctl does not write larger ones."""
 
 YEAR_S: Final = 365.25 * DAY_S
 """The unit of `decisions.keep_years` in seconds."""
 
 KEPT_FILES: Final = 2
-"""The last files, which are never removed."""
+"""The number of newest files that are never removed."""
 
 _NAME: Final = re.compile(r"decisions-(\d{6})\.jsonl")
 
@@ -139,14 +139,14 @@ def files_of(folder: Path) -> list[Path]:
 
 
 def number_of(path: Path) -> int:
-    """Return the number of a file of the log; the first one that a robot writes has 1."""
+    """Return the number of a file of the log; the first file of a robot has number 1."""
     match = _NAME.fullmatch(path.name)
     assert match is not None, path
     return int(match[1])
 
 
 def content_of(path: Path) -> bytes:
-    """Return what a file of the log holds.
+    """Return the content of a file of the log, at most MAX_FILE_BYTES.
 
     Raises:
         OSError: It cannot be read, or is not a regular file.
@@ -156,7 +156,7 @@ def content_of(path: Path) -> bytes:
 
 
 def open_last(folder: Path) -> int:
-    """Open the file to append to, for this user alone, and return its descriptor.
+    """Open the log's last file to append to, or begin one (0600), and return its descriptor.
 
     Raises:
         OSError: It cannot be opened, or it is not a regular file.
@@ -203,26 +203,26 @@ def _next(path: Path) -> Path:
 
 @dataclass(slots=True)
 class LogContent:
-    """What a log holds. `broken` says where entries were changed or removed, `notes` the rest."""
+    """The content of a log. `broken`: changed or missing entries; `notes`: e.g. torn lines."""
 
     files: list[Path] = field(default_factory=list)
     entries: list[Entry] = field(default_factory=list)
     broken: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     heads: set[str] = field(default_factory=set)
-    """The hash of each entry, and of the one before the first."""
+    """The hash of each entry, and the `prev` of the first entry."""
 
     @property
     def begins_later(self) -> bool:
-        """Whether whole files before those that are there were removed, as the log does itself."""
+        """Whether the first files of the log are missing, as after `remove_oldest`."""
         return bool(self.files) and number_of(self.files[0]) > 1
 
 
 def read_log(folder: Path) -> LogContent:
     """Return all entries of the log in `folder`, in the order in which they were written.
 
-    A line that a kill or a full disk tore is told in a note. Entries that were removed from the end
-    leave no trace here: compare the `heads` with those in recordings.
+    A line that a kill or a full disk tore causes a note. Entries that were removed from the end are
+    not detected here: compare `heads` with the hashes in recordings (`head_of`).
     """
     log = LogContent(files_of(folder))
     prev: str | None = None
@@ -250,9 +250,9 @@ def read_log(folder: Path) -> LogContent:
 
 
 def _note_begin(log: LogContent, told: str) -> None:
-    """Say whether entries were removed before the first one, which holds the hash `told`.
+    """Note in `log` if entries are missing before the first one; `told` is the `prev` of that one.
 
-    The log removes whole files, the oldest first, and never the last ones.
+    `remove_oldest` removes only whole files, the oldest first, and keeps the last KEPT_FILES.
     """
     name = log.files[0].name
     if bool(told) != log.begins_later or (log.begins_later and len(log.files) < KEPT_FILES):
@@ -264,7 +264,7 @@ def _note_begin(log: LogContent, told: str) -> None:
 def head_of(folder: Path) -> str:
     """Return the hash of the last entry of the log in `folder`, "" if there is none.
 
-    A recording holds it: so entries that are removed from the end later leave a trace.
+    Recordings store it: this shows later whether entries were removed from the end.
     """
     for path in reversed(files_of(folder)):
         with suppress(OSError):

@@ -1,4 +1,4 @@
-"""The writer of the journal of decisions, with a thread of its own and at most 50 MB a year."""
+"""The writer of the journal of decisions: a thread that writes at most 50 MB a year."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from robotctl.decisions.journal import (
 from robotctl.kernel.units import DAY_S, NS_PER_S
 
 DAY_BYTES: Final = 130_000
-"""With RESERVE_BYTES it is 50 MB a year: about 500 entries a day."""
+"""Limit a day, about 500 entries; with RESERVE_BYTES it amounts to 50 MB a year."""
 
 RESERVE_BYTES: Final = 6_900
-"""For the counts of what was not written, on each day."""
+"""Bytes a day for the entries that count what was not written."""
 
 RESERVED: Final[dict[str, float]] = {
     DecisionKind.REQUEST: 0.5,
@@ -40,14 +40,14 @@ RESERVED: Final[dict[str, float]] = {
     DecisionKind.START: 0.25,
     DecisionKind.END: 0.25,
 }
-"""The part of a day's bytes that entries of a kind leave to others: a flood of requests, or a
-daemon that crashes and starts again each second, must not crowd out the stops."""
+"""The share of DAY_BYTES that entries of a kind must leave free for others: a flood of requests, or
+a daemon that crashes and restarts each second, must not crowd out the stops."""
 
 
 class Budget:
-    """The bytes that may be written now. They grow evenly to those of one day.
+    """The bytes that may be written now; they grow at a constant rate, up to DAY_BYTES.
 
-    Entries that do not fit are counted by kind, and one entry tells the counts.
+    Entries that do not fit are counted by kind; one entry (MORE) contains the counts.
     """
 
     def __init__(self, now_s: Callable[[], float]) -> None:
@@ -59,7 +59,7 @@ class Budget:
         self._first_ns = self._last_ns = 0
 
     def grants(self, entry: Entry, size: int) -> bool:
-        """Reserve `size` bytes for an entry, or return False: then `fold` it."""
+        """Reserve `size` bytes for an entry, or return False: the caller must then `fold` it."""
         now_s = self._now_s()
         grown = self._left + (now_s - self._at_s) * DAY_BYTES / DAY_S
         self._left, self._at_s = min(grown, DAY_BYTES), now_s
@@ -69,23 +69,23 @@ class Budget:
         return True
 
     def fold(self, entry: Entry, number: int = 1) -> None:
-        """Count an entry that is not written, or a number of them."""
+        """Count `number` entries of this kind that are not written."""
         if not self._folded:
             self._first_ns = entry.time_ns
         self._folded[entry.kind] += number
         self._last_ns = entry.time_ns
 
     def begin(self, used: int) -> None:
-        """Begin with a day of which `used` bytes were written already."""
+        """Start with the bytes of one day less `used`, which were written already."""
         self._left = max(DAY_BYTES - used, 0.0)
 
     @property
     def has_folded(self) -> bool:
-        """Whether entries are counted that no entry has told yet."""
+        """Whether there are counts that are not written yet."""
         return bool(self._folded)
 
     def counts(self) -> Entry:
-        """Return the entry that tells the counts."""
+        """Return the entry that contains the counts."""
         counts: dict[str, Any] = {str(kind): count for kind, count in self._folded.items()}
         values = {"counts": counts, "first_ns": self._first_ns, "last_ns": self._last_ns}
         return Entry(self._last_ns, DecisionKind.MORE, values)
@@ -98,23 +98,23 @@ class Budget:
 _log = logging.getLogger(__name__)
 
 MAX_WAITING: Final = 1000
-"""Entries that wait for a disk that hangs or is full; more are counted."""
+"""Limit on entries that wait for a disk that hangs or is full; further ones are only counted."""
 
 RETRY_S: Final = 5.0
 """Pause before a failed write is tried again."""
 
 UNQUEUED: Final = "unqueued"
-"""The name in the counts for entries that did not even fit into the queue."""
+"""The kind under which entries are counted that did not fit into the queue."""
 
 COUNTS_PERIOD_S: Final = 3600.0
-"""The counts of what was not written take one entry an hour."""
+"""The counts of unwritten entries are written at most once in this time."""
 
 END_S: Final = 2.0
-"""How long the end of the daemon waits for the disk."""
+"""How long the end of the daemon waits for the disk, at most."""
 
 
 class DecisionLog:
-    """The log of one robot. `add` may be called from any thread, and never waits."""
+    """The log of one robot. `add` may be called from any thread, and does not block."""
 
     def __init__(
         self,
@@ -125,7 +125,7 @@ class DecisionLog:
         steady_s: Callable[[], float] = time.monotonic,
         retry_s: float = RETRY_S,
     ) -> None:
-        """Entries go into `folder`; its files are kept for `keep_s` seconds, 0: forever.
+        """Write entries into `folder`; keep its files for `keep_s` seconds, or forever if it is 0.
 
         `now_ns` is the wall clock of the entries, `steady_s` the clock of the budget.
         """
@@ -139,7 +139,7 @@ class DecisionLog:
         # A daemon thread: a disk that hangs must not delay the end of the process.
         self._thread = threading.Thread(target=self._run, name="decisions", daemon=True)
         self._unqueued = 0
-        """Changed by the threads that add."""
+        """The number of entries that did not fit; changed by the threads that call `add`."""
         self._unqueued_told = 0
         self._waiting: list[Entry] = []
         self._ending = False
@@ -151,13 +151,13 @@ class DecisionLog:
         self._counts_due_s = 0.0
 
     def add(self, kind: DecisionKind, **values: Any) -> None:
-        """Queue an entry of now."""
+        """Queue an entry with the present time."""
         self.add_values(kind, values)
 
     def add_values(self, kind: DecisionKind, values: Mapping[str, Any]) -> None:
-        """Queue an entry of now, whose keys may be any text.
+        """Queue an entry with the present time; its keys may be any text.
 
-        Of SOFTWARE and CONFIGURATION only what differs from the last entry of the kind is written.
+        A SOFTWARE or CONFIGURATION entry is written only if it differs from the last of its kind.
         """
         if self._queue.qsize() >= MAX_WAITING:
             self._unqueued += 1
@@ -198,7 +198,7 @@ class DecisionLog:
                 return
 
     def _turn(self) -> None:
-        """Write what is queued."""
+        """Wait for entries, and write them and the counts that are due."""
         self._take()
         if self._descriptor < 0:
             self._open()
@@ -217,7 +217,7 @@ class DecisionLog:
         self._tell("")
 
     def _take(self) -> None:
-        """Move queued entries into `_waiting`; those beyond MAX_WAITING are counted."""
+        """Wait for queued entries, and move them to `_waiting`; count those beyond MAX_WAITING."""
         timeout_s = None
         if self._waiting:
             timeout_s = self._retry_s
@@ -234,7 +234,7 @@ class DecisionLog:
             self._ending = True
 
     def _open(self) -> None:
-        """Open the last file; learn its last line, and how much of the last day's bytes is used."""
+        """Open the last file; read the hash of its last entry, and the bytes of the last 24 h."""
         now_s = self._now_ns() / NS_PER_S
         remove_oldest(self._folder, self._keep_s, now_s)
         self._descriptor = open_last(self._folder)
@@ -251,7 +251,7 @@ class DecisionLog:
         self._budget.begin(used)
 
     def _write(self, entry: Entry) -> None:
-        """Write one entry, unless it says nothing new or its day is used up."""
+        """Write one entry unless it repeats the last one; count it if it exceeds the budget."""
         if entry.kind in (DecisionKind.SOFTWARE, DecisionKind.CONFIGURATION) and self._is_known(
             entry
         ):
@@ -274,7 +274,7 @@ class DecisionLog:
         self._size += len(data)
 
     def _is_known(self, entry: Entry) -> bool:
-        """Return whether the last entry of this kind holds the same."""
+        """Return whether the last entry of this kind has the same values."""
         marker = f'"kind":"{entry.kind}"'.encode()
         same = parse(entry.line(""))[0].values
         for path in reversed(files_of(self._folder)):

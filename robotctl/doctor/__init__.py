@@ -1,1 +1,1 @@
-"""What is wrong with this computer or its ROS graph: findings with their cures."""
+"""Checks of this computer and of its ROS graph; each problem comes with a cure."""

@@ -1,4 +1,4 @@
-"""Who publishes and subscribes the velocity command and the odometry, judged from the graph."""
+"""Checks of the ROS graph: the topics of velocity command and odometry, and message types."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ _UNMATCHED: Final = (
     ("reliability", "best_effort", "reliable"),
     ("durability", "volatile", "transient_local"),
 )
-"""What a publisher offers, and what a subscription then must not ask for."""
+"""QoS policy, the value that a publisher offers, and the requested value that does not match."""
 
 MAX_NAMED: Final = 5
 
 MAX_ENDPOINTS: Final = 200
-"""Limit on what is compared with each other; a process may announce any number."""
+"""Limit on the endpoints that are compared in pairs; a process may announce any number."""
 
 
 def check_command(topic: GraphTopic, *, has_odometry: bool) -> Iterator[Finding]:
-    """Judge the topic of the velocity command; a robot is there if it tells its odometry."""
+    """Check the command topic; with `has_odometry`, a robot exists and should subscribe."""
     yield from _check_topic("command", topic, COMMAND_TYPES)
     listeners = [each for each in topic["subscriptions"] if "/_" not in each["node"]]  # not hidden
     if has_odometry and not listeners:
@@ -45,7 +45,7 @@ def check_command(topic: GraphTopic, *, has_odometry: bool) -> Iterator[Finding]
 
 
 def check_odometry(topic: GraphTopic) -> Iterator[Finding]:
-    """Judge the topic of the odometry."""
+    """Check the odometry topic."""
     yield from _check_topic("odometry", topic, ODOMETRY_TYPES)
     if len(topic["publishers"]) > 1:
         yield fault(
@@ -58,7 +58,7 @@ def check_odometry(topic: GraphTopic) -> Iterator[Finding]:
 def check_definitions(
     topics: Sequence[NameAndTypes], is_installed: Callable[[str], bool]
 ) -> Iterator[Finding]:
-    """Name the topics whose message type is not installed here."""
+    """Report the topics whose message type is not installed here."""
     missing = {
         kind: each["name"] for each in topics for kind in each["types"] if not is_installed(kind)
     }

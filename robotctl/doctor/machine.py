@@ -1,8 +1,8 @@
-"""What is wrong with this computer: clock, folders, limits, Python, shared memory, middleware.
+"""Checks of this computer: clock, folders, limits, Python, shared memory, middleware.
 
-A process holds a lock on `NAME_el` while it uses the memory `NAME`; Linux releases it when the
-process ends, so a lock that is free proves that the owner is dead. Memory that another process
-still has mapped is left all the same: it may wait for messages there.
+A Fast DDS process locks the file `NAME_el` while it uses the shared memory `NAME`. Linux releases
+the lock when the process ends, so a free lock proves that the owner is dead. Memory that another
+process still maps is kept all the same: that process may wait for messages there.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Level(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found: `check` names what was looked at; `text` and `cure` are a sentence each."""
+    """The result of a check: the name of the check, and one sentence each for text and cure."""
 
     check: str
     level: Level
@@ -51,7 +51,7 @@ class Finding:
     cure: str = ""
 
     def as_object(self) -> dict[str, str | None]:
-        """Return what `--json` prints."""
+        """Return the object that `doctor --json` prints."""
         return {
             "check": self.check,
             "level": self.level.value,
@@ -85,13 +85,13 @@ BUILT_S: Final = 1_735_689_600.0
 """2025-01-01: a clock before that was never set."""
 
 AHEAD_S: Final = 60.0
-"""A file that is newer than the clock by more was written before the clock was set back."""
+"""A file that is newer than the clock by more than this shows that the clock was set back."""
 
 
 def check_disk(folder: Path, *, is_used: bool = False) -> Iterator[Finding]:
-    """Tell how much room recordings have in a folder, or in the one where it will be made.
+    """Check the free space for recordings in `folder`, or in its nearest parent that exists.
 
-    With `is_used` a daemon records there, maybe of a user who may write where this one may not.
+    If `is_used`, a daemon records there, maybe as another user: write access is not checked.
     """
     check = "disk"
     existing = _existing(folder)
@@ -114,7 +114,7 @@ def check_disk(folder: Path, *, is_used: bool = False) -> Iterator[Finding]:
 
 
 def check_clock(now_s: float, state: Path) -> Iterator[Finding]:
-    """Tell whether the clock was set, and not set back since something was written in `state`."""
+    """Check that the clock was set, and that it is not behind the newest file in `state`."""
     check = "clock"
     try:
         newest = max((entry.stat().st_mtime for entry in os.scandir(state)), default=0.0)
@@ -132,7 +132,7 @@ def check_clock(now_s: float, state: Path) -> Iterator[Finding]:
 
 
 def check_folders(*folders: Path) -> Iterator[Finding]:
-    """Tell whether sockets, latches and keys have a place, and are safe there from other users."""
+    """Check that the folders of sockets, latches and keys are usable, and safe from other users."""
     wrong = []
     for folder in folders:
         chain = chain_to(folder).for_client()
@@ -152,9 +152,9 @@ def check_folders(*folders: Path) -> Iterator[Finding]:
 
 
 def check_descriptors() -> Iterator[Finding]:
-    """Tell whether a daemon may open enough files; one without a free one answers no client."""
+    """Check the limit of open files; a daemon without a free descriptor cannot accept a client."""
     check = "open files"
-    _, limit = resource.getrlimit(resource.RLIMIT_NOFILE)  # to which a daemon raises its own
+    _, limit = resource.getrlimit(resource.RLIMIT_NOFILE)  # a daemon raises its own to this
     told = f"a process may open {limit} at a time"
     if limit == resource.RLIM_INFINITY or limit >= own_process.ENOUGH_OPEN_FILES:
         yield ok(check, told)
@@ -167,7 +167,7 @@ def check_descriptors() -> Iterator[Finding]:
 
 
 def check_priority(fifo_priority: int) -> Iterator[Finding]:
-    """Tell whether the configured real-time priority is allowed."""
+    """Check whether the user's limit allows the configured real-time priority."""
     check = "rtprio"
     limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     allowed = 99 if limit == resource.RLIM_INFINITY or os.getuid() == 0 else limit
@@ -190,7 +190,7 @@ def _check_place(folder: Path) -> None:
     daemon, whose client we are.
 
     Raises:
-        OSError: It cannot.
+        OSError: The folder cannot be used.
     """
     existing = _existing(folder)
     if not os.path.isdir(existing):
@@ -202,7 +202,7 @@ def _check_place(folder: Path) -> None:
 
 
 def _existing(path: Path) -> Path:
-    """Return the path, or the nearest one above it that exists; a link to nothing exists."""
+    """Return the path or its nearest existing parent; a dangling link counts as existing."""
     return next(each for each in (path, *path.parents) if os.path.lexists(each))
 
 
@@ -210,7 +210,7 @@ PINNED = re.compile(r"([A-Za-z0-9._-]+)(?:\[[^]]*\])?==([^; ]+)")
 """A requirement of exactly one version."""
 
 WHEELS_FOR = "x86_64"
-"""The machines for which there are wheels; elsewhere ROS comes from a workspace."""
+"""The architecture for which there are ROS wheels; on others, ROS comes from a workspace."""
 
 
 def check_wheels(
@@ -218,7 +218,7 @@ def check_wheels(
 ) -> Iterator[Finding]:
     """Compare the installed ROS wheels with the exact versions that robotctl requires.
 
-    `requirements` are those of the installed robotctl, unless given.
+    By default, `requirements` are those of the installed robotctl.
     """
     check = "wheels"
     if requirements is None:
@@ -253,7 +253,7 @@ def check_wheels(
 
 
 def check_shell(environment: Mapping[str, str], prefix: Path) -> Iterator[Finding]:
-    """Name another ROS that the shell has sourced before ours, which is below `prefix`."""
+    """Warn if the shell has sourced another ROS that precedes ours; ours is below `prefix`."""
     check = "shell"
     paths = {name: value for name, value in environment.items() if name != "RMW_IMPLEMENTATION"}
     _, found = without_foreign_ros(paths, prefix)
@@ -268,7 +268,7 @@ def check_shell(environment: Mapping[str, str], prefix: Path) -> Iterator[Findin
 
 
 def check_two_rclpys(folders: Iterable[str]) -> Iterator[Finding]:
-    """Name every rclpy after the first in the folders that Python searches for modules."""
+    """Warn if more than one of `folders`, which Python searches for modules, holds an rclpy."""
     found = {
         (Path(folder) / "rclpy").resolve()
         for folder in folders
@@ -283,7 +283,7 @@ def check_two_rclpys(folders: Iterable[str]) -> Iterator[Finding]:
 
 
 def check_pip(prefix: Path, base_prefix: Path, standard_library: Path) -> Iterator[Finding]:
-    """Tell where pip would refuse to install, as the distribution owns this Python (PEP 668)."""
+    """Warn if pip refuses to install because the distribution owns this Python (PEP 668)."""
     if prefix == base_prefix and (standard_library / "EXTERNALLY-MANAGED").exists():
         yield warning(
             "pip",
@@ -298,13 +298,13 @@ SETTLED_S: Final = 10.0
 """Younger files are left alone: their process may not have locked them yet."""
 
 SCARCE_SHARED_BYTES: Final = 16 << 20
-"""A participant of Fast DDS takes 0.6 MB, and one that sends images more."""
+"""A Fast DDS participant uses 0.6 MB; a participant that sends images uses more."""
 
 _LOCKED = re.compile(r"fastrtps_(?:[0-9a-f]{16}|port\d+)_el")
 
 
 def check_memory(folder: Path = SHARED_MEMORY) -> Iterator[Finding]:
-    """Tell how much shared memory is free, and what dead processes occupy."""
+    """Check the free shared memory, and report the files that dead processes have left."""
     check = "shared memory"
     try:
         found = os.statvfs(folder)
@@ -331,7 +331,7 @@ def check_memory(folder: Path = SHARED_MEMORY) -> Iterator[Finding]:
 
 
 def stale(folder: Path = SHARED_MEMORY) -> list[Path]:
-    """Return the files of this user whose process is certainly dead."""
+    """Return this user's files in `folder` whose process is certainly dead."""
     try:
         names = [entry.name for entry in os.scandir(folder) if _LOCKED.fullmatch(entry.name)]
     except OSError:
@@ -347,7 +347,7 @@ def stale(folder: Path = SHARED_MEMORY) -> list[Path]:
 
 
 def clean(folder: Path = SHARED_MEMORY) -> list[Path]:
-    """Remove the stale files that are found now, and return them."""
+    """Remove the stale files, and return those that were removed."""
     removed = []
     for path in stale(folder):
         with suppress(FileNotFoundError):
@@ -375,7 +375,7 @@ def _is_free(path: Path) -> bool:
 
 
 def _mapped(folder: Path) -> set[str]:
-    """Return the files of the folder that a process has open or mapped, as far as it shows them."""
+    """Return the names of files in `folder` that a process maps or has open, as /proc shows."""
     found: set[str] = set()
     for process in Path("/proc").iterdir():
         if not process.name.isdecimal():
@@ -393,19 +393,19 @@ def _names_below(folder: Path, words: Iterable[str]) -> set[str]:
 
 
 PROFILES: Final = "FASTRTPS_DEFAULT_PROFILES_FILE"
-"""The variable in which Fast DDS 2, that of the wheels, looks for a profiles file."""
+"""The variable that names the profiles file for Fast DDS 2, the version in the wheels."""
 
 LOCALHOST_ONLY: Final = "ROS_LOCALHOST_ONLY"
-"""The variable of Humble; its value 1 overrules that of RANGE."""
+"""The variable of ROS Humble; its value 1 overrules the variable RANGE."""
 
 MAX_PROFILES_BYTES: Final = 1_000_000
-"""Larger files are no profiles that a person wrote."""
+"""Limit on the size of a profiles file; no person writes a larger one."""
 
 RANGES: Final = ("", "LOCALHOST", "SUBNET", "SYSTEM_DEFAULT", "OFF")
 
 
 def check_middleware(environment: Mapping[str, str]) -> Iterator[Finding]:
-    """Name a middleware that is asked for and that robotctl does not use."""
+    """Warn if RMW_IMPLEMENTATION names a middleware that robotctl does not use."""
     given = environment.get("RMW_IMPLEMENTATION", "")
     if given not in ("", RMW):
         yield warning(
@@ -416,7 +416,7 @@ def check_middleware(environment: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def check_range(environment: Mapping[str, str]) -> Iterator[Finding]:
-    """Name a discovery range by which fewer processes are discovered than one may expect."""
+    """Warn if the discovery range hides more processes than the user may expect."""
     check, cure = "discovery", f"export {RANGE}=SUBNET, or LOCALHOST for this machine only"
     given = environment.get(RANGE, "")
     if environment.get(LOCALHOST_ONLY) == "1" and given not in ("", "LOCALHOST"):
@@ -431,7 +431,7 @@ def check_range(environment: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def check_profiles(environment: Mapping[str, str]) -> Iterator[Finding]:
-    """Name a profiles file of Fast DDS that has no effect, as it cannot be read."""
+    """Warn if Fast DDS cannot read the profiles file, which then has no effect."""
     given = environment.get(PROFILES)
     if given is None:
         return

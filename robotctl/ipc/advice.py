@@ -1,6 +1,6 @@
-"""Texts about one robot: what is wrong, what to do, and the commands that do it.
+"""Texts for the operator of one robot: what is wrong, what to do, and the commands for it.
 
-The kernel knows no robot's name and no command: what it decides on holds remedies as data.
+The kernel knows neither robot names nor commands: its decisions contain remedies as data.
 """
 
 from __future__ import annotations
@@ -80,11 +80,11 @@ def condition_of(cause: Cause) -> str:
 _COMMAND = re.compile(
     r"\brobotctl (logs|reset|set-mode idle|start|status|stop)\b(?! \(uid | --robot )"
 )
-"""A command in a text without a robot; the name of a requester is followed by its uid."""
+"""A command without `--robot`; text before ` (uid` is the name of a requester, not a command."""
 
 
 class Advice(NamedTuple):
-    """What is wrong, and what to do about it; `cure` is "" where there is no remedy."""
+    """What is wrong, and what to do about it; `cure` is "" if there is no remedy."""
 
     cause: str
     cure: str
@@ -96,18 +96,18 @@ class Advice(NamedTuple):
 
 
 def advice(text: str, remedies: Iterable[Remedy], robot: str) -> Advice:
-    """Return a text of the kernel and its remedies as the operator of `robot` reads them."""
+    """Return the advice for the operator of `robot`, from a text and remedies of the kernel."""
     cure = ", then ".join(cure_of(remedy, robot) for remedy in remedies)
     return Advice(for_robot(text, robot), cure)
 
 
 def for_robot(text: str, robot: str) -> str:
-    """Return the text with `--robot` after each command in it, where `robot` needs that."""
+    """Return `text` with `--robot NAME` after each command, unless it is the default robot."""
     return _COMMAND.sub(lambda match: command_for(robot, match[1]), text)
 
 
 def cure_of(remedy: Remedy, robot: str) -> str:
-    """Return what to do, with commands that work for `robot` when they are pasted."""
+    """Return what to do, with complete commands for `robot`."""
     logs, reset = command_for(robot, "logs"), command_for(robot, "reset")
     start, stop = command_for(robot, "start"), command_for(robot, "stop")
     match remedy:

@@ -1,7 +1,7 @@
-"""The answers of the control socket: the stable keys of each method, with their types.
+"""The answers of the control socket: the stable keys of each method's answer, with their types.
 
-`daemon.api` builds these objects, and the commands read them. They cross the socket as JSON: a
-value that is unknown or not finite is null.
+The daemon builds these objects, and the commands read them. They are sent as JSON: a value that is
+unknown or not finite is null.
 """
 
 from __future__ import annotations
@@ -10,20 +10,20 @@ from typing import TypedDict
 
 
 class DriveFacts(TypedDict):
-    """The drive that is going on, and its errors so far: of `kernel.types.DriveReport`."""
+    """The current drive and its errors so far; see `kernel.types.DriveReport`."""
 
     what: str
     lap: int
     laps: int
-    """0: until stopped."""
+    """The number of laps to drive; 0: until stopped."""
     distance_m: float
     duration_s: float
     cross_track_m: float | None
-    """None where nothing is measured, as are the other errors: a velocity has no path."""
+    """This and the other errors are None if there is no path to measure against."""
     cross_track_rms_m: float | None
     cross_track_max_m: float | None
     true_cross_track_rms_m: float | None
-    """By the true pose of a robot that the daemon simulates; None for any other."""
+    """`true_*` is measured with the true pose of a simulated robot; None for a real robot."""
     true_cross_track_max_m: float | None
     true_heading_rms_rad: float | None
     true_heading_max_rad: float | None
@@ -31,27 +31,27 @@ class DriveFacts(TypedDict):
     heading_rms_rad: float | None
     heading_max_rad: float | None
     closure_m: float | None
-    """At the end of the last lap; None before the first is complete."""
+    """At the end of the last complete lap; None before the first is complete."""
 
 
 class DrivenPath(TypedDict):
-    """The answer of `path`: points of the present or last drive, in the odometry frame [m]."""
+    """The answer of `path`: points of the current or last drive, in the odometry frame [m]."""
 
     reference: list[list[float]]
     driven: list[list[float]]
 
 
 class ModeAnswer(TypedDict):
-    """The answer of `set_mode`, `reset`, `end_drive`, and of a `drive` that is not waited for."""
+    """The answer of `set_mode`, `reset`, `end_drive`, and of `drive` without `wait`."""
 
     message: str
     mode: str
 
 
 class DriveAnswer(ModeAnswer, total=False):
-    """The answer of `drive`; the figures are there when the call waited for the end of the drive.
+    """The answer of `drive`; with `wait` it has the figures of the drive, otherwise none of them.
 
-    They are those of `kernel.types.DriveReport`; None stands for an unknown value.
+    See `kernel.types.DriveReport` and `DriveFacts`; None stands for an unknown value.
     """
 
     laps: int
@@ -70,13 +70,13 @@ class DriveAnswer(ModeAnswer, total=False):
 
 
 class HoldAnswer(ModeAnswer):
-    """The answer of `hold`; a hold that is over has the `hold` 0, and `message` says why."""
+    """The answer of `hold`: `hold` is its number, or 0 if it has ended; `message` says why."""
 
     hold: int
 
 
 class Hello(TypedDict):
-    """The first answer on each connection."""
+    """The answer of `hello`, the first request on each connection."""
 
     protocol: int
     version: str
@@ -114,15 +114,15 @@ class RobotFacts(TypedDict):
     """From 0 to 1."""
     sim: bool | None
     lease: str | None
-    """The holder of the lease, None if there is none."""
+    """The holder of the lease, or None if nobody holds it."""
     stalls: int | None
     odometry_dropped: int | None
     drive: DriveFacts | None
-    """The drive that is going on, None if there is none."""
+    """The current drive, or None if there is none."""
 
 
 class CountsAnswer(TypedDict):
-    """What became of the received messages of a topic, or of all topics."""
+    """Message counts of a topic or of all topics; `lost` and `throttled` ones were not received."""
 
     written: int
     queued: int
@@ -132,14 +132,14 @@ class CountsAnswer(TypedDict):
 
 
 class TopicAnswer(CountsAnswer):
-    """One recorded topic of one type."""
+    """One recorded topic with one of its types."""
 
     name: str
     type: str
     count: int
     """Messages received."""
     rate: float
-    """Messages per second."""
+    """Received messages per second."""
     bytes: int
     unseen: int
 
@@ -174,7 +174,7 @@ class Status(RobotFacts, RecordingFacts):
     pid: int
     warnings: list[str]
     namespace: str
-    """The robot's, empty for none."""
+    """The ROS namespace of the robot, "" if it has none."""
     domain_id: int
     discovery_range: str
     scheduling: str
@@ -183,7 +183,7 @@ class Status(RobotFacts, RecordingFacts):
 
 
 class ConditionAnswer(TypedDict):
-    """One start condition; `problem` and `cure` are "" where it holds."""
+    """One start condition; `problem` and `cure` are "" if it is met."""
 
     cause: str
     condition: str
@@ -192,14 +192,14 @@ class ConditionAnswer(TypedDict):
 
 
 class Preflight(TypedDict):
-    """The answer of `preflight`: the most severe cause comes first."""
+    """The answer of `preflight`: the start conditions, the most severe cause first."""
 
     passed: bool
     conditions: list[ConditionAnswer]
 
 
 class StartSummary(TypedDict):
-    """The object of `robotctl start --json`; a new daemon sends it on its pipe, not the socket."""
+    """The object of `robotctl start --json`; a new daemon sends it through its report pipe."""
 
     ready: bool
     robot: str
@@ -230,16 +230,16 @@ class LeaseKept(TypedDict):
     """The answer of `lease_keep`."""
 
     yours: bool
-    """Whether the token of the request holds the lease."""
+    """Whether the token in the request is that of the lease."""
 
 
 class LeaseStatus(TypedDict):
-    """The answer of `lease_status`; `holder` is None while everybody may start motion."""
+    """The answer of `lease_status`; if `holder` is None, every client may start motion."""
 
     holder: str | None
     reason: str
     yours: bool
-    """Whether the token of the request holds it."""
+    """Whether the token in the request is that of the lease."""
 
 
 class Committed(TypedDict):
@@ -247,9 +247,9 @@ class Committed(TypedDict):
 
     file: str
     uncommitted: int
-    """Messages received before the request that the file does not hold yet."""
+    """The number of messages received before the request that are not in the file yet."""
     failure: str
-    """Why the recorder has failed, else ""."""
+    """Why the recorder has failed, or ""."""
 
 
 class FileSplit(TypedDict):
@@ -269,16 +269,16 @@ class Marked(TypedDict):
 
 
 class ParameterAnswer(TypedDict):
-    """One parameter; `value` and `default` are as in a configuration file."""
+    """One parameter; `value` and `default` have the form of a configuration file."""
 
     key: str
     value: bool | int | float | str | list[str]
     default: bool | int | float | str | list[str]
     type: str
-    """boolean, whole number, number, text, or texts."""
+    """A word for the type: boolean, whole number, number, text, or texts."""
     allowed: str
     changes: str
-    """When it takes a new value."""
+    """When it can be changed; see `kernel.ranges.Change`."""
     about: str
 
 
@@ -304,22 +304,22 @@ class SimSet(TypedDict):
 
 
 class SimFaulted(SimSet):
-    """The answer of `sim_fault`, once the robot stopped or the fault is over."""
+    """The answer of `sim_fault`, sent when the moving robot stops, or else 1 s after the fault."""
 
     mode: str
     stopped_after_ms: float | None
-    """From the fault to the mode that commands zero, None if the robot was not stopped."""
+    """Time from the fault to the end of MOVING; None if the robot went on or was not moving."""
 
 
 class NameAndTypes(TypedDict):
-    """A topic or a service: its full name, and its types, which should be one."""
+    """A topic or a service: its full name and its types (normally one)."""
 
     name: str
     types: list[str]
 
 
 class Graph(TypedDict):
-    """The names that the daemon sees on ROS; `left_out` says how many more there are."""
+    """The names that the daemon sees on ROS; `left_out` is the number of names beyond the limit."""
 
     topics: list[NameAndTypes]
     services: list[NameAndTypes]
@@ -330,7 +330,7 @@ class Graph(TypedDict):
 class GraphEndpoint(TypedDict):
     """A publisher or a subscription; `node` is "" while it is unknown.
 
-    `qos` has reliability, durability, history and depth; "unknown" is what DDS does not tell.
+    `qos` has reliability, durability, history and depth; DDS does not announce "unknown" values.
     """
 
     node: str
@@ -340,7 +340,7 @@ class GraphEndpoint(TypedDict):
 
 
 class GraphTopic(TypedDict):
-    """A topic with all that publish it or subscribe to it; both are empty for an unknown one."""
+    """A topic with its publishers and subscriptions; both lists are empty for an unknown topic."""
 
     name: str
     types: list[str]
@@ -349,7 +349,7 @@ class GraphTopic(TypedDict):
 
 
 class GraphNode(TypedDict):
-    """What a node publishes, subscribes to, serves and calls."""
+    """A node with the topics and services that it publishes, subscribes to, serves and calls."""
 
     name: str
     publishers: list[NameAndTypes]

@@ -34,10 +34,10 @@ from robotctl.ipc.protocol import (
 )
 
 CALL_DEADLINE_S = 12.0
-"""Longer than the server's deadline of a call, so that the server can answer what was slow."""
+"""Longer than the server's deadline of a call, so that its reply about a timeout still arrives."""
 
 LIVENESS_S = 5.0
-"""Period in which a call without a deadline checks that the daemon still answers."""
+"""The period with which a call without a deadline checks that the daemon still replies."""
 
 _RECEIVE_BYTES = 65536
 _TIMEVAL = struct.Struct("ll")
@@ -47,7 +47,7 @@ A = TypeVar("A")
 
 
 class NoAnswer(NoDaemon):
-    """A daemon that is there, but gives no answer; what it does is not known."""
+    """A daemon that runs but did not reply; it may or may not carry out the request."""
 
 
 @overload
@@ -73,7 +73,7 @@ def call(
     *,
     deadline_s: float | None = CALL_DEADLINE_S,
 ) -> object:
-    """Open a connection for one call; see Client.call."""
+    """Open a connection, make one call and return its result; see Client.call."""
     with Client(robot) as client:
         return client.call(method, params, deadline_s=deadline_s)
 
@@ -81,12 +81,12 @@ def call(
 class Client:
     """A connection to the daemon of `robot`.
 
-    It cannot be used again after a call has raised NoDaemon. The `with` statement opens it.
+    The `with` statement opens it. After a call has raised NoDaemon, it cannot be used again.
 
     Raises:
         NoDaemon: The socket does not exist, or no process listens on it.
         Refused: A process of another user listens on it.
-        UsageError: Another user could have created the socket or one of its folders.
+        UsageError: `robot` is not allowed, or another user could have created the socket.
     """
 
     def __init__(self, robot: str) -> None:
@@ -133,7 +133,7 @@ class Client:
 
     @property
     def daemon_pid(self) -> int:
-        """The pid of the process that listens; 0 if it is in another pid namespace."""
+        """The pid of the daemon, or 0 if it is in another pid namespace."""
         return peer_of(self._sock).pid
 
     @overload
@@ -161,17 +161,17 @@ class Client:
     ) -> object:
         """Call `method` in the daemon and return its result.
 
-        Without a deadline, wait as long as the daemon answers on a second connection.
+        If `deadline_s` is None, wait as long as the daemon replies to hello on other connections.
 
         Raises:
             NoAnswer: The daemon did not answer in time, or closed the connection.
-            RobotctlError: The daemon's error, of the class that belongs to its exit code.
+            RobotctlError: The daemon replied with an error; its exit code selects the class.
         """
         self._last_id += 1
         request = Request(self._last_id, method, params or {})
         lines = encode_request(self._last_id, method, request.params)
         hello = not self._greeted
-        if hello:  # in one write with the request: half the round trips
+        if hello:  # in one write with the request, to save a round trip
             params_of_hello = {"protocol": PROTOCOL_VERSION}
             lines = encode_request(_HELLO_ID, "hello", params_of_hello) + lines
         until = None if deadline_s is None else time.monotonic() + deadline_s
@@ -180,7 +180,7 @@ class Client:
             self._write(lines)
             if hello:
                 refusal = self._greet(until)
-                if refusal and not is_emergency_stop(request):  # the daemon takes that one anyway
+                if refusal and not is_emergency_stop(request):  # the daemon accepts it anyway
                     raise refusal
             return self._result(self._last_id, until)
         except TimeoutError:
@@ -191,7 +191,7 @@ class Client:
             raise RobotctlError(f"the daemon of robot {self._robot!r} answered: {error}") from error
 
     def _greet(self, until: float | None) -> Refused | None:
-        """Read the reply to hello; return the daemon's refusal, None if it accepts this client."""
+        """Read the reply to hello; return the refusal, or None if the client is accepted."""
         try:
             version = self._result(_HELLO_ID, until).get("protocol")
         except Refused as refusal:
@@ -226,7 +226,7 @@ class Client:
         """Return the next line.
 
         Raises:
-            TimeoutError: No whole line came in time.
+            TimeoutError: No complete line arrived in time.
             ConnectionError: The daemon closed the connection.
             ProtocolError: The line is too long.
         """
@@ -247,7 +247,7 @@ class Client:
         return line
 
     def _check_alive(self) -> None:
-        """Raise NoDaemon unless the daemon greets a second connection."""
+        """Raise NoDaemon, TimeoutError or ConnectionError unless a new hello is answered."""
         with Client(self._robot) as other:
             other._write(encode_request(_HELLO_ID, "hello", {"protocol": PROTOCOL_VERSION}))
             other._greet(time.monotonic() + LIVENESS_S)
@@ -273,7 +273,7 @@ class Client:
 
 
 def no_daemon(robot: str) -> NoDaemon:
-    """Return the error for a command that needs a daemon while none runs."""
+    """Return the error for a command that needs a daemon when none runs."""
     return NoDaemon(
         f"no daemon for robot {robot!r}",
         f"start one with: {command_for(robot, 'start')}",
@@ -282,7 +282,7 @@ def no_daemon(robot: str) -> NoDaemon:
 
 
 def command_for(robot: str, command: str) -> str:
-    """Return a command as a user types it for this robot."""
+    """Return the command line for a robot; `--robot` is left out for the default robot."""
     return f"robotctl {command}" + ("" if robot == DEFAULT_ROBOT else f" --robot {robot}")
 
 

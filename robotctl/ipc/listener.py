@@ -1,4 +1,4 @@
-"""The listening socket: a file for its owner or a group, created again if it is removed."""
+"""The listening socket: open to its owner or a group; its file is created again if removed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class SocketGroup(NamedTuple):
 
 
 def socket_group(name: str) -> SocketGroup | None:
-    """Return the group with this name; None for "".
+    """Return the group with this name, or None if `name` is "".
 
     Raises:
         UsageError: There is no such group, or this user is not in it.
@@ -55,12 +55,12 @@ def socket_group(name: str) -> SocketGroup | None:
 
 
 def open_folder(path: Path, group: SocketGroup | None) -> None:
-    """Open the folder of the socket `path` to the group; for None, to its owner alone.
+    """Give the group access to the folder of the socket `path`; if None, only the owner.
 
-    Another robot of this user may share the folder: then it stays open to that robot's group.
+    A folder that another robot of this user shares with a group stays accessible to that group.
 
     Raises:
-        UsageError: The folder is open to another group, or its members cannot reach it.
+        UsageError: The folder is shared with another group, or this group cannot reach it.
     """
     folder = path.parent
     others = any(other != path for other in folder.glob("*.sock"))
@@ -85,7 +85,7 @@ def open_folder(path: Path, group: SocketGroup | None) -> None:
 
 
 def open_socket(path: Path, group: SocketGroup) -> None:
-    """Let the members of the group connect to the socket at `path`."""
+    """Allow the members of the group to connect to the socket at `path`."""
     os.chown(path, -1, group.gid)
     path.chmod(SOCKET_MODE)
 
@@ -110,8 +110,8 @@ def _user_name() -> str:
 async def until_readable(sock: socket.socket) -> None:
     """Wait until the socket has data, or a client to accept.
 
-    Nothing is read from the socket. So no data is lost if the waiting task is cancelled just as
-    data arrives, as it would be with `loop.sock_recv` and `loop.sock_accept`.
+    Nothing is read from the socket, so no data are lost if the waiting task is cancelled just when
+    data arrive; with `loop.sock_recv` and `loop.sock_accept` they could be.
     """
     loop = asyncio.get_running_loop()
     readable = loop.create_future()
@@ -123,12 +123,12 @@ async def until_readable(sock: socket.socket) -> None:
 
 
 def is_readable(sock: socket.socket) -> bool:
-    """Return whether the socket has data, or has reached the end of the stream."""
+    """Return whether the socket has data, or the client has closed its sending side."""
     return _has(sock, select.POLLIN)
 
 
 def is_hung_up(sock: socket.socket) -> bool:
-    """Return whether the other end is closed in both directions."""
+    """Return whether the connection is closed in both directions."""
     return _has(sock, 0)
 
 
@@ -146,19 +146,19 @@ def _has(sock: socket.socket, events: int) -> bool:
 _log = logging.getLogger(__name__)
 
 BACKLOG = 1024
-"""Clients that may wait to be accepted: the largest burst that the daemon promises to take.
+"""The number of clients that may wait to be accepted: the largest burst that must not fail.
 
 With a full backlog, asyncio's connect returns a socket that is not connected."""
 
 LOOK_S = 1.0
-"""Period of the check that the socket file is still the listener's own."""
+"""The period of the check that the socket file was not removed or replaced."""
 
 _OUT_OF_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 _RETRY_ACCEPT_S = 0.1
 
 
 class Listener:
-    """A listening socket at `path`; `close` removes the file if it is still the listener's own."""
+    """A listening socket at `path`; `close` removes the file unless it was replaced."""
 
     def __init__(self, path: Path, group: SocketGroup | None = None) -> None:
         self._path = path
@@ -166,15 +166,15 @@ class Listener:
         self._id = (0, 0)
         self._sock: socket.socket
         self._spare: int | None = None
-        """A descriptor for a client when no other is free, since it may stop the robot."""
+        """A reserved descriptor, closed if no other is free: the next client may stop the robot."""
 
     def open(self) -> None:
-        """Bind and listen; from now on the connect of a client succeeds.
+        """Bind and listen; from now on clients can connect.
 
         Raises:
-            UsageError: The folder belongs to another user or is open to another group, or `path`
+            UsageError: The folder belongs to another user, or the group cannot use it, or `path`
                 is not a socket.
-            AlreadyRunning: Another process answers at `path`.
+            AlreadyRunning: Another process listens at `path`.
         """
         make_private(self._path.parent)
         remove_stale(self._path)
@@ -184,7 +184,7 @@ class Listener:
             previous = os.umask(0o177)  # with a chmod after bind, any user could connect before it
             try:
                 self._sock.bind(str(self._path))
-            except OSError as error:  # the error does not name the path
+            except OSError as error:  # this error lacks the path
                 raise OSError(error.errno, error.strerror, str(self._path)) from None
             finally:
                 os.umask(previous)
@@ -199,7 +199,7 @@ class Listener:
             raise
 
     def close(self) -> None:
-        """Stop listening, and remove the socket file."""
+        """Stop listening, and remove the socket file unless it was replaced."""
         self._sock.close()
         self._give_up_spare()
         if self._is_in_place():
@@ -208,9 +208,9 @@ class Listener:
     async def accept(self, make_room: Callable[[], bool]) -> socket.socket:
         """Wait for the next client and return its socket.
 
-        Where the process has no free descriptor, one that was kept for this is used. If that is in
-        use, `make_room` is called to close a connection. It returns whether it did; otherwise this
-        waits until a descriptor is free.
+        If the process has no free descriptor, close the reserved one. If that is used up, call
+        `make_room`, which closes a connection and returns True, or returns False; then try again
+        until a descriptor is free.
         """
         self._keep_spare()
         while True:
@@ -229,16 +229,16 @@ class Listener:
                     raise
 
     async def lost(self) -> None:
-        """Wait until clients no longer reach this process at the path.
+        """Wait until clients can no longer reach this process at the path.
 
-        A logout may remove the folder, a cleanup job may remove old files, another user may take
-        over the folder, or another process the path.
+        A logout may remove the folder, a cleanup job may remove old files, another user may get
+        control of the folder, or another process may replace the file.
         """
         while self._is_in_place():  # noqa: ASYNC110 - nothing announces it
             await asyncio.sleep(LOOK_S)
 
     async def reopen(self, on_failure: Callable[[str], None]) -> None:
-        """Listen at the path again as soon as possible; pass each new reason to `on_failure`."""
+        """Retry `open` until it succeeds; call `on_failure` with each new reason of a failure."""
         self._sock.close()
         said = ""
         while True:
@@ -257,7 +257,7 @@ class Listener:
                 self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 
     def _give_up_spare(self) -> bool:
-        """Close the descriptor that is kept; return whether there was one."""
+        """Close the reserved descriptor; return whether there was one."""
         if self._spare is None:
             return False
         os.close(self._spare)
@@ -281,7 +281,7 @@ def remove_stale(path: Path) -> None:
 
     Raises:
         UsageError: `path` is not a socket.
-        AlreadyRunning: Another process answers at `path`.
+        AlreadyRunning: Another process listens at `path`.
     """
     with suppress(FileNotFoundError):
         if not stat.S_ISSOCK(path.lstat().st_mode):
@@ -292,6 +292,6 @@ def remove_stale(path: Path) -> None:
                 probe.connect(str(path))
             except ConnectionRefusedError:
                 return path.unlink()
-            except BlockingIOError:  # it listens, and has many clients
+            except BlockingIOError:  # a process listens, and its backlog is full
                 raise AlreadyRunning(f"{path} is in use") from None
             raise AlreadyRunning(f"pid {peer_of(probe).pid} answers at {path} already")

@@ -1,6 +1,6 @@
-"""The methods of the control socket that a command calls, each with the type of its answer.
+"""The methods of the control socket that commands call, each with the type of its answer.
 
-The types themselves are imported for type checking only: `robotctl status` does without them.
+The types are imported for type checking only, so that `robotctl status` starts faster.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ A_co = TypeVar("A_co", covariant=True)
 
 
 class MethodName(str, Generic[A_co]):
-    """The name of a method that answers with an `A_co`."""
+    """The name of a method; its answer has the type `A_co`."""
 
     __slots__ = ()
 

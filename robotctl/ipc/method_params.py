@@ -1,4 +1,4 @@
-"""The parameters of each method with their limits; decoded strictly, once, in the server."""
+"""The parameters of each method with their limits. The server decodes them once, strictly."""
 
 from __future__ import annotations
 
@@ -38,29 +38,29 @@ Source = Annotated[str, Meta(max_length=200)]
 """The name of the requester, for the journal and the log."""
 
 Reason = Annotated[str, Meta(max_length=MAX_REASON, pattern=REASON_PATTERN)]
-"""Why the client asks, for the journal and the log."""
+"""The reason for the request, for the journal and the log."""
 
 Token = Annotated[str, Meta(min_length=16, max_length=64)]
 """The token of a lease."""
 
 MAX_TURNING_RPS = 20.0
-"""The largest value of `limits.angular_rps`."""
+"""The largest allowed value of `limits.angular_rps` [rad/s]."""
 
 Size = Annotated[float, Meta(ge=MIN_SIZE_M, le=MAX_SIZE_M)]
 
 
 class NoParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of a method that takes none."""
+    """The empty parameters of a method that has none."""
 
 
 class HelloParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The protocol version of the client."""
+    """The parameters of `hello`: the protocol version of the client."""
 
     protocol: int
 
 
 class SetModeParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The mode as the uint8 of SetMode.srv; the kernel refuses a number that is no mode."""
+    """The parameters of `set_mode`, with the uint8 of SetMode.srv; the handler checks the mode."""
 
     mode: Annotated[int, Meta(ge=0, le=255)]
     source: Source
@@ -69,20 +69,20 @@ class SetModeParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ResetParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `reset`, which releases ERROR and EMERGENCY_STOP to IDLE."""
+    """The parameters of `reset`, which changes ERROR or EMERGENCY_STOP to IDLE."""
 
     source: Source
     reason: Reason = ""
 
 
 class EndDriveParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `end_drive`, which ramps down to IDLE and acts in MOVING only."""
+    """The parameters of `end_drive`, which ramps down to IDLE; it only has an effect in MOVING."""
 
     source: Source
 
 
 class MarkParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `mark`, which marks the present moment in the recording."""
+    """The parameters of `mark`, which marks the current time in the recording."""
 
     text: Annotated[str, Meta(min_length=1, max_length=MAX_MARK_LENGTH)]
     source: Source
@@ -97,7 +97,7 @@ class ParamSetParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GraphNameParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The full name of a topic or a node."""
+    """The parameters of `graph_topic` and `graph_node`: the full name of the topic or node."""
 
     name: Annotated[str, Meta(min_length=1, max_length=MAX_GRAPH_NAME)]
 
@@ -110,7 +110,7 @@ class SimSetParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SimFaultParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `sim_fault`: what goes wrong, and for how long [s]."""
+    """The parameters of `sim_fault`: the fault, and its duration [s]."""
 
     fault: Annotated[str, Meta(max_length=40)]
     for_s: Annotated[float, Meta(gt=0.0, le=60.0)]
@@ -118,9 +118,9 @@ class SimFaultParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """A pattern and its size; a value that is left out comes from the daemon's configuration.
+    """The parameters of `drive`: a pattern, and its size unless the default size is wanted.
 
-    The limits are the kernel's; the configured speed limit may be lower.
+    The default speed comes from the configuration, whose speed limit may be below MAX_SPEED_MPS.
     """
 
     pattern: PatternKind
@@ -142,7 +142,7 @@ class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DrivePathParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """Waypoints [m] in `frame`; a value that is left out comes from the daemon's configuration."""
+    """The parameters of `drive_path`: waypoints [m] in `frame`. The default speed is configured."""
 
     points: Annotated[list[tuple[float, float]], Meta(min_length=2, max_length=MAX_POINTS)]
     source: Source
@@ -151,7 +151,7 @@ class DrivePathParams(Struct, frozen=True, forbid_unknown_fields=True):
     reverse: bool = False
     open_loop: bool = False
     laps: Annotated[int, Meta(ge=0, le=MAX_LAPS)] | None = None
-    """0: drive until stopped; 1 if left out."""
+    """0: drive until stopped; None: 1 lap."""
     speed_mps: Annotated[float, Meta(ge=MIN_SPEED_MPS, le=MAX_SPEED_MPS)] | None = None
     replace: bool = False
     wait: bool = False
@@ -160,7 +160,7 @@ class DrivePathParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DriveVelocityParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """A velocity to command for a time; the robot then ramps down."""
+    """The parameters of `drive_velocity`: a velocity for `for_s`; then the robot ramps down."""
 
     linear_mps: Annotated[float, Meta(ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS)]
     angular_rps: Annotated[float, Meta(ge=-MAX_TURNING_RPS, le=MAX_TURNING_RPS)]
@@ -174,7 +174,7 @@ class DriveVelocityParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class HoldParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """A velocity to hold to run: `hold` is 0 to begin, then the number that the answer gave."""
+    """The parameters of `hold`: a velocity. `hold` is 0 to begin, then the number in the answer."""
 
     linear_mps: Annotated[float, Meta(ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS)]
     angular_rps: Annotated[float, Meta(ge=-MAX_TURNING_RPS, le=MAX_TURNING_RPS)]
@@ -185,7 +185,7 @@ class HoldParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LeaseTakeParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `lease_take`: the client chooses the token, so that no other knows it."""
+    """The parameters of `lease_take`: the client chooses the token and keeps it secret."""
 
     token: Token
     source: Source
@@ -206,7 +206,7 @@ class LeaseReleaseParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LeaseStatusParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `lease_status`; with a token it says whether that one holds the lease."""
+    """The parameters of `lease_status`, which compares a given token with that of the lease."""
 
     token: Token | None = None
 
@@ -218,7 +218,7 @@ def decode(given: dict[str, Any], kind: type[P]) -> P:
     """Return the parameters as an object of `kind`.
 
     Raises:
-        UsageError: A parameter is unknown, missing or not allowed; names the value and its limits.
+        UsageError: A parameter is unknown, missing or not allowed; the text names it.
     """
     try:
         return msgspec.convert(given, type=kind)
@@ -241,7 +241,7 @@ def _refusal(given: dict[str, Any], kind: type[Any]) -> UsageError:
 
 
 def _allowed(kind: Any) -> str:
-    """Return in words the values that a parameter may have."""
+    """Describe the values that a parameter of type `kind` may have."""
     from msgspec import inspect
 
     info = inspect.type_info(kind)

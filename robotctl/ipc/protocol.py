@@ -29,10 +29,10 @@ MAX_REQUEST_BYTES = 64 * 1024
 """About 100 times the longest request of a robotctl command."""
 
 MAX_RESPONSE_BYTES = 8 * 1024 * 1024
-"""Room for the answer of `path` with each driven point: an hour at 50 Hz, 40 bytes a point."""
+"""Enough for an answer of `path`: the points of one hour at 50 Hz with 40 bytes each."""
 
 MAX_DEPTH = 16
-"""The deepest message, `path`, has 4 levels. Each level costs stack: the decoder recurses."""
+"""The limit of nesting, since the decoder recurses; the deepest message, `path`, has 4 levels."""
 
 MAX_ID_LENGTH = 64
 MAX_ID = 2**53
@@ -47,10 +47,10 @@ MAX_REASON = 200
 """In characters."""
 
 REASON_PATTERN = r"^[^\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]*\Z"
-"""Without characters that move the cursor, end the line or turn the direction of a text."""
+"""Excludes characters that move the cursor, end the line or change the text direction."""
 
 MAX_GRAPH_NAME = 255
-"""In characters: a longer name does not fit into an announcement of Fast DDS."""
+"""In characters; a longer name does not fit into a discovery message of Fast DDS."""
 
 
 class Code(IntEnum):
@@ -111,14 +111,14 @@ class LineBuffer:
         self._searched = 0
 
     def receive(self, data: bytes) -> None:
-        """Append the bytes of one read."""
+        """Append received bytes."""
         self._buffer += data
 
     def next_line(self) -> bytes | None:
         """Return the next whole line without its newline, or None until more bytes arrive.
 
         Raises:
-            ProtocolError: The line is longer than the limit; the stream cannot be read further.
+            ProtocolError: The line is longer than the limit; the rest of the stream is unusable.
         """
         end = self._buffer.find(b"\n", self._searched)
         if (len(self._buffer) if end < 0 else end) > self._limit:
@@ -206,7 +206,7 @@ def parse_response(line: bytes) -> Result | Failure:
 
 
 def is_emergency_stop(request: Request) -> bool:
-    """Return whether this request is taken even above the limit of clients and before hello."""
+    """Return whether a request is accepted even before hello and above the limit of clients."""
     mode = request.params.get("mode")
     return request.method == "set_mode" and type(mode) is int and mode == EMERGENCY_STOP_MODE
 
@@ -220,7 +220,7 @@ def _invalid(text: str, request_id: int | str | None) -> NoReturn:
 
 
 def _id(message: dict[str, Any]) -> int | str | None:
-    """Return the message's id, None if it is not valid."""
+    """Return the id of the message, or None if it is missing or not valid."""
     value = message.get("id")
     if isinstance(value, str) and len(value) <= MAX_ID_LENGTH:
         return value
@@ -230,7 +230,7 @@ def _id(message: dict[str, Any]) -> int | str | None:
 
 
 def _parse_object(line: bytes) -> dict[str, Any]:
-    """Decode one JSON-RPC object; refuse what is valid JSON but ambiguous or harmful."""
+    """Decode one JSON-RPC object; refuse duplicate members, NaN, infinity and deep nesting."""
     _check_depth(line)
     try:
         message = _DECODER.decode(line.decode())
@@ -264,7 +264,7 @@ def _check_depth(line: bytes) -> None:
 
 
 def _refuse_lone_surrogates(message: object) -> None:
-    """Refuse half a surrogate pair: it is no character, and cannot be logged or recorded."""
+    """Refuse half a surrogate pair, which is not a character and cannot be encoded as UTF-8."""
     json.dumps(message, ensure_ascii=False).encode()
 
 
@@ -294,14 +294,14 @@ _DECODER = json.JSONDecoder(
 _UCRED = struct.Struct("iII")
 
 SO_PEERGROUPS: Final = 59
-"""Of asm-generic/socket.h; Python does not name it."""
+"""A socket option of asm-generic/socket.h that Python does not define."""
 
 _GROUPS_BYTES: Final = 1024
-"""The most that `getsockopt` of Python takes: 256 groups."""
+"""The largest buffer that Python's `getsockopt` accepts; it has room for 256 groups."""
 
 
 class Peer(NamedTuple):
-    """The struct ucred of unix(7), from connect or listen; pid 0 for another pid namespace."""
+    """The struct ucred of unix(7); `pid` is 0 for a process in another pid namespace."""
 
     pid: int
     uid: int
@@ -309,13 +309,13 @@ class Peer(NamedTuple):
 
 
 def peer_of(sock: socket.socket) -> Peer:
-    """Return the process at the other end of a connected socket."""
+    """Return the process that called connect or listen at the other end of a socket."""
     raw = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _UCRED.size)
     return Peer(*_UCRED.unpack(raw))
 
 
 def groups_of(sock: socket.socket) -> frozenset[int]:
-    """Return the groups of the process at the other end, as far as Linux tells them."""
+    """Return the groups of the process at the other end; of more than 256, only the primary one."""
     primary = peer_of(sock).gid
     try:
         raw = sock.getsockopt(socket.SOL_SOCKET, SO_PEERGROUPS, _GROUPS_BYTES)
@@ -325,6 +325,6 @@ def groups_of(sock: socket.socket) -> frozenset[int]:
 
 
 def guest_of(sock: socket.socket) -> int | None:
-    """Return the uid of the process at the other end; None for this user and root."""
+    """Return the uid of the process at the other end, or None if it is this user or root."""
     uid = peer_of(sock).uid
     return None if uid in (ROOT_UID, os.getuid()) else uid

@@ -1,4 +1,4 @@
-"""From one request to its reply: check it, decode it, call the handler, encode the result."""
+"""Turn one request into its reply: check it, decode it, call the handler, encode the result."""
 
 from __future__ import annotations
 
@@ -32,41 +32,41 @@ from robotctl.ipc.protocol import (
 
 @dataclass(frozen=True, slots=True)
 class ClientLimits:
-    """How much one client, and all clients together, may use of the daemon."""
+    """Limits on the connections, and on the time for each request and reply."""
 
     clients: int = 64
-    """A further connection gets an error: the daemon is busy."""
+    """The maximum number of connections; a further one gets the error that the daemon is busy."""
     overflow: int = 256
-    """Connections above `clients` that the daemon still reads, for one emergency stop each.
+    """The maximum number of connections above `clients`; each may send one emergency stop.
 
-    A further one closes the oldest that is silent. Together with `clients` this is well below 1,024
-    open files, the usual limit of a process.
+    If there are more, the daemon closes the oldest idle one. Together with `clients` this is well
+    below 1,024 open files, the usual limit of a process.
     """
     request_s: float = 10.0
-    """Time for a whole request, from the connection's start or the previous reply."""
+    """Time to receive a complete request, from the start of the connection or the last reply."""
     overflow_request_s: float = 1.0
-    """The same for a connection above `clients`."""
+    """`request_s` for a connection above `clients`."""
     write_s: float = 5.0
-    """Time for a client to read its reply."""
+    """Time to send a reply, which the client must read."""
     hangup_poll_s: float = 0.1
-    """Period of the check, in a call without a deadline, that the client is still connected."""
+    """The period of the check that the client of a call without deadline is still connected."""
 
 
 DEFAULT_LIMITS = ClientLimits()
 
 
 class DeadlineMissed(TimeoutError):
-    """The work was cancelled because its time is over."""
+    """The work was cancelled at its deadline."""
 
 
 class Deadline:
-    """A deadline, set anew for each piece of work. One task uses it at a time; it is not nested.
+    """A deadline that is set again for each `with` block. Blocks must neither nest nor overlap.
 
         with deadline.within(10.0):
             await work()
 
-    Like `asyncio.timeout` it cancels the task, and then raises DeadlineMissed, also a TimeoutError;
-    but one timer serves all: making one each time is a tenth of what `status` costs.
+    Like `asyncio.timeout` it cancels the task, and then raises DeadlineMissed (a TimeoutError). It
+    reuses one timer, because a new timer for each block would take a tenth of the time of `status`.
     """
 
     def __init__(self) -> None:
@@ -75,10 +75,10 @@ class Deadline:
         self._due_s = math.inf
         self._is_missed = False
         self._timer: asyncio.TimerHandle | None = None
-        """It fires at `_due_s` or earlier; if earlier, it is set again."""
+        """Fires at `_due_s` or earlier; if earlier, `_look` sets it again."""
 
     def within(self, limit_s: float | None) -> Self:
-        """Set the deadline for the work of the `with` block; None: no deadline."""
+        """Set the deadline of the `with` block [s from now]; None: no deadline."""
         loop, self._task = asyncio.get_running_loop(), asyncio.current_task()
         assert self._task is not None
         self._cancelling = self._task.cancelling()
@@ -89,7 +89,7 @@ class Deadline:
         return self
 
     def miss(self) -> None:
-        """Cancel the work as if its time were over."""
+        """Cancel the work as at its deadline."""
         assert self._task is not None
         self._is_missed = True
         self._task.cancel()
@@ -154,7 +154,7 @@ class Identity:
 
 
 class _Rejected(Exception):
-    """A request that did not reach its handler, or that exceeded its deadline there."""
+    """A request that did not reach its handler, or whose handler missed its deadline."""
 
     def __init__(self, code: Code, cause: RobotctlError) -> None:
         super().__init__(str(cause))
@@ -163,7 +163,7 @@ class _Rejected(Exception):
 
 
 class RequestHandler:
-    """The handler of one connection's requests, one at a time."""
+    """Handles the requests of one connection, one at a time."""
 
     def __init__(
         self,
@@ -175,7 +175,7 @@ class RequestHandler:
         *,
         over_cap: bool,
     ) -> None:
-        """`over_cap` says that only an emergency stop is taken; `sock` shows a disconnect."""
+        """With `over_cap`, accept only hello and an emergency stop; `sock` shows a disconnect."""
         self._deadline = deadline
         self._sock = sock
         self._methods = methods
@@ -185,7 +185,7 @@ class RequestHandler:
         self._greeted = False
 
     async def reply(self, request: Request) -> bytes | bytearray:
-        """Carry out a request and return its one reply, for any failure of the handler.
+        """Carry out a request and return its one reply, even if the handler fails.
 
         Raises:
             asyncio.CancelledError: The task that waits for the reply is cancelled.
@@ -211,7 +211,7 @@ class RequestHandler:
         """Return the handler's result.
 
         Raises:
-            _Rejected: The handler was not called, or was late.
+            _Rejected: The handler was not called, or missed its deadline.
         """
         if request.method == "hello":
             return self._hello(_decode(request, HelloParams))
@@ -249,7 +249,7 @@ class RequestHandler:
         }
 
     def _vouched(self, params: P) -> P:
-        """Return the parameters with the uid of a guest, which Linux tells, behind its name."""
+        """Return `params`; if another user is connected, append the uid from Linux to `source`."""
         guest, source = guest_of(self._sock), getattr(params, "source", None)
         if guest is None or source is None:
             return params
@@ -265,10 +265,10 @@ class RequestHandler:
 
     @contextmanager
     def _until_hangup(self) -> Iterator[None]:
-        """Let the deadline be missed when the client disconnects.
+        """Miss the deadline when the client disconnects.
 
-        The end of the client's stream is not enough: it may have closed its sending half only. So
-        the socket itself is checked.
+        The end of the client's stream does not show that: the client may have closed only its
+        sending half. So the state of the socket is polled.
         """
         loop, period_s = asyncio.get_running_loop(), self._limits.hangup_poll_s
         timer: asyncio.TimerHandle
@@ -295,7 +295,7 @@ def encode_failure(request_id: int | str | None, code: Code, error: RobotctlErro
 def log_failure(what: str) -> None:
     """Log the exception that is being handled.
 
-    A MemoryError is passed to the loop's exception handler, which decides for the whole daemon.
+    A MemoryError is passed to the loop's exception handler, because it concerns the whole daemon.
     """
     error = sys.exception()
     if isinstance(error, MemoryError):

@@ -1,4 +1,4 @@
-"""The control socket of a daemon: accepts clients of the right user, up to a limit."""
+"""The control socket of a daemon: accepts clients with permission, up to a limit."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ from robotctl.ipc.request_handler import (
 
 
 class Connection:
-    """The connection of one client, until its end, a missed deadline or a line that is too long.
+    """One client's connection; it ends at a disconnect, a missed deadline or an overlong line.
 
-    With `over_cap` there are too many clients already: then one emergency stop is answered.
+    With `over_cap` (too many clients), it ends after two lines: hello and an emergency stop.
     """
 
     def __init__(
@@ -66,14 +66,14 @@ class Connection:
         return self._is_listening and not is_readable(self._sock)
 
     def dismiss(self) -> None:
-        """Tell an idle client, without waiting, that another client takes its place."""
+        """Send an idle client, without waiting, the error that the daemon is busy."""
         self._say_last(None, Code.BUSY, self._handler.busy())
 
     async def run(self) -> None:
-        """Answer requests until the connection is to be closed.
+        """Answer requests until the connection must be closed.
 
         Raises:
-            OSError: The client is gone.
+            OSError: The client has disconnected, or does not read its reply.
         """
         lines_left = 2 if self._over_cap else None  # hello, and the one emergency stop
         while lines_left != 0:
@@ -85,7 +85,7 @@ class Connection:
                 lines_left -= 1
 
     async def refuse(self, code: Code, error: RobotctlError) -> None:
-        """Send the reason why this connection is closed."""
+        """Send the error because of which this connection is closed."""
         await self._send(encode_failure(None, code, error))
 
     async def _answer(self, line: bytes) -> bytes | bytearray:
@@ -100,14 +100,14 @@ class Connection:
             raise
 
     async def _read_line(self) -> bytes | None:
-        """Return the next line; None after a disconnect, a missed deadline or a line too long."""
+        """Return the next line; None after a disconnect, a missed deadline or an overlong line."""
         limits = self._limits
         deadline_s = limits.overflow_request_s if self._over_cap else limits.request_s
         try:
             with self._deadline.within(deadline_s):
                 line = self._lines.next_line()
                 if line is not None:
-                    await asyncio.sleep(0)  # a turn for others, however many lines are here
+                    await asyncio.sleep(0)  # let other tasks run, even if many lines are buffered
                 while line is None:
                     data = await self._receive()
                     if not data:
@@ -123,9 +123,9 @@ class Connection:
         return None
 
     async def _receive(self) -> bytes:
-        """Read as `loop.sock_recv` does, but a cancelled read leaves the data in the socket.
+        """Read like `loop.sock_recv`, but leave the data in the socket if the read is cancelled.
 
-        Others get a turn, also if there are data already.
+        Other tasks run first, even if there are data already.
         """
         while True:
             self._is_listening = True
@@ -137,12 +137,12 @@ class Connection:
                 return self._sock.recv(MAX_REQUEST_BYTES)
 
     async def _send(self, line: bytes | bytearray) -> None:
-        """Send a reply in time; other tasks get no turn if the socket takes it at once."""
+        """Send a reply within `write_s`; other tasks run only if the socket's buffer is full."""
         with self._deadline.within(self._limits.write_s):
             await asyncio.get_running_loop().sock_sendall(self._sock, line)
 
     def _say_last(self, request_id: int | str | None, code: Code, error: RobotctlError) -> None:
-        """Send an error without waiting: the connection is closed next."""
+        """Try to send an error without waiting, just before the connection is closed."""
         with suppress(OSError):
             self._sock.send(encode_failure(request_id, code, error))
 
@@ -150,13 +150,13 @@ class Connection:
 _log = logging.getLogger(__name__)
 
 _FULL_POLL_S = 0.005
-"""Period in which a new connection tries again while all others are busy."""
+"""The period with which a new connection retries while no other one can be closed."""
 
 
 class ControlServer:
     """The server of the control socket: listens in the `with` block, answers while `serve` runs.
 
-    A socket that a dead daemon has left at `path` is replaced; the caller owns the robot's lock.
+    It replaces the socket of a dead daemon at `path`. The caller must own the robot's lock.
 
         with ControlServer(path, methods, identity) as server:
             tasks.create_task(server.serve())
@@ -172,7 +172,7 @@ class ControlServer:
         limits: ClientLimits = DEFAULT_LIMITS,
         on_unreachable: Callable[[str], None] = lambda problem: None,
     ) -> None:
-        """`on_unreachable(problem)` gets the reason why no client can connect, "" once one can."""
+        """`on_unreachable` gets the problem when no client can connect, and "" when one can."""
         self._path = path
         self._group = group
         self._listener = Listener(path, group)
@@ -186,7 +186,7 @@ class ControlServer:
         """Connections above the limit, the oldest first."""
 
     def __enter__(self) -> Self:
-        """Listen; from now on the connect of a client succeeds. Raises as Listener.open does."""
+        """Listen; from now on clients can connect. Raises what Listener.open raises."""
         self._listener.open()
         return self
 
@@ -208,7 +208,7 @@ class ControlServer:
                 self._on_unreachable("")
 
     def warning(self) -> str:
-        """Return a sentence if the socket was lost, else ""."""
+        """Return a sentence if the socket was ever lost, or ""."""
         if not self._lost:
             return ""
         times = "once" if self._lost == 1 else f"{self._lost} times"
@@ -253,9 +253,9 @@ class ControlServer:
         return self._admitted >= limits.clients and len(self._overflow) >= limits.overflow
 
     def _dismiss_idle(self) -> bool:
-        """Close the longest idle connection above the limit; return whether there was one.
+        """Close the oldest idle connection above the limit; return whether there was one.
 
-        So an emergency stop is read, even if many silent connections are open.
+        This makes room for an emergency stop even if many silent connections are open.
         """
         for task, connection in self._overflow.items():
             if connection.is_idle():

@@ -1,16 +1,16 @@
 """The pure core: modes, safety, patterns, tracking, limits. No clock, no I/O, no ROS.
 
-What `__all__` names is for users of the library; the modules below may change. A kernel takes one
-event after the other, and each step returns the effects that the caller must carry out, in order:
+The names in `__all__` are for users of the library; the modules below may change. Each call of
+`step` handles one event, and returns the effects that the caller must carry out, in order:
 
     from robotctl.kernel import Kernel, KernelParams, Mode, ModeRequested
 
     kernel = Kernel(KernelParams())
     effects = kernel.step(ModeRequested(t_ns=0, request_id=1, requested=Mode.IDLE, source="me"))
 
-Times come with the events, in steady nanoseconds. A `Snapshot` and the events after it give the
-same effects again, bit for bit; `to_json` and `from_json` write and read all of these values. Each
-name is loaded on first use.
+Each event carries its time: nanoseconds of a steady clock. A `Snapshot` and the events after it
+give the same effects again, bit for bit; `to_json` and `from_json` write and read all of these
+values. Each name is loaded on first use.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ _MODULES = {
     "latched": "state",
     "to_json": "codec",
 }
-"""Where each name stands; those that are missing here are values, events and effects."""
+"""The module of each name; a name that is missing here is in `types`."""
 
 
 def __getattr__(name: str) -> object:

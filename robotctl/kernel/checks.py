@@ -1,4 +1,4 @@
-"""The checks of the rules in `safety.RULES`: each returns what is wrong now, "" if nothing is."""
+"""Checks for `safety.RULES`, except those in `input_checks`: each returns what is wrong, or ""."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from robotctl.kernel.types.events import LifecycleState
 from robotctl.kernel.units import NS_PER_S
 
 FOREIGN_COMMAND_S = 1.0
-"""How long a command of another node prevents motion; its publisher may send only rarely."""
+"""How long one command of another node prevents motion; the node may send them only rarely."""
 
 
 def _age_s(then_ns: int, t_ns: int) -> float:
-    """Return the age of a time [s]; a time in the future counts as equally stale."""
+    """Return the time between `then_ns` and `t_ns` [s]: a time in the future is stale, too."""
     return abs(t_ns - then_ns) / NS_PER_S
 
 
 Check = Callable[[Health, KernelParams, int], str]
-"""Judges health, parameters and the steady time [ns]; returns what is wrong, "" if nothing is."""
+"""Checks the health at a steady time [ns] and returns what is wrong, "" if nothing is."""
 
 
 def healthy(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return "": a cause that only events or requests raise."""
+    """Return "": the check for a cause that only an event or a request raises."""
     return ""
 
 
@@ -44,7 +44,7 @@ def reported(cause: Cause) -> Check:
 
 
 def not_active(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if the node that gates motion is not active, else ""."""
+    """Return a sentence if `mode_service`, which gates motion, is not active, else ""."""
     if health.lifecycle is LifecycleState.ACTIVE:
         return ""
     return f"mode_service is {health.lifecycle.value}, not active"
@@ -59,7 +59,7 @@ def battery_at_stop(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def battery_before_clear(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if the battery is below its clear level, else ""."""
+    """Return a sentence if the battery level is below the clear level or unknown, else ""."""
     level, clear_level = health.battery_level, params.battery.clear_level
     if not params.battery.topic or (is_level(level) and level >= clear_level):
         return ""
@@ -84,9 +84,9 @@ def battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def odometry_wrong(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return why no odometry sample was usable for the timeout, "" if one was.
+    """Return why the received odometry is unusable, or "".
 
-    Where `odometry.frame_id` is set, no sample in another frame is usable.
+    A frame other than `odometry.frame_id` is reported at once, other faults once odometry is lost.
     """
     wanted, sources = params.odometry.frame_id, health.odometry_sources
     if wanted:
@@ -157,12 +157,12 @@ def fence_left(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if another node commands in a way that is not configured, else ""."""
+    """Return the sentence of `foreign_command`, or "" if `command.foreign` is WARN."""
     return "" if params.command.foreign is Foreign.WARN else foreign_command(health, params, t_ns)
 
 
 def foreign_command(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if another node publishes velocity commands, or just did, else ""."""
+    """Return a sentence if another node can send (ignored with YIELD) or just sent a command."""
     if health.foreign_publishers and params.command.foreign is not Foreign.YIELD:
         names = ", ".join(health.foreign_publishers)
         verb = "publishes" if len(health.foreign_publishers) == 1 else "publish"
@@ -174,7 +174,7 @@ def foreign_command(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def command_unheard(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if no node subscribes to the velocity command, else ""."""
+    """Return a sentence if no node subscribes to the command topic with its type, else ""."""
     topic = health.command_topic
     if topic.listeners is None or topic.listeners > 0:
         return ""
@@ -185,7 +185,7 @@ def command_unheard(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def command_types_mixed(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if both types of command are taken and none is configured, else ""."""
+    """Return a sentence if `stamped` is AUTO and nodes subscribe to both types, else ""."""
     topic = health.command_topic
     taken = COMMAND_TYPES.intersection((topic.type_name, *topic.other_types))
     if params.command.stamped is not Stamping.AUTO or not topic.listeners or len(taken) < 2:

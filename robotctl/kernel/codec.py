@@ -1,4 +1,4 @@
-"""Writes kernel values as JSON and reads them back bit for bit; the journal is written this way.
+"""Writes kernel values as JSON and reads them back bit for bit; the journal uses this format.
 
 A float is written as its repr, which reads back to the same bits. JSON has no nan and no inf, so
 they are written as strings.
@@ -45,7 +45,7 @@ def from_json(kind: Callable[..., T], text: str) -> T:
 
 
 class _Writers(dict[Any, Callable[[Any], str]]):
-    """For each type the function that writes it, made when it is first needed."""
+    """Maps each type to the function that writes it; a function is made on first use."""
 
     def __missing__(self, kind: Any) -> Callable[[Any], str]:
         self[kind] = _writer(kind)
@@ -56,7 +56,7 @@ _WRITERS = _Writers()
 
 
 def _writer(kind: Any) -> Callable[[Any], str]:
-    """Return the function that writes a `kind`, in half the time of `json.dumps`."""
+    """Return a function that writes a value of type `kind` in half the time of `json.dumps`."""
     if kind is float:
         return _write_float
     if kind is bool:
@@ -93,7 +93,7 @@ def _fields_writer(kind: Any) -> Callable[[Any], str]:
 
 @lru_cache(maxsize=256)
 def _reader(kind: Any) -> Callable[[Any], Any]:
-    """Return the function that converts a result of `json.loads` to a `kind`."""
+    """Return a function that converts a result of `json.loads` to the type `kind`."""
     if kind is float:
         return float
     if kind in (int, str, bool):
@@ -155,10 +155,10 @@ def finite_or_none(value: float) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """What was sent and written before a snapshot, so that a check finds what is missing.
+    """What was sent and written before a snapshot; a check compares it to find what is missing.
 
     `commands` is the number of velocity commands that were sent, `journal_crc` the CRC-32 of all
-    journal entries in their serialized form.
+    serialized journal entries.
     """
 
     commands: int

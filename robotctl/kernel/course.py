@@ -1,4 +1,4 @@
-"""How a path is driven, and what its shape needs besides a size."""
+"""How a drive differs from a plain pattern: corners, angle, direction, waypoints, velocity."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ MIN_HELD_S, MAX_HELD_S = 0.02, 600.0
 MAX_QUIET_S = 5.0
 
 MAX_SILENCE_S = 0.125
-"""The longest silence of a client that holds a velocity to run."""
+"""The largest `Held.for_s` of a hold-to-run velocity."""
 
 MAX_COORDINATE_M = 10_000.0
 MIN_LEG_M = 0.001
-"""Points that are nearer to each other than this are one point."""
+"""Consecutive points that are nearer to each other than this count as one."""
 
 
 class Frame(Enum):
-    """Where waypoints are: relative to the pose at the start, or in the frame of odometry."""
+    """The frame of waypoints: that of the robot's pose at the start, or that of odometry."""
 
     START = "start"
     ODOM = "odom"
@@ -35,10 +35,10 @@ class Frame(Enum):
 class Held:
     """A velocity that is commanded for `for_s` seconds.
 
-    Then nothing is commanded for `quiet_s` seconds, to see when the base stops by itself.
+    Then no command is sent for `quiet_s` seconds, to see when the base stops by itself.
 
-    A velocity that a client holds to run was asked for at `heard_t_ns` (steady), and is asked for
-    again and again: after a silence of `for_s` it ends in zero at once.
+    A hold-to-run velocity must be repeated by its client; `heard_t_ns` is the steady time of the
+    last request, None for any other velocity. After `for_s` of silence the command is 0 at once.
     """
 
     linear_mps: float
@@ -60,23 +60,23 @@ class Held:
         return ""
 
     def begun(self, t_ns: int) -> Held:
-        """Return the velocity as its motion begins at `t_ns`."""
+        """Return the velocity for a motion that begins at `t_ns`: hold-to-run counts from then."""
         return replace(self, heard_t_ns=t_ns) if self.is_held_to_run else self
 
     @property
     def is_held_to_run(self) -> bool:
-        """Whether a client must ask for this velocity again and again."""
+        """Whether the client must repeat its request to keep the robot moving."""
         return self.heard_t_ns is not None
 
     @property
     def is_let_go(self) -> bool:
-        """Whether the client that holds this velocity to run wants the robot to stand."""
+        """Whether the hold-to-run client asks for velocity zero."""
         return self.is_held_to_run and not (self.linear_mps or self.angular_rps)
 
     def is_silent(self, t_ns: int, period_s: float) -> bool:
-        """Return whether the silence of the client would be too long at the next tick.
+        """Return whether the silence of a hold-to-run client would exceed `for_s` at the next tick.
 
-        `period_s` is that of the ticks; of a very slow one, half the silence counts.
+        `period_s` is the period of the ticks; it counts as at most half of `for_s`.
         """
         if self.heard_t_ns is None:
             return False
@@ -86,12 +86,12 @@ class Held:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What a drive does beyond a plain pattern.
+    """How a drive differs from a plain pattern.
 
     `corner_m` is the radius of the corners of a rounded square; on waypoints it is how far before
     a corner the robot leaves the straight line, 0 to stop and turn at each point. `angle_rad` is
-    how far a turn or an arc goes, to the left if positive. `reverse` drives rear first, `open_loop`
-    without correcting by odometry. `waypoints` [m] in `frame` replace the pattern: in reverse a
+    the angle of a turn or an arc, to the left if positive. `reverse` drives rear first, `open_loop`
+    without feedback from odometry. `waypoints` [m] in `frame` replace the pattern: in reverse a
     pattern lies behind the robot, but waypoints stay where they are. A `held` velocity replaces
     both.
     """

@@ -1,9 +1,9 @@
 """A drive along a path: how far the reference has come, and how well the robot follows it.
 
-A lead moves by the speed plan, with steps in its acceleration. The reference follows it with the
-mean of its speeds in the last ticks: a moving average limits the jerk, and keeps speed and
-acceleration within those of the plan (Biagiotti and Melchiorri 2012). Where the robot stops, the
-lead waits until the reference and the robot have arrived.
+A point ahead of the reference, the lead, moves by the speed plan, with steps in its acceleration.
+The speed of the reference is the mean of the lead's speeds in the last ticks: this moving average
+limits the jerk, and keeps speed and acceleration within the plan (Biagiotti and Melchiorri 2012).
+At a stop of the plan, the lead waits until the reference and the robot have arrived.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ SETTLE_S = 0.6
 """The longest time that the reference waits at a stop for the robot to arrive."""
 
 ARRIVED = 1e-9
-"""Less than this [m, rad] is rounding, and might never become 0: a lead so near to a stop is there,
-one so little ahead is where the reference is, and a reference that is slower per second stands."""
+"""Smaller values [m, rad, m/s, rad/s] are rounding and count as 0: the distance from the lead to a
+stop, the distance from the reference to the lead, and the speed of the reference."""
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far the reference has come.
+    """How far the reference has come: `laps` complete laps, then `segment` segments, then `length`.
 
-    `length` is its position in segment `segment` (m, or rad in a turn), `speed` its rate per second
-    and `accel` the change of that. `settling_s` is how long it has waited at a stop. `closure_m` is
-    the distance of the robot from the end of the lap at the end of the last lap, NaN before that.
-    The lead is `ahead` of the reference, at `lead_speed`; `rates` are its speeds in the last ticks.
+    `length` and `ahead` are in m, in rad in a turn; `speed` and `accel` of the reference are per
+    second. `settling_s` is how long the reference has waited at a stop. `closure_m` is how far the
+    robot was from the end of the path when the last lap ended, NaN before that. The lead is `ahead`
+    of the reference, at `lead_speed`; `rates` are the lead's speeds in the last ticks.
     """
 
     laps: int = 0
@@ -52,7 +52,7 @@ class Progress:
 
 
 def begun(speed: float, ticks: int, dt_s: float, legs: tuple[Leg, ...], *, turns: bool) -> Progress:
-    """Return the progress of a reference that begins at `speed`, as if it had come from before."""
+    """Return the progress of a reference that begins at `speed`; at 0 on a turn or a short leg."""
     ahead = 0.5 * speed * dt_s * (ticks - 1)
     if turns or speed <= 0.0 or legs[0].length <= ahead:
         return Progress()
@@ -62,11 +62,11 @@ def begun(speed: float, ticks: int, dt_s: float, legs: tuple[Leg, ...], *, turns
 def advanced(
     at: Progress, legs: tuple[Leg, ...], laps: int, dt_s: float, ticks: int
 ) -> tuple[Progress, bool]:
-    """Return the reference after `dt_s`, and whether it stands at a stop now.
+    """Return the progress after `dt_s`, and whether the reference stands at a stop now.
 
-    `laps` is how many laps there are in all, 0 for no end; an acceleration builds up over `ticks`.
+    `laps` is the number of laps to drive, 0 for no end. An acceleration builds up over `ticks`.
     """
-    # Where the lead is.
+    # The place of the lead.
     index, lap, lead, ahead = at.segment, at.laps, at.length + at.ahead, at.ahead
     leg = legs[index]
     end_speed = leg.last_end_speed if lap == laps - 1 else leg.end_speed
@@ -81,7 +81,7 @@ def advanced(
             index, lap = 0, lap + 1
         leg = legs[index]
         end_speed = leg.last_end_speed if lap == laps - 1 else leg.end_speed
-    # How it moves.
+    # The motion of the lead.
     left = leg.length - lead
     speed = min(at.lead_speed + leg.accel * dt_s, leg.top_speed)
     # Braking in ticks takes half a tick longer than braking in theory.
@@ -94,7 +94,7 @@ def advanced(
         move, speed = left, 0.0
     rates = (*at.rates, move / dt_s)[-ticks:]
     ahead += move
-    # What the reference takes over.
+    # The motion of the reference.
     rate = fsum(rates) / ticks
     part = min(rate * dt_s, ahead)
     ahead -= part
@@ -119,21 +119,21 @@ START = Progress()
 MAX_LAPS = 100_000
 
 SETTLED_M, SETTLED_RAD = 0.02, 0.03
-"""A robot has arrived at a stop where it is nearer than this distance and this angle."""
+"""A robot has arrived at a stop if its errors along its heading and in heading are smaller."""
 
 LOST_RAD = 1.0
-"""A robot whose heading in a turn differs from the reference by more than this does not turn."""
+"""A robot does not follow a turn if its heading is further from the reference than this."""
 
 _TURNED = Pose(0.0, 0.0, pi)
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How well the robot followed so far: sums over the odometry samples.
+    """How well the robot followed so far: sums and maxima over the odometry samples.
 
-    `error_m` is the distance of the last sample from the reference pose. It is inf when that is
-    more than the size of the pattern: a robot that stands still never comes far from the reference
-    of a small circle, so a fixed limit alone would not notice it.
+    `error_m` is the distance of the last sample from the reference. It is inf if larger than the
+    path's `reach_m`, or if a turn is not followed (`LOST_RAD`): a robot that stands still is never
+    far from the reference of a small circle, so a fixed limit alone would not notice it.
     """
 
     samples: int = 0
@@ -149,8 +149,7 @@ class Score:
 class Drive:
     """A drive of `laps` laps (0: until stopped); its path begins at `origin` in the odom frame.
 
-    It began at `begin_t_ns` (steady). In reverse the path is that of the rear: `origin` looks
-    backwards.
+    It began at `begin_t_ns` (steady). In reverse, `origin` has the heading of the robot's rear.
     """
 
     request_id: int
@@ -174,12 +173,12 @@ class Drive:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether nothing is commanded now, so that the base must stop by itself."""
+        """Whether no command is sent now, to see when the base stops by itself."""
         held = self.course.held
         return held is not None and held.quiet_s > 0.0 and self.progress.length >= held.for_s
 
     def ending(self) -> str:
-        """Return why a finished drive ends."""
+        """Return why a drive ends that has finished or is no longer held to run."""
         held = self.course.held
         if held is not None and held.is_held_to_run:
             return "let go" if held.is_let_go else f"not held for {held.for_s * 1e3:g} ms"
@@ -188,9 +187,9 @@ class Drive:
         return f"drive finished: {self.laps} lap{'' if self.laps == 1 else 's'}"
 
     def reference(self, lag_s: float = 0.0) -> Reference:
-        """Return the reference of this moment, in the odom frame; it moves as `lag_s` later.
+        """Return the reference: its pose now, in the odom frame, and its motion `lag_s` later.
 
-        A held velocity has no reference but the origin.
+        For a held velocity, the reference stands at `origin`.
         """
         at, segments = self.progress, self.path.segments
         if not segments:
@@ -210,7 +209,7 @@ class Drive:
         return Reference(pose, rate, segment.curvature_at(length), 0.0)
 
     def command(self, pose: Pose, gains: TrackingParams, limits: VelocityLimits) -> Twist:
-        """Return the velocity that leads a robot at `pose` to the reference."""
+        """Return the velocity that brings a robot at `pose` to the reference, or the one held."""
         if self.course.held is not None:
             return Twist(self.course.held.linear_mps, self.course.held.angular_rps)
         reference = self.reference(gains.lag_s)
@@ -248,17 +247,17 @@ class Drive:
         return self._next_lap(at, pose)
 
     def from_standstill(self) -> Drive:
-        """Return the drive with a reference that continues from its place at speed 0."""
+        """Return the drive with the reference in the same place, at speed 0."""
         at = self.progress
         place = Progress(at.laps, at.segment, at.length, 0.0, at.settling_s, at.closure_m)
         return self._at(place)
 
     def measured(self, pose: Pose, moved_m: float) -> Drive:
-        """Return the drive with one more sample: the robot moved by `moved_m` and is at `pose`."""
+        """Return the drive with one more sample in its score: the robot moved by `moved_m`."""
         return changed(self, score=self.score_after(self.score, pose, moved_m))
 
     def score_after(self, so_far: Score, pose: Pose, moved_m: float) -> Score:
-        """Return the score `so_far` with one more sample, as `measured` takes it."""
+        """Return the score `so_far` with one more sample: the robot moved `moved_m` to `pose`."""
         at, path = self.progress, self.path
         if not path.segments:
             return replace(so_far, distance_m=so_far.distance_m + moved_m)
@@ -301,13 +300,13 @@ class Drive:
         )
 
     def held_again(self, twist: Twist, t_ns: int) -> Drive:
-        """Return the drive whose client holds this velocity to run at `t_ns`."""
+        """Return the drive after its hold-to-run client asked for `twist` at `t_ns`."""
         assert self.course.held is not None
         held = Held(twist.linear, twist.angular, self.course.held.for_s, t_ns)
         return replace(self, course=replace(self.course, held=held))
 
     def completed(self) -> Drive:
-        """Return the drive with its lap driven."""
+        """Return the drive with all laps counted as driven, so that it is `finished`."""
         return self._at(replace(self.progress, laps=self.laps))
 
     def _at(self, progress: Progress) -> Drive:
@@ -324,7 +323,7 @@ class Drive:
         return abs(error.x) < SETTLED_M and abs(error.theta) < SETTLED_RAD
 
     def _held_for(self, dt_s: float, held: Held) -> Drive:
-        """Return the drive after a velocity was held; `length` of its progress is in seconds."""
+        """Return the drive after `dt_s` of a held velocity; `progress.length` is in seconds."""
         if held.is_held_to_run:
             return self
         held_s = self.progress.length + dt_s
@@ -332,7 +331,7 @@ class Drive:
         return self._at(replace(self.progress, length=held_s, laps=int(is_over)))
 
     def _after_stop(self, at: Progress) -> Progress:
-        """Return the progress that goes on after a stop; the end of the drive stays where it is."""
+        """Return the progress after a stop: on the next segment or lap, or at the drive's end."""
         if at.segment + 1 < len(self.path.segments):
             return Progress(at.laps, at.segment + 1, closure_m=at.closure_m)
         if at.laps + 1 == self.laps:
@@ -340,12 +339,12 @@ class Drive:
         return Progress(at.laps + 1, closure_m=at.closure_m)
 
     def _next_lap(self, at: Progress, pose: Pose) -> Drive:
-        """Return the drive on its next lap; that of an open path begins where the last one ends."""
+        """Return the drive on its next lap; on an open path, it begins where the last lap ended."""
         end = self.origin if self.path.closed else self.origin.compose(self.path.end)
         drive = self._at(replace(at, closure_m=end.distance(pose)))
         return drive if self.path.closed or drive.finished else replace(drive, origin=end)
 
 
 def origin_of(pose: Pose, course: Course) -> Pose:
-    """Return the origin of a drive that begins at `pose`."""
+    """Return the origin of a drive that begins at `pose`: turned by pi in reverse."""
     return pose.compose(_TURNED) if course.reverse else pose

@@ -1,4 +1,4 @@
-"""The area that the robot must not leave, around its pose at the start of the first motion."""
+"""The area that the robot must not leave, relative to its pose at the start of the first motion."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def corners_of(text: str) -> tuple[Corner, ...]:
     """Return the corners of a polygon such as `0,0 2,0 2,1`, () for "".
 
     Raises:
-        ValueError: These are no 3 to 64 finite corners.
+        ValueError: The text does not name 3 to 64 finite corners.
     """
     if not text:
         return ()

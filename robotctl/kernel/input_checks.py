@@ -1,6 +1,6 @@
-"""The checks of the rules about safety inputs and scans; `kernel.checks` says what a check is.
+"""Checks for the rules about safety inputs and scans; see `kernel.checks.Check`.
 
-They run at each tick, so each one returns early where its input is off.
+They run at each tick, so each check returns early if its input is off.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from robotctl.kernel.state import Health
 from robotctl.kernel.units import NS_PER_S
 
 LEVEL_OF_ERROR = 2.0
-"""DiagnosticStatus.ERROR; STALE is above it."""
+"""The value of DiagnosticStatus.ERROR; STALE is higher, so it is an error, too."""
 
 _ESTOP, _JOY, _BUMPER, _TILT, _DIAGNOSTICS = range(len(SafetyInput))
-"""The places of the readings."""
+"""The index of each input in `Health.inputs`."""
 
 
 _OFF, _REQUIRED = Use.OFF, Use.REQUIRED
-"""What each step compares with; Python 3.11 takes six times as long for a member of an enum."""
+"""Global names, because each step reads them: `Use.OFF` takes six times as long in Python 3.11."""
 
 
 def is_any_required(params: KernelParams) -> bool:
@@ -76,7 +76,7 @@ def tilted(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def base_fault(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return the diagnosis of the base that is an error, "" if none is."""
+    """Return a sentence if the diagnostics of the base report an error, else ""."""
     reading = _used(health, params.inputs.diagnostics, _DIAGNOSTICS)
     if reading is None or reading.value < LEVEL_OF_ERROR:
         return ""
@@ -84,13 +84,13 @@ def base_fault(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def estop_silent(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if a required emergency stop is not heard, which counts as pressed."""
+    """Return a sentence if a required emergency stop input is silent, else ""."""
     inputs = params.inputs
     return _unheard(inputs.estop, _ESTOP, health, t_ns) or _unheard(inputs.joy, _JOY, health, t_ns)
 
 
 def input_lost(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if another required input is not heard, else ""."""
+    """Return a sentence if a required bumper, tilt or diagnostics input is silent, else ""."""
     inputs = params.inputs
     return (
         _unheard(inputs.bumper, _BUMPER, health, t_ns)
@@ -110,7 +110,7 @@ def _unheard(wanted: InputParams, place: int, health: Health, t_ns: int) -> str:
 
 
 def obstacle_near(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if the scan shows something in the robot's path, or is unreadable."""
+    """Return a sentence if the scan shows an obstacle in the path or is unreadable, else ""."""
     scan = health.scan
     if scan is None or params.scan.use is _OFF:
         return ""
@@ -120,7 +120,7 @@ def obstacle_near(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def scan_lost(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if a required scan is not heard, else ""."""
+    """Return a sentence if a required scan is silent, else ""."""
     if params.scan.use is not _REQUIRED:
         return ""
     if health.scan is None:

@@ -73,10 +73,10 @@ from robotctl.kernel.types.events import (
 from robotctl.kernel.units import NS_PER_S
 
 SILENT_AFTER_NS = NS_PER_S
-"""So long zeros are sent in IDLE before silence, where that is configured."""
+"""How long zeros are sent in IDLE before no command is sent, with `command.when_idle: silent`."""
 
 MAX_WAITING = 64
-"""The largest number of requests that wait for a ramp to end; one more is refused."""
+"""The largest number of requests that wait for the end of a ramp; further ones are refused."""
 
 STOPPING_REFUSAL = "the robot is stopping: ask again when it is IDLE"
 
@@ -91,19 +91,19 @@ VALID_MODES = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
 class Kernel:
     """The kernel: each step decides on one event, and replaces `state` as a whole.
 
-    Each request gets exactly one reply. Every change of the mode but the start of a motion goes
-    through `_stand`.
+    Each request gets exactly one reply. Every change of the mode goes through `_stand`, except the
+    start of a motion.
     """
 
     def __init__(self, params: KernelParams, state: State | None = None) -> None:
-        """Begin in `state`; its command is reduced to the limits of `params`."""
+        """Begin in `state`, with its command clamped to the velocity limits of `params`."""
         self.params = params
         state = state or State()
         self.state = replace(state, command=allowed(state.command, params.limits))
         self._effects: list[Effect] = []
 
     def step(self, event: Event) -> tuple[Effect, ...]:
-        """Decide one event: return the effects that the caller must carry out, in order."""
+        """Handle one event; return the effects that the caller must carry out, in order."""
         self._effects = []
         match event:
             case Tick():
@@ -174,10 +174,10 @@ class Kernel:
         assert not state.silent or state.mode is Mode.IDLE, state
         return tuple(self._effects)
 
-    # What is learned
+    # Health
 
     def _learn(self, t_ns: int, **changes: object) -> None:
-        """Change the health, and raise a fault that is among the changes at once."""
+        """Change fields of the health, and raise at once a fault that follows from them."""
         self._notice_gap(t_ns)
         self.state = changed(self.state, health=changed(self.state.health, **changes))
         self._raise_fault(t_ns)
@@ -185,7 +185,7 @@ class Kernel:
     def _notice_gap(self, t_ns: int) -> None:
         """Record a gap between ticks before anything else is checked.
 
-        Data that became stale during the gap follows from it and must not be named as the cause.
+        Data that became stale during the gap follows from it, and must not be named as the cause.
         """
         gap_s, health = self._tick_gap_s(t_ns), self.state.health
         late_s = gap_s if abs(gap_s) > self.params.max_tick_gap_s else 0.0
@@ -206,7 +206,7 @@ class Kernel:
         return tuple(entry for entry in self.state.health.reported if entry[0] is not cause)
 
     def _stalled(self, event: LoopStalled) -> None:
-        """Continue from the zeros of the watchdog; raise a fault if the stall was too long."""
+        """Continue from the zeros of the watchdog; in MOVING, a long stall is a fault."""
         state, limit_s = self.state, self.params.max_tick_gap_s
         stalls = Stalls(state.health.stalls.count + 1, event.t_ns, event.stalled_s, event.detail)
         drive = None if state.drive is None else state.drive.from_standstill()
@@ -221,7 +221,7 @@ class Kernel:
     def _tick(self, t_ns: int) -> None:
         self._notice_gap(t_ns)
         scan = self.state.health.scan
-        if scan is not None:  # the command has changed
+        if scan is not None:  # the command may have changed
             seen = look_again(scan, self.state.command, self.params)
             if seen is not scan:
                 self.state = replace(self.state, health=replace(self.state.health, scan=seen))
@@ -241,15 +241,15 @@ class Kernel:
         return 0.0 if tick_t_ns is None else (t_ns - tick_t_ns) / NS_PER_S
 
     def _step_s(self, t_ns: int) -> float:
-        """Return for how long a command may change: since the last tick, at most two ticks."""
+        """Return the time in which a command may change: since the last tick, at most 2 periods."""
         return min(max(self._tick_gap_s(t_ns), 0.0), 2.0 / self.params.rate_hz)
 
     def _rise_ticks(self) -> int:
-        """Return over how many ticks an acceleration builds up."""
+        """Return the number of ticks over which an acceleration builds up."""
         return round(self.params.limits.accel_rise_s * self.params.rate_hz) or 1
 
     def _is_silent(self, t_ns: int) -> bool:
-        """Return whether others may command now: in IDLE, after SILENT_AFTER_NS of zeros."""
+        """Update `state.silent` and return it: whether `when_idle: silent` stops the zeros now."""
         state = self.state
         if self.params.command.when_idle is WhenIdle.ZEROS:
             return False
@@ -262,12 +262,12 @@ class Kernel:
         return silent
 
     def _move(self, t_ns: int, dt_s: float) -> None:
-        """Command the next velocity of the motion, and end it where it stands after a stop."""
+        """Command the next velocity of the motion; end the motion when its ramp is at zero."""
         state, params = self.state, self.params
         drive, odometry, phase = state.drive, state.health.odometry, state.phase
         driving, stop_reason, target = phase is Phase.DRIVING, state.stop_reason, ZERO
         if driving and drive is not None and odometry is not None:
-            # A velocity is held by the clock: the base keeps it while ticks are missed.
+            # A held velocity counts the whole gap: the base keeps it while ticks are missed.
             passed_s = dt_s if drive.course.held is None else self._tick_gap_s(t_ns)
             drive = drive.advance(passed_s, odometry.pose, params.limits, self._rise_ticks())
             if drive.finished:
@@ -303,7 +303,7 @@ class Kernel:
             self._effects.append(PublishTwist(command))
 
     def _hold(self, event: HoldReceived) -> None:
-        """Accept what the client of a hold-to-run motion wants; where it lets go, ramp at once."""
+        """Set the velocity that a hold-to-run client wants; for zero, start the ramp at once."""
         drive, lease = self.state.drive, self.state.lease
         if drive is None or drive.request_id != event.hold:
             return
@@ -353,7 +353,7 @@ class Kernel:
                 self._stay(request_id, trigger)
 
     def _may_not_move(self, event: ModeRequested | DriveRequested) -> bool:
-        """Refuse motion that another host or another than the holder of the lease asks for."""
+        """Refuse a motion that the host or the lease forbids; return whether it was refused."""
         if event.remote and not self.params.remote_motion:
             refusal = f"{event.source} was called from another host, or may have been"
             self._refuse(event.request_id, refusal, (Remedy.ASK_HERE,))
@@ -437,7 +437,7 @@ class Kernel:
             self._accept(request_id, "Drive replaced: mode is MOVING")
 
     def _set_moving(self, reason: str, drive: Drive | None, guarded: Guarded | None) -> None:
-        """Begin a motion; the fence stands around the place of the first one."""
+        """Begin a motion; the robot's pose at the first one becomes the origin of the fence."""
         health = self.state.health
         if health.fence_origin is None and health.odometry is not None:
             health = replace(health, fence_origin=health.odometry.pose)
@@ -454,7 +454,7 @@ class Kernel:
         )
 
     def _start_guarded(self, t_ns: int, request_id: int, reason: str) -> None:
-        """Change to MOVING with the velocities that another node wants."""
+        """Change to MOVING with the velocities from `guard_topic`, or refuse the request."""
         self._notice_gap(t_ns)
         finding = failed_start_condition(self.state.health, self.params, t_ns)
         if finding is not None:
@@ -524,7 +524,7 @@ class Kernel:
             self._accept(event.request_id, "Lease taken")
 
     def _end_lease(self, reason: str) -> None:
-        """Ramp down: after this, no client may steer."""
+        """Remove the lease; if the robot is MOVING, ramp down."""
         state = replace(self.state, lease=None)
         if state.mode is Mode.MOVING:
             stop_reason = state.stop_reason or reason
@@ -532,7 +532,7 @@ class Kernel:
         self.state = state
 
     def _is_kept_by_another(self, event: MotionRequest) -> bool:
-        """Refuse a request for motion if another client holds the lease; return whether it does."""
+        """Refuse the request if another client holds the lease; return whether it was refused."""
         lease = self.state.lease
         if lease is None or lease.client == event.client:
             return False
@@ -594,7 +594,7 @@ class Kernel:
         self._stand(FAULT_TRIGGERS[finding.rule.action], finding.detail, finding.cause)
 
     def _stand(self, trigger: Trigger, reason: str, cause: Cause | None) -> None:
-        """Make the transition of `trigger` with the command exactly zero; reply to all who wait."""
+        """Make the transition of `trigger`, with command zero; answer all waiting requests."""
         previous = self.state.mode
         target = TRANSITIONS[previous, trigger].target
         self._effects.append(PublishTwist(ZERO))
@@ -647,7 +647,7 @@ class Kernel:
 
 
 def _told(what: str, event: ModeRequested | ResetRequested | DriveRequested) -> str:
-    """Return who asked, and why."""
+    """Return the text of who asked for it, and why."""
     by = f"{what} by {event.source}"
     return f"{by}: {event.reason}" if event.reason else by
 

@@ -14,22 +14,22 @@ STRAIGHT_RADIUS_M = 1e3
 """An arc of a larger radius counts as a straight line."""
 
 ROUNDING_M = 1e-6
-"""More than the computation of a path can be wrong by."""
+"""A margin that is larger than the rounding errors in the computation of a path."""
 
 STANDING_MPS = 1e-3
-"""A slower command only turns."""
+"""A slower command with a turning rate counts as a turn on the spot."""
 
 
 def look_ahead(t_ns: int, sectors: tuple[float, ...], command: Twist, params: KernelParams) -> Scan:
-    """Return a scan with the distance to what is in the path of a command."""
+    """Return a new scan, with the distance to the nearest obstacle in the path of `command`."""
     ahead_m = distance_ahead(sectors, command, params.scan, _reach_m(command.linear, params))
     return Scan(t_ns, sectors, min(sectors, default=inf), ahead_m)
 
 
 def look_again(scan: Scan, command: Twist, params: KernelParams) -> Scan:
-    """Return a scan with the distance to what is in the path of another command."""
+    """Return `scan` with the distance to the nearest obstacle in the path of `command`."""
     reach_m, ahead_m = _reach_m(command.linear, params), inf
-    if not scan.nearest_m > farthest_m(params.scan, reach_m):  # so that NaN is looked at
+    if not scan.nearest_m > farthest_m(params.scan, reach_m):  # NaN is looked at, too
         far_m = _reach_m(params.limits.linear_mps, params)
         free_m = free_beside_m(scan.sectors, params.scan, far_m)
         if not is_free(free_m, command, params.scan, reach_m):
@@ -38,7 +38,7 @@ def look_again(scan: Scan, command: Twist, params: KernelParams) -> Scan:
 
 
 def _reach_m(speed_mps: float, params: KernelParams) -> float:
-    """Return how far ahead of the robot nothing may be: stop and braking distance."""
+    """Return the distance ahead that must be free [m]: stop distance plus braking distance."""
     braking_m = speed_mps * speed_mps / (2.0 * params.limits.linear_accel_mps2)
     return params.scan.stop_distance_m + braking_m
 
@@ -60,23 +60,23 @@ def distance_ahead(
 
 @lru_cache(maxsize=2)
 def free_beside_m(sectors: tuple[float, ...], params: ScanParams, reach_m: float) -> float:
-    """Return how far to either side nothing is [m], as far as `reach_m` along any path goes."""
+    """Return the smallest |y| of the obstacles near a path of `reach_m` [m], inf if none."""
     points = _points(sectors, params, farthest_m(params, reach_m))
     return min([abs(y) for _, y in points], default=inf)
 
 
 def is_free(free_m: float, command: Twist, params: ScanParams, reach_m: float) -> bool:
-    """Return whether nothing can be in the path, as nothing is nearer than `free_m` beside it.
+    """Return whether the path is free because each obstacle has a |y| of at least `free_m`.
 
-    Where this is False, `distance_ahead` has to tell.
+    If this is False, an obstacle may be in the path: call `distance_ahead`.
     """
     return _side_m(command, params, reach_m) < free_m
 
 
 def _side_m(command: Twist, params: ScanParams, reach_m: float) -> float:
-    """Return how far to a side the robot can touch something [m]; inf where it turns sharply.
+    """Return the largest |y| at which the robot can touch something [m]; inf in a sharp turn.
 
-    On an arc of radius r it comes sideways by r * (1 - cos(s / r)) <= s^2 / 2r within the way s.
+    On an arc of radius r, it moves sideways by r * (1 - cos(s / r)) <= s^2 / 2r over the length s.
     """
     way_m = reach_m + params.half_length_m
     radius_m = abs(command.linear / command.angular) if command.angular else inf
@@ -88,7 +88,7 @@ def _side_m(command: Twist, params: ScanParams, reach_m: float) -> float:
 def _points(
     sectors: tuple[float, ...], params: ScanParams, far_m: float
 ) -> list[tuple[float, float]]:
-    """Return the places of obstacles that are near: the edges and the middle of each sector."""
+    """Return where obstacles can be [m]: the edges and the middle of each sector within `far_m`."""
     x, y = params.x_m, params.y_m
     return [
         (x + range_m * ahead, y + range_m * left)
@@ -117,9 +117,9 @@ def farthest_m(params: ScanParams, reach_m: float) -> float:
 
 
 def _along_path(x: float, y: float, command: Twist, params: ScanParams) -> float:
-    """Return how far the robot goes until it touches a point in its own frame, inf if it does not.
+    """Return how far the robot drives before it touches a point in its frame [m], inf if never.
 
-    Of the rectangle, the front corners decide in curves: the path is as wide as they need.
+    In curves, the path is as wide as the front corners of the robot's rectangle need.
     """
     linear, angular = command.linear, command.angular
     if abs(linear) < STANDING_MPS and angular:

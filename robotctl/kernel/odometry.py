@@ -1,4 +1,4 @@
-"""What a sample of odometry means: possible or not, new or not, and whose is followed."""
+"""Decides whether an odometry sample is possible and new, and which publisher is followed."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from robotctl.kernel.types import Odometry, OdometrySourceFound, OdomReceived, P
 from robotctl.kernel.units import NS_PER_S
 
 MAX_NAMED_SOURCES = 16
-"""How many names of odometry publishers are kept: their number has no limit."""
+"""How many names of odometry publishers are kept; the number of publishers has no limit."""
 
 
 def with_odometry(state: State, event: OdomReceived, params: OdometryParams) -> State:
-    """Return the state with a sample; while MOVING, an impossible one is dropped and counted."""
+    """Return the state after a sample; a sample that is not used is counted as dropped."""
     odometry, health, moving = event.odometry, state.health, state.mode is Mode.MOVING
     sources = health.odometry_sources
     if event.source != sources.followed:
@@ -28,7 +28,7 @@ def with_odometry(state: State, event: OdomReceived, params: OdometryParams) -> 
     drive, error_m, last = state.drive, health.path_error_m, health.odometry
     if drive is not None and last is not None and not fault:
         drive = drive.measured(odometry.pose, last.pose.distance(odometry.pose))
-        # While the robot ramps down the reference stands still: the distance is no error.
+        # While the robot ramps down, the reference stands still: its distance is no error.
         error_m = drive.score.error_m if state.phase is Phase.DRIVING else 0.0
     unusable = fault and (moving or not is_finite(odometry))
     if unusable:
@@ -71,9 +71,9 @@ def odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -
 
 
 def is_repeated(health: Health, odometry: Odometry) -> bool:
-    """Return whether this sample equals the previous one, as a hanging source sends it.
+    """Return whether this sample equals the last usable one, as a source that hangs repeats it.
 
-    Without a stamp (0) it counts as new: it may be from a robot that stands still.
+    A sample without a stamp (0) counts as new: it may be from a robot that stands still.
     """
     return odometry.stamp_ns != 0 and odometry == health.odometry
 
@@ -91,7 +91,7 @@ def is_finite(odometry: Odometry) -> bool:
 
 
 def source_found(sources: OdometrySources, event: OdometrySourceFound) -> OdometrySources:
-    """Return the sources with the name that the event tells."""
+    """Return the sources with the name and the frame of the event."""
     others = tuple(named for named in sources.names if named[0] != event.source)
     names = (*others, (event.source, event.name))[-MAX_NAMED_SOURCES:]
     if not event.frame_id:
@@ -102,9 +102,9 @@ def source_found(sources: OdometrySources, event: OdometrySourceFound) -> Odomet
 
 
 def may_follow(health: Health, event: OdomReceived, params: OdometryParams) -> bool:
-    """Return whether a robot that stands may change to the publisher of this sample.
+    """Return whether a robot that is not MOVING may switch to the publisher of this sample.
 
-    It may when the followed publisher has sent nothing usable for `odometry.timeout_s`.
+    It may if the followed publisher has sent nothing usable yet, or for `odometry.timeout_s`.
     """
     age_s = abs(event.t_ns - health.odometry_t_ns) / NS_PER_S
     return health.odometry is None or age_s > params.timeout_s

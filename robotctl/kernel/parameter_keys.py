@@ -22,7 +22,7 @@ class Leaf(NamedTuple):
 
 
 class Conflict(NamedTuple):
-    """A value that is allowed separately, but not with another one, and what is allowed."""
+    """A key and its value, which conflict with another value; `allowed` says what to use."""
 
     key: str
     value: object
@@ -30,7 +30,7 @@ class Conflict(NamedTuple):
 
 
 def leaves(section: Any, path: tuple[str, ...] = ()) -> Iterator[Leaf]:
-    """Yield each parameter of nested dataclasses, in their order."""
+    """Yield each parameter of nested dataclasses, in the order of declaration."""
     for item in fields(section):
         value = getattr(section, item.name)
         if is_dataclass(value):
@@ -40,7 +40,7 @@ def leaves(section: Any, path: tuple[str, ...] = ()) -> Iterator[Leaf]:
 
 
 def value_at(section: Any, path: tuple[str, ...]) -> Any:
-    """Return the value to which a path of attributes leads."""
+    """Return the value at the end of a path of attribute names."""
     for name in path:
         section = getattr(section, name)
     return section
@@ -54,7 +54,7 @@ def with_value(section: Any, path: tuple[str, ...], value: object) -> Any:
 
 
 def text_of(value: object) -> str:
-    """Return the text of a value, as events hold it."""
+    """Return the text of a value, as events carry it."""
     return str(value.value if isinstance(value, Enum) else value)
 
 
@@ -84,7 +84,7 @@ def with_text(params: KernelParams, key: str, text: str) -> KernelParams:
 
 
 def conflict(params: KernelParams) -> Conflict | None:
-    """Return the first value that does not fit to another one, None if all fit together."""
+    """Return the first value that conflicts with another one, or None."""
     battery, two_periods_s = params.battery, 2.0 / params.rate_hz
     taken: dict[str, str] = {}
     topics = {f"{part}.topic": getattr(params, part).topic for part in _WITH_TOPIC}

@@ -16,9 +16,9 @@ from robotctl.kernel.safety_inputs import SafetyInputParams, Use
 
 @dataclass(frozen=True, slots=True)
 class VelocityLimits:
-    """The largest velocity of a command, and the largest change of it per second.
+    """The largest velocity of a command, and its largest change per second.
 
-    On a path the jerk is at most an acceleration divided by `accel_rise_s`.
+    On a path, an acceleration builds up over `accel_rise_s`, which limits the jerk.
     """
 
     linear_mps: float = bounded(0.6, 0.01, 10.0, "m/s", "largest speed of a command")
@@ -36,7 +36,7 @@ class VelocityLimits:
 
 @dataclass(frozen=True, slots=True)
 class TrackingParams:
-    """The gains of the tracking law, the largest distance from the reference, the lag."""
+    """The gains of the tracking law, the largest distance from the reference, the base's lag."""
 
     k_x: float = bounded(3.5, 0.0, 100.0, "1/s", "gain of the error along the path")
     k_y: float = bounded(20.0, 0.0, 1000.0, "1/m^2", "gain of the error across the path")
@@ -50,7 +50,7 @@ class TrackingParams:
 
 
 class Stamping(Enum):
-    """Whether the command is a TwistStamped; AUTO sends what the subscribers take."""
+    """Whether the command is a TwistStamped; AUTO chooses the type of the subscriptions."""
 
     AUTO = "auto"
     TRUE = "true"
@@ -58,7 +58,7 @@ class Stamping(Enum):
 
 
 class CommandQos(Enum):
-    """The QoS that the command offers; a reliable subscriber does not hear BEST_EFFORT."""
+    """The QoS of the command's publisher; a reliable subscription does not match BEST_EFFORT."""
 
     RELIABLE = "reliable"
     BEST_EFFORT = "best-effort"
@@ -66,7 +66,7 @@ class CommandQos(Enum):
 
 
 class OdometryQos(Enum):
-    """The QoS that is asked of odometry; BEST_EFFORT hears every publisher."""
+    """The QoS of the odometry subscription; BEST_EFFORT matches every publisher."""
 
     BEST_EFFORT = "best-effort"
     RELIABLE = "reliable"
@@ -80,11 +80,11 @@ class WhenIdle(Enum):
 
 
 class Foreign(Enum):
-    """What the commands of other nodes lead to.
+    """What happens if other nodes publish velocity commands.
 
-    ERROR: they refuse the start of a motion and end it, and so does a publisher that is silent.
-    WARN: they are only told. YIELD: others may drive while the mode is IDLE; their commands, not
-    their mere presence, refuse a start and end a motion.
+    ERROR: a publisher, even a silent one, prevents the start of a motion and ends a motion. WARN:
+    there is only a warning. YIELD: other nodes may drive while the mode is IDLE; a command of
+    theirs prevents the start of a motion and ends a motion, a silent publisher does not.
     """
 
     ERROR = "error"
@@ -133,7 +133,7 @@ class OdometryParams:
 
 
 class BatteryScale(Enum):
-    """The value of a full battery: 1 (REP-147), 100, or 100 once a level above 1 was seen."""
+    """The value of a full battery: 1 (REP-147) or 100. AUTO: 100 after a level above 1.05."""
 
     AUTO = "auto"
     ONE = "1"
@@ -158,8 +158,8 @@ class BatteryParams:
 class ScanParams:
     """A sensor_msgs/LaserScan topic, where the scanner sits, and how large the robot is.
 
-    The robot is a rectangle around its centre. It stops for what is nearer than `stop_distance_m`
-    to its front, plus the braking distance, in the area that it will pass.
+    The robot is a rectangle around its centre. It stops for an obstacle in its path that is nearer
+    to its front than `stop_distance_m` plus the braking distance.
     """
 
     use: Use = setting(Use.OFF, "obstacles in a laser scan", Change.START)
@@ -177,8 +177,8 @@ class ScanParams:
 class KernelParams:
     """All parameters of `Kernel.step`.
 
-    Without `remote_motion`, a request of another host starts no motion.
-    With `guard`, a request for MOVING lets another node steer through `guard_topic`.
+    Without `remote_motion`, a request from another host starts no motion.
+    With `guard`, a request for MOVING starts a motion that another node steers by `guard_topic`.
     """
 
     rate_hz: float = bounded(50.0, 5.0, 1000.0, "Hz", "rate of the commands", Change.START)

@@ -30,10 +30,10 @@ class Segment(Protocol):
         """Return the pose at `length` along the segment, in the frame of the drive."""
 
     def curvature_at(self, length: float) -> float:
-        """Return the signed change of heading per length; +1 or -1 for a turn, by its direction."""
+        """Return the signed curvature [1/m], left positive; for a turn, 1 to the left or -1."""
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance to the nearest point of the segment [m], searched near `guess`."""
+        """Return the distance to the nearest point of the segment [m] near the length `guess`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +77,11 @@ class Turn:
         return Pose(self.start.x, self.start.y, self.start.theta + self.side * length)
 
     def curvature_at(self, length: float) -> float:
-        """Return the side."""
+        """Return `side`, the change of heading per rad."""
         return self.side
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance to the corner [m]."""
+        """Return the distance to the place of the turn [m]."""
         return self.start.distance(point)
 
 
@@ -157,16 +157,16 @@ NEAR_M = 0.05
 """How far behind the reference the path is searched for its nearest point."""
 
 OUTLINE_PIECES = 180
-"""The poses along all curves of an outline together."""
+"""The number of poses along all curves of an outline together."""
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The segments of one lap, each beginning where the one before ends.
+    """The segments of one lap; each segment begins where the previous one ends.
 
     `reach_m` is the size of the path: a robot that is further from its reference than this does not
-    follow it. A path is `closed` if it ends at the pose where it begins. That of a held velocity
-    has no segments.
+    follow it. A path is `closed` if it ends at the pose where it begins. The path of a held
+    velocity has no segments.
     """
 
     segments: tuple[Segment, ...]
@@ -190,7 +190,7 @@ class Path:
         return nearest_m
 
     def _distance_to_sides(self, point: Pose, index: int) -> float:
-        """Return the distance in a corner, from the side before it or the side after it [m]."""
+        """Return the distance to the nearer neighbour of the turn `index`, or to its place [m]."""
         before, after = self._neighbour(index, -1), self._neighbour(index, 1)
         distances_m = [] if before is None else [before.distance_to(point, before.length)]
         if after is not None:
@@ -208,7 +208,7 @@ class Path:
         return tuple(poses)
 
     def _neighbour(self, index: int, step: int) -> Segment | None:
-        """Return the segment before (-1) or after (1) another one, None beyond an open end."""
+        """Return the segment before (-1) or after (1) segment `index`, None beyond an open end."""
         other = index + step
         if not self.closed and not 0 <= other < len(self.segments):
             return None

@@ -24,7 +24,7 @@ _PARTS = 8
 
 @dataclass(frozen=True, slots=True)
 class FigureEight:
-    """A figure eight of `length` m that begins at its crossing; `points` lie evenly along it.
+    """A figure eight of `length` m that begins at its crossing, with evenly spaced `points`.
 
     Its heading is a cosine of the length: the sine-generated curve of Langbein and Leopold (1966).
     So the curvature has no step, and it is 0 at the crossing.
@@ -114,10 +114,10 @@ def figure_eight_parts(whole: FigureEight) -> tuple[FigureEightPart, ...]:
 
 
 START_M, START_RAD = 0.02, 0.02
-"""A path that begins nearer to the robot than this begins at the robot; tracking does the rest."""
+"""A path that begins nearer than this begins at the robot; tracking corrects the difference."""
 
 MIN_RADIUS_M, GENTLE_RAD = 0.02, 0.35
-"""A corner that allows only a smaller radius, and turns by more, is turned on the spot."""
+"""A corner whose radius would be smaller and whose angle is larger is a turn on the spot."""
 
 STRAIGHT_RAD = 1e-6
 
@@ -125,8 +125,7 @@ STRAIGHT_RAD = 1e-6
 def local_points(course: Course, start: Pose) -> tuple[Point, ...]:
     """Return the waypoints relative to the origin of a drive by a robot at `start`.
 
-    They are places: in reverse the origin looks backwards, so what is ahead of the robot is
-    behind the origin.
+    In reverse the origin looks backwards, so a point ahead of the robot is behind the origin.
     """
     points = course.waypoints
     if course.frame is Frame.ODOM:
@@ -138,7 +137,7 @@ def local_points(course: Course, start: Pose) -> tuple[Point, ...]:
 def waypoint_path(points: tuple[Point, ...], corner_m: float, *, again: bool) -> Path:
     """Return the path from the origin through the points; with `again` it returns to its start.
 
-    Points in the same place are one point. Where the first is not at the origin, a leg leads there.
+    Points in the same place are one point. If the first is not at the origin, a leg leads to it.
     A path whose points are all at the origin has no segments.
     """
     places = _places(points, again=again)
@@ -187,7 +186,7 @@ def _leg(begin: Point, end: Point) -> Line:
 
 
 def _room_m(before: Line, after: Line, bend: float, corner_m: float) -> float:
-    """Return how far from the corner its arc begins and ends, 0 for a turn on the spot."""
+    """Return how far from the corner its arc begins and ends [m], 0 for no bend or a turn."""
     if abs(bend) <= STRAIGHT_RAD:
         return 0.0
     room_m = min(corner_m, 0.5 * before.length, 0.5 * after.length)
@@ -213,7 +212,7 @@ class PatternKind(Enum):
 
 
 class SizeName(Enum):
-    """What the size of a pattern is called."""
+    """The name of the size of a pattern."""
 
     SIDE = "side"
     RADIUS = "radius"
@@ -226,7 +225,7 @@ MIN_SPEED_MPS, MAX_SPEED_MPS = 0.01, 10.0
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """A kind, its size (side, radius or length) [m] and its speed [m/s]; a turn has no size."""
+    """A kind of pattern, its size (side, radius or length) and its speed; a turn has no size."""
 
     kind: PatternKind = setting(PatternKind.SQUARE, "pattern of `set-mode moving`", Change.ANY_TIME)
     size_m: float = bounded(
@@ -239,7 +238,7 @@ class Pattern:
     )
 
     def refusal(self, course: Course = PLAIN) -> str:
-        """Return why this pattern cannot be driven in that way, "" if it can."""
+        """Return why this pattern cannot be driven on this course, "" if it can."""
         size_m, speed_mps = self.size_m, self.speed_mps
         if not MIN_SIZE_M <= size_m <= MAX_SIZE_M:
             return f"a size of {size_m:g} m: use {MIN_SIZE_M:g} to {MAX_SIZE_M:g} m"
@@ -315,7 +314,7 @@ class Shape:
     """The properties of one kind of pattern: the name of its size, a default size, its path.
 
     A lap of a `closed` shape ends where it begins; of another shape one lap is driven by default.
-    `has_corner` and `has_angle` say which part of a `Course` shapes it.
+    `has_corner` and `has_angle` say whether `corner_m` and `angle_rad` of a `Course` apply.
     """
 
     size_name: SizeName | None
@@ -337,7 +336,7 @@ SHAPES: Mapping[PatternKind, Shape] = MappingProxyType(
         PatternKind.TURN: Shape(None, 1.0, _turn_lap, closed=False, has_angle=True),
     }
 )
-"""Every kind of pattern; the command line, the configuration and the socket take theirs from it."""
+"""The shape of every kind of pattern; the command line and the socket use it as well."""
 
 
 def named(pattern: Pattern, course: Course) -> str:
@@ -360,7 +359,7 @@ def named(pattern: Pattern, course: Course) -> str:
 
 @lru_cache(maxsize=16)
 def path_of(pattern: Pattern, course: Course, *, again: bool = True) -> Path:
-    """Return one lap; with `again` a lap of waypoints returns to its start."""
+    """Return the path of one lap; with `again`, a lap of waypoints returns to its start."""
     if course.held is not None:
         return Path((), inf, closed=False)
     if course.waypoints:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 
 class Range(NamedTuple):
-    """The smallest and the largest allowed value, and the unit."""
+    """The smallest and the largest allowed value, and their unit."""
 
     low: float
     high: float
@@ -16,7 +16,7 @@ class Range(NamedTuple):
 
 
 class Change(Enum):
-    """When a parameter takes a new value."""
+    """When a parameter may get a new value."""
 
     STANDING = "while the robot stands"
     ANY_TIME = "at any time"

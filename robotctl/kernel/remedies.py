@@ -1,6 +1,6 @@
 """What an operator can do when the robot may not move.
 
-A remedy is data; `robotctl.ipc.advice` turns it into a text with the commands for one robot.
+A remedy is only a name; `robotctl.ipc.advice` returns its text, with the commands for one robot.
 """
 
 from __future__ import annotations
@@ -45,4 +45,4 @@ class Remedy(Enum):
 
 
 RESETTING = frozenset({Remedy.RELEASE_STOP, Remedy.CLEAR_ERROR, Remedy.RESET})
-"""The remedies that are a reset; after any other one a reset is still needed."""
+"""The remedies that are a reset. After another remedy, a reset is still needed."""

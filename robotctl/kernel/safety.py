@@ -22,9 +22,9 @@ from robotctl.kernel.types import Cause
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One cause: the mode that it leads to, from which modes, and what the operator can do.
+    """A cause, the mode `action` that it leads to from `raised_in`, and what the operator can do.
 
-    `check` says whether the rule applies; the cause has cleared when `clear_check` returns "".
+    The rule applies unless `check` returns ""; the cause has cleared when `clear_check` does.
     """
 
     cause: Cause
@@ -55,7 +55,7 @@ _REPORTED: tuple[Rule, ...] = tuple(
         (Cause.DAEMON_ENDS, _NEVER, Remedy.START_DAEMON),
     )
 )
-"""The causes that the daemon reports; the kernel cannot see them by itself."""
+"""Rules for failures of the daemon, which it reports: the kernel cannot see them by itself."""
 
 RULES: tuple[Rule, ...] = (
     _rule(Cause.OPERATOR_STOP, Mode.EMERGENCY_STOP, _NEVER, checks.healthy, Remedy.RELEASE_STOP),
@@ -188,7 +188,7 @@ class Finding:
 
     @property
     def cause(self) -> Cause:
-        """The cause that the rule is about."""
+        """The cause of the rule."""
         return self.rule.cause
 
     @property
@@ -198,7 +198,7 @@ class Finding:
 
 
 def _rules_in(rules: Iterable[Rule]) -> tuple[tuple[Rule, ...], ...]:
-    """Return for each mode those of the rules that can change it."""
+    """Return, for each mode, the rules that can change it."""
     rules = [rule for rule in rules if rule.check is not checks.healthy]
     return tuple(tuple(rule for rule in rules if mode in rule.raised_in) for mode in Mode)
 
@@ -212,7 +212,7 @@ _FEWEST_IN = _rules_in(
     for rule in RULES
     if rule not in _REPORTED and rule.check.__module__ != input_checks.__name__
 )
-"""The rules that can apply without safety inputs and scans as well: most robots have none."""
+"""The rules that can apply if there are also no safety inputs and scans, as on most robots."""
 
 
 def raised(mode: Mode, health: Health, params: KernelParams, t_ns: int) -> Finding | None:
@@ -227,14 +227,14 @@ def raised(mode: Mode, health: Health, params: KernelParams, t_ns: int) -> Findi
 
 
 def failed_start_condition(health: Health, params: KernelParams, t_ns: int) -> Finding | None:
-    """Return the most severe finding that forbids motion to start, None if there is none."""
+    """Return the most severe finding that forbids the start of a motion, or None."""
     return _first_that_applies(RULES, health, params, t_ns)
 
 
 def start_conditions(
     health: Health, params: KernelParams, t_ns: int
 ) -> tuple[tuple[Rule, str], ...]:
-    """Return each rule that may forbid motion to start, with what is wrong now, "" if nothing."""
+    """Return each rule that can forbid the start of a motion, and what is wrong now, or ""."""
     return tuple(
         (rule, rule.check(health, params, t_ns))
         for rule in RULES
@@ -253,7 +253,7 @@ def _first_that_applies(
 
 
 def remedies_for(cause: Cause | None) -> tuple[Remedy, ...]:
-    """Return what the operator can do about the cause of a mode, () where there is no cause."""
+    """Return what the operator can do about the cause of a mode, () if there is no cause."""
     return () if cause is None else (RULE_OF[cause].remedy,)
 
 

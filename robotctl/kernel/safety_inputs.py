@@ -9,7 +9,7 @@ from robotctl.kernel.ranges import Change, bounded, setting, topic
 
 
 class SafetyInput(Enum):
-    """An input, and what its value is.
+    """A safety input; the meaning of its value depends on the kind.
 
     ESTOP, JOY and BUMPER: 1 pressed, 0 not. TILT: the angle between the robot's and the world's
     upward axis [rad]. DIAGNOSTICS: the worst level of diagnostic_msgs/DiagnosticStatus.
@@ -23,7 +23,7 @@ class SafetyInput(Enum):
 
 
 class Use(Enum):
-    """Whether an input is used: a required one must be heard, an optional one may be silent."""
+    """Whether an input is used. The silence of a required input is a fault."""
 
     OFF = "off"
     OPTIONAL = "optional"
@@ -31,12 +31,12 @@ class Use(Enum):
 
 
 REPEATS_PER_TIMEOUT = 4
-"""How often in its timeout an equal value becomes an event, which shows that the input is heard."""
+"""How many events an unchanged value causes per timeout, to show that the input is not silent."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """The last message of an input; a NaN was not readable. `detail` is the sender's own text."""
+    """The last message of an input; `value` is NaN if unreadable, `detail` the sender's text."""
 
     kind: SafetyInput
     value: float
@@ -46,7 +46,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class EstopParams:
-    """A std_msgs/Bool topic: true is pressed, and so is the silence of a required one."""
+    """A std_msgs/Bool topic: true means pressed. If required, its silence means pressed, too."""
 
     use: Use = setting(Use.OFF, "emergency stop topic", Change.START)
     topic: str = topic("estop_pressed", "its topic")
@@ -65,7 +65,7 @@ class JoyParams:
 
 @dataclass(frozen=True, slots=True)
 class BumperParams:
-    """A std_msgs/Bool topic: true is pressed."""
+    """A std_msgs/Bool topic: true means pressed."""
 
     use: Use = setting(Use.OFF, "bumper topic", Change.START)
     topic: str = topic("bumper", "its topic")
@@ -96,7 +96,7 @@ InputParams = EstopParams | JoyParams | BumperParams | TiltParams | DiagnosticsP
 
 @dataclass(frozen=True, slots=True)
 class SafetyInputParams:
-    """The parameters of each input; the fields are named like the values of `SafetyInput`."""
+    """The parameters of each input; each field has the name of a value of `SafetyInput`."""
 
     estop: EstopParams = field(default_factory=EstopParams)
     joy: JoyParams = field(default_factory=JoyParams)
@@ -117,7 +117,7 @@ _KINDS = tuple(SafetyInput)
 
 
 def with_reading(readings: Readings, reading: Reading) -> Readings:
-    """Return the readings with that of the same input replaced."""
+    """Return `readings` with the entry of one input replaced by `reading`."""
     before = readings or (None,) * len(_KINDS)
     return tuple(
         reading if kind is reading.kind else each for kind, each in zip(_KINDS, before, strict=True)

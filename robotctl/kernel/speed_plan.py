@@ -1,11 +1,11 @@
 """How fast each segment of a path may be driven, planned ahead within the limits.
 
-Three passes over the path, as Kapania, Subosits and Gerdes (2016) describe them for cars: the speed
-that the curvature allows, then backwards the speed from which the robot can still brake, and
-forwards, while it drives, the speed that it can have reached (`drive.py`).
+There are three passes over the path, as Kapania, Subosits and Gerdes (2016) describe them for cars.
+The first limits the speed by the curvature; the second, backwards, to what the robot can still
+brake from; the third, forwards while it drives, to what it can have reached (`drive.py`).
 
-A path follows from pattern and course, a plan from path, speed and limits. A drive asks for them
-several times a tick, always with the same objects: so the last answers are found by identity, and
+A path depends on pattern and course, a plan on path, speed and limits. A drive asks for both
+several times a tick, always with the same objects: so the last results are cached by identity, and
 no waypoints are hashed.
 """
 
@@ -20,20 +20,20 @@ from robotctl.kernel.path import Path, Segment
 from robotctl.kernel.patterns import Pattern, path_of
 
 SPEED_SHARE = 0.95
-"""The share of the velocity limits that the plan uses; the rest is to catch up."""
+"""The share of the velocity limits that the plan uses; the rest is a reserve for catching up."""
 
 ACCEL_SHARE, GENTLE_SHARE = 0.7, 0.9
-"""The share of the acceleration limits in curves, and where the robot only drives or only turns."""
+"""The usable shares of the acceleration limits: in curves; on lines and turns on the spot."""
 
 JOINT_S = 0.09
-"""Where the curvature jumps, the turning rate jumps by what the robot can make up in this time."""
+"""If the curvature jumps, the turning rate may jump by its acceleration limit times this."""
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
     """The plan for one segment, in m or rad: top speed, acceleration, and the speed at its end.
 
-    `end_speed` is 0 where the robot stops; `last_end_speed` is that of the last lap.
+    `end_speed` is 0 if the robot stops there; `last_end_speed` replaces it in the last lap.
     """
 
     length: float
@@ -86,7 +86,7 @@ def _accel(segment: Segment, limits: VelocityLimits) -> float:
 
 
 def _joint_speed(before: Segment, after: Segment, limits: VelocityLimits) -> float:
-    """Return the speed at which the robot may go from one segment to the next, 0 if it stops."""
+    """Return the largest speed between two segments, 0 for a stop and inf for no limit."""
     if before.turns or after.turns:
         return 0.0
     jump = abs(after.curvature_at(0.0) - before.curvature_at(before.length))
@@ -114,7 +114,7 @@ _last_plan: list[tuple[Path, float, VelocityLimits, tuple[Leg, ...]]] = []
 
 
 def path_for(pattern: Pattern, course: Course, laps: int) -> Path:
-    """Return the path of one lap. If more than one is driven, a lap returns to its start."""
+    """Return the path of one lap; unless `laps` is 1, a lap of waypoints returns to its start."""
     again = laps != 1
     for known_pattern, known_course, known_again, path in _last_path:
         if known_pattern is pattern and known_course is course and known_again is again:

@@ -34,7 +34,7 @@ class SecondOdometry:
 class OdometrySources:
     """The publishers of odometry. The robot follows one at a time; `followed` is its number.
 
-    `names` and `frames` hold number and node name, or frame, of the last publishers found.
+    `names` pairs the numbers of the last publishers found with node names, `frames` with frames.
     `dropped` counts the samples that were not used: those of other publishers, and impossible ones.
     """
 
@@ -53,9 +53,9 @@ class OdometrySources:
 class CommandTopic:
     """Other nodes on the velocity command topic.
 
-    `foreign_t_ns` and `foreign_by` are time and publisher of the last command of another node,
-    None and "" if there was none. `listeners` is the number of subscriptions with the type that
-    robotctl sends, `type_name`, None before discovery. `other_types` are the types of other
+    `foreign_t_ns` and `foreign_by` are the time and the publisher of another node's last command,
+    None and "" if there was none. `listeners` counts the subscriptions to `type_name`, the type
+    that robotctl sends; it is None before discovery. `other_types` are the types of the other
     subscriptions.
     """
 
@@ -80,8 +80,8 @@ class Stalls:
 class Scan:
     """The last laser scan: the nearest ranges by direction [m], () if it was not readable.
 
-    `nearest_m` is the smallest of them, and `ahead_m` the distance to what is in the path of the
-    present command, inf if nothing is.
+    `nearest_m` is the smallest range, and `ahead_m` the distance to the nearest obstacle in the
+    path of the present command, inf if there is none.
     """
 
     t_ns: int
@@ -92,15 +92,14 @@ class Scan:
 
 @dataclass(frozen=True)
 class Health:
-    """What the kernel knows about everything that motion depends on; "" and () mean healthy.
+    """What the kernel knows about everything that motion depends on.
 
     The odometry fields describe the followed publisher. `odometry` is its last usable sample, and
-    `odometry_t_ns` the time when new odometry last came; `odometry_stamp_ns` and `odometry_fault`
-    are of its last sample, usable or not. `reported` holds the faults that the daemon reported.
-    `battery_in_percent` means that `battery.scale: auto` has seen a level above 1. `inputs` holds
-    the last reading of each safety input in their order, or nothing. `fence_origin` is the pose at
-    the first start of motion. `lifecycle` is the state of the node that gates
-    motion.
+    `odometry_t_ns` the time of its last sample that was usable and new. `odometry_stamp_ns` and
+    `odometry_fault` ("": none) are from its last sample, usable or not. `reported` holds the faults
+    that the daemon reported and has not cleared. If `battery_in_percent`, a full battery reports
+    100. `inputs` holds the last reading of each `SafetyInput` in their order, () before the first.
+    `fence_origin` is the pose at the first start of a motion. `lifecycle` is that of mode_service.
     """
 
     odometry: Odometry | None = None
@@ -129,7 +128,7 @@ UNKNOWN = Health()
 
 @dataclass(frozen=True, slots=True)
 class Guarded:
-    """A guarded motion, with the last wanted velocity; `t_ns` is None before the first one."""
+    """A guarded motion: the velocity last wanted, and its time, None before the first one."""
 
     twist: Twist = ZERO
     t_ns: int | None = None
@@ -148,10 +147,10 @@ class State:
 
     `reason` says why the mode changed last; `cause` is why the mode is ERROR or EMERGENCY_STOP.
     `stop_reason` is why the robot ramps down, and `waiting` are the ids of the requests for IDLE
-    that are answered at the end of the ramp. `tick_t_ns` is the time of the last tick, and
-    `idle_t_ns` that of the first tick since the mode is IDLE. While `silent`, no command is sent.
-    `lease` names who alone may start motion, None if everybody may.
-    `guarded` holds the motion that another node steers.
+    that are answered at the end of the ramp. `tick_t_ns` is the time of the last tick. With
+    `when_idle: silent`, `idle_t_ns` is the time of the first tick in IDLE; while `silent`, no
+    command is sent. `lease` names the only client that may start motion, None if every client may.
+    `guarded` is set in a motion that another node steers.
     """
 
     mode: Mode = Mode.IDLE
@@ -176,18 +175,18 @@ def latched(reason: str, cause: Cause = Cause.OPERATOR_STOP) -> State:
 
 
 FULLEST_LEVEL = 1.05
-"""The highest valid level: gauges overshoot. A higher value is in percent, or wrong."""
+"""The highest valid level, as gauges overshoot. A higher value is in percent, or wrong."""
 
 
 def counts_in_percent(raw: float, before: bool, scale: BatteryScale) -> bool:
-    """Return whether the gauge that reports `raw` counts to 100; `before` is the last answer."""
+    """Return whether the gauge that reports `raw` uses percent; `before` is the last answer."""
     if scale is BatteryScale.AUTO:
         return before or FULLEST_LEVEL < raw <= 100.0 * FULLEST_LEVEL
     return scale is BatteryScale.PERCENT
 
 
 def level_of(raw: float, in_percent: bool) -> float:
-    """Return the level: 0..1 for a gauge that works."""
+    """Return the battery level, 0 to 1 if the gauge works."""
     return raw / 100.0 if in_percent else raw
 
 

@@ -2,8 +2,8 @@
 
 The law is Samson's (1993), as written by Klancar and Skrjanc (2005), eq. 11. Unlike the law of
 Kanayama (1990), it also corrects the heading while the reference turns on the spot. The curvature
-is fed forward at the commanded speed, not at that of the reference, so that a robot that catches
-up stays on the path.
+is fed forward at the commanded speed, not at the speed of the reference, so that a robot that
+catches up stays on the path.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def allowed(command: Twist, limits: VelocityLimits) -> Twist:
 
 
 def limit(current: Twist, target: Twist, dt_s: float, limits: VelocityLimits) -> Twist:
-    """Return the command nearest to `target` that is allowed `dt_s` seconds after `current`."""
+    """Return the command nearest to `target` that the limits allow `dt_s` after `current`."""
     linear = clamp(target.linear, limits.linear_mps)
     angular = clamp(target.angular, limits.angular_rps)
     return Twist(
@@ -57,7 +57,7 @@ def within(command: Twist, limits: VelocityLimits) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The pose that the robot should have now, and how the reference moves.
+    """The pose that the robot should have now, and the velocity of the reference.
 
     `linear` is its speed along the path [m/s], `curvature` the curvature of the path [1/m], and
     `turning` the rate of a turn on the spot [rad/s].
@@ -84,6 +84,6 @@ def track(reference: Reference, pose: Pose, gains: TrackingParams, limits: Veloc
 
 
 def follow_blindly(reference: Reference) -> Twist:
-    """Return the command that moves a perfect robot like the reference, whatever odometry says."""
+    """Return the velocity of the reference as an open-loop command, without odometry feedback."""
     turning = reference.turning + reference.curvature * reference.linear
     return Twist(reference.linear, turning)

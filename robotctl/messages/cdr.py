@@ -1,4 +1,4 @@
-"""Read CDR, the serialized form of ROS messages, without ROS; the types that several parts know."""
+"""Reads CDR, the serialized form of ROS messages, without ROS; names types of common use."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ LITTLE_ENDIAN: Final = ENCAPSULATION[:2]
 BIG_ENDIAN: Final = b"\x00\x00"
 
 BODY: Final = len(ENCAPSULATION)
-"""Where the fields begin; alignment counts from here."""
+"""The offset of the fields; alignment counts from here."""
 
 _LARGEST: Final = 8
 """The largest alignment of plain CDR [bytes]."""
 
 
 class CdrReader:
-    """Gives the fields of a message in their order."""
+    """Reads the fields of a message in their order."""
 
     def __init__(self, data: bytes) -> None:
         """Read `data` from its first field.
@@ -40,7 +40,7 @@ class CdrReader:
         self._order = "<" if data[:2] == LITTLE_ENDIAN else ">"
 
     def take(self, code: str, count: int = 1) -> tuple[Any, ...]:
-        """Return the next `count` numbers, of the format `code` of `struct`.
+        """Return the next `count` numbers; `code` is their format in `struct`.
 
         Raises:
             struct.error: The message is cut short.
@@ -52,7 +52,7 @@ class CdrReader:
         return numbers
 
     def run(self, codes: str) -> tuple[Any, ...]:
-        """Return one number for each of `codes`, of which `x` is a byte without a value.
+        """Return one number for each `struct` code in `codes`; an `x` skips a byte.
 
         Raises:
             struct.error: The message is cut short.

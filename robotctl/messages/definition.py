@@ -28,10 +28,10 @@ NUMBERS: Final[Mapping[str, str]] = {
     "float32": "f",
     "float64": "d",
 }
-"""The format of each numeric type, as `struct` names it."""
+"""The `struct` code of each numeric type."""
 
 _MAX_DEPTH: Final = 64
-"""Deeper than any type of ROS; a recording may hold any text."""
+"""Limit on nested types, more than any ROS type has; a recording may hold any text."""
 
 _SEPARATOR = re.compile(r"^=+[ \t]*\n(?=MSG: )", re.MULTILINE)
 _FIELD = re.compile(
@@ -42,7 +42,7 @@ _FIELD = re.compile(
 
 
 class UnreadableType(ValueError):
-    """The text describes no type that can be read; the error says why."""
+    """The text is no readable definition of a type; the error says why."""
 
 
 class FieldShape(Enum):
@@ -57,8 +57,8 @@ class FieldShape(Enum):
 class Field:
     """A field: its name, its type (a built-in one, or `pkg/T`) and how many values it has.
 
-    `length` is the length of an array, or the limit of a sequence, which is None without one;
-    `text_bound` is the limit on the characters of a text.
+    `length` is the length of an array or the bound of a sequence, None if it is unbounded.
+    `text_bound` is the bound of a string.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """The fields of a type and of all types that it needs, by `pkg/T`; `root` is its own name."""
+    """The fields of the type `root` and of all types that it needs, by `pkg/T`."""
 
     root: str
     types: Mapping[str, tuple[Field, ...]]
@@ -91,7 +91,7 @@ class Definition:
 
 
 def is_built_in(type_name: str) -> bool:
-    """Return whether a type is a number, a truth value or a text."""
+    """Return whether a type is a number, a bool or a string."""
     return type_name in NUMBERS or type_name in (TEXT, WIDE_TEXT)
 
 
@@ -119,7 +119,7 @@ def parse_definition(type_name: str, text: str) -> Definition:
 
 
 def needed_types(owner: str, text: str) -> list[str]:
-    """Return, as `pkg/T`, the types that the own text of the type `owner` names.
+    """Return the types, as `pkg/T`, in the text of the type `owner` without its dependencies.
 
     Raises:
         UnreadableType: A line is no field.
@@ -155,7 +155,7 @@ def _fields(owner: str, text: str) -> tuple[Field, ...]:
 def _check(
     types: Mapping[str, tuple[Field, ...]], name: str, around: tuple[str, ...], good: set[str]
 ) -> None:
-    """Check that all types of `name` are known and that none is `around` itself; add to `good`."""
+    """Check that `name` needs only known types, and not itself; add the checked types to `good`."""
     if name in around or len(around) > _MAX_DEPTH:
         raise UnreadableType(f"{name} contains itself")
     for field in types[name]:
@@ -180,7 +180,7 @@ _BUILT_IN: Final[Mapping[str, int]] = {
     "uint64": 9,
     "float32": 10,
     "float64": 11,
-    "char": 3,  # a .msg file calls an uint8 so
+    "char": 3,  # in a .msg file, another name of uint8
     "bool": 15,
     "byte": 16,
     "string": 17,
@@ -188,23 +188,23 @@ _BUILT_IN: Final[Mapping[str, int]] = {
 }
 _BOUNDED_TEXT: Final = 4
 _ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
-"""What is added to the number of a type, as in type_description_interfaces/msg/FieldType."""
+"""Offsets that are added to a type's number, as in type_description_interfaces/msg/FieldType."""
 
 _EMPTY: Final = (Field("structure_needs_at_least_one_member", "uint8"),)
 """The fields of a type without fields."""
 
 
 def rihs01_hash(type_name: str, definition: Definition) -> str:
-    """Return the hash of a type `pkg/msg/T`, `pkg/srv/T` or `pkg/action/T` with its fields.
+    """Return the RIHS01 hash of a type `pkg/msg/T`, `pkg/srv/T` or `pkg/action/T`.
 
-    Comments, constants and default values do not change it.
+    Comments, constants and default values do not change the hash.
     """
     package, _, rest = type_name.partition("/")
     own_kind = rest.partition("/")[0]
 
     def full(short: str) -> str:
         owner, _, name = short.partition("/")
-        implied = owner == package and "_" in name  # by a service or action: T_Request
+        implied = owner == package and "_" in name  # part of a service or action: T_Request
         return f"{owner}/{own_kind if implied else 'msg'}/{name}"
 
     def described(short: str, name: str) -> dict[str, Any]:

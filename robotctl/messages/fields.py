@@ -1,7 +1,7 @@
-"""Fields of a message: the path of each, those that hold values, and messages as flat rows.
+"""Fields of a message: their paths, the leaf fields, and messages as flat rows.
 
-An array of up to 64 values has a column for each, `ranges[0]` and so on. A sequence, or a longer
-array, has one column, and so have bytes.
+An array of up to 64 values has a column for each, `ranges[0]` and so on. A sequence, a longer
+array, or an array of bytes has one column.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class LeafField:
     """A field that is a number or a text, or a list of any length.
 
     `steps` lead to its value. A list of numbers or texts is one leaf, and so
-    is a sequence of messages: its length is known only of a message.
+    is a sequence of messages, since its length differs from message to message.
     """
 
     path: str
@@ -107,10 +107,10 @@ class LeafField:
 
 
 def leaf_fields(definition: Definition, below: str = "", steps: Steps = ()) -> Iterator[LeafField]:
-    """Yield the leaf fields of a type, or of its type `below`, in the order of their definition.
+    """Yield the leaf fields of a type, or of its nested type `below`, in the order of definition.
 
-    `steps` lead to the message of the type `below`. A type of a recording may have any number of
-    leaves: take no more than you can use.
+    `steps` lead to the message of type `below`. A type from a recording may have any number of
+    leaves: read no more than you need.
     """
     return _leaves(definition, _types_with_leaves(definition), below or definition.root, steps)
 
@@ -132,7 +132,7 @@ def _leaves(
 
 
 def _types_with_leaves(definition: Definition) -> Set[str]:
-    """Return the types with at least one leaf: 2^64 messages without any are not searched."""
+    """Return the types with at least one leaf, so that 2^64 empty messages are not searched."""
     useful: set[str] = set()
     before = -1
     while len(useful) > before:
@@ -150,7 +150,7 @@ def _types_with_leaves(definition: Definition) -> Set[str]:
 
 MAX_COLUMNS_OF_ARRAY: Final = 64
 MAX_COLUMNS: Final = 4096
-"""More than any type of ROS has; a recording may describe a type with 2^64 fields."""
+"""More than any ROS type has; a recording may describe a type with 2^64 fields."""
 
 _PADDING: Final = "x"
 """A message without fields has one byte."""
@@ -184,7 +184,7 @@ _Step = str | Callable[[CdrReader], Any]
 
 
 class FlatDecoder:
-    """Decodes the messages of one type."""
+    """Decodes the messages of one type into flat rows."""
 
     def __init__(self, definition: Definition) -> None:
         """Plan the columns.
@@ -237,7 +237,7 @@ class FlatDecoder:
         return self._count(type_name) if type_name in self._definition.types else 1
 
     def _repeats(self, field: Field) -> int:
-        """Return how many times a field has its columns side by side; 1 also if it is a list."""
+        """Return the length of an array that is spread over columns, otherwise 1."""
         return field.length or 1 if self._is_spread(field) else 1
 
     def _is_spread(self, field: Field) -> bool:

@@ -1,7 +1,7 @@
-"""The inputs of a robot in their messages: battery, laser scan, buttons, gamepad, bumper, tilt.
+"""Reads a robot's inputs from messages: battery, scan, buttons, gamepad, bumper, tilt, diagnoses.
 
-A reader returns the value of a serialized message as `SafetyInput` says, NaN if it is unreadable,
-and the sender's own text or "".
+A reader returns the value of a serialized message as `SafetyInput` defines it, NaN if the message
+is unreadable, and the sender's text or "".
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.messages.cdr import CdrReader
 
 _PERCENTAGE = 6
-"""The place of the level among the float32 fields that follow the header."""
+"""The index of the level among the float32 fields that follow the header."""
 
 
 def read_battery_level(data: bytes) -> float:
     """Return the level of a serialized BatteryState as its publisher reports it, NaN if unreadable.
 
-    REP-147 and the message ask for 0..1; `battery.scale` tells the kernel of other scales.
+    REP-147 and the message require 0..1; other scales are configured by `battery.scale`.
     """
     try:
         message = CdrReader(data)
@@ -35,16 +35,16 @@ def read_battery_level(data: bytes) -> float:
 
 
 SECTORS = 64
-"""Sector n holds the directions from -pi + n * tau / 64 on, in the frame of the scanner."""
+"""The number of sectors; sector n begins at -pi + n * tau / 64 in the frame of the scanner."""
 
 MAX_RAYS = 200_000
 
 
 def nearest_by_sector(data: bytes) -> tuple[float, ...]:
-    """Return the nearest range in each sector [m, to 1 mm], inf where nothing is.
+    """Return the nearest range in each sector [m, to 1 mm], inf for a sector without an object.
 
-    As the message defines it, ranges outside range_min and range_max are discarded, and so is NaN;
-    by REP-117 -inf is an object too close to measure: 0, and inf is none.
+    Ranges outside range_min to range_max, and NaN, are discarded (sensor_msgs/LaserScan). By
+    REP-117, -inf is an object too close to measure and becomes 0, and inf is no object.
 
     Raises:
         struct.error: The message is cut short, not in plain CDR, or has no sensible angles.
@@ -90,17 +90,17 @@ MAX_DIAGNOSES = 256
 """Limit on the diagnoses that are kept; beyond it the least severe one is forgotten."""
 
 MAX_STATUSES = 2_000
-"""Limit on the diagnoses in one message: more is unreadable."""
+"""Limit on the diagnoses in one message; a message with more is unreadable."""
 
 MAX_VALUES = 20_000
-"""Limit on their values together: reading these takes about 20 ms."""
+"""Limit on the key-value pairs in one message: reading this many takes about 20 ms."""
 
 UNIT_TOLERANCE = 0.1
 """How far the length of a quaternion may be from 1."""
 
 
 def reader_of(kind: SafetyInput, *, button: int, robot: str) -> Reader:
-    """Return the reader of an input: of the button with this number, without robot's diagnoses."""
+    """Return the reader of an input: JOY reads `button`; DIAGNOSTICS skips those of `robot`."""
     readers: dict[SafetyInput, Reader] = {
         SafetyInput.ESTOP: _bool,
         SafetyInput.JOY: partial(_button, button),
@@ -191,7 +191,7 @@ class Diagnoses:
         """Read a DiagnosticArray; return the worst level of all, and its name and text.
 
         Raises:
-            struct.error: It is unreadable; the levels before it stay.
+            struct.error: The message is unreadable; the levels stay as they were.
         """
         for name, level, text in [*statuses(self._robot, data)]:
             levels = self._levels

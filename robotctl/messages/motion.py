@@ -1,7 +1,7 @@
-"""Odometry and Twist to and from CDR, fast enough for the rate of control.
+"""Reads and writes odometry and Twist as CDR, fast enough for the control rate.
 
-rclpy takes 50 us to make an Odometry object with its two covariances, of which the robot needs six
-numbers; reading these from the bytes takes 2 us.
+rclpy needs 50 us to make an Odometry object with its two covariances; reading the six numbers that
+the robot needs from the bytes takes 2 us.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ class Sample(NamedTuple):
 
 
 _new = tuple.__new__
-"""Makes a named tuple in a third of the time of its class."""
+"""Makes a named tuple in a third of the time that its class needs."""
 
 
 def sample_of(odometry: Odometry) -> Sample:
-    """Return the numbers of what the kernel got."""
+    """Return the numbers of an odometry value of the kernel."""
     pose, velocity = odometry.pose, odometry.velocity
     linear, angular = velocity.linear, velocity.angular
     return _new(Sample, (pose.x, pose.y, pose.theta, linear, angular, odometry.stamp_ns))
 
 
 def read_sample(data: bytes) -> Sample:
-    """Return the numbers of what the kernel gets of these bytes."""
+    """Return the numbers of serialized odometry, those of `UNREADABLE` if it cannot be read."""
     try:
         return _new(Sample, _decode(data))
     except Exception:  # noqa: BLE001 - the bytes may be anything
@@ -60,7 +60,7 @@ def read_sample(data: bytes) -> Sample:
 
 
 def read_odometry(data: bytes) -> Odometry:
-    """Return what the kernel gets of these bytes, `UNREADABLE` if they are no odometry."""
+    """Return serialized odometry as the kernel gets it, `UNREADABLE` if it cannot be read."""
     try:
         return decode_odometry(data)
     except Exception:  # noqa: BLE001 - the bytes may be anything
@@ -104,12 +104,12 @@ def decode_twist(data: bytes) -> Twist:
 
 
 def encode_twist(twist: Twist) -> bytes:
-    """Return a serialized geometry_msgs/Twist of this linear.x and angular.z; the rest is 0."""
+    """Return a serialized geometry_msgs/Twist with this linear.x and angular.z; the rest is 0."""
     return _TWIST.pack(ENCAPSULATION, twist.linear, 0.0, 0.0, 0.0, 0.0, twist.angular)
 
 
 class StampedTwistEncoder:
-    """Serializes geometry_msgs/TwistStamped messages of one frame; they differ in seven numbers."""
+    """Serializes geometry_msgs/TwistStamped messages of one frame: only the numbers change."""
 
     def __init__(self, frame_id: str) -> None:
         head = _header(frame_id)
@@ -118,7 +118,7 @@ class StampedTwistEncoder:
         self._buffer = bytearray(head + bytes(_VELOCITY.size))
 
     def encode(self, twist: Twist, stamp_ns: int) -> bytes:
-        """Return a serialized message of this linear.x and angular.z; `stamp_ns` is in ROS time."""
+        """Return a message with this linear.x and angular.z; `stamp_ns` is in ROS time."""
         buffer = self._buffer
         _STAMP.pack_into(buffer, BODY, *divmod(stamp_ns, NS_PER_S))
         _VELOCITY.pack_into(buffer, self._twist, twist.linear, 0.0, 0.0, 0.0, 0.0, twist.angular)
@@ -171,24 +171,24 @@ def _with_text(data: bytes, text: str) -> bytes:
 
 
 FRAME_AT = BODY + _STAMP.size
-"""Where the name of the frame stands in a message that begins with a header."""
+"""The offset of the frame_id in a message that begins with a header."""
 
 
 def frame_bytes(data: bytes) -> bytes:
-    """Return the serialized name of the frame of a message that begins with a header."""
+    """Return the serialized frame_id, with its length, of a message that begins with a header."""
     (length,) = _LENGTH.unpack_from(data, FRAME_AT) if len(data) >= FRAME_AT + 4 else (0,)
     return data[FRAME_AT : FRAME_AT + _LENGTH.size + length]
 
 
 def frame_id_of(data: bytes) -> str:
-    """Return the frame of a message that begins with a header, "" where it cannot be read."""
+    """Return the frame_id of a message that begins with a header, "" if it is not little endian."""
     if data[:2] != LITTLE_ENDIAN:
         return ""
     return frame_bytes(data)[_LENGTH.size :].removesuffix(b"\0").decode(errors="replace")
 
 
 def _pose_offset(data: bytes) -> int:
-    """Return where the pose begins in an Odometry: behind stamp and the two frame names."""
+    """Return the offset of the pose in a serialized Odometry: after stamp and two frame names."""
     (length,) = _LENGTH.unpack_from(data, BODY + _STAMP.size)
     child = _STAMP.size + _LENGTH.size + length
     child += -child % 4

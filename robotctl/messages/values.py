@@ -1,6 +1,6 @@
-"""Any message as plain values, and back, by its definition; values that a user writes, checked.
+"""Converts any message to plain values and back by its definition; checks values from users.
 
-A message becomes a dict, an array or sequence a list, and an array or sequence of bytes `bytes`.
+A message becomes a dict, an array or sequence a list, or `bytes` if it is of bytes and not empty.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ def encode(definition: Definition, values: Mapping[str, Any]) -> bytes:
 
 
 def zero(definition: Definition, type_name: str) -> dict[str, Any]:
-    """Return a message whose numbers are 0, whose texts and sequences are empty."""
+    """Return a message with numbers 0 and bools False, whose texts and sequences are empty."""
     return {field.name: zero_of(definition, field) for field in definition.types[type_name]}
 
 
 def zero_of(definition: Definition, field: Field) -> Any:
-    """Return the value of a field in such a message."""
+    """Return the value of a field in a message that `zero` returns."""
     if field.shape is FieldShape.SEQUENCE:
         return []
     if field.shape is FieldShape.ARRAY:
@@ -156,7 +156,7 @@ class WrongValue(ValueError):
 
 
 def filled(definition: Definition, defaults: Mapping[str, Any], given: object) -> dict[str, Any]:
-    """Return `defaults` with what is given in their place.
+    """Return `defaults`, overridden by the fields in `given`.
 
     Raises:
         WrongValue: A field does not exist, or has a value of another type or size.
@@ -165,7 +165,7 @@ def filled(definition: Definition, defaults: Mapping[str, Any], given: object) -
 
 
 def unknown_field(name: str, type_name: str, fields: tuple[Field, ...]) -> str:
-    """Return a sentence about a field that a type does not have."""
+    """Return the error text for a field that a type does not have."""
     names = [field.name for field in fields]
     near = get_close_matches(name, names, n=1, cutoff=0.4)
     contained = [each for each in names if name and name in each]
@@ -211,7 +211,7 @@ def _value(definition: Definition, field: Field, before: Any, given: object, pat
 
 
 def zero_message(definition: Definition, field: Field) -> dict[str, Any]:
-    """Return the zero of a field's type where that is a message, else an empty dict."""
+    """Return `zero` for the type of a field if that is a message type, otherwise {}."""
     return zero(definition, field.type_name) if field.type_name in definition.types else {}
 
 

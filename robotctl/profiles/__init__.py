@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 class Profile(Enum):
-    """The robots that have a file; the value is its name."""
+    """The robots that have a file; the value is the name of the file without `.yaml`."""
 
     TURTLEBOT3 = "turtlebot3"
     TURTLEBOT4 = "turtlebot4"
@@ -16,5 +16,5 @@ class Profile(Enum):
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """The path of the YAML file."""
         return Path(__file__).with_name(f"{self.value}.yaml")

@@ -1,1 +1,1 @@
-"""Recordings played to ROS with their own timing, in a separate process: `python -m`."""
+"""Plays recordings to ROS with their timing, in a separate process (`-m robotctl.replay`)."""

@@ -1,9 +1,8 @@
 """`python -m robotctl.replay --report-fd N`: play the job on stdin, and report progress on N.
 
-Each report is one line of JSON: {"note"}, {"waiting"}, {"start"}, {"progress"}, {"summary"}, and
-{"error", "exit_code"} with details of the error. Further lines on stdin control the replay
-(robotctl.replay.playback_control). The end of stdin stops it, so a replay never outlives its
-parent.
+Each report is one line of JSON with one of the keys "note", "waiting", "start", "progress" and
+"summary", or with "error", "exit_code" and details. More lines on stdin control the replay
+(robotctl.replay.playback_control). The end of stdin stops it: a replay never outlives its parent.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 NODE_NAME = "robotctl_replay"
 
 SWITCH_INTERVAL_S = 1e-4
-"""How long the player's thread waits at most for the interpreter lock (default 5 ms)."""
+"""The longest time that the player's thread waits for the GIL, normally 5 ms."""
 
 
 def main(arguments: list[str]) -> int:
@@ -41,11 +40,11 @@ def main(arguments: list[str]) -> int:
 
 
 def _main(arguments: list[str], at_end: ExitStack) -> int:
-    """Do the work of `main`; `at_end` gets what must be closed last."""
+    """Play one job; push what must be closed last to `at_end`."""
     note = environment.prepare()
     emit = partial(_emit, report_fd(arguments))
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    gc.disable()  # until it plays: imports make no garbage
+    gc.disable()  # until playback: imports make no garbage
     debug = False
     try:
         # After environment.prepare(), because it imports rclpy; before the wait for the job.
@@ -74,7 +73,7 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
 
 
 def _play(job: str, membership: Membership, lines: Iterator[bytes], emit: Emit) -> None:
-    """Play a job, a line of `Job.to_json`, under the control of `lines`."""
+    """Play `job`, a line from `Job.to_json`; `lines` are the commands during the replay."""
     # Discovery goes on during these imports.
     from robotctl.replay.job import Job
     from robotctl.replay.playback_control import command_of
@@ -95,16 +94,16 @@ def _play(job: str, membership: Membership, lines: Iterator[bytes], emit: Emit) 
 
 
 def _lines() -> Iterator[bytes]:
-    """Yield the lines of stdin, unbuffered, because a thread in a buffered read delays the exit."""
+    """Yield the lines of stdin. Reads are unbuffered: a blocked buffered read delays the exit."""
     lines = LineSplitter()
     while piece := os.read(0, 1 << 16):
         yield from lines.feed(piece)
 
 
 def _emit(descriptor: int, message: dict[str, Any]) -> None:
-    """Write a message. A closed pipe is ignored, because stdin has ended then as well.
+    """Write a report. Ignore a closed pipe: stdin has then ended as well, which stops the replay.
 
-    Progress is dropped if the reader is too slow, so that it cannot delay the safety checks.
+    Drop a progress report if the reader is too slow, because waiting would delay safety checks.
     """
     if "progress" in message and not select.select([], [descriptor], [], 0)[1]:
         return
@@ -114,4 +113,4 @@ def _emit(descriptor: int, message: dict[str, Any]) -> None:
 
 if __name__ == "__main__":
     code = main(sys.argv[1:])
-    os._exit(code)  # the domain is left already; a destructor of Fast DDS sleeps for 0.1 s
+    os._exit(code)  # the ROS domain is left already; a destructor of Fast DDS sleeps 0.1 s

@@ -1,4 +1,4 @@
-"""The job that the command line sends to the replay process, and checks of its options."""
+"""The job that `robotctl replay` sends to the replay process, and checks of its options."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ _TOPIC_NAME = re.compile(r"/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*", re.ASCII)
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What to play, and how. A `rate` of None is as fast as subscribers accept the messages.
+    """What to play, and how. With `rate` None, play as fast as subscribers accept the messages.
 
-    Times are recorded time: play from `start_offset_s` after the first message, for `duration_s`.
-    Only `delay_s` is real time. Without `topics` and `regex` all topics are played, otherwise those
-    that one of them selects. Nothing is sent before there are `wait_for` subscribers, of all topics
-    together.
-    `original_names` allows the recorded names in a domain with a daemon; `changed_types` plays
-    topics whose type has another definition here.
+    Play from `start_offset_s` after the first message, for `duration_s` (both recorded time).
+    `delay_s` is real time. Without `topics` and `regex`, all topics are played, otherwise those
+    that one of the two selects, and in both cases none in `exclude`. Nothing is sent before there
+    are `wait_for` subscriptions, summed over all topics. `original_names` allows the recorded names
+    in a domain with a daemon; `changed_types` allows topics whose installed type differs.
     """
 
     file: Path
@@ -53,12 +52,12 @@ class Job:
     debug: bool = False
 
     def to_json(self) -> str:
-        """Return the job as one line."""
+        """Return the job as one line of JSON."""
         return json.dumps(asdict(self) | {"file": str(self.file)})
 
     @classmethod
     def from_json(cls, line: str) -> Self:
-        """Return the job in a line of `to_json`."""
+        """Return the job in a line from `to_json`."""
         fields: dict[str, Any] = json.loads(line)
         for name in ("topics", "exclude"):
             fields[name] = tuple(fields[name])
@@ -67,10 +66,10 @@ class Job:
 
 
 def parse_rate(text: str) -> float | None:
-    """Return the rate of `--rate`, None for `max`.
+    """Return the value of `--rate`, with None for `max`.
 
     Raises:
-        UsageError: It is not an allowed number.
+        UsageError: `text` is not an allowed number.
     """
     if text.strip().lower() == AS_FAST_AS_POSSIBLE:
         return None
@@ -87,10 +86,10 @@ def parse_rate(text: str) -> float | None:
 
 
 def check_seconds(option: str, value: float, *, positive: bool = False) -> float:
-    """Return `value` if it is a duration.
+    """Return `value` if it is a duration [s].
 
     Raises:
-        UsageError: It is negative or not finite, or 0 and must be positive.
+        UsageError: `value` is negative, not finite, or 0 with `positive`.
     """
     if not isfinite(value) or value < 0 or (positive and value == 0):
         raise UsageError(
@@ -118,7 +117,7 @@ def check_regex(text: str) -> str:
     """Return `text` if it is a regular expression.
 
     Raises:
-        UsageError: It is not.
+        UsageError: `text` is not a regular expression.
     """
     try:
         re.compile(text)
@@ -128,10 +127,10 @@ def check_regex(text: str) -> str:
 
 
 def check_clock(hertz: float) -> float:
-    """Return `hertz` if it is an allowed rate of the clock.
+    """Return `hertz` if it is an allowed rate of `--clock`.
 
     Raises:
-        UsageError: It is not.
+        UsageError: The rate is not allowed.
     """
     if not MIN_CLOCK_HZ <= hertz <= MAX_CLOCK_HZ:
         raise UsageError(f"--clock {hertz:g}", f"use {MIN_CLOCK_HZ:g} to {MAX_CLOCK_HZ:g} Hz")

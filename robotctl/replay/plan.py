@@ -1,4 +1,4 @@
-"""Which topics of a recording are played, and under which names."""
+"""Selects the topics of a recording to play, and their names."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ _EVENT_TYPE = re.compile(r"[^/]+/srv/[^/]+_Event")
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """A recorded topic, and the name under which its messages or requests are sent."""
+    """A recorded topic, and the name of the topic or service to which it is sent."""
 
     topic: TopicInfo
     name: str
     requests: bool = False
-    """Whether the topic holds the introspection of a service, whose requests are sent again."""
+    """Whether the topic has introspection events of a service, whose requests are sent again."""
 
 
 def absolute(name: str, prefix: str = "") -> str:
-    """Return the name of a recorded topic below `prefix`; always absolute."""
+    """Return the absolute name of a recorded topic, with `prefix` before it."""
     return f"{prefix}/{name.lstrip('/')}"
 
 
 def service_of(topic: TopicInfo) -> str:
-    """Return the service whose introspection the topic holds; "" for any other topic."""
+    """Return the service whose introspection events the topic has, or "" for another topic."""
     name = absolute(topic.name)
     if name.endswith(_EVENT_TOPIC) and _EVENT_TYPE.fullmatch(topic.type_name):
         return name.removesuffix(_EVENT_TOPIC)
@@ -44,10 +44,10 @@ def service_of(topic: TopicInfo) -> str:
 
 
 def selected(recorded: Sequence[TopicInfo], job: Job) -> list[TopicInfo]:
-    """Return the topics to play; a service has its own name or that of its introspection topic.
+    """Return the topics to play. The job may name a service or its introspection topic.
 
     Raises:
-        UsageError: A name is not in the recording.
+        UsageError: A name in --topics is not in the recording.
     """
     wanted, unwanted = ({absolute(name) for name in names} for names in (job.topics, job.exclude))
     there = {name for topic in recorded for name in _names(topic)}
@@ -67,12 +67,12 @@ def selected(recorded: Sequence[TopicInfo], job: Job) -> list[TopicInfo]:
 
 
 def is_named(topic: TopicInfo, names: Collection[str]) -> bool:
-    """Return whether the topic or its service is among the names that a user gave."""
+    """Return whether `names` contains the topic or its service."""
     return not _names(topic).isdisjoint(absolute(name) for name in names)
 
 
 def routes(recorded: Sequence[TopicInfo], chosen: Iterable[TopicInfo], job: Job) -> list[Route]:
-    """Return where the chosen topics are sent, without prefix.
+    """Return the routes of the chosen topics, remapped but without prefix.
 
     Raises:
         UsageError: A remap names an unknown topic, or joins topics of different types.
@@ -96,10 +96,10 @@ def routes(recorded: Sequence[TopicInfo], chosen: Iterable[TopicInfo], job: Job)
 
 
 def main_types(recorded: Sequence[TopicInfo]) -> tuple[list[TopicInfo], list[str]]:
-    """Return the topics, of each name only the type with most of its messages, where there is one.
+    """Return the topics to keep, and a sentence about each topic that is left out.
 
-    The sentences name the messages of other types: a node that learns later which type is wanted,
-    as the gate does, has sent another one at first.
+    If one type has more than half of the messages of a name, only this type is kept: a node may
+    have used another type until it discovered which type its subscribers want.
     """
     totals: Counter[str] = Counter()
     for topic in recorded:
@@ -118,7 +118,7 @@ def main_types(recorded: Sequence[TopicInfo]) -> tuple[list[TopicInfo], list[str
 
 
 def unplayable(topics: Iterable[TopicInfo]) -> dict[str, str]:
-    """Return the topics that cannot be played on any system, and why."""
+    """Return the topics that cannot be played on any system, each with the reason."""
     topics = list(topics)
     types = Counter(topic.name for topic in topics)
     reasons = {}

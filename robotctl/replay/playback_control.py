@@ -12,7 +12,7 @@ from typing import Final, Self
 from robotctl.replay.job import MAX_RATE, MIN_RATE
 
 _STEPS: Final = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
-"""The rates that keys select, in each power of ten."""
+"""The rates that keys select, for each power of ten."""
 
 RATES: Final = tuple(
     round(step * 10.0**power, 4)
@@ -24,9 +24,9 @@ RATES: Final = tuple(
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """Recorded time `at_ns` is due at `moment_ns` of the steady clock, later times by `rate`.
+    """Maps recorded time to steady time: `at_ns` is due at `moment_ns`, later times at `rate`.
 
-    With a rate of None everything is due at once. While `paused` nothing is due.
+    If `rate` is None, everything is due at once. While `paused`, nothing is due.
     """
 
     moment_ns: int
@@ -35,42 +35,42 @@ class Schedule:
     paused: bool = False
 
     def due_ns(self, at_ns: int) -> int:
-        """Return when a recorded moment is due if the schedule does not change."""
+        """Return the steady time at which recorded time `at_ns` is due on this schedule."""
         if self.rate is None:
             return self.moment_ns
         return self.moment_ns + round((at_ns - self.at_ns) / self.rate)
 
     def position_ns(self, now_ns: int) -> int:
-        """Return the recorded moment that is due at `now_ns`."""
+        """Return the recorded time that is due at the steady time `now_ns`."""
         if self.paused or self.rate is None:
             return self.at_ns
         return self.at_ns + max(round((now_ns - self.moment_ns) * self.rate), 0)
 
     def pause(self, now_ns: int) -> Self:
-        """Return the schedule that is paused from now on."""
+        """Return this schedule, paused from `now_ns` on."""
         return replace(self, moment_ns=now_ns, at_ns=self.position_ns(now_ns), paused=True)
 
     def resume(self, now_ns: int) -> Self:
-        """Return the schedule that continues from its position."""
+        """Return this schedule, continued from its position at `now_ns`."""
         return replace(self, moment_ns=now_ns, at_ns=self.position_ns(now_ns), paused=False)
 
     def with_rate(self, now_ns: int, rate: float) -> Self:
-        """Return the schedule that continues at another rate."""
+        """Return this schedule, continued at another rate from `now_ns` on."""
         return replace(self, moment_ns=now_ns, at_ns=self.position_ns(now_ns), rate=rate)
 
 
 def faster(rate: float) -> float:
-    """Return the next higher of RATES, or the rate itself."""
+    """Return the next higher one of RATES, or `rate` if there is none."""
     return min((each for each in RATES if each > rate), default=rate)
 
 
 def slower(rate: float) -> float:
-    """Return the next lower of RATES, or the rate itself."""
+    """Return the next lower one of RATES, or `rate` if there is none."""
     return max((each for each in RATES if each < rate), default=rate)
 
 
 class PlaybackControl:
-    """Holds the current schedule, and changes it. `now_ns` returns the steady time."""
+    """Stores the current schedule, and changes it. `now_ns` returns the steady time."""
 
     def __init__(
         self, rate: float | None, now_ns: Callable[[], int], *, paused: bool = False
@@ -86,9 +86,9 @@ class PlaybackControl:
         return self._schedule
 
     def begin(self, moment_ns: int) -> None:
-        """Start playback at `moment_ns` of the steady clock, or at the end of a current pause.
+        """Start playback from recorded time 0 at steady time `moment_ns`, or when a pause ends.
 
-        Recorded time that has passed until now does not count: nothing was played.
+        Schedule positions from before this call are discarded, because nothing was played.
         """
         with self._changing:
             self._schedule = replace(self._schedule, moment_ns=moment_ns, at_ns=0)
@@ -110,11 +110,11 @@ class PlaybackControl:
         (self.resume if self._schedule.paused else self.pause)()
 
     def faster(self) -> None:
-        """Play at the next higher rate; without effect at `max`."""
+        """Play at the next higher rate; do nothing if the rate is `max`."""
         self._change_rate(faster)
 
     def slower(self) -> None:
-        """Play at the next lower rate; without effect at `max`."""
+        """Play at the next lower rate; do nothing if the rate is `max`."""
         self._change_rate(slower)
 
     def step(self) -> None:
@@ -123,7 +123,7 @@ class PlaybackControl:
             self._steps += self._schedule.paused
 
     def takes_step(self, at_ns: int) -> bool:
-        """Return whether the next message, at `at_ns`, may be sent during a pause."""
+        """Use up one step for the message at `at_ns`; return False if there is none."""
         with self._changing:
             if not (self._steps and self._schedule.paused):
                 return False
@@ -139,7 +139,7 @@ class PlaybackControl:
 
 
 class Command(Enum):
-    """What a key or a suspended terminal requests."""
+    """A change of playback, requested by a key or by the suspension of the terminal."""
 
     PAUSE = "pause"
     RESUME = "resume"
@@ -154,7 +154,7 @@ class Command(Enum):
 
 
 def command_of(line: bytes) -> Command | None:
-    """Return the command in a line, or None."""
+    """Return the command in a line, or None if the line has no valid one."""
     try:
         message = json.loads(line)
         return Command(message["do"])
@@ -163,7 +163,7 @@ def command_of(line: bytes) -> Command | None:
 
 
 def carry_out(command: Command, control: PlaybackControl) -> None:
-    """Apply a command."""
+    """Apply a command to `control`."""
     actions: dict[Command, Callable[[], None]] = {
         Command.PAUSE: control.pause,
         Command.RESUME: control.resume,

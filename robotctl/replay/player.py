@@ -1,4 +1,4 @@
-"""Sends messages when they are due: an absolute schedule on the steady clock, in one thread."""
+"""Sends messages when they are due, in one thread, by absolute times on the steady clock."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from robotctl.replay.playback_control import PlaybackControl, Schedule
 from robotctl.replay.timeline import Entry
 
 SPIN_NS: Final = 40_000
-"""How long the end of a wait polls the clock, because the scheduler may wake us up this late."""
+"""The last part of a wait, which polls the clock: the scheduler may wake a thread this late."""
 
 _PR_SET_TIMERSLACK: Final = 29
 _NO_SLACK_NS: Final = 1
-"""Otherwise Linux wakes a thread up to 50 us late, to wake it together with others."""
+"""The timer slack to set; by default Linux may wake a thread 50 us late to group timers."""
 
 _TIMER_ABSTIME: Final = 1
 
@@ -30,7 +30,7 @@ class Clock(Protocol):
     """A monotonic clock in nanoseconds."""
 
     def now_ns(self) -> int:
-        """Return the time."""
+        """Return the current time."""
 
     def sleep_until(self, moment_ns: int) -> None:
         """Return at `moment_ns`, or at once if it has passed."""
@@ -53,7 +53,7 @@ class SteadyClock:
         self._pointer = ctypes.addressof(self._until)
 
     def now_ns(self) -> int:
-        """Return the time."""
+        """Return the current time."""
         return time.monotonic_ns()
 
     def sleep_until(self, moment_ns: int) -> None:
@@ -77,13 +77,13 @@ class SteadyClock:
 
 
 _SUB_BITS: Final = 5
-"""32 steps per power of two: a quantile is at most 3 % too high."""
+"""2**5 = 32 bins per power of two, so a quantile is at most 3 % too high."""
 
 _LARGEST: Final = (1 << 62) - 1
 
 
 class Lateness:
-    """A histogram of nanoseconds; its steps grow with the value."""
+    """A histogram of delays [ns]; its bins are wider for larger values."""
 
     __slots__ = ("_counts", "count", "max_ns")
 
@@ -101,7 +101,7 @@ class Lateness:
             self.max_ns = late_ns
 
     def quantile_us(self, share: float) -> float:
-        """Return the quantile for `share` (0..1) [us]; 0 without values."""
+        """Return the quantile for `share` (0 to 1) [us], or 0 if there are no values."""
         rank = share * self.count
         seen = 0
         for step, count in enumerate(self._counts):
@@ -117,17 +117,16 @@ def _step(value: int) -> int:
 
 
 def _highest(step: int) -> int:
-    """Return the largest value of a step."""
+    """Return the largest value in the bin with this number."""
     shift = max((step >> _SUB_BITS) - 1, 0)
     return ((step - (shift << _SUB_BITS) + 1) << shift) - 1
 
 
 Send = Callable[[bytes], bool | None]
-"""Sends a serialized message: False if the middleware did not accept it, None if it held nothing to
-send."""
+"""Sends a serialized message. False: it was not accepted; None: it had nothing to send."""
 
 LEAD_NS: Final = 5_000_000
-"""Time from the start to the first message, which was read before: so it is on time as well."""
+"""Time from the start of playback to the first message, so that the first is on time as well."""
 
 SLICE_NS: Final = 50_000_000
 """Maximum delay until a stop or a changed schedule takes effect."""
@@ -135,7 +134,7 @@ SLICE_NS: Final = 50_000_000
 
 @dataclass(slots=True)
 class TopicSender:
-    """Sends the messages of one topic, and counts them."""
+    """The function that sends messages of one topic, and counts of accepted and failed ones."""
 
     send: Send
     sent: int = 0
@@ -143,7 +142,7 @@ class TopicSender:
 
 
 class ClockPublisher:
-    """Passes the recorded time to `send` every `period_ns` of real time, also during a pause."""
+    """Calls `send` with the recorded time every `period_ns` of real time, also during a pause."""
 
     def __init__(self, period_ns: int, send: Callable[[int], object]) -> None:
         self.period_ns = period_ns
@@ -151,7 +150,7 @@ class ClockPublisher:
         self.due_ns = 0
 
     def tick(self, now_ns: int, position_ns: int) -> None:
-        """Send if it is due; missed ticks are skipped."""
+        """Send the position if a tick is due; skip missed ticks."""
         if now_ns >= self.due_ns:
             self.send(position_ns)
             following_ns = self.due_ns + self.period_ns
@@ -159,7 +158,7 @@ class ClockPublisher:
 
 
 class Player:
-    """Sends every entry through its topic's `Send`. With `rate` None it sends as fast as possible.
+    """Sends every entry with its topic's `Send`. If `rate` is None, it sends as fast as possible.
 
     `run` must be called in one thread; everything else may be used from any thread.
     """
@@ -179,10 +178,10 @@ class Player:
         self.control = PlaybackControl(rate, clock.now_ns, paused=paused)
         self.lateness = Lateness()
         self.position_ns = 0
-        """Recorded time that has been played."""
+        """Recorded time of the last message that was sent."""
 
         self.late_ns = 0
-        """How late the last message was."""
+        """Lateness of the last message that had a due time."""
 
         self._batches = batches
         self._clock = clock
@@ -192,7 +191,7 @@ class Player:
 
     @property
     def sent(self) -> int:
-        """Messages that the middleware accepted, of all topics."""
+        """The number of messages that the middleware accepted, over all topics."""
         return sum(topic.sent for topic in self.topics.values())
 
     def stop(self) -> None:
@@ -213,7 +212,7 @@ class Player:
                 self.position_ns = at_ns
 
     def _wait_for(self, at_ns: int) -> int | None:
-        """Wait until the message is due, and return that time; None at a stop or without a time."""
+        """Wait until the message is due; return that time, or None if stopped, stepped or `max`."""
         clock, control = self._clock, self.control
         while not self._stopped:
             schedule = control.schedule

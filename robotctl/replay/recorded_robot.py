@@ -1,4 +1,4 @@
-"""The robot as recorded: pose, velocity, mode and path at any moment."""
+"""The state of the recorded robot during a replay: pose, velocity, mode and path."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ STEP_M: Final = 0.005
 """Minimum distance between points of the path."""
 
 MAX_POINTS: Final = 4000
-"""Maximum length of the path; then every second point is removed."""
+"""Maximum number of points in the path; if there are more, every second one is removed."""
 
 
 class RecordedRobot:
-    """The state of the recorded robot, None for unknown values; `path` is in metres.
+    """The state of the recorded robot; None means unknown, and `path` is in metres.
 
-    `advance` only moves forward. When a replay starts again, the path does as well.
+    `advance` only moves forward. A replay in a loop clears the path at the start of each pass.
     """
 
     def __init__(self, recording: Recording, span: Span, *, loop: bool) -> None:
-        """Open a part of a recording.
+        """Start at the beginning of `span`.
 
         Raises:
-            UsageError: It has neither odometry nor status.
+            UsageError: The recording has neither odometry nor status.
         """
         topics = recording.info().topics
         self.pose: Pose | None = None
@@ -61,7 +61,7 @@ class RecordedRobot:
 
     @property
     def next_ns(self) -> int | None:
-        """When the next message is due; None at the end."""
+        """The replay time at which the next message is due, or None at the end."""
         return None if self._next is None else self._next[0]
 
     def status(self) -> dict[str, Any]:
@@ -73,7 +73,7 @@ class RecordedRobot:
         }
 
     def advance(self, position_ns: int) -> None:
-        """Read all messages up to `position_ns` of the replay."""
+        """Update the state with all messages up to the replay time `position_ns`."""
         while self._next is not None and self._next[0] <= position_ns:
             at_ns, topic, data = self._next
             number = max(at_ns - 1, 0) // self._pass_ns
@@ -105,6 +105,6 @@ class RecordedRobot:
 
 
 def _busiest(topics: Sequence[TopicInfo], type_name: str) -> TopicInfo | None:
-    """Return the topic of this type with the most messages; None if none has a message."""
+    """Return the topic of this type with the most messages, or None if there are no messages."""
     found = [topic for topic in topics if topic.type_name == type_name and topic.message_count]
     return max(found, key=lambda topic: topic.message_count, default=None)

@@ -17,7 +17,7 @@ ANSWER_DEADLINE_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class RunningDaemon:
-    """A daemon that listens; `domain_id` and `mode` are None if unknown."""
+    """A daemon that listens on its socket; `domain_id` and `mode` are None if unknown."""
 
     robot: str
     domain_id: int | None
@@ -27,12 +27,12 @@ class RunningDaemon:
 
     @property
     def may_be_moving(self) -> bool:
-        """Whether it drives, or may do so because its mode is unknown."""
+        """Whether the robot is moving, or may be because the mode is unknown."""
         return self.mode in (None, "MOVING")
 
 
 def running_daemons() -> list[RunningDaemon]:
-    """Return each daemon with a control socket of this user, ordered by name.
+    """Return each daemon with a socket in this user's runtime folder, ordered by name.
 
     Raises:
         UsageError: Another user could have put the sockets there.
@@ -48,7 +48,7 @@ def running_daemons() -> list[RunningDaemon]:
 
 
 def daemons_in(domain_id: int) -> list[RunningDaemon]:
-    """Return the driving daemons in a ROS domain, including those whose domain is unknown."""
+    """Return the daemons that can drive in a ROS domain, or whose domain is unknown."""
     return [
         daemon
         for daemon in running_daemons()
@@ -57,7 +57,7 @@ def daemons_in(domain_id: int) -> list[RunningDaemon]:
 
 
 def domain_to_play_in(requested: int | None, robot: str) -> int:
-    """Return the requested domain, else that of the robot's daemon, else 0."""
+    """Return `requested` or, if it is None, the domain of the robot's daemon; 0 if unknown."""
     if requested is not None:
         return requested
     daemon = ask(robot)
@@ -65,7 +65,7 @@ def domain_to_play_in(requested: int | None, robot: str) -> int:
 
 
 def ask(robot: str) -> RunningDaemon | None:
-    """Return the robot's daemon, or None if none listens.
+    """Return the robot's daemon, or None if none can be reached.
 
     Raises:
         Refused: A process of another user listens in its place.
@@ -74,7 +74,7 @@ def ask(robot: str) -> RunningDaemon | None:
         with Client(robot) as client:
             try:
                 status = client.call("status", deadline_s=ANSWER_DEADLINE_S)
-            except RobotctlError:  # it is running, but slow, busy or of another version
+            except RobotctlError:  # the daemon runs, but is slow, busy or of another version
                 return RunningDaemon(robot, None, None)
     except (NoDaemon, UsageError):
         return None
@@ -88,23 +88,21 @@ def ask(robot: str) -> RunningDaemon | None:
 
 
 REPLAY_PREFIX: Final = "/replay"
-"""Prefix of the topics of a replay next to a running daemon."""
+"""The prefix of all topics of a replay in a domain with a daemon."""
 
 COMMAND_NAME: Final = "cmd_vel"
-"""Topics that move robots have a Twist type, or are named `.../cmd_vel`."""
+"""A topic whose name ends with this part counts as a command topic, whatever its type."""
 
 
 class DomainGraph(Protocol):
-    """The participants in the ROS domain."""
+    """What the guard must know of the ROS graph in the domain."""
 
     def robots_with_daemon(self) -> list[str]:
         """Return the names of the robots with a daemon in the domain, of any user."""
 
 
 class ReplayGuard:
-    """The rules for one replay in one domain; `named` are the topics that the user requested by
-    name.
-    """
+    """The rules for one replay in one domain; `named` are the topics in the user's --topics."""
 
     def __init__(
         self, graph: DomainGraph, domain_id: int, named: Collection[str], *, original_names: bool
@@ -116,10 +114,10 @@ class ReplayGuard:
         self._original_names = original_names
 
     def choose_prefix(self) -> str:
-        """Choose the prefix of all names; return a sentence about it, or "" for the usual names.
+        """Choose the prefix of all names; return a note about it, or "" if there is no daemon.
 
         Raises:
-            Refused: The original names were requested, but a daemon moves its robot, or may do so.
+            Refused: --original-names was given, but the robot of a daemon is or may be moving.
         """
         daemons = self._daemons()
         if not daemons:
@@ -135,25 +133,24 @@ class ReplayGuard:
         )
 
     def prefixed(self, routes: Iterable[Route]) -> list[Route]:
-        """Return the routes to the same names below the prefix that the user chose."""
+        """Return the routes with the chosen prefix before their names."""
         return [replace(route, name=absolute(route.name, self.prefix)) for route in routes]
 
     def withheld(self, routes: Iterable[Route]) -> list[Route]:
-        """Return the routes that a robot would obey and the user did not name; none below the
-        prefix.
+        """Return the routes that a robot would obey and the user did not name.
 
-        The current subscribers do not matter, because a robot may join at any time.
+        With a prefix there are none. Subscribers do not matter: a robot may join at any time.
         """
         if self.prefix:
             return []
         return [route for route in routes if is_command(route) and not self.names(route)]
 
     def names(self, route: Route) -> bool:
-        """Return whether the user named the topic or its service."""
+        """Return whether the user named the topic of the route, or its service."""
         return is_named(route.topic, self._named)
 
     def check(self) -> None:
-        """Check that no daemon has joined or begun to move its robot. Call it periodically.
+        """Check that no daemon has joined and no robot has begun to move. Call it periodically.
 
         Raises:
             Refused: The replay must end.
@@ -171,7 +168,7 @@ class ReplayGuard:
             )
 
     def _daemons(self) -> list[RunningDaemon]:
-        """Return the daemons of this user, and those that only the ROS graph shows."""
+        """Return the daemons with a socket here, and others that appear in the ROS graph."""
         daemons = daemons_in(self._domain_id)
         known = {daemon.robot for daemon in daemons}
         others = [
@@ -182,10 +179,10 @@ class ReplayGuard:
 
 
 def check_still(daemons: Iterable[RunningDaemon]) -> None:
-    """Check that no daemon moves its robot.
+    """Check that no robot of these daemons is moving.
 
     Raises:
-        Refused: A daemon moves its robot, or may do so.
+        Refused: A robot is or may be moving.
     """
     for daemon in daemons:
         if daemon.may_be_moving:
@@ -198,7 +195,7 @@ def check_still(daemons: Iterable[RunningDaemon]) -> None:
 
 
 def is_command(route: Route) -> bool:
-    """Return whether a robot may move by it, under its recorded or its new name."""
+    """Return whether the route may move a robot: it has requests, or a command's type or name."""
     names = (route.topic.name, route.name)
     return (
         route.requests
@@ -208,7 +205,7 @@ def is_command(route: Route) -> bool:
 
 
 def withheld_note(route: Route) -> str:
-    """Return a sentence about a withheld route."""
+    """Return the note that a route is withheld."""
     name = route.topic.name
     what = "requests" if route.requests else "commands"
     return f"{name} is withheld: a robot would obey these {what} (send them: --topics {name})"

@@ -1,4 +1,4 @@
-"""Notes about a replay: sent at once, and again in the summary."""
+"""The messages about a replay: notes, progress, and a summary that repeats the notes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Emit = Callable[[dict[str, Any]], None]
 
 
 class ReplayReport:
-    """Notes in their order; topics that were skipped or withheld, and missing data."""
+    """Collects notes in order, skipped topics, withheld topics and missing data."""
 
     def __init__(self, emit: Emit) -> None:
         self.notes: list[str] = []
@@ -25,7 +25,7 @@ class ReplayReport:
         """Number of withheld messages by topic."""
 
         self.missing: list[str] = []
-        """What cannot be read of the file, in sentences."""
+        """Sentences about parts of the file that cannot be read."""
 
         self._emit = emit
 
@@ -36,12 +36,12 @@ class ReplayReport:
             self._emit({"note": text})
 
     def skip(self, topic: str, reason: str) -> None:
-        """Report that a topic is not played; `reason` continues the sentence "it ..."."""
+        """Report that a topic is not played; `reason` follows "it ", as in "has no type"."""
         self.skipped[topic] = reason
         self.note(f"{topic} is skipped: it {reason}")
 
     def withhold(self, route: Route) -> None:
-        """Report that a route is withheld with all its messages."""
+        """Report that no message of a route is sent, for safety."""
         self.withheld[route.topic.name] = route.topic.message_count
         self.note(withheld_note(route))
 
@@ -54,11 +54,11 @@ class ReplayReport:
 
 
 BEHIND_S = 0.05
-"""A shorter delay is not visible, and the next message may still be on time."""
+"""A shorter delay does not count as behind: it is not visible, and may be made up."""
 
 
 def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:
-    """Return where a replay is; `behind` counts messages that are overdue."""
+    """Return the progress of a replay; `behind` counts messages overdue by BEHIND_S or more."""
     schedule, position_ns = player.control.schedule, player.position_ns
     behind = 0
     if schedule.rate is not None:

@@ -1,4 +1,4 @@
-"""One replay from its job to its summary: connects file, safety rules, ROS and player."""
+"""Runs one replay from job to summary: connects file, safety rules, ROS and player."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def playable(
     """Return the routes whose types are installed; report the others as skipped.
 
     Raises:
-        Refused: A type has another definition than in the recording, without --force-types.
+        Refused: An installed type differs from the recorded one, and --force-types is not given.
     """
     reasons = plan.unplayable(route.topic for route in routes)
     if job.clock_hz is not None:
@@ -56,9 +56,7 @@ def playable(
 def open_routes(
     routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
 ) -> tuple[list[Route], dict[str, Send]]:
-    """Return the routes that could be opened, and the `Send` of each topic; report others as
-    skipped.
-    """
+    """Return the routes that could be opened, and `Send` by topic; report others as skipped."""
     opened: list[Route] = []
     sends: dict[str, Send] = {}
     for route in routes:
@@ -77,10 +75,10 @@ def open_routes(
 
 
 def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> ClockPublisher | None:
-    """Return the publisher of the recorded time, or None without --clock. A loop turns time back.
+    """Return the publisher of recorded time, or None without --clock. In a loop, time jumps back.
 
     Raises:
-        Refused: The domain has another clock.
+        Refused: Another node publishes the clock topic.
     """
     if job.clock_hz is None:
         return None
@@ -128,11 +126,10 @@ GUARD_S: Final = 0.5
 JOIN_S: Final = 10.0
 
 PRIORITY: Final = 1
-"""The lowest of SCHED_FIFO, if permitted: enough to wake up in time."""
+"""The lowest priority of SCHED_FIFO, used if permitted; it is enough to wake up in time."""
 
 OVERLOADED_S: Final = 1.0
-"""A player that is behind schedule for longer loses its real-time priority, since it never
-sleeps."""
+"""A player that is behind schedule for this long loses its real-time priority: it never sleeps."""
 
 
 class Replay:
@@ -150,11 +147,11 @@ class Replay:
         """Commands received before there was a player."""
 
     def stop(self) -> None:
-        """End early; the summary then says so."""
+        """End the replay early; the summary then has `interrupted`."""
         self._stopped.set()
 
     def control(self, command: Command) -> None:
-        """Carry out a command now, or when the player begins."""
+        """Carry out a command now, or when the player is created if there is none yet."""
         with self._controlling:
             if self._player is None:
                 self._early.append(command)
@@ -165,9 +162,9 @@ class Replay:
         """Play to the end, then send the summary.
 
         Raises:
-            UnreadableFile: Nothing can be read; or not everything, after the rest was played.
+            UnreadableFile: The file cannot be read, or (after the replay) not completely.
             UsageError: The job requests something that the recording does not have.
-            Refused: It is not safe, or no longer; or a type has another definition here.
+            Refused: The replay is or became unsafe, or an installed type differs.
         """
         job, ros = self._job, self._ros
         with Recording(job.file) as recording:
@@ -194,7 +191,7 @@ class Replay:
                 routes.remove(route)
                 self._report.withhold(route)
             routes, sends = open_routes(routes, ros, job, self._report)
-            gc.enable()  # the process begins without
+            gc.enable()  # `__main__` has disabled it
             self._wait()
             player = self._play(recording, guard, routes, sends, ticks, span)
         message = summary(self._report, player, routes, interrupted=self._stopped.is_set())
@@ -205,9 +202,7 @@ class Replay:
             raise UnreadableFile(f"{job.file} is incomplete: {'; '.join(missing)}")
 
     def _wait(self) -> None:
-        """Wait until the expected subscribers have joined, and the publishers are matched with
-        theirs.
-        """
+        """Wait for `wait_for` subscribers, and until publishers and subscribers have matched."""
         ros, expected = self._ros, self._job.wait_for
         if expected:
             ros.wait_for_subscribers(

@@ -1,4 +1,4 @@
-"""The messages of a recording, with times relative to the beginning of the replay."""
+"""The messages of a recording, with times relative to the start of the replay."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from robotctl.recording import Message, Recording, RecordingInfo
 from robotctl.replay.job import Job
 
 Entry = tuple[int, str, bytes]
-"""Recorded time since the replay's beginning [ns], recorded topic, message."""
+"""(Recorded time since the start of the replay [ns], recorded topic, serialized message)."""
 
 MIN_PASS_NS: Final = 100_000_000
-"""Minimum duration of a pass, for a loop over a single message."""
+"""Minimum duration of a pass: a loop over a single message must not send it continuously."""
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """The part of a recording that is played, in wall-clock ns, both ends included."""
+    """The part of a recording that is played: log times [ns since the epoch], both included."""
 
     start_ns: int
     end_ns: int
 
     @property
     def length_ns(self) -> int:
-        """Duration from beginning to end."""
+        """Duration from start to end."""
         return self.end_ns - self.start_ns
 
     @property
@@ -43,7 +43,7 @@ def span_of(info: RecordingInfo, job: Job) -> Span:
     """Return the part that a job plays.
 
     Raises:
-        UsageError: The part is empty.
+        UsageError: The part starts after the end of the recording.
     """
     if job.start_offset_s > info.duration_s:
         raise UsageError(
@@ -66,9 +66,9 @@ def recorded(
     *,
     loop: bool,
 ) -> Iterator[Entry]:
-    """Return the entries of a recording, of each topic those of its type.
+    """Return the entries of a recording; `topics` maps the topics to play to their types.
 
-    `latched` is the number of latched messages by topic.
+    `latched` is the maximum number of latched messages by topic.
     """
 
     def typed(messages: Iterable[Message]) -> Iterable[Message]:
@@ -91,11 +91,11 @@ def entries(
     *,
     loop: bool = False,
 ) -> Iterator[Entry]:
-    """Yield what to send, in order; `before` and `during` are called for each pass.
+    """Yield the entries to send, in order; `before` and `during` are called for each pass.
 
-    `before` returns what was latched when the span begins. It is sent first, because a late
-    subscriber would have received it too. `during` returns the messages of the span by log time. A
-    loop over nothing ends.
+    `before` returns the messages that were latched at the start of the span. They are sent first,
+    because a late subscriber would have received them too. `during` returns the messages of the
+    span in the order of log time. With `loop`, repeat until a pass is empty.
     """
     begin_ns = 0
     while True:
@@ -114,16 +114,16 @@ def entries(
 BATCH_ENTRIES: Final = 256
 BATCH_BYTES: Final = 1 << 20
 AHEAD_ENTRIES: Final = 16_384
-"""How many messages may wait to be sent, by default."""
+"""The default limit on the number of messages that wait to be sent."""
 
 AHEAD_BYTES: Final = 64 << 20
-"""Maximum size of the waiting messages; one batch may be larger."""
+"""Maximum size of all messages that wait to be sent; one batch may be larger."""
 
 
 class ReadAhead:
-    """Iterates over batches of `entries`. A thread reads them while the block lasts.
+    """Iterates over `entries` in batches, which a thread reads while the `with` block runs.
 
-    It reads about `ahead` entries in advance.
+    The thread reads about `ahead` entries in advance.
     """
 
     def __init__(self, entries: Iterable[Entry], ahead: int = AHEAD_ENTRIES) -> None:
@@ -141,12 +141,12 @@ class ReadAhead:
         self._thread = threading.Thread(target=self._run, name="read-ahead", daemon=True)
 
     def __enter__(self) -> Self:
-        """Start to read."""
+        """Start the thread."""
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop reading, and wait for the end of the thread."""
+        """Stop reading, and wait until the thread has ended."""
         self.close()
         self._thread.join()
 
@@ -157,7 +157,7 @@ class ReadAhead:
             self._changed.notify_all()
 
     def __iter__(self) -> Iterator[list[Entry]]:
-        """Yield the batches when they are read. An exception of the reader is raised after them."""
+        """Yield each batch once it is read. Afterwards raise an exception of the thread, if any."""
         while True:
             with self._changed:
                 while not (self._batches or self._ended or self._closed):
@@ -176,7 +176,7 @@ class ReadAhead:
             raise self._failure
 
     def count(self, after_ns: int, until_ns: int) -> int:
-        """Return how many of the messages read lie in a time span. Callable from any thread."""
+        """Count the read messages after `after_ns` up to `until_ns`. Callable from any thread."""
         with self._changed:
             batches = [self._given, *(batch for batch, _ in self._batches)]
         return sum(

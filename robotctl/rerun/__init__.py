@@ -1,13 +1,13 @@
-"""Recorded decisions made again by a kernel: check, what-if, closed-loop simulation, reasons.
+"""Re-runs recorded decisions in a new kernel: check, what-if, closed-loop simulation, reasons.
 
-What `__all__` names is for users of the library; the modules below may change:
+Library users may rely on the names in `__all__`; the modules of this package may change:
 
-- `check_recording` decides a recording again and reports what differs and which promises it breaks;
-  `check_recordings` does so for many, in several processes.
+- `check_recording` re-runs a recording, and reports what differs and which invariants it breaks;
+  `check_recordings` does so for several, in several processes.
 - `what_if` compares the recorded decisions with those of a kernel with other settings.
 - `resimulate` repeats the recorded requests with a simulated robot, also with other settings.
 - `find_incident` finds what stopped the robot, and `explain` says why in sentences.
-- `first_divergence` decides journal entries again that were read elsewhere.
+- `first_divergence` re-runs journal entries that the caller has read.
 
 Each name is loaded on first use.
 

@@ -30,13 +30,13 @@ from robotctl.rerun.rerun import Comparison, Rerun
 from robotctl.rerun.snapshot_proofs import JournalChain, SnapshotProofs
 
 ALL_BYTES_BELOW: Final = 100_000_000
-"""A recording below this size [bytes] is always read completely; that lasts a second."""
+"""A recording smaller than this [bytes] is always read completely, which takes about 1 s."""
 
 _KEY_DIGITS = 16
 
 
 def is_small(path: Path) -> bool:
-    """Return whether every byte of a recording is read in any case.
+    """Return whether a recording is so small that a check always reads every byte of it.
 
     Raises:
         OSError, UnreadableFile: There is no recording.
@@ -47,8 +47,8 @@ def is_small(path: Path) -> bool:
 def check_bytes(path: Path, report: Report, *, all_bytes: bool) -> None:
     """Read every byte of the recording `path`, if it is small or `all_bytes` is set.
 
-    What is wrong is noted as missing from the check: it cannot tell what was recorded there. The
-    seal is told, and changes no verdict.
+    Flaws are added to `report.missing`: what was recorded there is unknown. The report also gets
+    a line about the seal, which does not change the verdict.
     """
     try:
         if not all_bytes and not is_small(path):
@@ -64,7 +64,7 @@ def check_bytes(path: Path, report: Report, *, all_bytes: bool) -> None:
 
 
 def _seal_line(found: VerifiedRecording) -> str:
-    """Return what the seals prove in one line, "" without a seal."""
+    """Return one line about what the seals prove, or "" if there is no seal."""
     states = [file.seal.state for file in found.files]
     if set(states) <= {SealState.NONE}:
         return ""
@@ -78,17 +78,17 @@ def _seal_line(found: VerifiedRecording) -> str:
 
 
 class FileGroup(NamedTuple):
-    """The files of one recording, in their order, and its robot; "" if that is not recorded."""
+    """The files of one recording in order, and the name of its robot ("" if not recorded)."""
 
     robot: str
     files: list[Path]
 
 
 def file_groups(path: Path) -> list[FileGroup]:
-    """Return the files of a recording, in groups if they are of several; that of its name first.
+    """Return the files of `path` grouped by recording; the group named like `path` comes first.
 
-    A file continues a group if it is of the same robot and its journal begins later than that of
-    the file before. A file that cannot be read counts to the first group: its check tells why.
+    A file joins a group of its robot if its first journal entry has a higher `seq` than theirs, or
+    if it has no journal. Unreadable files join the first group, whose check reports the reason.
 
     Raises:
         UnreadableFile: `path` is not a recording.
@@ -122,7 +122,7 @@ def file_groups(path: Path) -> list[FileGroup]:
 
 
 def _identity(file: Path) -> tuple[str, int | None]:
-    """Return the robot of a file and the number of its first journal entry, None without one."""
+    """Return the robot of a file and the `seq` of its first journal entry, None if it has none."""
     with Recording(file) as recording:
         info = recording.info()
         topic = journal_topic(info)
@@ -135,13 +135,13 @@ def _identity(file: Path) -> tuple[str, int | None]:
 
 
 Readers = Mapping[str, Callable[[Message], None]]
-"""What reads the messages of each compared topic."""
+"""The message handler of each compared topic."""
 
 
 class CheckReading:
     """One pass over a recording.
 
-    `end_ns` is that of the last entry that was read; `chain` includes each entry up to it.
+    `end_ns` is the steady time of the last entry that was read; `chain` covers all entries so far.
     """
 
     def __init__(
@@ -160,12 +160,12 @@ class CheckReading:
         self.end_ns = 0
         self._log_ns: LogTimes = (0, 0)
         self._step: Step | None = None
-        """The last step, of which effects may follow."""
+        """The step that is being read: more effects may follow."""
 
     def items(self, topic: str, readers: Readers) -> Iterator[tuple[Item, LogTimes]]:
-        """Yield what is read of the journal `topic`, with the log times of what was read before it.
+        """Yield each item of the journal `topic`, with the log times of the last two events so far.
 
-        Messages of other topics go to their `readers` at once.
+        Call the handler in `readers` for each message of another topic as it is read.
 
         Raises:
             UnreadableFile: The journal cannot be read.
@@ -198,7 +198,7 @@ class CheckReading:
         self._ends.entry(entry.seq)
 
     def _grouped(self, item: JournalEntry | Gap) -> Iterator[tuple[Item, LogTimes]]:
-        """Add an effect to its step; yield the step before any other item, and that item."""
+        """Append an effect to the current step; for other items, yield the step, then the item."""
         if isinstance(item, Gap):
             yield from self._ended(is_cut=True)
             yield item, self._log_ns
@@ -213,7 +213,7 @@ class CheckReading:
                 yield item, self._log_ns
 
     def _ended(self, *, is_cut: bool = False) -> Iterator[tuple[Item, LogTimes]]:
-        """Yield the present step; `is_cut` where the journal may lack effects of it."""
+        """Yield the current step, if any; `is_cut` says that some of its effects may be missing."""
         step, self._step = self._step, None
         if step is not None:
             step.cut = is_cut
@@ -265,7 +265,7 @@ def check_recording(
 
 
 class _Check:
-    """One pass over the messages of a recording, in the order of writing."""
+    """One pass over the messages of a recording, in file order."""
 
     def __init__(self, recording: Recording, report: Report, on_progress: Progress) -> None:
         self._recording = recording
@@ -350,7 +350,7 @@ class _Check:
         self._compared.step(entry.seq, event, effects, (event.t_ns, *self._log_ns))
 
     def _decided(self, rerun: Rerun, step: Step) -> tuple[Event, tuple[Effect, ...]]:
-        """Decide on one step; return its event and effects.
+        """Re-run one step. Return its event and effects (the recorded ones if it was not re-run).
 
         Raises:
             UnreadableFile: An entry cannot be read.

@@ -1,4 +1,4 @@
-"""Checks recordings, many of them in as many processes as there are processors."""
+"""Checks recordings; several of them in parallel, in up to one process per processor."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WORKER = program("robotctl.rerun.check_process")
 POLL_S = 0.1
 
 _WHOLE = 1000
-"""The number of steps in which the progress of one recording is counted."""
+"""The progress of one recording counts from 0 to this number."""
 
 
 def check_recordings(

@@ -21,13 +21,13 @@ from robotctl.recording.read.file_index import note_missing
 from robotctl.rerun.invariants import Violation
 
 DIGITS: Final = 9
-"""The digits of a float that count: the last ones depend on Python and the C library."""
+"""The significant digits of a float that are compared: later ones depend on Python and libc."""
 
 _FLOAT: Final = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?")
 
 
 def rounded(text: str) -> str:
-    """Return a text with each float in it rounded."""
+    """Return a text with each float in it rounded to DIGITS significant digits."""
     return _FLOAT.sub(lambda number: f"{float(number[0]):.{DIGITS}g}", text)
 
 
@@ -105,10 +105,10 @@ class Report:
     begin_log_ns: int = 0
     divergence: Divergence | None = None
     divergences: int = 0
-    """How many were found: the first, and the first after each snapshot."""
+    """The number of divergences that were found: at most one between two snapshots."""
 
     divergences_crc: int = 0
-    """The CRC over their sentences, with rounded numbers."""
+    """The CRC of the sentences of all divergences, with rounded numbers."""
 
     violations: list[Violation] = field(default_factory=list)
     violation_count: int = 0
@@ -116,7 +116,7 @@ class Report:
     notes: list[str] = field(default_factory=list)
     seal: str = ""
     has_other_format: bool = False
-    """Whether its journal has other fields than those of the version that it names."""
+    """Whether the journal has other fields than those of the version that the recording names."""
 
     has_gaps: bool = field(default=False, init=False)
     """Whether something is missing that may explain a difference."""
@@ -130,12 +130,12 @@ class Report:
 
     @property
     def other_version(self) -> str:
-        """The name of the version that made the recording, where it is not this one."""
+        """The recording's version, marked if its journal has other fields than this version."""
         return f"{self.version} with other fields" if self.has_other_format else self.version
 
     @property
     def verdict(self) -> Verdict:
-        """The most severe result."""
+        """The most severe result that applies."""
         if self.divergence is not None and self.same_version:
             return Verdict.DIVERGED
         if self.violation_count:
@@ -148,9 +148,9 @@ class Report:
         self.divergences_crc = crc32(rounded(found.sentence()).encode(), self.divergences_crc)
 
     def miss(self, sentence: str, *, is_outside: bool = False) -> None:
-        """Note what could not be checked.
+        """Add a sentence about what could not be checked.
 
-        What `is_outside` of what was checked explains no difference in it.
+        If it `is_outside` of the checked part, it cannot explain a difference there.
         """
         note_missing(self.missing, sentence)
         self.has_gaps |= not is_outside
@@ -168,7 +168,7 @@ class Report:
         )
 
     def moment(self, t_ns: int) -> dict[str, Any]:
-        """Return a steady time with its seconds after the start of the recording, and its date."""
+        """Return a steady time in three forms: as is, in seconds from the start, and as a date."""
         after_ns = t_ns - self.begin_ns
         wall_s = (self.begin_log_ns + after_ns) / NS_PER_S
         try:

@@ -8,14 +8,14 @@ from robotctl.kernel.types import Event, LoopStalled
 from robotctl.kernel.units import NS_PER_S
 
 CLOCK_NS = NS_PER_S // 4
-"""A larger change between wall clock and steady clock: the clock was set, or the loop stalled."""
+"""If the offset between the clocks changes by more, the clock was set or the loop stalled."""
 
 EXCUSES_NS = 2 * NS_PER_S
-"""How near to such a change wall-clock times are not compared."""
+"""Wall-clock times this near to such a change are not compared."""
 
 
 class _ClockStep(NamedTuple):
-    """A change of the wall clock by `by_ns`, at the moment with this number."""
+    """A change of the wall clock by `by_ns`, found at the `moment`-th comparison."""
 
     moment: int
     by_ns: int
@@ -43,7 +43,7 @@ class ClockChanges:
 
     @property
     def set_by_ns(self) -> list[int]:
-        """By how much the clock was set, each time, since the first moment."""
+        """Each change of the clock [ns], without a change at the first moment."""
         return [change.by_ns for change in self._set if change.moment > 1]
 
     @property
@@ -59,7 +59,7 @@ class ClockChanges:
         )
 
     def begin(self, steady_ns: int, wall_ns: int) -> None:
-        """Note the moment of a snapshot; that of the first one counts."""
+        """Store the offset between the clocks at the first snapshot; later calls do nothing."""
         if self._begun_ns is None:
             self._begun_ns = wall_ns - steady_ns
 
@@ -77,9 +77,9 @@ class ClockChanges:
         self._wall_ns = wall_ns
 
     def _take(self, by_ns: int, wall_ns: int) -> None:
-        """Note that the clock was set, unless a step only stalled between reading the two clocks.
+        """Note that the clock was set, or drop the last change if this one undoes it.
 
-        Then the next moment undoes the change, and the wall clock does not go back.
+        An undone change was a stall between reading the two clocks: the wall clock did not go back.
         """
         last = self._set[-1] if self._set else None
         is_undone = last is not None and last.moment == self._moments - 1 and last.by_ns > 0
@@ -89,21 +89,21 @@ class ClockChanges:
             self._set.append(_ClockStep(self._moments, by_ns))
 
     def is_near(self, steady_ns: int) -> bool:
-        """Return whether a change was near to this moment."""
+        """Return whether the offset between the clocks changed near this time."""
         return any(abs(steady_ns - at_ns) <= EXCUSES_NS for at_ns in self._changed_ns)
 
 
 RECENT_NS: Final = 2 * NS_PER_S
-"""Stalls that ended within this time before the end may hold up its last messages."""
+"""Stalls that ended this shortly before the end may have delayed the last messages."""
 
 
 class RecordedStalls:
-    """The times of the stalls."""
+    """The stalls of the control loop."""
 
     def __init__(self) -> None:
         self.longest_ns = 0
         self._ends: list[tuple[int, int]] = []
-        """When each ended, and how long it was."""
+        """The steady time at which each stall ended, and its duration [ns]."""
 
     def step(self, event: Event) -> None:
         """Note a stall; other events change nothing."""
@@ -113,6 +113,6 @@ class RecordedStalls:
             self._ends.append((event.t_ns, stalled_ns))
 
     def recent_ns(self, end_ns: int) -> int:
-        """Return how long the loop was stalled shortly before a time, at most RECENT_NS."""
+        """Return the duration of stalls that ended shortly before `end_ns`, at most RECENT_NS."""
         recent = (stalled_ns for t_ns, stalled_ns in self._ends if t_ns > end_ns - RECENT_NS)
         return min(sum(recent), RECENT_NS)

@@ -26,7 +26,7 @@ TICK_AFTER_ODOMETRY_NS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """How the robot begins, where the kernel does not know it yet: odometry, and battery 0..1."""
+    """The initial odometry and battery level (0..1), used where the kernel does not know them."""
 
     odometry: Odometry | None = None
     battery: float | None = None

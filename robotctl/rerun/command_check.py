@@ -13,11 +13,11 @@ from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.recording_ends import Ending
 
 CUT = 3
-"""How many commands at the end of a clip may be decided after it."""
+"""The number of commands at the end of a clip whose decisions may come after the end."""
 
 
 class CommandCheck:
-    """The comparison of commands and decisions by number, which version 0.1.0 did not tell."""
+    """The comparison of commands and decisions by number, which 0.1.0 did not record."""
 
     def __init__(self, report: Report, clock: ClockChanges) -> None:
         self._report = report
@@ -44,13 +44,13 @@ class CommandCheck:
         self._pairs.stop()
 
     def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Compare an event with its effects, and when it was handled."""
+        """Compare the commands of a step; `moments` is when its event was handled."""
         if self._by_number:
             self._clock.look(event.t_ns, moments[1])
             self._pairs.step(event, effects, moments)
 
     def end(self, invariants: Invariants, ending: Ending) -> None:
-        """Report what differs."""
+        """Report the differences between commands and decisions."""
         self._report.commands = self._seen
         if not self._by_number:
             return

@@ -1,12 +1,12 @@
-"""Pairs each velocity command on the wire with its decision in the journal, by number and value.
+"""Pairs each recorded velocity command with its decision in the journal, by number and value.
 
 Each decided command got the next sequence number of our publisher; the journal counts the zeros
 that the watchdog sent between them. So the journal says which numbers carry which velocities. A
-message with another number or velocity is of another publisher, or was not decided.
+message with another number or velocity comes from another publisher, or was not decided.
 
-A watchdog sends zeros while the control loop stalls, and the journal tells of them afterwards. A
+A watchdog sends zeros while the control loop stalls; the journal counts them after the stall. A
 daemon that fails sends its last zeros without a decision. A recording may end before its journal
-tells either.
+mentions either.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from robotctl.rerun.own_topics import full_name
 
 _NUMBERS = struct.Struct("<6d")
 _BIG_ENDIAN_NUMBERS = struct.Struct(">6d")
-"""The six velocities at the end of a serialized message (CDR, OMG DDSI-RTPS 10.2)."""
+"""The six velocities at the end of a CDR-serialized Twist, by byte order (OMG DDSI-RTPS 10.2)."""
 
 STILL = bytes(_NUMBERS.size)
-"""The numbers of a command of zero."""
+"""The six numbers of a zero command."""
 
 
 def command_topic(info: RecordingInfo, journal_topic: str) -> str | None:
-    """Return the topic of the velocity commands of the journal, None if it is not recorded."""
+    """Return the command topic of the robot with this journal, None if it is not recorded."""
     name = full_name(info, journal_topic, "command.topic", "cmd_vel")
     recorded = {topic.name for topic in info.topics if topic.type_name in COMMAND_TYPES}
     return name if name in recorded else None
@@ -72,30 +72,30 @@ def is_zero(numbers: bytes) -> bool:
 
 
 def serialized(twist: Twist) -> bytes:
-    """Return the six numbers of a command."""
+    """Return the six numbers of a command as little-endian bytes."""
     return _NUMBERS.pack(twist.linear, 0.0, 0.0, 0.0, 0.0, twist.angular)
 
 
 def shown_command(numbers: bytes) -> str:
-    """Return the text of a command."""
+    """Return the velocities of a command as text."""
     linear, _, _, _, _, angular = _NUMBERS.unpack(numbers)
     return f"{linear:.6g} m/s, {angular:.6g} rad/s"
 
 
 LATE_NS = NS_PER_S // 2
-"""How far the time of a command may lie outside of its step."""
+"""How long before or after its step a command may be sent."""
 
 MAX_LATE = 20_000
-"""The number of late commands that are kept, the newest ones."""
+"""Only this many late commands are kept, the newest ones."""
 
 
 class CommandCounts:
-    """The counts, and which number came first and last since the count began."""
+    """The counts of the comparison, and the first and newest number paired since `begin_again`."""
 
     def __init__(self) -> None:
         self.paired = 0
         self.undecided = 0
-        """The number of commands at the end that may have been decided after it."""
+        """The number of commands at the end whose decisions may come after the journal's end."""
 
         self.missing = 0
         """The number of decided commands without a message, before the last one with a message."""
@@ -105,16 +105,16 @@ class CommandCounts:
         """The number of decided commands before the first one with a message."""
 
         self.late: deque[tuple[int, str]] = deque(maxlen=MAX_LATE)
-        """Commands that were sent outside of their step: steady time [ns], and the sentence."""
+        """The newest commands sent outside of their step: steady time [ns], and a description."""
 
         self.out_of_order = 0
-        """The number of commands after one with a higher number."""
+        """The number of paired commands after one with a higher number."""
 
         self.resumed = 0
-        """How often the count of a snapshot was not that of the decisions before it."""
+        """How often the number of commands in a snapshot differed from the decisions before it."""
 
         self.unsent = False
-        """Whether the journal tells that commands could not be sent."""
+        """Whether the journal reports that a command could not be sent."""
 
         self._first: int | None = None
         self._newest = 0
@@ -125,15 +125,15 @@ class CommandCounts:
         return self._first is not None
 
     def begin_again(self) -> None:
-        """Begin the count again: what came before says nothing about what follows."""
+        """Forget which numbers were paired: earlier ones say nothing about later ones."""
         self._first = None
 
     def is_passed(self, number: int) -> bool:
-        """Return whether a later number, or this one, was paired."""
+        """Return whether `number` or a later one was paired."""
         return self._first is not None and not follows(number, self._newest)
 
     def pair(self, sequence: int, moments: Moments, publish_ns: int) -> None:
-        """Count a command that was sent as it was decided."""
+        """Count a command whose message was found, and describe it if it was early or late."""
         self.paired += 1
         if self._first is None:
             self._first = self._newest = sequence
@@ -158,16 +158,16 @@ class CommandCounts:
 
 
 def follows(number: int, other: int) -> bool:
-    """Return whether a number is later than another one; they begin again after MAX_SEQUENCE."""
+    """Return whether `number` comes after `other`; numbers start again after MAX_SEQUENCE."""
     return 0 < (number - other) & MAX_SEQUENCE <= MAX_SEQUENCE // 2
 
 
 NEAR_NS = 5 * NS_PER_S
-"""How long before or after it was noticed another publisher may have sent a command."""
+"""A command this shortly before or after another publisher was noticed may be from that one."""
 
 
 class OtherCommands:
-    """The commands without a decision, by whether another publisher was there at that time.
+    """Counts commands without a decision: `foreign` while another publisher was there, or `extra`.
 
     Times are those of the journal (steady, in nanoseconds).
     """
@@ -182,15 +182,15 @@ class OtherCommands:
 
         self.foreign_example = ""
         self.after_end = 0
-        """The number of messages after the end of a journal that the recording outlives."""
+        """The number of messages after the journal's end, if the recording continues after it."""
 
         self._heard_ns: int | None = None
         self._publish = False
         self._waiting: deque[tuple[int, bytes]] = deque()
-        """Messages whose sender may still be noticed: time, numbers."""
+        """Time and velocities of each message whose publisher may still be noticed."""
 
     def hear(self, t_ns: int) -> None:
-        """Note that another publisher was noticed."""
+        """Note that another publisher was noticed, and count the waiting messages accordingly."""
         self._heard_ns = t_ns
         while self._waiting:
             at_ns, numbers = self._waiting.popleft()
@@ -200,13 +200,13 @@ class OtherCommands:
                 self._note_extra(numbers)
 
     def publish(self, t_ns: int, others: bool) -> None:
-        """Note whether the graph shows other publishers from now on."""
+        """Note whether other publishers exist from now on, according to the ROS graph."""
         if others or self._publish:
             self.hear(t_ns)
         self._publish = others
 
     def doubt(self, t_ns: int, numbers: bytes) -> None:
-        """Note a command that was not decided."""
+        """Count a command without a decision as foreign, or keep it as one to be counted later."""
         heard = self._publish or (self._heard_ns is not None and t_ns - self._heard_ns <= NEAR_NS)
         if heard:
             self._note_foreign(numbers)
@@ -219,7 +219,7 @@ class OtherCommands:
             self._note_extra(self._waiting.popleft()[1])
 
     def end(self, end_ns: float) -> None:
-        """Give up everything that is left; what came from `end_ns` on is after the journal."""
+        """Count what still waits: messages before `end_ns` as extra, others as after the end."""
         for t_ns, numbers in self._waiting:
             if t_ns < end_ns:
                 self._note_extra(numbers)
@@ -241,7 +241,7 @@ MOST = 64
 
 
 class RecentCommands:
-    """Numbers and velocities, the oldest first."""
+    """The numbers and velocities of the last commands, the oldest first."""
 
     def __init__(self) -> None:
         self._commands: deque[tuple[int, bytes]] = deque(maxlen=MOST)
@@ -252,11 +252,11 @@ class RecentCommands:
         return bool(self._commands) and not is_zero(self._commands[-1][1])
 
     def add(self, number: int, numbers: bytes) -> None:
-        """Keep a command: its number, and the numbers of its velocity."""
+        """Add a command: its sequence number, and its velocities."""
         self._commands.append((number, numbers))
 
     def withheld(self, count: int) -> list[int]:
-        """Return the numbers of the last commands, of which `count` were not zero."""
+        """Return the numbers of the last commands, back to the `count`-th one that was not zero."""
         held: list[int] = []
         for number, numbers in reversed(self._commands):
             if count <= 0:
@@ -266,26 +266,25 @@ class RecentCommands:
         return held[::-1]
 
     def clear(self) -> None:
-        """Forget all."""
+        """Drop all commands."""
         self._commands.clear()
 
 
 LAST_ZEROS: Final = 2
-"""How many zeros a daemon that fails while it moves the robot may send after its kernel's last
-command."""
+"""A daemon that fails while the robot moves may send this many zeros after the last decision."""
 
 ZERO_PERIOD_NS: Final = NS_PER_S // 25
-"""The watchdog sends its zeros less often than this: one in 50 ms."""
+"""A lower bound of the time between two zeros of the watchdog, which sends one every 50 ms."""
 
 STALL_NS: Final = 10 * NS_PER_S
-"""The longest stall that may end together with the recording."""
+"""The longest stall that may last until the end of the recording."""
 
 JOURNAL_LAG_NS: Final = NS_PER_S
 """How far a journal that a recorder only receives may lag behind the commands."""
 
 
 class Early(NamedTuple):
-    """A message before its decision: its six numbers, publish time and journal time [ns]."""
+    """A message read before its decision: its six numbers, publish time and journal time [ns]."""
 
     numbers: bytes
     publish_ns: int
@@ -295,8 +294,8 @@ class Early(NamedTuple):
 class UndecidedEnd(NamedTuple):
     """The end of a journal: the number of its last command, and when it ends [ns since the epoch].
 
-    The next `cut` commands may be decided after the end. A journal that `is_own` was written by the
-    recorder itself; one that `is_closed` ends with the number of all commands.
+    The decisions of the next `cut` commands may come after the end. `is_own`: the recorder itself
+    wrote the journal. `is_closed`: the recording was closed.
     """
 
     number: int
@@ -306,14 +305,14 @@ class UndecidedEnd(NamedTuple):
     is_closed: bool
 
     def unexplained(self, early: Mapping[int, Sequence[Early]]) -> Iterator[Early]:
-        """Yield the messages that neither a stall nor a failure at the end explains, by number."""
+        """Yield the messages that the end does not explain; it explains at most one per number."""
         for sequence, messages in early.items():
             later = (sequence - self.number) & MAX_SEQUENCE
             explained = next((each for each in messages if self._explains(each, later)), None)
             yield from _without(messages, explained)
 
     def _explains(self, message: Early, later: int) -> bool:
-        """Return whether the end explains a message, `later` numbers after the last command."""
+        """Return whether the end explains a message `later` numbers after the last command."""
         if later <= self.cut:
             return True
         after_ns = message.publish_ns - self.log_ns
@@ -332,13 +331,13 @@ MAX_WAITING = 20_000
 """The number of commands, decided or sent, that may wait for their counterpart."""
 
 TAIL_NS = 2 * NS_PER_S
-"""How long before the end of a journal a decision may lack its message: it was under way."""
+"""A decision this shortly before the journal's end may lack its message, still under way."""
 
 Decided = tuple[bytes, Moments]
 """The six numbers of a decided command, and the step that decided it."""
 
 SEND_FAILED = f"{PublishTwist.__name__} failed"
-"""How the fault of a command that could not be sent begins."""
+"""The detail of the fault for a command that could not be sent contains this text."""
 
 
 class CommandPairs:
@@ -349,10 +348,10 @@ class CommandPairs:
         self.counts = CommandCounts()
         self.is_counting = False
         self._has_ended = False
-        """Whether a snapshot counts zeros that only the end of the daemon sends."""
+        """Whether the last snapshot counts zeros that a daemon sends only when it ends."""
 
         self._number = 0
-        """The number of the last command that the journal accounts for."""
+        """The number of the last command that the journal has or counts."""
 
         self._base = 0
         """The number of commands before the first decision that is counted."""
@@ -365,7 +364,7 @@ class CommandPairs:
         """Messages before their decision, by number. Two publishers may use one number."""
 
         self._instead: dict[int, tuple[bytes, int]] = {}
-        """Zeros where another command was decided: the next event may tell of a stall."""
+        """Zeros sent instead of another command, by number: the next event may report a stall."""
 
         self._recent = RecentCommands()
 
@@ -388,13 +387,13 @@ class CommandPairs:
             self.others.doubt(self._t_ns, numbers)
 
     def _keep(self, sequence: int, numbers: bytes, publish_ns: int) -> None:
-        """Keep a message that is not decided yet, or doubt it."""
+        """Keep a message whose decision may follow; count any other as one without a decision."""
         if follows(sequence, self._number):
             self._early.setdefault(sequence, []).append(Early(numbers, publish_ns, self._t_ns))
             if len(self._early) > MAX_WAITING:
                 self._doubt_all(self._early.pop(next(iter(self._early))))
         elif self.counts.has_begun or not self._base:
-            self.others.doubt(self._t_ns, numbers)  # else decided before the recording begins
+            self.others.doubt(self._t_ns, numbers)  # otherwise decided before the recording began
 
     def _doubt_all(self, messages: Iterable[Early]) -> None:
         for numbers, _, t_ns in messages:
@@ -403,7 +402,7 @@ class CommandPairs:
     # The journal
 
     def resume(self, proof: Proof) -> None:
-        """Continue from a snapshot, with the number of commands that it tells."""
+        """Continue from a snapshot, with the number of commands in its proof."""
         differs = proof.commands & MAX_SEQUENCE != self._number
         was_moving = self._recent.were_moving
         more = (proof.commands - self._number) & MAX_SEQUENCE
@@ -431,7 +430,7 @@ class CommandPairs:
         self.counts.begin_again()
 
     def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Note an event with its effects: each command of them needs a recorded message."""
+        """Process a step: each command among its effects needs a recorded message."""
         if not self.is_counting:
             return
         self._t_ns, self._log_ns, _ = moments
@@ -447,7 +446,7 @@ class CommandPairs:
         elif isinstance(event, CommandPublishersSeen):
             self.others.publish(event.t_ns, bool(event.names))
         elif isinstance(event, FaultReported) and SEND_FAILED in event.detail:
-            self.counts.unsent = True  # it is not known which: the next snapshot counts again
+            self.counts.unsent = True  # which one is unknown; the next snapshot has the count
             self.stop()
             return
         for effect in effects:
@@ -468,7 +467,7 @@ class CommandPairs:
             self.counts.lack(number, numbers)
 
     def _decide_late(self, number: int, decided: Decided, early: list[Early]) -> None:
-        """Pair a decision that comes after the messages with its number."""
+        """Pair a decision with one of the messages of its number, which were read before it."""
         numbers, moments = decided
         own = next((each for each in early if each[0] == numbers), None)
         if own is not None:
@@ -481,7 +480,7 @@ class CommandPairs:
         self._doubt_all(each for each in early if each is not own)
 
     def _stall(self, event: LoopStalled, moments: Moments) -> None:
-        """Count the zeros of the watchdog; withheld commands were sent as zeros."""
+        """Expect the zeros of the watchdog, and zeros in place of the withheld commands."""
         steady_ns, begin_ns, end_ns = moments
         began_ns = max(begin_ns - round(event.stalled_s * NS_PER_S), 1) if begin_ns else 0
         during = steady_ns, began_ns, end_ns
@@ -497,7 +496,7 @@ class CommandPairs:
             self._decide(STILL, during)
 
     def _settle(self) -> None:
-        """Doubt the zeros that no stall explains, and messages that no publisher explains."""
+        """Count zeros that no stall explains, and messages that waited too long for a publisher."""
         if self._instead:
             for numbers, _ in self._instead.values():
                 self.others.doubt(self._t_ns, numbers)
@@ -505,11 +504,11 @@ class CommandPairs:
         self.others.settle(self._t_ns)
 
     def end(self, cut: int = 0, *, is_own: bool = True, is_closed: bool = True) -> tuple[int, int]:
-        """Count what still waits; return how many of the last decided commands are missing.
+        """Count what still waits; return how many old and recent decisions have no message.
 
-        The first number is of those that were decided more than TAIL_NS before the end, the second
-        of the others. Up to `cut` messages may belong to decisions after the end. A journal that
-        the recorder did not write itself may end before the recording.
+        Old decisions were made more than TAIL_NS before the journal's end. Up to `cut` messages may
+        belong to decisions after the end. A journal that the recorder did not write itself may end
+        before the recording.
         """
         end = UndecidedEnd(self._number, self._log_ns, cut, is_own, is_closed)
         unexplained = [*end.unexplained(self._early)]

@@ -1,4 +1,4 @@
-"""All that a check compares with the decisions of a journal, step by step."""
+"""Compares everything that a check can compare with the decisions of a journal, step by step."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ from robotctl.rerun.status_check import StatusCheck
 MEASUREMENTS: Final = frozenset(
     {OdomReceived, BatteryReceived, ScanReceived, GuardedCommandReceived, SafetyInputReceived}
 )
-"""The events that are stamped when they are received."""
+"""The events whose time is that of their reception."""
 
 SLACK_NS: Final = NS_PER_S // 1_000
-"""How much earlier than the one before a measurement may be."""
+"""A measurement may be this much earlier than the newest one before it."""
 
 
 class MeasurementOrder:
-    """The times of the measurements: in the order in which they were received.
+    """Checks that the times of measurements increase, in the order in which they were received.
 
-    Ticks are left out: their time is the one at which they are due.
+    Ticks are not checked here, see `TickSchedule`.
     """
 
     def __init__(self) -> None:
@@ -52,12 +52,12 @@ class MeasurementOrder:
         """The number of measurements that are earlier than one before them."""
 
         self.first_seq = 0
-        """The number of the entry of the first of them."""
+        """The `seq` of the first of these measurements."""
 
         self._newest_ns: int | None = None
 
     def step(self, event: Event, seq: int) -> None:
-        """Compare the time of an event, with the number of its entry."""
+        """Compare the time of an event with those before; `seq` is the number of its entry."""
         if type(event) not in MEASUREMENTS:
             return
         if self._newest_ns is not None and event.t_ns < self._newest_ns - SLACK_NS:
@@ -75,11 +75,11 @@ WINDOW_NS: Final = NS_PER_S
 
 LATE_NS: Final = NS_PER_S // 200
 LATE_PERIODS: Final = 0.75
-"""How late the ticks must stay, whichever is more."""
+"""Ticks are missing if the lateness stays higher by more than the larger of these two limits."""
 
 
 class _Window(NamedTuple):
-    """The least lateness in a part of the journal, which begins with a tick of this entry."""
+    """The smallest lateness in a part of the journal, which begins with the tick in entry `seq`."""
 
     late_ns: int
     seq: int
@@ -128,9 +128,9 @@ class TickSchedule:
             self._least = least._replace(late_ns=late_ns)
 
     def stop(self) -> None:
-        """Judge the ticks until here, and begin again: events are missing, or the journal ends.
+        """Look for missing ticks until here and start over: events are missing or the journal ends.
 
-        The last window is too short to judge it alone.
+        The last window is too short to be judged alone.
         """
         windows = self._windows if self._least is None else [*self._windows, self._least]
         before = accumulate(windows, min)
@@ -163,7 +163,7 @@ class Comparisons:
         self._status = StatusCheck(report, info, journal_topic, clock)
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return for each compared topic what reads its messages."""
+        """Return the message handler of each compared topic."""
         readers = self._inputs.readers() | self._services.readers()
         readers |= self._safety_inputs.readers()
         if self._command_topic is not None:
@@ -173,11 +173,11 @@ class Comparisons:
         return readers
 
     def step_before_snapshot(self, event: Event, effects: tuple[Effect, ...]) -> None:
-        """Note a step of a kernel that is not known."""
+        """Note a step before the first snapshot, when the kernel's state is not known."""
         self._commands.step(event, effects, (0, 0, 0))
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Continue from a snapshot, with its time by the steady clock and since the epoch."""
+        """Continue from a snapshot at the steady time `t_ns`, which is `log_ns` since the epoch."""
         has_proof = snapshot.proof is not None
         self.invariants.snapshot(snapshot)
         self._clock.begin(t_ns, log_ns)
@@ -189,14 +189,14 @@ class Comparisons:
         self._status.snapshot(snapshot, t_ns, log_ns)
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Compare an event with its effects, the number of its entry, and when it was handled."""
+        """Compare a step; `seq` is the number of its event, `moments` is when it was handled."""
         self._order.step(event, seq)
         self._stalls.step(event)
         self._inputs.step(event, seq)
         self._safety_inputs.step(event, seq)
         self._status.step(event, effects, moments)
         if not effects and isinstance(event, OdomReceived):
-            return  # most steps are so
+            return  # true of most steps
         self._ticks.step(event, seq)
         self._commands.step(event, effects, moments)
         self._services.step(event, seq, effects, moments)
@@ -214,9 +214,9 @@ class Comparisons:
         self._status.stop()
 
     def end(self, ending: Callable[[str | None], Ending], end_ns: int, log_ns: int) -> None:
-        """Report what differs; the journal ends at `end_ns`, since the epoch at `log_ns`.
+        """Report what differs; the journal ends at `end_ns` (steady), or `log_ns` since the epoch.
 
-        `ending(topic)` tells how the recording ends for a topic.
+        `ending(topic)` returns how the recording ends for a topic.
         """
         self._ticks.stop()
         for found in self._ticks.missing:

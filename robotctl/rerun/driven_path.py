@@ -23,7 +23,7 @@ from robotctl.rerun.journal_steps import Gap, in_sequence
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 
 SPACING_M = 0.03
-"""Places nearer to each other than this are one: a robot that stops may roll a little too far."""
+"""Places closer together than this are one: a robot that stops may roll a little too far."""
 
 TOLERANCE_M = 0.005
 """How far a place may be from the path between the waypoints."""
@@ -67,7 +67,7 @@ def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> 
 
 
 def simplified(points: Sequence[Point], tolerance_m: float) -> tuple[Point, ...]:
-    """Return those of the points from which no other is further away than the tolerance.
+    """Return some of the points: each other point is within `tolerance_m` of the path through them.
 
     The algorithm is that of Douglas and Peucker (1973).
     """
@@ -88,7 +88,7 @@ def simplified(points: Sequence[Point], tolerance_m: float) -> tuple[Point, ...]
 
 
 def _distance(point: Point, begin: Point, end: Point) -> float:
-    """Return the distance of a point from a straight line between two others, ends included."""
+    """Return the distance of a point from the line segment between two others."""
     dx, dy = end[0] - begin[0], end[1] - begin[1]
     px, py = point[0] - begin[0], point[1] - begin[1]
     square = dx * dx + dy * dy
@@ -122,7 +122,7 @@ class _Motion:
 
 
 def _last_motion(recording: Recording, missing: list[str]) -> _Motion:
-    """Return the last motion that went anywhere, one without poses if there is none."""
+    """Return the last motion in which the robot moved, or one without poses if there is none."""
     last = present = _Motion()
     moving = False
     for entry in in_sequence(_entries(recording, missing)):

@@ -98,7 +98,7 @@ def find_incident(
 
 
 class _Search:
-    """The first pass over the journal: it finds the step and the change of mode after it."""
+    """The first pass over the journal: it finds the step, and the next change of mode."""
 
     def __init__(self, recording: Recording, topic: str, at_ns: int | None) -> None:
         self._recording = recording
@@ -157,12 +157,12 @@ class _Search:
     def _snapshot(self, entry: JournalEntry) -> None:
         state = read_snapshot(entry).state
         if self._snapshot_seq is None or state.phase is not Phase.STOPPING:
-            self._snapshot_seq = entry.seq  # else the begin of the ramp would stay unknown
+            self._snapshot_seq = entry.seq  # otherwise the begin of the ramp would stay unknown
         if self._mode is None:
             self._mode = state.mode
 
     def _consider(self, step: Step, kind: IncidentKind) -> None:
-        """Keep the incident if it is later, or nearer to the wanted time, than the one before."""
+        """Keep the step if it is later, or nearer to the wanted time, than the one kept so far."""
         apart_ns = 0 if self._at_ns is None else abs(self._log_ns - self._at_ns)
         if self._best is not None and apart_ns > self._best_apart_ns:
             return

@@ -81,8 +81,8 @@ class InputCheck:
         *,
         is_always_heard: bool = True,
     ) -> None:
-        """`read(data)` returns the value of a message. What is not always heard becomes an input in
-        some modes only.
+        """`read(data)` returns the value of a message. Unless `is_always_heard`, messages become
+        inputs in some modes only.
         """
         self.topic = topic.name
         self._is_left_out = topic.is_left_out
@@ -99,7 +99,7 @@ class InputCheck:
         self._pairs = InputPairs()
 
     def message(self, message: Message) -> None:
-        """Read a message; a file begins with the last latched one of the file before."""
+        """Read a message; skip a repeat of a latched message, as at the begin of a file."""
         if self._is_latched and self._repeats.observe(message):
             return
         if self.is_on:
@@ -113,7 +113,7 @@ class InputCheck:
             self._pairs.received(sequence_of(event) & MAX_SEQUENCE, found)
 
     def snapshot(self, has_proof: bool) -> None:
-        """Compare from this snapshot on, if it is one of this version."""
+        """Start the comparison at this snapshot if it has a proof."""
         self.is_on = self.is_on or has_proof
         self._repeats.snapshot()
         self._pairs.settle()
@@ -124,7 +124,7 @@ class InputCheck:
         self._pairs.forget()
 
     def end(self, invariants: Invariants, ending: Ending, moment: JournalEnd) -> None:
-        """Report what differs."""
+        """Report the differences between inputs and messages."""
         pairs, report = self._pairs, self._report
         pairs.end(moment.t_ns, moment.stalled_ns)
         pairs.repeated += self._repeats.excess
@@ -172,11 +172,11 @@ class RecordedInputs:
         self._by_event = {each.kind.event: each for each in checks}
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return for each recorded topic what reads its messages."""
+        """Return the message handler of each recorded topic."""
         return {each.topic: each.message for each in self._all if each.topic is not None}
 
     def step(self, event: Event, seq: int) -> None:
-        """Compare an event of the journal, with the number of its entry."""
+        """Compare an event of the journal; `seq` is the number of its entry."""
         check = self._by_event.get(type(event))
         if check is not None:
             check.received(event, seq)
@@ -203,7 +203,7 @@ class RecordedInputs:
 
 
 def _read_wanted(decode: Callable[[bytes], Twist]) -> Callable[[bytes], Twist]:
-    """Return what reads a wanted velocity; NaN for an unreadable one."""
+    """Return a decoder of wanted velocities; it returns NaN for an unreadable message."""
 
     def read(data: bytes) -> Twist:
         try:

@@ -21,12 +21,12 @@ PATIENCE_NS = 30 * NS_PER_S
 EDGE_NS = NS_PER_S // 2
 """Inputs this close to the end of a journal may lack a message, which was still under way.
 
-Near to the begin of a file, messages may be in the file before: the recorder receives them, and the
-new file begins, before the control loop receives them.
+The messages of the first inputs of a file may be in the file before, because the recorder
+receives a message earlier than the control loop does.
 """
 
 UNFOUND_NS = 2 * NS_PER_S
-"""How long a publisher may live without being found by the recorder."""
+"""How long the recorder may take to discover a publisher."""
 
 MAX_WAITING = 5_000
 """The number of messages that may wait for their input."""
@@ -54,37 +54,37 @@ class InputPairs:
     def __init__(self) -> None:
         self.paired = 0
         self.lacking = 0
-        """The number of inputs without a message, not counting those at the edges."""
+        """The number of inputs without a message, except `before_first` and those near the end."""
 
         self.lacking_example = ""
         self.before_first = 0
         """The number of inputs without a message before the first one that has one."""
 
         self.before_found = 0
-        """The number of them that a publisher sent before the recorder can have found it."""
+        """How many of `before_first` were sent before the recorder can have found the publisher."""
 
         self.at_begin = 0
-        """The number of inputs near to the begin that come before the first with a message."""
+        """The number of inputs near the begin without a message, before the first one with one."""
 
         self.differing = 0
         """The number of inputs whose message holds another value."""
 
         self.differing_example = ""
         self.unheard = 0
-        """The number of messages between others that were never an input."""
+        """The number of messages between paired ones that never became an input."""
 
         self.repeated = 0
-        """The number of messages whose number is not above that of the one before them."""
+        """The number of messages whose number is not above that of the message before them."""
 
         self._inputs: dict[int, list[Input]] = {}
         self._messages: dict[int, list[Sent]] = {}
         self._found: dict[Hashable, int] = {}
-        """The highest number of each publisher that was paired."""
+        """The number that was paired last, for each publisher."""
 
         self._lives: dict[Hashable, tuple[int, int]] = {}
         self._unfound: list[tuple[Input, int]] = []
         self._unheard: list[tuple[int, int]] = []
-        """Number and log time of each message that was given up."""
+        """Number and log time of each message without an input."""
 
         self._first_ns: int | None = None
         self._last_ns = 0
@@ -92,7 +92,7 @@ class InputPairs:
         """The lowest and the highest number that was paired."""
 
         self.later_ns: list[int] = []
-        """The log times of the messages with a number above all that were paired."""
+        """The log times of the messages with higher numbers than all that were paired."""
 
         self._newest = 0
         self._t_ns = 0
@@ -104,14 +104,14 @@ class InputPairs:
 
     @property
     def rate_hz(self) -> float:
-        """The mean rate of the messages between those that were paired."""
+        """The mean rate of the messages between the first and the last paired one."""
         first, last = self._numbers
         if self._first_ns is None or self._last_ns <= self._first_ns:
             return 0.0
         return (last - first) * NS_PER_S / (self._last_ns - self._first_ns)
 
     def message(self, sequence: int, value: Any, log_ns: int) -> None:
-        """Pair a message of the topic with its input; number 0 is none."""
+        """Pair a message of the topic with its input, or keep it until the input is read."""
         self.repeated += sequence <= self._newest
         self._newest = sequence
         inputs = self._inputs.get(sequence)
@@ -129,7 +129,7 @@ class InputPairs:
             self._unheard += [(oldest, each.log_ns) for each in self._messages.pop(oldest)]
 
     def received(self, sequence: int, found: Input) -> None:
-        """Pair an input of the journal with its message."""
+        """Pair an input of the journal with its message; it has none if `sequence` is 0."""
         self._t_ns = found.t_ns
         if not sequence:
             return
@@ -157,23 +157,23 @@ class InputPairs:
             self._last_ns = found.t_ns
 
     def settle(self) -> None:
-        """Give up the inputs that have waited for too long; called at each snapshot."""
+        """Stop waiting for the messages of old inputs; called at each snapshot."""
         for sequence, inputs in list(self._inputs.items()):
             if self._t_ns - inputs[-1].t_ns <= PATIENCE_NS:
-                return  # in the order of time
+                return  # the later inputs have waited less
             del self._inputs[sequence]
             for each in inputs:
                 self._lack(sequence, each)
 
     def forget(self) -> None:
-        """Drop what waits: journal entries are missing."""
+        """Drop the inputs and messages that wait, because journal entries are missing."""
         self._inputs.clear()
         self._messages.clear()
 
     def end(self, t_ns: int, stalled_ns: int = 0) -> int:
-        """Count what still waits at the journal's end `t_ns`; return the inputs near the end.
+        """Count what waits at the end `t_ns`; return how many of the last inputs lack a message.
 
-        The last messages were held up by stalls of `stalled_ns`.
+        Stalls of `stalled_ns` delayed the last messages.
         """
         near = 0
         newest = max(self._messages, default=0) if self.has_one_publisher else 0
@@ -203,7 +203,7 @@ class InputPairs:
         messages = self._messages.get(sequence)
         if messages:
             self.differing += 1
-            value = messages.pop().value  # it was heard, and said something else
+            value = messages.pop().value  # it was received, with another value
             if not messages:
                 del self._messages[sequence]
             self.differing_example = self.differing_example or (
@@ -236,20 +236,20 @@ AFTER_NS: Final = 2 * NS_PER_S
 """How long after the last journal entry a message may be recorded."""
 
 FEW: Final = 10
-"""The number of messages that may always be under way..."""
+"""This many messages may always be under way, in addition to those that BURST allows."""
 
 BURST: Final = 10.0
-"""...plus this factor times the number expected at the mean rate of their publisher."""
+"""The messages under way may be this multiple of those expected at the mean rate."""
 
 LOST: Final = 2
 """The number of messages in a row that may be lost if no others are lost."""
 
 
 class UnheardEnd(NamedTuple):
-    """The messages with these log times after the last one that became an input.
+    """The messages recorded at `log_ns`, after the last one that became an input.
 
-    The journal ends at `end_ns`; all times are since the epoch. Messages may be under way for
-    `window_ns`, and come at `rate_hz`. Up to `lost` of them may have been lost before.
+    The journal ends at `end_ns`; all times are since the epoch. Messages come at `rate_hz` and may
+    be under way for `window_ns`. Up to `lost` earlier ones may have been lost.
     """
 
     log_ns: Collection[int]
@@ -260,7 +260,7 @@ class UnheardEnd(NamedTuple):
 
     @property
     def earlier(self) -> int:
-        """The number of messages that came too early to be under way at the end."""
+        """The number of messages recorded too early to be under way at the end."""
         return sum(each < self.end_ns - self.window_ns for each in self.log_ns)
 
     def difference(self) -> str:
@@ -284,9 +284,9 @@ def report_inputs(
     *,
     is_left_out: bool,
 ) -> None:
-    """Report values that differ, missing and repeated messages of the input `name`.
+    """Report values that differ, and missing and repeated messages, of the input `name`.
 
-    `pairs` have ended. `is_left_out` tells that the configuration leaves the topic out.
+    Call `pairs.end` before. `is_left_out` says that the configuration leaves the topic out.
     """
     if pairs.differing:
         text = f"{pairs.differing} messages are not what the control loop received as"

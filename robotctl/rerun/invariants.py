@@ -63,14 +63,14 @@ class Violation:
 
 
 class Invariants:
-    """The check of a journal, step by step from a snapshot on; it collects the `violations`."""
+    """Checks a journal step by step, from a snapshot on, and collects the `violations`."""
 
     def __init__(self) -> None:
         self.violations: list[Violation] = []
         self.count = 0
         self.mode: Mode | None = None
         self.foreign: set[str] = set()
-        """The other nodes that published the command."""
+        """The names of other nodes that published the command."""
 
         self._params = KernelParams()
         self._command = ZERO
@@ -138,7 +138,7 @@ class Invariants:
             self.violate(f"request {request_id} has no reply")
 
     def violate(self, text: str, at: tuple[int, int] | None = None) -> None:
-        """Count and keep a violation, at the number and time of an entry if not of the last one."""
+        """Count and keep a violation; `at` is (seq, t_ns) of its entry, by default the last one."""
         self.count += 1
         if len(self.violations) < MAX_VIOLATIONS:
             self.violations.append(Violation(*(at or self._at), text))

@@ -1,4 +1,4 @@
-"""Tells a journal of another version from one of this version that was changed, by its fields."""
+"""Distinguishes a journal of another version from a changed one of this version, by its fields."""
 
 from __future__ import annotations
 

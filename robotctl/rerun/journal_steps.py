@@ -37,7 +37,7 @@ class EntryOrder:
         self._accepted = 0
 
     def accept(self, entry: JournalEntry) -> Iterator[JournalEntry | Gap]:
-        """Accept the next entry of the file, and yield those whose turn it is."""
+        """Accept the next entry of the file; yield the entries that are now in order."""
         if self._first is None:
             self._first = self._following = entry.seq
         elif entry.seq < self._first:
@@ -49,7 +49,7 @@ class EntryOrder:
         yield from self._released(MAX_DISORDER)
 
     def rest(self) -> Iterator[JournalEntry | Gap]:
-        """Yield what is held back, at the end of the file."""
+        """Yield the entries that are held back, at the end of the file."""
         yield from self._released(0)
 
     def _released(self, at_most: int) -> Iterator[JournalEntry | Gap]:
@@ -83,7 +83,7 @@ LogTimes = tuple[int, int]
 """When the last two events were recorded, in nanoseconds since the epoch."""
 
 Moments = tuple[int, int, int]
-"""The begin of a step by steady clock and wall clock, and its end by the wall clock [ns]."""
+"""When a step began, on the steady and on the wall clock, and ended, on the wall clock [ns]."""
 
 
 @dataclass(slots=True)

@@ -36,7 +36,7 @@ _QUICK_EVENTS, _QUICK_EFFECTS = (
 )
 
 _NOT_QUICK = (msgspec.DecodeError, RecursionError)
-"""What a decoder raises also for nan and inf, which are strings in the journal."""
+"""What a decoder also raises for nan and inf, which are strings in the journal."""
 
 KERNEL_FAILURES = (
     *(AssertionError, ArithmeticError, AttributeError, LookupError),
@@ -88,7 +88,7 @@ def read_snapshot(entry: JournalEntry) -> Snapshot:
 
 @lru_cache(maxsize=4)
 def _wrong_in(params: KernelParams) -> str:
-    """Return what is not allowed in parameters, "" if they are; most snapshots have the same."""
+    """Return why parameters are not allowed, or ""; cached, since most snapshots have the same."""
     try:
         check_all(Config(kernel=params))
     except ConfigError as error:

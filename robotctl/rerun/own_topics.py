@@ -1,4 +1,4 @@
-"""The topics of the robot whose journal is checked: names, which are recorded, repeats."""
+"""The topics of the robot whose journal is checked: names, recording filter, latched repeats."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def full_name(info: RecordingInfo, journal_topic: str, parameter: str, default: 
 
 
 def own_name(info: RecordingInfo, journal_topic: str, key: str) -> tuple[str, bool]:
-    """Return the full name of a topic or service, and whether the metadata tells it by `key`.
+    """Return the full name of a topic or service, and whether the metadata has it under `key`.
 
-    A recording that does not tell it has no other name for it than the last part of the key.
+    If the metadata does not have it, the name is the last part of `key`.
     """
     told = info.metadata.get(INFO_RECORD, {}).get(key)
     namespace = journal_topic.removesuffix(f"/{TOPIC}")
@@ -43,12 +43,12 @@ class RecordedFilter:
         self._filter = TopicFilter(_patterns(info, "include"), _patterns(info, "exclude"), always)
 
     def leaves_out(self, topic: str, *types: str) -> bool:
-        """Return whether a topic that has one of these types is not recorded."""
+        """Return whether the filter leaves out a topic that has one of these types."""
         return not all(self._filter.records(topic, each) for each in types)
 
 
 def _patterns(info: RecordingInfo, key: str) -> list[str]:
-    """Return the patterns as the metadata names them; none where it is no list of texts."""
+    """Return the patterns in the metadata, or [] if they are not a list of strings."""
     text = info.metadata.get(INFO_RECORD, {}).get(f"parameter.recording.{key}", "[]")
     try:
         values = ast.literal_eval(text[:MAX_TEXT])
@@ -87,10 +87,10 @@ class InputTopics:
 
 
 class RepeatedLatched:
-    """The messages of a topic that are the one before them again, from a first snapshot on.
+    """Counts the messages of a topic that repeat the one before them.
 
-    Each file begins with a snapshot as well, so that there are no more repeats than snapshots, also
-    where files were put together. A journal that was received has other snapshots.
+    A file begins with a repeat and a snapshot, so even joined files have no more repeats than
+    snapshots. A journal that was received has other snapshots: there, the number of files counts.
     """
 
     def __init__(self, info: RecordingInfo) -> None:
@@ -100,7 +100,7 @@ class RepeatedLatched:
         self._count = 0
 
     def observe(self, message: Message) -> bool:
-        """Observe a message; return whether it is the one before it again."""
+        """Observe a message; return whether it repeats the one before it."""
         last, self._last = self._last, message
         is_again = last is not None and last._replace(log_ns=message.log_ns) == message
         self._count += is_again
@@ -116,5 +116,5 @@ class RepeatedLatched:
 
     @property
     def excess(self) -> int:
-        """The number of repeats that no file begins with."""
+        """The number of repeats that the beginnings of files do not explain."""
         return max(self._count - max(self._files, self._snapshots), 0)

@@ -39,10 +39,10 @@ class Ending:
     ledger: Mapping[str, int] | None
     is_clip: bool
     is_own: bool
-    """Whether the recorder wrote the journal itself: one that it received may come late."""
+    """Whether the recorder wrote the journal itself; a journal that it received may lag."""
 
     is_whole: bool
-    """Whether the last file is there, in a folder: no message is in a file after it."""
+    """Whether the recording is a folder with its last file, so that no messages come later."""
 
     has_begin: bool
     """Whether the journal is there from its first entry on."""
@@ -59,7 +59,7 @@ class Ending:
         return IN_SOURCE if self.is_clip else "it was not closed, so its losses are not known"
 
     def accuse(self, report: Report, invariants: Invariants, text: str) -> None:
-        """Report a broken promise; only a note where what is missing may explain it."""
+        """Report a violation, but only as a note if a gap or a divergence may explain it."""
         if report.has_gaps or report.divergence is not None:
             report.notes.append(text)
         else:
@@ -67,9 +67,9 @@ class Ending:
 
 
 class JournalEnd(NamedTuple):
-    """When the journal ends, on the steady clock and since the epoch, after stalls shortly before.
+    """When the journal ends, steady and since the epoch, and how long the loop stalled before.
 
-    `clock_changed` tells whether the two clocks ever moved against each other.
+    `clock_changed` says whether the two clocks ever moved against each other.
     """
 
     t_ns: int
@@ -88,22 +88,22 @@ NOT_COMPARED: Final = (
 
 
 class JournalOrigin:
-    """Who wrote a journal. A recorder stamps the entries that it writes itself as it records them,
-    and an observer writes none.
+    """Who wrote the journal. In one that the recorder wrote itself, log times are publish times; a
+    recorder that only observes writes none.
     """
 
     def __init__(self, info: RecordingInfo, topic: str) -> None:
-        """`topic` is that of the journal."""
+        """`topic` is the topic of the journal."""
         self._topic = topic
         self._noted = info.metadata.get(INFO_RECORD, {})
         self._has_own_name = topic == own_journal_topic(info)
         self._observes = self._noted.get("mode") == OBSERVING
         self._was_received: bool | None = None
-        """Whether the first entry was received, None before it."""
+        """Whether the first entry was received, None before it is read."""
 
     @property
     def is_own(self) -> bool:
-        """Whether the recorder wrote the journal itself, and not what it received of it."""
+        """Whether the recorder wrote the journal itself, and did not receive it."""
         return not self._was_received or (self._has_own_name and not self._observes)
 
     def first(self, message: Message) -> None:
@@ -120,9 +120,9 @@ class JournalOrigin:
 
 
 def differing_parameters(noted: Mapping[str, str], params: KernelParams) -> Iterator[str]:
-    """Yield a sentence for each parameter that the kernel began with and `noted` contradicts.
+    """Yield a sentence for each initial parameter of the kernel that differs from `noted`.
 
-    `noted` is what the first file of a recording tells of the daemon that began with it.
+    `noted` is the metadata in the first file of the recording.
     """
     config = Config(kernel=params)
     values = flat(config)
@@ -195,12 +195,12 @@ class RecordingEnds:
         self._first_seq = self._last_seq = -1
         self._last_snapshot = -1
         self._has_ended = False
-        """Whether the last snapshot is of a daemon that was ending."""
+        """Whether the last snapshot was written while the daemon was ending."""
 
         self._ledger: Mapping[str, Mapping[str, int]] | None = None
         last = natural_order(recording.open_files[-1].path)
         self._goes_on = any(natural_order(Path(name)) > last for name in recording.lost_files)
-        """Whether a later file is not here, or the end is cut off."""
+        """Whether a later file is missing, or the end is cut off."""
 
     @property
     def is_whole(self) -> bool:
@@ -208,13 +208,13 @@ class RecordingEnds:
         return self._recording.path.is_dir() and not self._goes_on
 
     def entry(self, seq: int) -> None:
-        """Note the number of the next entry."""
+        """Store the number of the next entry."""
         if self._first_seq < 0:
             self._first_seq = seq
         self._last_seq = max(seq, self._last_seq)
 
     def begin(self, entry: JournalEntry) -> None:
-        """Compare the first snapshot with what a kernel begins with."""
+        """Check that the journal begins with a new kernel and the parameters in the metadata."""
         report = self._report
         if entry.seq or not report.same_version or not self.origin.is_own:
             return
@@ -226,7 +226,7 @@ class RecordingEnds:
             report.miss(sentence, is_outside=True)
 
     def snapshot(self, entry: JournalEntry, snapshot: Snapshot) -> int:
-        """Note a snapshot; return the number of the one before it, 0 if there is none."""
+        """Note a snapshot; return the `seq` of the one before, 0 if that is unknown or unproved."""
         before = max(self._last_snapshot, 0)
         self._last_snapshot = entry.seq if snapshot.proof is not None else -1
         reported = snapshot.state.health.reported
@@ -255,7 +255,7 @@ class RecordingEnds:
             report.miss("its journal does not begin with a snapshot")
 
     def _check_end(self, ledger: Mapping[str, Mapping[str, int]]) -> None:
-        """Look whether the last file is the one with which the recording was closed."""
+        """Report if the last file is not the one with which the recording was closed."""
         recording = self._recording
         if recording.is_cut_off or recording.is_live or self._goes_on:
             return

@@ -75,7 +75,7 @@ class Comparison:
             )
 
     def same(self, recorded: str, value: object) -> bool:
-        """Return whether the text of the journal means `value`."""
+        """Return whether the recorded JSON text equals `value` by these rules."""
         if recorded.encode() == _quick_json(value):
             return True
         mine = to_json(value)
@@ -190,7 +190,7 @@ class Rerun:
         return Decided(event, decided)
 
     def _is_untouched(self, entry: JournalEntry, event: Event) -> bool:
-        """Return whether an entry is as it was written; in another version each counts as such."""
+        """Return whether an entry is as it was written; always True for another version."""
         return not self._same_version or (
             entry.t_ns == event.t_ns and self.comparison.same(entry.data, event)
         )

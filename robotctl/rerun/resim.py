@@ -60,9 +60,9 @@ _RESULTS = frozenset(kind.__name__ for kind in (DriveEnded, Reply))
 
 @dataclass(slots=True)
 class Run:
-    """The requests of a run, its refusals, and the results of its drives by the request's id.
+    """The requests of a run, those that were refused, and the results of its drives, by request id.
 
-    Events without an id have negative ones. `start` is what the robot measured first.
+    Requests without an id get a negative one. `start` is the first odometry and battery level.
     """
 
     begin_ns: int = 0
@@ -103,7 +103,7 @@ class Run:
             self.requests[event.request_id] = event
 
     def effect(self, effect: Effect, t_ns: int) -> None:
-        """Note an effect; a drive that began before the recording has no duration."""
+        """Note a refusal or the end of a drive; one from before the recording has no duration."""
         if isinstance(effect, Reply) and not effect.ok and effect.request_id in self.requests:
             self.refused[effect.request_id] = effect.message
         elif isinstance(effect, DriveEnded):
@@ -217,7 +217,7 @@ def resimulate(
 
 
 def _no_drive(run: Run, recorded: Run, request_id: int) -> str:
-    """Return why a run has no such drive."""
+    """Return why `run` has no drive with this `request_id`."""
     if request_id in run.refused:
         return f"refused: {run.refused[request_id]}"
     if request_id in recorded.refused:
@@ -228,9 +228,9 @@ def _no_drive(run: Run, recorded: Run, request_id: int) -> str:
 def _simulate(
     config: Config, state: State, recorded: Run, on_progress: Callable[[int, int], None]
 ) -> Run:
-    """Repeat the requests with a simulated robot until recording and drive have ended.
+    """Repeat the requests with a simulated robot until the recording and the drive have ended.
 
-    Other nodes of the recording are left out, and requests that were refused in it.
+    Left out are the other nodes of the recording, and the requests that were refused in it.
     """
     alone = replace(state.health, foreign_publishers=(), command_topic=CommandTopic())
     kernel = Kernel(config.kernel, replace(state, health=alone))

@@ -1,8 +1,8 @@
 """Checks the safety inputs in a journal against the recorded messages.
 
-The control loop hands on each value that differs from the last one, and equal ones from time to
-time: most of many equal messages never become events. It receives inputs with best effort, so some
-may be lost, but not all for a longer time.
+The control loop forwards each changed value, and an unchanged one only from time to time: most
+of many equal messages never become events. It receives inputs with best effort, so some may be
+lost, but not all over a longer time.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ PATIENCE_NS = NS_PER_S // 2
 """How long messages may go unheard; a stall of the control loop adds its time."""
 
 GAP_NS = NS_PER_S // 10
-"""The longest gap between two messages that is counted; a longer gap holds no message to miss."""
+"""A gap between two messages counts as at most this: a longer gap holds no message to miss."""
 
 BEGIN_NS = 3 * NS_PER_S
-"""How long messages may be missed at the beginning, before the control loop is connected."""
+"""How long messages may go unheard at the beginning, before the control loop is connected."""
 
 MAX_WAITING = 100_000
 """The number of messages, and of inputs, that may wait; older ones are not compared."""
@@ -52,40 +52,40 @@ class ShownValue(NamedTuple):
 
 
 class UnheardChange:
-    """The comparison of one publisher's messages with what was heard of it, in its own order."""
+    """Finds messages of one publisher that should have become inputs of the journal."""
 
     def __init__(self, repeat_ns: int) -> None:
         """`repeat_ns`: after this time an equal value becomes an event, too."""
         self.example = ""
-        """The first messages that must have been heard and were not, "" if there are none."""
+        """The first messages that should have become inputs and did not, "" if there are none."""
 
         self._repeat_ns = repeat_ns
         self._waiting: deque[ShownValue] = deque(maxlen=MAX_WAITING)
         self._heard: set[int] = set()
         self._last: ShownValue | None = None
-        """The last message that was heard, the first of all before that."""
+        """The last message that became an input; the first of all messages until one did."""
 
         self._is_begin = True
         self._since: ShownValue | None = None
         self._before_ns = self._unheard_ns = 0
 
     def message(self, shown: ShownValue) -> None:
-        """Note a message, which may be heard later."""
+        """Store a message, whose input may follow."""
         self._waiting.append(shown)
 
     def heard(self, sequence: int) -> None:
-        """Note which message an input of the journal came from."""
+        """Note the number of the message that an input of the journal came from."""
         self._heard.add(sequence)
 
     def forget(self) -> None:
-        """Begin again: journal entries are missing."""
+        """Start over, because journal entries are missing."""
         self._waiting.clear()
         self._heard.clear()
         self._last = self._since = None
         self._is_begin = True
 
     def settle(self, stall_ns: int) -> None:
-        """Compare the messages up to the last one that was heard, after stalls of `stall_ns`."""
+        """Judge the messages up to the last that became an input, after stalls of `stall_ns`."""
         newest = max(self._heard, default=0)
         while self._waiting and self._waiting[0].sequence <= newest:
             self._take(self._waiting.popleft(), stall_ns)
@@ -93,7 +93,7 @@ class UnheardChange:
             self._heard.clear()
 
     def end(self, log_ns: int, stall_ns: int) -> None:
-        """Compare the messages up to the end of the journal."""
+        """Judge the messages up to the end of the journal."""
         self.settle(stall_ns)
         for shown in self._waiting:
             if shown.log_ns <= log_ns:
@@ -146,7 +146,7 @@ class SafetyInputCheck:
         self._name = NAMES[kind]
         self._read = reader_of(kind, button=button, robot=robot)
         self._is_diagnosis = kind is SafetyInput.DIAGNOSTICS
-        """A diagnosis in the journal is the worst of all names: only its message is compared."""
+        """The journal has only the worst diagnosis of all names: its value is not compared."""
 
         self._pairs = InputPairs()
         self._repeat_ns = round(timeout_s * NS_PER_S / REPEATS_PER_TIMEOUT)
@@ -155,7 +155,7 @@ class SafetyInputCheck:
         self._repeats = RepeatedLatched(info)
 
     def message(self, message: Message) -> None:
-        """Read a message; a file begins with the last latched one of the file before."""
+        """Read a message; skip a repeat of a latched message, as at the begin of a file."""
         is_repeat = self._is_latched and self._repeats.observe(message)
         if is_repeat or not self._is_on:
             return
@@ -177,7 +177,7 @@ class SafetyInputCheck:
             self._unheard.heard(sequence)
 
     def snapshot(self, has_proof: bool, stall_ns: int) -> None:
-        """Compare from this snapshot on, if it is one of this version."""
+        """Start the comparison at this snapshot if it has a proof."""
         self._is_on = self._is_on or has_proof
         self._repeats.snapshot()
         self._pairs.settle()
@@ -192,7 +192,7 @@ class SafetyInputCheck:
     def end(
         self, invariants: Invariants, ending: Ending, moment: JournalEnd, longest_ns: int
     ) -> None:
-        """Report what differs; the longest stall was of `longest_ns`."""
+        """Report what differs; the longest stall was `longest_ns`."""
         pairs, report = self._pairs, self._report
         if self._is_diagnosis:
             if ending.is_clip:
@@ -227,7 +227,7 @@ class SafetyInputChecks:
         }
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return for each recorded topic what reads its messages; inputs may share one."""
+        """Return the message handler of each recorded topic; inputs may share one."""
         topics = {each.topic for each in self._checks.values() if each.topic is not None}
         return {topic: partial(self._message, topic) for topic in topics}
 
@@ -237,7 +237,7 @@ class SafetyInputChecks:
                 each.message(message)
 
     def step(self, event: Event, seq: int) -> None:
-        """Compare an event of the journal, with the number of its entry."""
+        """Compare an event of the journal; `seq` is the number of its entry."""
         if isinstance(event, SafetyInputReceived):
             check = self._checks.get(event.kind)
             if check is not None and event.sequence:  # 0: before it was told
@@ -265,7 +265,7 @@ class SafetyInputChecks:
 
 
 def _number(values: Mapping[str, str], key: str, default: float) -> float:
-    """Return a parameter of the metadata, the default for what is no number."""
+    """Return a parameter from the metadata, or `default` if it is not a number."""
     with suppress(KeyError, ValueError):
         value = float(values[key])
         return value if isfinite(value) else default

@@ -101,7 +101,7 @@ def _mode_name(number: int) -> str:
 
 
 def span(duration_ns: int) -> str:
-    """Return a duration as text, rounded to what matters."""
+    """Return a duration as text, in whole ms, in s with one decimal, or in whole minutes."""
     seconds = duration_ns / NS_PER_S
     if abs(seconds) < 1.0:
         return f"{seconds * 1e3:.0f} ms"
@@ -109,7 +109,7 @@ def span(duration_ns: int) -> str:
 
 
 def driven(report: DriveReport, drive: Drive | None) -> str:
-    """Describe how far a drive has come, and how near its path; a held velocity has none."""
+    """Describe how far a drive has come, and how far off its path (a held velocity has no path)."""
     laps = f"{report.laps} lap{'' if report.laps == 1 else 's'} and {report.distance_m:.2f} m"
     if drive is not None and drive.course.held is not None:
         return laps

@@ -36,7 +36,7 @@ _GID_BYTES = 16
 
 
 class EventType(IntEnum):
-    """What happened, by its number in ServiceEventInfo.msg; two further numbers are of clients."""
+    """The event types of a server, as in ServiceEventInfo.msg; the two others are a client's."""
 
     RECEIVED = 1
     SENT = 2
@@ -114,20 +114,20 @@ MAX_CALLS: Final = 100_000
 """The number of calls of a service that are compared."""
 
 MAX_AHEAD: Final = 1_000
-"""How many requests are searched for the one of a call: those between them are not recorded."""
+"""How many of the next requests are searched for a call; skipped ones have no recorded call."""
 
 ANSWER_NS: Final = NS_PER_S
-"""How long before the end a request may lack its response: it waits for the disk."""
+"""A request this shortly before the end may lack its response, which waits for the disk."""
 
 MANY_IN_WORK: Final = 128
-"""With fewer open calls no call is refused as busy: robotctl accepts 256 at a time."""
+"""A call is refused as busy only if more calls are open: robotctl accepts 256 at a time."""
 
 _BUSY = re.compile(r"busy: \d+ requests wait for their reply; try again")
 
 
 @dataclass(slots=True)
 class Asked:
-    """A request in the journal: number of its entry, mode, when it was handled, its reply."""
+    """A request in the journal: `seq` of its entry, mode, when it was handled, and its reply."""
 
     seq: int
     requested: int
@@ -137,9 +137,9 @@ class Asked:
 
 @dataclass(slots=True)
 class Call:
-    """A call on the wire: the mode, when it was received, its response.
+    """A recorded call: the requested mode, when it was received, its response.
 
-    `in_work` is the number of calls without a response then.
+    `in_work` is the number of calls that had no response when it was received.
     """
 
     requested: int
@@ -171,10 +171,10 @@ class ServicePairs:
         """The calls without a request in the journal."""
 
         self.unheard: list[Asked] = []
-        """The requests without a call, and not those after the last call with a request."""
+        """The requests without a call that come before the last request with a call."""
 
         self.last_unheard: list[Asked] = []
-        """The requests after the last call with a request."""
+        """The requests after the last one with a call."""
 
         self.answers_alone = 0
         """The number of responses whose call is not recorded."""
@@ -185,7 +185,7 @@ class ServicePairs:
 
     @property
     def is_full(self) -> bool:
-        """Whether there were more calls than are compared."""
+        """Whether the limit MAX_CALLS is reached, so that later ones are not compared."""
         return max(len(self.calls), len(self.asked)) >= MAX_CALLS
 
     def event(self, event: ServiceEvent, publish_ns: int) -> None:
@@ -203,20 +203,20 @@ class ServicePairs:
             answered.answer = event.answer
 
     def request(self, event: ModeRequested, seq: int, moments: Moments) -> None:
-        """Note a request of the journal, with the number of its entry."""
+        """Add a request of the journal; `seq` is the number of its entry."""
         if event.source == self.source and not self.is_full:
             asked = Asked(seq, event.requested, moments)
             self._open_requests[event.request_id] = asked
             self.asked.append(asked)
 
     def reply(self, reply: Reply) -> None:
-        """Note a reply of the journal."""
+        """Add a reply of the journal to its request."""
         asked = self._open_requests.pop(reply.request_id, None)
         if asked is not None:
             asked.reply = reply
 
     def pair(self, clock: ClockChanges) -> None:
-        """Pair calls and requests, each in their order."""
+        """Pair calls and requests in order."""
         first = 0
         for call in self.calls:
             if call.was_refused_as_busy:
@@ -232,9 +232,9 @@ class ServicePairs:
         self.last_unheard = self.asked[first:]
 
     def unanswered(self, end_ns: int) -> list[Asked]:
-        """Return the requests with a reply whose response is not recorded, without the last ones.
+        """Return the paired requests with a reply but no recorded response, except the last ones.
 
-        `end_ns` is the end of the journal.
+        `end_ns` is the steady time of the journal's end.
         """
         return [
             asked
@@ -253,10 +253,10 @@ def _fits(asked: Asked, call: Call, clock: ClockChanges) -> bool:
 
 
 MAX_UNDER_WAY: Final = 1_000
-"""How many calls may have been received before the journal could tell of them."""
+"""How many calls may be recorded whose requests the end of the journal lacks."""
 
 END_NS = 2 * NS_PER_S
-"""How long before the end a request may lack its call: it was under way."""
+"""A request this shortly before the end may lack its call, which was under way."""
 
 
 class ServiceChecks:
@@ -273,11 +273,11 @@ class ServiceChecks:
         self._is_on = False
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return for each recorded topic what reads its messages."""
+        """Return the message handler of each recorded topic."""
         return {each.topic: each.message for each in self._all if each.is_recorded}
 
     def snapshot(self, has_proof: bool, log_ns: int) -> None:
-        """Compare from this snapshot on, if it is one of this version."""
+        """Start the comparison at this snapshot if it has a proof."""
         if has_proof and not self._is_on:
             self._is_on = True
             for each in self._all:
@@ -403,7 +403,7 @@ class _ServiceCheck:
             self._report.notes.append(f"{text}: another node serves it as well")
 
     def _is_under_way(self, call: Call, end_log_ns: int) -> bool:
-        """Return whether the journal may end before it tells of a call."""
+        """Return whether the request of a call may come after the end of the journal."""
         after_ns = call.publish_ns - end_log_ns
         return after_ns > -LATE_NS and (after_ns <= AFTER_NS or self._clock.has_changed)
 
@@ -433,7 +433,7 @@ class _ServiceCheck:
             ending.accuse(report, invariants, text)
 
     def _is_first(self, asked: Asked) -> bool:
-        """Return whether its call may be in an earlier file."""
+        """Return whether the call of a request may be in an earlier file."""
         return asked.moments[1] <= (self._begin_ns or 0) + LATE_NS
 
     def _tell_answers(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""Checks the proof in each snapshot, which tells of the journal before it; 0.1.0 wrote none."""
+"""Checks the proof in each snapshot against the journal before it; 0.1.0 wrote no proofs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from robotctl.rerun.check_report import Report
 from robotctl.rerun.invariants import Invariants
 
 MAX_ENTRIES = 512
-"""How many entries are kept, so that their CRC is computed at once."""
+"""The CRC is computed once for about this many entries."""
 
 
 class JournalChain:
@@ -19,13 +19,13 @@ class JournalChain:
     def __init__(self) -> None:
         self._seq = -1
         self._entries: list[bytes] = []
-        """The last entries, as they are recorded."""
+        """The last entries, serialized; `_crc` does not include them yet."""
 
         self._crc: int | None = None
-        """The CRC of all entries before these, None after a gap."""
+        """The CRC of all entries before `_entries`, None after a gap."""
 
     def add(self, seq: int, *serialized: bytes) -> None:
-        """Add the next entries as they are recorded; they are numbered from `seq` on."""
+        """Add the next entries, serialized; they are numbered from `seq` on."""
         if seq != self._seq + 1:
             self._crc = None
             self._entries.clear()
@@ -35,16 +35,16 @@ class JournalChain:
             self._continue()
 
     def _continue(self) -> None:
-        """Continue the CRC up to the entry before the last one."""
+        """Include all entries but the last one in the CRC."""
         *earlier, last = self._entries
         if self._crc is not None:
             self._crc = chained_all(earlier, self._crc)
         self._entries = [last]
 
     def is_whole(self, entry: JournalEntry, proof: Proof | None) -> bool:
-        """Return whether the entries before a snapshot are those that were written.
+        """Return whether the CRC of the entries before a snapshot is that of its proof.
 
-        They count as whole where that is not known: at the beginning and after a gap.
+        True if it is not known: without a proof, at the beginning and after a gap.
         """
         if proof is None:
             return True
@@ -66,14 +66,14 @@ NOT_COMPARED: Final = (
 
 
 class SnapshotProofs:
-    """The proofs in one journal: all of its snapshots have one, or none has."""
+    """Checks the proofs in one journal: either all of its snapshots have one, or none has."""
 
     def __init__(self, report: Report, chain: JournalChain, invariants: Invariants) -> None:
         self._report = report
         self._chain = chain
         self._invariants = invariants
         self._has_proofs: bool | None = None
-        """Whether the snapshots must have a proof, None before the first one."""
+        """Whether each snapshot must have a proof, None before the first snapshot."""
 
         self._is_told = False
 

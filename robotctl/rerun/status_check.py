@@ -1,4 +1,4 @@
-"""Checks the robot statuses against the journal: robot, mode, and none is missing."""
+"""Checks the robot statuses against the journal: the robot, the mode, and that none is missing."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from robotctl.rerun.own_topics import RepeatedLatched, own_name
 from robotctl.rerun.recording_ends import Ending
 
 FIRST_NS: Final = 2 * NS_PER_S
-"""A journal longer than this has a status."""
+"""A journal longer than this must have a status."""
 
 NEAR_NS: Final = NS_PER_S
-"""How near to its status a mode must be in the journal."""
+"""The mode of a status must be in the journal within this time of the status."""
 
 MAX_WAITING: Final = 10_000
 """The number of statuses that wait for the journal, and of modes that are kept."""
@@ -34,7 +34,7 @@ MAX_WAITING: Final = 10_000
 
 @dataclass(slots=True)
 class _ModeSpan:
-    """How long the journal has a mode, by the steady clock [ns]."""
+    """The period in which the journal has a mode, by the steady clock [ns]."""
 
     mode: int
     begin_ns: int
@@ -44,8 +44,8 @@ class _ModeSpan:
 class ShownModes:
     """The comparison of the statuses with the modes of the journal, from a snapshot on.
 
-    A status that does not show a mode that the journal had within NEAR_NS is `wrong`, unless the
-    clock was set then.
+    `wrong` counts the statuses whose mode the journal did not have within NEAR_NS, except around a
+    change of the clock.
     """
 
     def __init__(self, clock: ClockChanges) -> None:
@@ -54,12 +54,12 @@ class ShownModes:
         self._clock = clock
         self._spans: deque[_ModeSpan] = deque(maxlen=MAX_WAITING)
         self._statuses: deque[tuple[int, int, int]] = deque(maxlen=MAX_WAITING)
-        """Each with mode and steady time, and the time of the event before it in the file."""
+        """Mode and steady time of each status, and the time of the event before it in the file."""
 
         self._t_ns = self._offset_ns = self._begin_ns = 0
 
     def snapshot(self, mode: Mode, t_ns: int, wall_ns: int) -> None:
-        """Continue from a snapshot, with its time by the steady clock and since the epoch."""
+        """Continue from a snapshot at the steady time `t_ns`, or `wall_ns` since the epoch."""
         self._t_ns, self._offset_ns = t_ns, wall_ns - t_ns
         if not self._spans:
             self._spans.append(_ModeSpan(mode.value, t_ns))
@@ -77,7 +77,7 @@ class ShownModes:
         self._t_ns, self._offset_ns = t_ns, wall_ns - t_ns
 
     def change(self, mode: Mode, moments: Moments) -> None:
-        """Note the mode after a step, until whose end statuses may show the one before."""
+        """Note the mode after a step; statuses may show the earlier mode until the step ends."""
         t_ns, begin_ns, end_ns = moments
         if self._spans:
             self._spans[-1].end_ns = t_ns + max(end_ns - begin_ns, 0)
@@ -89,7 +89,7 @@ class ShownModes:
         self._statuses.clear()
 
     def end(self) -> None:
-        """Compare what is left."""
+        """Compare the statuses that still wait."""
         self._judge(inf)
 
     def _judge(self, until_ns: float) -> None:
@@ -138,7 +138,7 @@ class StatusCheck:
     def message(self, message: Message) -> None:
         """Read a status; the last one is repeated at the beginning of each file and clip.
 
-        Where the recorder lags, the one it repeats is sent later, and comes again in the file.
+        If the recorder lags, the repeated status is sent after the file begins, and comes again.
         """
         if message.log_ns < message.publish_ns:
             self._repeats.count()
@@ -164,7 +164,7 @@ class StatusCheck:
         self._modes.status(mode, message.publish_ns)
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Continue from a snapshot, with its time by the steady clock and since the epoch."""
+        """Continue from a snapshot at the steady time `t_ns`, or `log_ns` since the epoch."""
         if snapshot.proof is None:
             return
         self._repeats.snapshot()

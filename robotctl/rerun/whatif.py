@@ -42,7 +42,7 @@ class DriveCommands:
     has_path: bool = True
 
     def as_object(self) -> dict[str, Any]:
-        """Return what the kernel decided, as JSON values."""
+        """Return the commands of the drive as JSON values."""
         end = self.end
         return {
             "modes_s": {mode.name: ns / NS_PER_S for mode, ns in self.in_mode_ns.items()},
@@ -78,7 +78,7 @@ class DrivesOfKernel:
     def add(
         self, before: State, after: State, effects: Iterable[Effect], t_ns: int, elapsed_ns: int
     ) -> None:
-        """Add a step at `t_ns` from one state to another, `elapsed_ns` after the one before."""
+        """Add a step at `t_ns` from one state to another, `elapsed_ns` after the step before."""
         drive, following = before.drive, after.drive
         if drive is not None:
             self._add_time(self._of(drive.request_id, t_ns - elapsed_ns), before, elapsed_ns)
@@ -208,7 +208,7 @@ class _Side:
     answers: dict[int, Reply] = field(default_factory=dict)
     drives: DrivesOfKernel = field(default_factory=DrivesOfKernel)
     refusal: str = ""
-    """The last request that was refused, as its answer says."""
+    """The text of the last answer that refused a request."""
 
     @property
     def no_drive(self) -> str:
@@ -243,7 +243,7 @@ class _TwoKernels:
         self._linear, self._angular = _Difference(), _Difference()
         self._first: dict[str, Any] | None = None
         self._failure: dict[str, Any] | None = None
-        """The first event at which only the kernel with other parameters could not go on."""
+        """The first event on which only the kernel with other parameters failed."""
 
         self._answers: list[dict[str, Any]] = []
         self._answer_count = 0
@@ -265,7 +265,7 @@ class _TwoKernels:
         self._recorded.kernel = self._other.kernel = None
 
     def step(self, event: Event) -> None:
-        """Let both kernels decide on an event."""
+        """Step both kernels with an event."""
         kernel, other = self._recorded.kernel, self._other.kernel
         if kernel is None or other is None:
             return

@@ -45,7 +45,7 @@ _MEASURES: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
         Cause.TICK_OVERRUN: ("max_tick_gap_s",),
     }
 )
-"""The parameters that each rule compares with."""
+"""The parameters whose values each rule compares."""
 
 _LET_GO = "let go, the robot ramps down"
 _SILENT = "a silence is zero at once, and ends the motion"
@@ -53,7 +53,7 @@ _SILENT = "a silence is zero at once, and ends the motion"
 
 @dataclass(frozen=True, slots=True)
 class Why:
-    """The explanation of an incident, in sentences; empty where there is nothing to say.
+    """The explanation of an incident, in sentences; a field is empty if there is nothing to say.
 
     `remedies` is what the operator was told to do; a recording of 0.1.0 holds that in `what`.
     """
@@ -186,7 +186,7 @@ def _rule(incident: Incident) -> str:
 
 
 def _table_rule(incident: Incident, before: State) -> str:
-    """Return what the table of modes says about a request, or why a drive ended."""
+    """Return which rule outside the safety table decided: table of modes, lease, end of a drive."""
     event = incident.ramp[1] if incident.ramp else incident.event
     if Remedy.WAIT_FOR_LEASE in _remedies(incident):
         return "the lease: its holder alone starts and steers motion"

@@ -1,4 +1,4 @@
-"""Opening and closing an rclpy context that leaves nothing on the disk."""
+"""Opens and closes rclpy contexts that write no log files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BAD_ARGUMENTS = (
 
 _NO_LOG_FILE: Final = ("--ros-args", "--disable-external-lib-logs")
 """robotctl does not log through rcl: rcl would create an empty file in the user's home at every
-command, and fail where that cannot be written."""
+command, and fail if the home is not writable."""
 
 END_S: Final = 5.0
 """How long the middleware may take to leave a domain. During discovery, Fast DDS 2.14 may deadlock
@@ -29,7 +29,7 @@ in `DomainParticipant::set_listener` on its own lock, with the GIL held."""
 
 
 def open_context(domain_id: int, remaps: Iterable[str] = ()) -> Context:
-    """Open a context in this domain, without signal handlers and arguments of our command line.
+    """Open a context in this domain, without signal handlers; the command line is ignored.
 
     `remaps` are rules FROM:=TO for the names of topics and services.
     """
@@ -42,12 +42,10 @@ def open_context(domain_id: int, remaps: Iterable[str] = ()) -> Context:
 def close_context(
     context: Context, nodes: Iterable[Node], before: Iterable[Callable[[], object]] = ()
 ) -> None:
-    """Call what is to be done `before`, destroy the nodes and leave the domain.
+    """Call the functions of `before`, destroy the nodes and leave the domain.
 
-    It is the last thing that a process does.
-
-    Where that takes more than END_S, the process ends with exit code 1 and prints on stderr where
-    its threads were.
+    Call it as the last step of a process. If it takes more than END_S, the process prints the
+    stacks of its threads on stderr and ends with exit code 1.
     """
     with ExitStack() as leaving:
         faulthandler.dump_traceback_later(END_S, exit=True, file=2)

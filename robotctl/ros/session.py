@@ -1,4 +1,4 @@
-"""One rclpy context with its executor for an `async with` block; it handles no signals."""
+"""An rclpy context and its executor for an `async with` block, without signal handlers."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ RECORDER_NODE = "_recorder"
 """The name of the node whose subscriptions only record and watch. ROS tools hide such names."""
 
 SERVICE_EVENTS = "/_service_event"
-"""The end of the name of the topic that shows the calls of a service."""
+"""Suffix of the introspection topic of a service, on which its calls are published."""
 
 
 @dataclass(frozen=True, slots=True)
 class Naming:
-    """Rules FROM:=TO for topics and services, and new names of nodes by their usual ones."""
+    """Remap rules FROM:=TO for topics and services; `nodes` maps usual node names to new ones."""
 
     remaps: tuple[str, ...] = ()
     nodes: Mapping[str, str] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class Session:
         naming: Naming,
         use_sim_time: bool,
     ) -> None:
-        """Add the created nodes to `nodes`."""
+        """Append each node that the session creates to `nodes`."""
         self._context = context
         self._executor = executor
         self._namespace = namespace
@@ -57,7 +57,7 @@ class Session:
         ]
         self._visible: dict[str, Node] = {}
         self.last = AsyncExitStack()
-        """Closed when no callback runs any more, before the nodes are destroyed."""
+        """Exit stack that is closed after the last callback, before the nodes are destroyed."""
 
     @property
     def scheduling(self) -> str:
@@ -65,17 +65,17 @@ class Session:
         return self._executor.scheduling
 
     def resolve(self, topic: str, role: str = "") -> str:
-        """Return the full name of a topic that may be relative, or have another name here.
+        """Return the full name of a topic after remapping; `topic` may be relative.
 
-        `role` is the usual name of the node that has it, which need not exist yet: rules may be for
-        one node. The events of a service follow its name.
+        `role` is the usual name of the topic's node, because a rule may apply to one node only; the
+        node need not exist yet. A service's introspection topic is renamed with the service.
         """
         service = topic.removesuffix(SERVICE_EVENTS)
         name = self._remapped(service, self._node_names.get(role, role))
         return name if service == topic else name + SERVICE_EVENTS
 
     def _remapped(self, topic: str, node: str) -> str:
-        """Return the full name by the first rule that is for the topic, as rcl does."""
+        """Apply the first rule that matches the topic, as rcl does; return the full name."""
 
         def full(name: str) -> str:
             return str(self.helper().resolve_topic_name(name, only_expand=True))
@@ -88,7 +88,7 @@ class Session:
         return full(topic)
 
     def logger_name(self, node_name: str) -> str:
-        """Return the name that ROS gives the logger of a node, by the node's usual name."""
+        """Return the ROS name of a node's logger; `node_name` is the node's usual name."""
         full = f"{self._namespace}/{self._node_names.get(node_name, node_name)}"
         return full.strip("/").replace("/", ".")
 
@@ -98,16 +98,16 @@ class Session:
         return self._visible
 
     def helper(self) -> Node:
-        """Return the hidden node that all roles share which users need not know."""
+        """Return the hidden node RECORDER_NODE, which several roles share; create it if needed."""
         for node in self._nodes:
             if node.get_name() == RECORDER_NODE:
                 return node
         return self.node(RECORDER_NODE)
 
     def node(self, name: str) -> Node:
-        """Create a node in the robot's namespace, without services of its own.
+        """Create a node in the robot's namespace, without rclpy's default services.
 
-        The service that describes types takes 0.1 MB a node, and no tool of ROS calls it.
+        The type description service would take 0.1 MB per node, and no ROS tool calls it.
         """
         return self.node_of(Node, name)
 

@@ -1,4 +1,4 @@
-"""One model of a figure: lines over time or on the ground. `svg`, `png` and `terminal` draw it."""
+"""A figure as data: lines over time or on the ground. `svg`, `png` and `terminal` draw it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ SMALLEST_SPAN: Final = 1e-300
 """A shorter axis has no finite scale."""
 
 MIN_SPAN_M: Final = 0.1
-"""The size of the picture of a robot that did not move."""
+"""The smallest span of an axis on the ground, for a robot that did not move."""
 
 VALUE_ROOM: Final = 0.06
-"""How much of its height a plot has free above and below its values."""
+"""The free space above and below the values of a plot, as a share of their span."""
 
 GROUND_ROOM: Final = 1.08
-"""How much wider than the paths a picture is."""
+"""The size of a picture on the ground, as a multiple of the size of its paths."""
 
 DIGIT_PX: Final = 7.5
 """The width of a digit at an axis, at most."""
@@ -40,7 +40,7 @@ class Axis:
 
     @property
     def scale(self) -> float:
-        """Pixels for each unit."""
+        """Pixels per unit."""
         return (self.end - self.begin) / (self.high - self.low)
 
     def at(self, value: float) -> float:
@@ -48,7 +48,7 @@ class Axis:
         return self.begin + (value - self.low) * self.scale
 
     def ticks(self, at_most: int) -> list[float]:
-        """Return round numbers within the axis."""
+        """Return round numbers within the axis, about `at_most` of them or fewer."""
         rough = (self.high - self.low) / at_most
         magnitude = 10.0 ** floor(log10(rough))
         step = next(m for m in (1.0, 2.0, 5.0, 10.0) if m * magnitude >= rough * 0.999) * magnitude
@@ -70,7 +70,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line: its unbroken runs of points, what it is, and its name in a legend."""
+    """A line: its unbroken runs of points, its kind (which style to use), its name in a legend."""
 
     runs: Sequence[Sequence[Point]]
     kind: str
@@ -81,7 +81,7 @@ class Line:
 class Figure:
     """Lines and the spans of their axes; later lines lie over earlier ones.
 
-    Over time, x is in seconds. On the ground both are in metres, and have the same scale.
+    Over time, x is in seconds. On the ground, x and y are in metres and have the same scale.
     """
 
     title: str
@@ -91,7 +91,7 @@ class Figure:
     is_ground: bool = False
 
     def axes(self, frame: Frame) -> tuple[Axis, Axis]:
-        """Return the axes in a frame."""
+        """Return the x and the y axis in a frame."""
         across, down = frame.right - frame.left, frame.bottom - frame.top
         x, y = self.x, self.y
         if self.is_ground:
@@ -109,7 +109,7 @@ def time_figure(
     least_span: float = 0.0,
     from_zero: bool = False,
 ) -> Figure:
-    """Return a figure of values over time, at least `least_span` high; it may begin at 0."""
+    """Return a figure over time; its y axis spans at least `least_span`, from 0 if `from_zero`."""
     drawn = tuple(line for line in lines if line.runs)
     values = [value for line in drawn for run in line.runs for _, value in run] or [0.0]
     low, high = 0.0 if from_zero else min(values), max(values)
@@ -129,7 +129,7 @@ def ground_figure(title: str, lines: Iterable[Line]) -> Figure:
 
 
 def path_figure(reference: Path2D, driven: Path2D, title: str = "") -> Figure:
-    """Return the figure of a driven path over the reference path; what is not finite is left out.
+    """Return the figure of a driven path over the reference path, without infinite points or NaN.
 
     Both have an entry in the legend.
     """
@@ -153,7 +153,7 @@ class Stroke:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A text at an axis: its middle is at `y`, and its middle or end at `x`."""
+    """A text at an axis, vertically centred at `y`; centred at `x`, or ending there if `is_end`."""
 
     text: str
     x: float
@@ -163,14 +163,14 @@ class Label:
 
 
 def laid_out(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
-    """Yield the grid, the numbers at the axes, and the lines of a figure in a frame."""
+    """Yield grid, numbers at the axes, and lines of a figure in a frame; nothing without lines."""
     if not figure.lines:
         return
     x, y = figure.axes(frame)
     for tick in y.ticks(8 if figure.is_ground else 4):
         at, text = y.at(tick), f"{tick:.12g}"
         yield Stroke([[(frame.left, at), (frame.right, at)]], "grid")
-        end = max(frame.left - 6, len(text) * DIGIT_PX)  # further right to have room
+        end = max(frame.left - 6, len(text) * DIGIT_PX)  # moved right if there is no room
         yield Label(text, end, at, "value", is_end=True)
     yield from x_ticks(figure, frame)
     if figure.is_ground:
@@ -193,7 +193,7 @@ def x_ticks(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
 
 
 def _around(span: Span, length: float) -> Span:
-    """Return a span of that length with the same middle."""
+    """Return a span of this length with the same middle."""
     middle = (span[0] + span[1]) / 2.0
     return middle - length / 2.0, middle + length / 2.0
 
@@ -208,7 +208,7 @@ def _finite(path: Path2D) -> list[Point]:
 
 
 def _least_span(low: float, high: float) -> float:
-    """Return how long an axis of such values must be, so that rounding is not drawn as a change."""
+    """Return the least span of an axis for these values at which rounding errors are invisible."""
     if low == high:
         return max(abs(high), SMALLEST_SPAN) if high else 1.0
     return max(RELATIVE_SPAN * max(abs(low), abs(high)), SMALLEST_SPAN)

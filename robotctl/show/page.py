@@ -1,4 +1,4 @@
-"""The page of one recording and its tables; complete without network and script."""
+"""The HTML page of one recording, with its tables; complete without network and script."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ RATE_WIDTH, RATE_HEIGHT = 120, 18
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[Content]]) -> Markup:
-    """Return a table, and a line that tells how many rows are beyond its limits."""
+    """Return a table, and a note on how many rows its limits have left out."""
     body: list[Markup] = []
     characters = 0
     for row in rows[:MAX_ROWS]:
@@ -56,7 +56,7 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[Content]]) -> Markup:
 
 
 def drives_table(drives: Sequence[EndedDrive]) -> Markup:
-    """Return the drives with their figures."""
+    """Return the table of the drives with their key figures."""
     heads = ("End", "Laps", "Distance", "Duration", "Off track RMS", "at most", "Closure", "Ended")
     rows = [
         (
@@ -75,7 +75,7 @@ def drives_table(drives: Sequence[EndedDrive]) -> Markup:
 
 
 def moments_table(moments: Sequence[TracedMoment]) -> Markup:
-    """Return what happened; each row is a link to its place in the plots."""
+    """Return the table of the moments; each row is a link to its place in the plots."""
     rows = [
         (
             tag("span", str(number), class_="number"),
@@ -94,7 +94,7 @@ def moments_table(moments: Sequence[TracedMoment]) -> Markup:
 
 
 def modes_table(spans: Sequence[ModeSpan]) -> Markup:
-    """Return the modes with their reasons."""
+    """Return the table of the modes with their reasons."""
     rows = [
         (
             f"{span.begin_s:.2f} s",
@@ -108,7 +108,7 @@ def modes_table(spans: Sequence[ModeSpan]) -> Markup:
 
 
 def messages_table(recorded: Recorded) -> Markup:
-    """Return the topics with their rates and losses, and the names of those without messages."""
+    """Return the table of the topics with rates and losses, and a list of the silent topics."""
     ledger = read_ledger(recorded.info.metadata)
     heads = ("Topic", "Messages", "Rate", "Over time", "Longest pause", "Lost", "Dropped")
     topics = recorded.info.topics
@@ -138,7 +138,7 @@ def _topic_row(
 
 
 def rate_picture(counts: Sequence[int]) -> Markup | None:
-    """Return a small picture of how many messages came over time."""
+    """Return a small picture of the message rate over time, None without messages."""
     most = max(counts, default=0)
     if not most:
         return None
@@ -156,7 +156,7 @@ def rate_picture(counts: Sequence[int]) -> Markup | None:
 
 
 def provenance_table(recorded: Recorded) -> Markup:
-    """Return what made the recording."""
+    """Return the table of how the recording was made: files, writer, profile, and metadata."""
     info = recorded.info
     told = info.metadata.get(INFO_RECORD, {})
     known = {
@@ -171,7 +171,7 @@ def provenance_table(recorded: Recorded) -> Markup:
 
 
 def parameters_table(recorded: Recorded) -> Markup | None:
-    """Return the parameters that the robot had when the last file began, None if not known."""
+    """Return the table of the parameters at the begin of the last file, None if not known."""
     told = recorded.info.metadata.get(INFO_RECORD, {})
     rows = [
         (key.removeprefix(PARAMETER_PREFIX), value)
@@ -197,7 +197,7 @@ class Tone(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CommandVerdict:
-    """A verdict: by which command, the verdict in a word, what it means, and its sentences."""
+    """The verdict of a command: one word, its tone, and the sentences that explain it."""
 
     command: str
     verdict: str
@@ -216,7 +216,7 @@ class Explanation:
 
 @dataclass(frozen=True, slots=True)
 class ReportFindings:
-    """All that was found."""
+    """The verdicts and explanations that a report shows."""
 
     judgements: tuple[CommandVerdict, ...] = ()
     explanations: tuple[Explanation, ...] = ()
@@ -239,7 +239,7 @@ def report_page(recorded: Recorded, judged: ReportFindings) -> str:
 
 
 def _document(title: str, body: Markup, data: dict[str, object]) -> str:
-    """Return a whole page; its policy lets nothing but its own script and style take effect."""
+    """Return a whole page; its Content-Security-Policy allows only its own script and style."""
     style, script = (_FOLDER.joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
     policy = (
         f"default-src 'none'; style-src '{_digest(style)}'; script-src '{_digest(script)}'; "
@@ -294,7 +294,7 @@ def _header(recorded: Recorded, judgements: Sequence[CommandVerdict]) -> Markup:
 
 
 def _seconds(time_ns: int) -> int:
-    """Return a time that the calendar knows; a file may hold any number."""
+    """Return a time in seconds, at most the end of 9999: a file may contain any number."""
     return min(time_ns // NS_PER_S, 253_402_300_799)
 
 

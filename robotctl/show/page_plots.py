@@ -1,4 +1,4 @@
-"""The plots of a page, and what its script needs to move their cursor."""
+"""The plots of a page, and the data with which its script moves their cursor."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ MARGIN_LEFT, MARGIN_TOP, MARGIN = 58, 14, 34
 MIN_HEIGHT, MAX_HEIGHT = 200, 640
 
 CHARACTER_PX: Final = 7.2
-"""The width of a character in a plot, about."""
+"""The approximate width of a character in a plot."""
 
 NUMBER_PX: Final = 15.0
-"""How far apart the numbers of moments are, at least."""
+"""The least distance between the numbers of two moments."""
 
 LEAST_SPEED, LEAST_ERROR_M = 0.05, 0.01
 LEAST_BATTERY_PERCENT, LEAST_LATE_MS = 2.0, 2.0
-"""The least height of each plot: noise is shown small."""
+"""The least span of the values of each plot, so that noise is drawn small."""
 
 MAX_PLACES: Final = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class TimePlot:
-    """A plot over time: its series by their names in the legend, with the class of each colour."""
+    """A plot over time; each of `series` has its name in the legend and its kind of line."""
 
     title: str
     unit: str
@@ -52,7 +52,7 @@ class TimePlot:
     from_zero: bool = False
 
     def figure(self, duration_s: float) -> Figure:
-        """Return its figure, without lines if no series has a value."""
+        """Return the plot as a figure; it has no lines if no series has a value."""
         lines = (Line(list(each.lines()), kind, name) for each, name, kind in self.series)
         return time_figure(
             f"{self.title} [{self.unit}]",
@@ -85,7 +85,7 @@ def plots_of(traces: Traces) -> list[TimePlot]:
 
 
 def time_plots(traces: Traces) -> Iterator[Markup]:
-    """Yield each plot over time with its caption, and above them the modes and moments."""
+    """Yield the band of modes and moments, then each plot over time with its caption."""
     if traces.modes or traces.moments:
         yield _mode_band(traces)
     for number, plot in enumerate(plots_of(traces), 1):
@@ -98,7 +98,7 @@ def time_plots(traces: Traces) -> Iterator[Markup]:
 
 
 def path_plot(traces: Traces) -> Markup | None:
-    """Return the paths with their legend, None without any."""
+    """Return the driven and wanted paths with their legend, None if there are no paths."""
     figure, places = _path_figure(traces), traces.driven.whole()
     if not figure.lines:
         return None
@@ -119,7 +119,7 @@ def path_plot(traces: Traces) -> Markup | None:
 
 
 def cursor_data(traces: Traces) -> dict[str, object]:
-    """Return the times, pixels and values that the cursor of a page shows."""
+    """Return the times, pixels and values that the script of a page needs for its cursor."""
     time, _ = time_figure("", (), traces.duration_s).axes(TIME_FRAME)
     figure, places = _path_figure(traces), traces.driven.whole()
     x, y = figure.axes(_path_frame(figure))

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
 TIME_FINE: Final = 2.0
-"""How many pixels a file has for each of a figure over time."""
+"""Pixels of the file per pixel of a figure over time."""
 
 PATH_FRAME: Final = Frame(500, 500 - TITLE_HEIGHT, 50, 450, 28, 428)
 PATH_FINE: Final = 1.6
 
 SMOOTH: Final = 2
-"""How much larger than the file a figure is drawn: the lines get smooth when it shrinks."""
+"""A figure is drawn this many times larger than in the file; shrinking smooths its lines."""
 
 LEGEND_PX: Final = 80
 
@@ -35,7 +35,7 @@ STYLES: Final = {
 
 
 def write_path_png(file: Path, figure: Figure) -> None:
-    """Write a figure on the ground with the access rights of its folder; replace a picture.
+    """Write a figure on the ground to a file; an existing file is replaced (see `replaced_file`).
 
     Raises:
         OSError: The file cannot be written.
@@ -50,7 +50,7 @@ def write_png(
     frame: Frame = TIME_FRAME,
     fine: float = TIME_FINE,
 ) -> None:
-    """Write figures, each in such a frame below its title, `fine` times as large."""
+    """Write figures one below the other, each in `frame` below its title, scaled by `fine`."""
     from PIL import Image, ImageDraw
 
     step = frame.height + TITLE_HEIGHT

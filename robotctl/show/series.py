@@ -1,4 +1,4 @@
-"""Values over time and places of a robot, thinned out while they are read; fields of topics."""
+"""Values over time and positions of a robot, thinned out while reading; number fields of topics."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from robotctl.recording import Recording, TopicInfo
 from robotctl.show.figure import Figure, Line, time_figure
 
 COLUMNS: Final = 600
-"""Columns of a plot; more than one value in a column cannot be told apart by eye."""
+"""Columns of a plot; the eye cannot distinguish several values in one column."""
 
 GAP: Final = 10.0
-"""A pause of this many times the usual distance of two columns with values breaks the line."""
+"""A pause longer than this many times the median gap between columns breaks the line."""
 
 MAX_VALUE: Final = 1e15
-"""Larger values are no measurement; they are left out and counted."""
+"""Larger values are no measurement; they are left out and counted in `Series.odd`."""
 
 Sample = tuple[float, float]
 """A time and a value."""
 
 
 class SeriesColumn(NamedTuple):
-    """The values in one column: where they begin and end, and between what they lie."""
+    """The values in one column: the first and last with their times, the least and the largest."""
 
     begin_s: float
     first: float
@@ -48,7 +48,7 @@ class SeriesColumn(NamedTuple):
 
 
 class Series:
-    """Values between the times 0 and `duration_s`; memory and work do not depend on their number.
+    """Values between the times 0 and `duration_s`; the memory does not depend on their number.
 
     `count` is the number of values, and `odd` how many were not finite or too large.
     """
@@ -60,7 +60,7 @@ class Series:
         self._columns: dict[int, SeriesColumn] = {}
 
     def add(self, t_s: float, value: float) -> None:
-        """Add a value; those of one column must come in the order of time."""
+        """Add a value; values in one column must be added in the order of time."""
         if not (isfinite(value) and abs(value) <= MAX_VALUE):
             self.odd += 1
             return
@@ -75,17 +75,17 @@ class Series:
 
     @property
     def columns(self) -> list[SeriesColumn]:
-        """The columns with values, in their order."""
+        """The columns with values, in the order of time."""
         return [self._columns[place] for place in sorted(self._columns)]
 
     @property
     def least(self) -> float | None:
-        """The smallest value, None without any."""
+        """The smallest value, None if there is none."""
         return min((column.least for column in self._columns.values()), default=None)
 
     @property
     def most(self) -> float | None:
-        """The largest value, None without any."""
+        """The largest value, None if there is none."""
         return max((column.most for column in self._columns.values()), default=None)
 
     def lines(self) -> Iterator[list[Sample]]:
@@ -118,14 +118,14 @@ def _points(column: SeriesColumn) -> Sequence[Sample]:
 
 
 MAX_PLACES: Final = 3000
-"""Above this every second place is removed, and the spacing doubles."""
+"""If there are more, every second place is removed, and the spacing doubles."""
 
 SPACING_M: Final = 0.002
 MAX_COORDINATE_M: Final = 1e6
 
 
 def is_on_earth(x: float, y: float) -> bool:
-    """Return whether a position is finite, and no further away than any robot drives."""
+    """Return whether a position is finite and within MAX_COORDINATE_M."""
     return isfinite(x) and isfinite(y) and max(abs(x), abs(y)) <= MAX_COORDINATE_M
 
 
@@ -138,7 +138,7 @@ class DrivenPlace(NamedTuple):
 
 
 class ThinnedPath:
-    """The places of a robot in the order of time, no two nearer to each other than the spacing."""
+    """The places of a robot in the order of time; a place too close to the last one is skipped."""
 
     def __init__(self) -> None:
         self.places: list[DrivenPlace] = []
@@ -146,7 +146,7 @@ class ThinnedPath:
         self._last: DrivenPlace | None = None
 
     def add(self, t_s: float, x: float, y: float) -> None:
-        """Add a position; one that cannot be true is left out."""
+        """Add a position, unless it is impossible or too close to the last place."""
         if not is_on_earth(x, y):
             return
         self._last = DrivenPlace(t_s, x, y)
@@ -160,24 +160,26 @@ class ThinnedPath:
             self._spacing_m *= 2.0
 
     def whole(self) -> list[DrivenPlace]:
-        """Return the places, and where the robot was last."""
+        """Return the places, including the last position of the robot."""
         ends = self._last is not None and self._last != self.places[-1]
         return [*self.places, self._last] if ends and self._last is not None else self.places
 
 
 MAX_SEARCHED: Final = 5000
+"""Limit on the leaf fields of a type that are searched."""
 MAX_LISTS: Final = 24
+"""Limit on the sequences of messages that are searched: each costs a look at all types."""
 MAX_NAMED: Final = 24
+"""Limit on the fields that an error names."""
 MAX_FIELDS: Final = 8
-"""Fields and lists that are searched, fields that a message names, and that a picture shows."""
+"""Limit on the fields that a picture shows."""
 
 
 @dataclass(frozen=True, slots=True)
 class FieldSeries:
     """A field and its values over time.
 
-    `absent` is the number of messages without a value: their list is shorter than the index in the
-    path.
+    `absent` counts the messages whose list is too short for the index in the path.
     """
 
     path: str
@@ -185,7 +187,7 @@ class FieldSeries:
     absent: int
 
     def figure(self, duration_s: float) -> Figure:
-        """Return its figure over time, without a line if there is no value."""
+        """Return a figure of the field over time; it has no line if there are no values."""
         return time_figure(self.path, [Line(list(self.series.lines()), "command")], duration_s)
 
 
@@ -198,10 +200,10 @@ class _Wanted:
 
 
 def number_fields(topic: TopicInfo, paths: Sequence[str]) -> list[tuple[str, Steps]]:
-    """Return path and steps of each number that is meant; a message stands for its numbers.
+    """Return path and steps of each number at `paths`; a message stands for all its numbers.
 
     Raises:
-        UsageError: A path leads to no number; the error names those there are.
+        UsageError: A path leads to no number, there is no path, or there are too many numbers.
         UnreadableFile: The recording does not describe the type.
     """
     definition = _definition(topic)
@@ -287,7 +289,7 @@ def _numbers_at(definition: Definition, path: str) -> dict[str, Steps]:
 
 
 def _listed(definition: Definition, steps: Steps) -> tuple[str, Steps]:
-    """Return the last message in a sequence on the way along the steps: its type and its place."""
+    """Return type and steps of the last message along `steps` that is an item of a sequence."""
     found: tuple[str, Steps] = definition.root, ()
     fields = definition.types[definition.root]
     field = fields[0]
@@ -301,10 +303,7 @@ def _listed(definition: Definition, steps: Steps) -> tuple[str, Steps]:
 
 
 def _with_lists(definition: Definition, leaves: Iterable[LeafField]) -> Iterable[LeafField]:
-    """Return MAX_SEARCHED leaves, with those of the first message of each sequence of messages.
-
-    MAX_LISTS sequences are searched: each costs a look at all types.
-    """
+    """Return at most MAX_SEARCHED leaves, including those of the first message of each sequence."""
     room = iter(range(MAX_LISTS))
 
     def walk(leaves: Iterable[LeafField]) -> Iterator[LeafField]:
@@ -317,7 +316,7 @@ def _with_lists(definition: Definition, leaves: Iterable[LeafField]) -> Iterable
 
 
 def _names(leaves: Iterable[LeafField]) -> list[str]:
-    """Return the paths of those leaves that are numbers, or that of their first number."""
+    """Return the paths of the leaves that are numbers; a list of numbers gives its first item."""
     return [
         f"{leaf.path}[0]" if leaf.is_number_list else leaf.path
         for leaf in leaves
@@ -326,7 +325,7 @@ def _names(leaves: Iterable[LeafField]) -> list[str]:
 
 
 def _named(definition: Definition) -> str:
-    """Return the numbers of a type, as a sentence."""
+    """Return a sentence that lists the numbers of a type."""
     names = _names(_with_lists(definition, leaf_fields(definition)))
     if not names:
         return "it has no numbers"

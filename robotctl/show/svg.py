@@ -14,13 +14,13 @@ MAX_TEXT: Final = 240
 """The longest text of a recording that is shown, in characters."""
 
 MAX_ESCAPED: Final = 360
-"""The longest text on the page, with each special character as up to six."""
+"""The longest text on the page after escaping, which makes up to six characters of one."""
 
 _WITHOUT_END: Final = frozenset({"meta", "input", "br"})
 
 
 class Markup(str):
-    """Text that is markup already; every other text is escaped where it is used."""
+    """Text that is markup already; any other text is escaped when it is used."""
 
     __slots__ = ()
 
@@ -32,7 +32,7 @@ Content = str | float | None
 def tag(name: str, /, *content: Content, **attributes: Content) -> Markup:
     """Return an element.
 
-    An attribute is written as `data_t` for `data-t`, `class_` for `class`; one of None is left out.
+    Write `data_t` for the attribute `data-t`, and `class_` for `class`. None omits an attribute.
     """
     written = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{_text(value)}"'
@@ -45,7 +45,7 @@ def tag(name: str, /, *content: Content, **attributes: Content) -> Markup:
 
 
 def joined(*content: Content) -> Markup:
-    """Return the parts one after the other, those that are no markup escaped."""
+    """Return the parts joined; parts that are not markup are escaped."""
     return Markup("".join(map(_text, content)))
 
 
@@ -78,11 +78,11 @@ def plain(value: float) -> str:
 
 
 TIME_FRAME: Final = Frame(960, 132, 62, 948, 10, 112)
-"""Where a figure over time is drawn; all those of a page share their time axis."""
+"""The frame of a figure over time; all of them on a page share the same time axis."""
 
 TITLE_HEIGHT: Final = 22
 BASELINE_PX: Final = 4
-"""How far the line of a text is below its middle."""
+"""The distance from the middle of a text down to its baseline."""
 
 _STYLE: Final = """
 svg{background:#fff}text{font:11.5px system-ui,"DejaVu Sans",sans-serif;fill:#5b6675}
@@ -130,7 +130,7 @@ def figures_svg(figures: Sequence[Figure]) -> str:
 
 
 def element(piece: Stroke | Label) -> Markup:
-    """Return the element of a part of a figure."""
+    """Return a stroke or a label as an SVG element."""
     if isinstance(piece, Label):
         kind = "tick last" if piece.kind == "tick" and piece.is_end else piece.kind
         return tag("text", piece.text, x=piece.x, y=piece.y + BASELINE_PX, class_=kind)
@@ -143,6 +143,6 @@ def _path_data(runs: Iterable[Sequence[Point]]) -> Markup:
     for run in runs:
         points = [f"{plain(x)} {plain(y)}" for x, y in run]
         if len(points) == 1:
-            points *= 2  # a dot, by its round end
+            points *= 2  # a line without length: its round ends draw a dot
         parts.append(f"M{'L'.join(points)}")
     return Markup("".join(parts))

@@ -11,7 +11,7 @@ from robotctl.show.figure import Axis, Figure
 DOTS_ACROSS, DOTS_DOWN = 2, 4
 
 LABEL: Final = 11
-"""The width of the numbers at the values of a figure over time."""
+"""The width of the numbers at the value axis, in characters."""
 
 _BRAILLE: Final = 0x2800
 _BITS: Final = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
@@ -35,7 +35,7 @@ class _Canvas:
         self._cells: dict[_Cell, int] = {}
 
     def line(self, points: Sequence[_Dot], every: int = 1) -> set[_Cell]:
-        """Set each dot on the lines between the points, or one of `every`; return their cells."""
+        """Set one in `every` dots on the lines between the points; return the cells of these."""
         cells = set()
         for index, (x, y) in enumerate(_dots(points)):
             if index % every == 0:
@@ -46,7 +46,7 @@ class _Canvas:
         return cells
 
     def character(self, column: int, row: int, *, ascii_only: bool = False) -> str:
-        """Return the character of a cell, a space without a dot."""
+        """Return the character of a cell, a space if no dot in it is set."""
         bits = self._cells.get((column, row), 0)
         if not bits:
             return " "
@@ -54,7 +54,7 @@ class _Canvas:
 
 
 def ground_lines(figure: Figure, *, rows: int = 18, colour: bool = False) -> list[str]:
-    """Return a figure on the ground, with axes in metres, in at most `rows` and two more lines."""
+    """Return a figure on the ground in at most `rows` lines, plus two for the x axis in metres."""
     (left, right), (bottom, top) = figure.x, figure.y
     dots_per_m = (rows * DOTS_DOWN - 1) / max(right - left, top - bottom)
     across = int((right - left) * dots_per_m) // DOTS_ACROSS + 1
@@ -90,7 +90,7 @@ def ground_lines(figure: Figure, *, rows: int = 18, colour: bool = False) -> lis
 def time_lines(
     figure: Figure, *, width: int, rows: int, colour: bool, ascii_only: bool
 ) -> Iterator[str]:
-    """Yield a figure over time, in so many rows and one more line; without values, nothing."""
+    """Yield the figure in `rows` lines plus one for the time axis, or nothing if it is empty."""
     if not figure.lines:
         return
     across = max(width - LABEL - 1, 10)
@@ -113,7 +113,7 @@ def time_lines(
 
 
 def _label(value: float) -> str:
-    """Return a number with as many of five digits as have room at the axis."""
+    """Return a number with up to five significant digits, as many as fit at the axis."""
     texts = (f"{value:.{digits}g}" for digits in range(5, 0, -1))
     return next(text for text in texts if len(text) < LABEL)
 

@@ -1,4 +1,4 @@
-"""What a report draws of a recording, from its journal or its topics."""
+"""Reads what a report draws of a recording, from its journal or, without one, its topics."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ MAX_SPANS: Final = 150
 MAX_MOMENTS: Final = 100
 MAX_DRIVES: Final = 50
 MAX_WANTED_POINTS: Final = 8_000
-"""How much of each is kept; `Traces.left_out` counts the rest."""
+"""Limits on what is kept; `Traces.left_out` counts the rest."""
 
 RATE_COLUMNS: Final = 60
 """Columns of the small picture of a topic's rate."""
@@ -76,7 +76,7 @@ class ModeSpan:
 
 @dataclass(frozen=True, slots=True)
 class TracedMoment:
-    """Something that happened: its kind in a word, and what is known of it."""
+    """Something that happened: when, its kind in a word, and a description."""
 
     t_s: float
     kind: str
@@ -85,7 +85,7 @@ class TracedMoment:
 
 @dataclass(frozen=True, slots=True)
 class EndedDrive:
-    """A drive that ended, and its figures."""
+    """A drive that ended: when, why, and its report."""
 
     t_s: float
     reason: str
@@ -93,7 +93,7 @@ class EndedDrive:
 
 
 class Rates:
-    """How many messages of each topic came in each part of the recording, and the longest pause."""
+    """Message counts of each topic in RATE_COLUMNS parts of the recording, and longest pauses."""
 
     def __init__(self, duration_s: float) -> None:
         self.counts: dict[str, list[int]] = {}
@@ -145,7 +145,7 @@ class Traces:
         self.rates = Rates(self.duration_s)
 
     def enter_mode(self, t_s: float, mode: str, reason: str) -> None:
-        """Note a mode from a time on."""
+        """Begin a mode, and end the one before; the same mode and reason just continue."""
         if self.modes:
             self.modes[-1].end_s = t_s
             if self.modes[-1].mode == mode and self.modes[-1].reason == reason:
@@ -154,17 +154,17 @@ class Traces:
             self.modes.append(ModeSpan(t_s, t_s, mode, reason))
 
     def happened(self, t_s: float, kind: str, text: str) -> None:
-        """Note a moment."""
+        """Add a moment, if there is room."""
         if self._has_room(self.moments, MAX_MOMENTS):
             self.moments.append(TracedMoment(t_s, kind, text))
 
     def drive_ended(self, drive: EndedDrive) -> None:
-        """Note the end of a drive."""
+        """Add the end of a drive, if there is room."""
         if self._has_room(self.drives, MAX_DRIVES):
             self.drives.append(drive)
 
     def want(self, outline: list[Point]) -> None:
-        """Note a wanted path; one that leads nowhere is left out."""
+        """Add a wanted path, unless it is empty or impossible, or there is no room."""
         has_room = sum(map(len, self.wanted)) + len(outline) <= MAX_WANTED_POINTS
         if outline and has_room and all(is_on_earth(x, y) for x, y in outline):
             self.wanted.append(outline)
@@ -172,7 +172,7 @@ class Traces:
             self.left_out += 1
 
     def close(self) -> None:
-        """Let the last mode last to the end."""
+        """Extend the last mode to the end of the recording."""
         if self.modes:
             self.modes[-1].end_s = max(self.duration_s, self.modes[-1].begin_s)
 
@@ -194,8 +194,8 @@ MS_PER_NS: Final = 1e-6
 class JournalTraces:
     """Fills traces from the entries of a journal, in their order.
 
-    Commands, modes and ends are those that were recorded. A kernel decides the events again, for
-    only it knows the wanted path; where entries are missing it waits for the next snapshot.
+    Commands, modes and ends of drives are the recorded ones. A kernel repeats the decisions, since
+    only it knows the wanted path; after missing entries, the next snapshot replaces the kernel.
     """
 
     def __init__(self, traces: Traces) -> None:
@@ -209,7 +209,7 @@ class JournalTraces:
         """Add an entry that was recorded at this time.
 
         Raises:
-            UnreadableFile: It is not of this version; the next entry may be taken.
+            UnreadableFile: This version cannot read it; the next entry can be added all the same.
         """
         if entry.seq != self._next_seq:
             self._kernel = self._tick_ns = None
@@ -264,7 +264,7 @@ class JournalTraces:
             self._traces.lateness.add(t_s, (event.t_ns - due_ns) * MS_PER_NS)
 
     def _follow_safely(self, pose: Pose, t_s: float) -> None:
-        """Follow a drive of a state that came from a file, which may be none that a kernel has."""
+        """Call `_follow`, guarded: the kernel's state comes from a file, and may be impossible."""
         try:
             self._follow(pose, t_s)
         except KERNEL_FAILURES as error:
@@ -272,7 +272,7 @@ class JournalTraces:
             raise UnreadableFile(f"the wanted path cannot be drawn: {error}"[:200]) from None
 
     def _follow(self, pose: Pose, t_s: float) -> None:
-        """Note how far a robot at this pose is from its path, and a path that is new."""
+        """Add the distance of this pose from the wanted path, and the path itself if it is new."""
         state = None if self._kernel is None else self._kernel.state
         if state is None or state.drive is None or state.phase is not Phase.DRIVING:
             return
@@ -286,7 +286,7 @@ class JournalTraces:
             self._traces.want([(place.x, place.y) for place in outline])
 
     def _measured(self, ended: DriveEnded) -> DriveReport:
-        """Return the report of a drive, without errors if it has no path."""
+        """Return the report of a drive, without errors if the drive has no path."""
         followed = self._outlined is not None and self._outlined[0] == ended.request_id
         known = followed or self._kernel is None
         return ended.report if known else ended.report.without_errors()
@@ -321,12 +321,12 @@ Taker = Callable[[Traces, float, bytes], None]
 
 @dataclass(frozen=True, slots=True)
 class TopicTraces:
-    """What takes the messages of each topic that is drawn, by topic and type."""
+    """The function that adds the messages of a drawn topic, by topic and type."""
 
     takers: dict[tuple[str, str], Taker]
 
     def take(self, message: Message, traces: Traces, t_s: float) -> None:
-        """Add a message; those of other topics are ignored."""
+        """Add a message, if its topic is drawn."""
         taker = self.takers.get((message.topic, message.type_name))
         if taker is not None:
             taker(traces, t_s, message.data)
@@ -338,7 +338,7 @@ class TopicTraces:
 
 
 def topic_traces(topics: Sequence[TopicInfo]) -> TopicTraces:
-    """Choose the topics to draw: of each kind the one with the most messages."""
+    """Choose the topics to draw: odometry, command and battery, each with the most messages."""
     takers: dict[tuple[str, str], Taker] = {}
     kinds: tuple[dict[str, Taker], ...] = (
         {ODOMETRY: _take_odometry},
@@ -386,9 +386,9 @@ def _take_battery(traces: Traces, t_s: float, data: bytes) -> None:
 class Recorded:
     """A recording as its report shows it.
 
-    `drawn` are the topics that were drawn where there is no journal. `missing` says what could not
-    be read. `is_live` means that it is being written, `is_cut_off` that robotctl never
-    closed it.
+    `drawn` are the topics that were drawn if there is no journal. `missing` has a sentence for each
+    part that could not be read. `is_live` means that the recording is being written, `is_cut_off`
+    that robotctl never closed it.
     """
 
     info: RecordingInfo
@@ -418,7 +418,7 @@ def read_recorded(
         traces = Traces(info.duration_s)
         journal, others = journal_topic(info), topic_traces(info.topics)
         for event in info.events:
-            if journal is None or event.kind is EventKind.MARK:  # the journal tells the others
+            if journal is None or event.kind is EventKind.MARK:  # the journal has the others
                 t_s = (event.log_ns - info.start_ns) / NS_PER_S
                 traces.happened(t_s, event.kind.value, event.text)
         from_journal, decoder = JournalTraces(traces), EntryDecoder(recording)
@@ -447,9 +447,9 @@ def read_recorded(
 
 @dataclass(frozen=True, slots=True)
 class KeyFigure:
-    """A figure: its key in `--json`, its name, its value (None: not known), format and unit.
+    """A key figure: its key in `--json`, its name, its value (None: not known), format and unit.
 
-    A value that is not finite is not known either: a recording may hold any number.
+    `figures_of` replaces values that are not finite by None: a recording may hold any number.
     """
 
     key: str
@@ -467,7 +467,7 @@ class KeyFigure:
 
 
 def figures_of(recorded: Recorded) -> list[KeyFigure]:
-    """Return the figures of a recording, in the order in which they are shown."""
+    """Return the key figures of a recording, in the order in which they are shown."""
     traces, info = recorded.traces, recorded.info
     ledger = read_ledger(info.metadata).values()
     lost = sum(counts.get("lost", 0) + counts.get("dropped", 0) for counts in ledger)
@@ -503,7 +503,7 @@ def _distance(traces: Traces) -> float | None:
 
 
 def _cross_track(traces: Traces) -> tuple[float | None, float | None]:
-    """Return the root mean square over all drives, by their duration, and the largest error."""
+    """Return the RMS error of all drives, weighted by their duration, and the largest error."""
     reports = [
         report
         for report in (drive.report for drive in traces.drives)

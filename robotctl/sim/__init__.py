@@ -1,1 +1,1 @@
-"""The simulated differential-drive robot, without clock, bus and ROS."""
+"""The simulated differential-drive robot, without a clock, a bus or ROS."""

@@ -1,4 +1,4 @@
-"""The motion model of the simulated robot: lag, limits, wheel slip, odometry errors; its faults."""
+"""The motion model of the simulated robot: lag, limits, odometry errors, battery, faults."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from robotctl.kernel.ranges import Change, bounded, setting
 from robotctl.kernel.types import ZERO, Twist
 
 JUMP_M = 1.0
-"""How far the reported pose jumps along x, and back at the end."""
+"""How far the reported pose jumps along x; it jumps back at the end of the fault."""
 
 BROWNOUT_LEVEL = 0.1
 """The highest reported level while the supply is too weak."""
@@ -24,9 +24,9 @@ class SimFault(Enum):
     """What can go wrong with the simulated robot.
 
     ODOM_LOST: it publishes no odometry. ODOM_JUMP: its reported pose jumps by `JUMP_M`. SLIP: it
-    stays where it is whatever the drives do. HANG: it takes no command and publishes nothing, and
-    its drives keep the last command until its own timeout. BROWNOUT: its drives have no power, and
-    the level is at most `BROWNOUT_LEVEL`.
+    does not move, though the wheels turn. HANG: it ignores commands and publishes nothing, and its
+    drives keep the last command until the command timeout. BROWNOUT: its drives have no power, and
+    the reported battery level is at most `BROWNOUT_LEVEL`.
     """
 
     ODOM_LOST = "odom-lost"
@@ -47,23 +47,23 @@ class Faults:
         return bool(left_s) and fault in left_s  # nearly always none: no member is hashed then
 
     def begin(self, fault: SimFault, for_s: float) -> None:
-        """Begin a fault, or change the rest of its time."""
+        """Begin a fault for `for_s` seconds; for an active fault, set the time left."""
         self._left_s[fault] = for_s
 
     def advance(self, dt_s: float) -> None:
-        """Let `dt_s` seconds pass, and end the faults whose time is over."""
+        """Reduce the time left of each fault by `dt_s`; end the faults whose time is over."""
         self._left_s = {
             fault: left_s - dt_s for fault, left_s in self._left_s.items() if left_s > dt_s
         }
 
     def reported_pose(self, pose: Pose) -> Pose:
-        """Return the pose that is reported for this one."""
+        """Return the pose that the robot reports if its odometry is `pose`."""
         if SimFault.ODOM_JUMP in self:
             return Pose(pose.x + JUMP_M, pose.y, pose.theta)
         return pose
 
     def reported_level(self, level: float) -> float:
-        """Return the battery level that is reported for this one."""
+        """Return the level that the robot reports if its battery is at `level`."""
         return min(level, BROWNOUT_LEVEL) if SimFault.BROWNOUT in self else level
 
 
@@ -72,8 +72,8 @@ class SimParams:
     """How the simulated robot differs from a perfect one.
 
     Actuation errors lie between command and wheels, so odometry measures them. Odometry errors lie
-    between wheels and report, so only a comparison with the true pose shows them. Noise is the
-    standard deviation of the factor.
+    between wheels and report, so only a comparison with the true pose shows them. Each noise is
+    the standard deviation of the two factors.
     """
 
     lag_s: float = bounded(0.08, 0.0, 2.0, "s", "time constant of the drives", Change.START)
@@ -110,8 +110,8 @@ class Robot:
     """A robot that follows commands as well as its parameters allow.
 
     `truth` is its true pose and `odometry` the pose that it reports; both begin at the origin.
-    `measured` is the velocity that it reports, and `battery` its level, 0 to 1. `faults` are what
-    is wrong with it.
+    `measured` is the velocity that it reports, and `battery` its level, 0 to 1. `faults` are its
+    active faults.
     """
 
     def __init__(self, params: SimParams) -> None:
@@ -127,7 +127,7 @@ class Robot:
         self.faults = Faults()
 
     def resume(self, pose: Pose, measured: Twist, command: Twist) -> None:
-        """Begin at a pose, with the velocity that odometry reports there, under a command."""
+        """Continue at `pose`, with the reported velocity `measured`, and follow `command`."""
         params = self._params
         self.truth = self.odometry = pose
         self.measured = measured

@@ -1,4 +1,4 @@
-"""Recordings of simulated drives, as a daemon makes them, but without daemon and waiting."""
+"""Makes recordings of simulated drives, like those of a daemon, without a daemon or waiting."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ from robotctl.rerun.closed_loop import closed_loop
 from robotctl.rerun.journal_values import read_effect
 
 START_NS = 1_700_000_000_000_000_000
-"""Time of the clock at which recordings begin."""
+"""Added to the steady times of a journal, gives the log times [ns since the epoch]."""
 
 GID = b"publisher-number"
-"""The publisher of everything that is recorded."""
+"""The gid of the publisher of all recorded messages."""
 
 QOS = """\
 - history: keep_last
@@ -65,7 +65,7 @@ QOS = """\
 
 
 def installed_topic(name: str, type_name: str) -> Topic:
-    """Return a topic with the definition of its type, as it is installed."""
+    """Return a topic with the installed definition of its type."""
     text = installed_definition(type_name, "")
     type_hash = rihs01_hash(type_name, parse_definition(type_name, text)) if text else ""
     return Topic(name, type_name, text, type_hash, QOS)
@@ -106,8 +106,8 @@ def drive(
 ) -> list[Written]:
     """Return what a daemon writes and publishes while a simulated robot drives.
 
-    `requests` may be any events. The events in `then` follow after the robot has stopped sending.
-    A daemon that is not `closed` was killed: it wrote no last snapshot.
+    `requests` may be any events. The events in `then` follow after the simulation has ended.
+    If not `closed`, the daemon was killed, and wrote no last snapshot.
     """
     config = config or Config()
     asked = [drive_requested()] if requests is None else requests
@@ -122,7 +122,7 @@ def journaled(
 ) -> Iterator[Written]:
     """Yield what a daemon writes for the steps of a kernel.
 
-    There is a snapshot at each given time, and one at the end, after the report that it ends.
+    There is a snapshot at each given time, and one at the end, after the daemon's last event.
     """
     written: list[Written] = []
     commands = 0
@@ -178,7 +178,7 @@ def record(
     """Make a recording in `folder`, and return the folder.
 
     Log times follow the times of the journal. `clock` maps them to wall-clock times, so that a
-    test can set the clock. `beside(recorder, time_ns)` may record more, before each item.
+    test can set the clock. `beside(recorder, time_ns)` is called before each item, to record more.
     """
     parameters = {f"{PARAMETER_PREFIX}{key}": str(v) for key, v in flat(config or Config()).items()}
     recorder = Recorder(
@@ -212,7 +212,7 @@ def record(
 
 
 def _noted_event(entry: JournalEntry, now_ns: int) -> RecordedEvent | None:
-    """Return the event that a daemon notes beside this journal entry, None if it notes none."""
+    """Return the event that a daemon records with this journal entry, None if there is none."""
     if entry.kind is not EntryKind.EFFECT:
         return None
     try:

@@ -96,14 +96,14 @@ class VolatileFile(DiskFile):
         self._dirty.update(range(offset // PAGE, -(-end // PAGE)))
 
     def sync(self) -> None:
-        """Keep the present content over a power cut."""
+        """Make the present content survive a power cut."""
         self.synced = bytes(self._cached)
         self._dirty.clear()
 
     def after_power_cut(self, dice: random.Random) -> bytes:
         """Return a possible content of the file after a power cut now.
 
-        Its size is that of the last sync, the present one, or one between them. Each page written
+        Its size is between those of the last sync and of the present content. Each page written
         since the sync is old, new, or new up to a sector and old after it.
         """
         size = dice.choice(

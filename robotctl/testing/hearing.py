@@ -1,4 +1,4 @@
-"""A kernel that hears numbered messages, as a daemon does, instead of values."""
+"""A kernel whose inputs come with serialized, numbered messages, as in a daemon."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _HEADER = struct.pack("<4siII1s3x", ENCAPSULATION, 0, 0, 1, b"\0")
 
 
 def safety_message(kind: SafetyInput, value: float, detail: str = "") -> bytes:
-    """Return a message that says `value`; `detail` is "NAME: TEXT" of a diagnosis, or ""."""
+    """Return an input's message, b"" for NaN; `detail` is "NAME: TEXT" of a diagnosis, or ""."""
     if isnan(value):
         return b""
     if kind is SafetyInput.JOY:
@@ -61,7 +61,7 @@ def _diagnosis(level: int, name: str, text: str) -> bytes:
 ODOMETRY, BATTERY, SCAN, WANTED = "/odom", "/battery_state", "/scan", "/cmd_vel_nav"
 
 _BATTERY = struct.Struct("<4siII1s3x7f")
-"""A BatteryState with an empty frame name, as far as the level."""
+"""A BatteryState with an empty frame name, up to the level."""
 
 
 _SCAN = struct.Struct("<4siII1s3x7fI64fI")
@@ -76,10 +76,9 @@ def _scan(sectors: tuple[float, ...]) -> bytes:
 
 
 class HearingKernel(Kernel):
-    """A kernel whose odometry and battery levels go over the wire first.
+    """A kernel that serializes and numbers the message of each input before it decides.
 
-    `heard` is the event that it took last, and `messages` holds what was on the wire, by topic and
-    number.
+    `heard` is the last event, and `messages` holds the serialized messages, by topic and number.
     """
 
     def __init__(self, config: Config) -> None:
@@ -92,7 +91,7 @@ class HearingKernel(Kernel):
         self._safety_counts = Counter[SafetyInput]()
 
     def step(self, event: Event) -> tuple[Effect, ...]:
-        """Decide on what is left of an event after it went over the wire."""
+        """Serialize an input, read odometry, battery and scans from the bytes, and decide."""
         if isinstance(event, OdomReceived):
             self._odometry_count += 1
             sample = event.odometry

@@ -36,7 +36,7 @@ from robotctl.sim.robot import Robot, SimParams
 TICK_NS = 20_000_000
 
 MOST_TURNS = 1000
-"""After this number of turns, `while_moving` fails."""
+"""After this number of iterations, `while_moving` fails."""
 
 
 class Bench:
@@ -204,7 +204,7 @@ def drive_simulated(
     course: Course = PLAIN,
     params: KernelParams | None = None,
 ) -> Driven:
-    """Drive a simulated robot until the drive ends; `rate_hz` is that of the ticks.
+    """Drive a simulated robot until the drive ends; `rate_hz` is the rate of the ticks.
 
     Raises:
         AssertionError: The drive does not end within 200 simulated seconds.

@@ -2,7 +2,7 @@
 
 The line is a `ViewJob`. The reports are {"ready"} with `url`, `open` and `port`, {"note"},
 {"ended"} with the reason, and {"error", "exit_code"} with details of the error.
-A signal, the end of the daemon and, unless the job says otherwise, of stdin end the process.
+The process ends on a signal, with the daemon, and when stdin is closed (see `outlives_stdin`).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _main(arguments: list[str], at_end: ExitStack) -> int:
-    """Do the work of `main`; `at_end` gets what must be closed last."""
+    """Do the work of `main`; `at_end` collects what must be closed last."""
     note = environment.prepare()
     report = partial(_report, report_fd(arguments))
     line = _first_line()
@@ -51,7 +51,7 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
 
 
 def _report(descriptor: int, said: dict[str, Any]) -> None:
-    with suppress(BrokenPipeError):  # the command has ended, or has left this process alone
+    with suppress(BrokenPipeError):  # the command has ended, or does not read reports any more
         send_report(descriptor, said)
 
 

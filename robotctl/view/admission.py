@@ -1,8 +1,8 @@
 """Who may connect: by the Host, the Origin and the token of the first request.
 
-A page of any origin may open a WebSocket to this machine, and DNS rebinding gives it a name of its
-own for it. So the Host must be no name that others control, the Origin must be known, and the URL
-must have the token of this run, which other users of the machine do not know either.
+Any web page can open a WebSocket to this machine, also under a foreign host name (DNS rebinding).
+So the Host must be an IP address or a name of this computer, the Origin must be known, and the URL
+must have the token of this run, which keeps out other users of the machine, too.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ KNOWN_ORIGINS: Final = (
     "http://localhost:8080",
     "http://127.0.0.1:8080",
 )
-"""The pages of Foxglove, the desktop applications, and Lichtblick where its container serves it."""
+"""The pages of Foxglove, the desktop applications, and Lichtblick as its container serves it."""
 
 _TOKEN_BYTES: Final = 24
 
@@ -36,18 +36,18 @@ class Admission:
     """Checks the first request of a connection."""
 
     def __init__(self, token: str, origins: Iterable[str] = (), host: str = "localhost") -> None:
-        """Admit requests with this token from KNOWN_ORIGINS, from `origins` and from no page.
+        """Admit requests with this token from KNOWN_ORIGINS and `origins`, or without an Origin.
 
-        `host` is a name of this computer, by which viewers may call it, too.
+        `host` is a further name of this computer that a Host header may have.
         """
         self._token = token.encode()
         self._own_names = {"localhost", socket.gethostname().lower(), host.lower()}
         self._origins = {*KNOWN_ORIGINS, *origins}
 
     def refusal(self, target: str, hosts: Sequence[str], origins: Sequence[str]) -> str:
-        """Return why a request is refused, "" where it is admitted.
+        """Return why a request is refused, "" if it is admitted.
 
-        `target` is its path with the query; `hosts` and `origins` are all headers of these names.
+        `target` is the path with the query; `hosts` and `origins` are all Host and Origin headers.
         """
         if len(hosts) != 1 or not self._is_own_host(hosts[0]):
             return "the Host header names no address of this computer"
@@ -59,7 +59,7 @@ class Admission:
         return ""
 
     def _is_own_host(self, header: str) -> bool:
-        """Return whether a Host header holds an address, or a name that only this machine gives."""
+        """Return whether a Host header has an IP address, or a name of this computer."""
         try:
             host = urlsplit(f"//{header}").hostname
         except ValueError:

@@ -14,7 +14,7 @@ from enum import IntEnum
 from typing import Any, Final
 
 SUBPROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
-"""The names under which Foxglove and Lichtblick ask for it."""
+"""The WebSocket subprotocols that Foxglove and Lichtblick request."""
 
 _MESSAGE_DATA: Final = struct.Struct("<BIQ")
 _SERVICE_RESPONSE: Final = struct.Struct("<BIII")
@@ -30,7 +30,7 @@ class StatusLevel(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ViewChannel:
-    """A topic that is offered; its messages are CDR, its definition a text."""
+    """An offered topic; its messages are CDR, its definition is ros2msg text."""
 
     id: int
     topic: str
@@ -40,14 +40,14 @@ class ViewChannel:
 
 @dataclass(frozen=True, slots=True)
 class ViewService:
-    """A service without parameters that is offered; its response has `success` and `message`."""
+    """An offered service without parameters; its response has `success` and `message`."""
 
     id: int
     name: str
 
 
 def server_info(name: str, session_id: str, capabilities: Iterable[str]) -> str:
-    """Return the greeting."""
+    """Return the message that a viewer gets first."""
     info = {
         "op": "serverInfo",
         "name": name,
@@ -60,7 +60,7 @@ def server_info(name: str, session_id: str, capabilities: Iterable[str]) -> str:
 
 
 def advertise(channels: Iterable[ViewChannel]) -> str:
-    """Return the offer of channels."""
+    """Return the message that offers channels."""
     offered = [
         {
             "id": each.id,
@@ -76,23 +76,23 @@ def advertise(channels: Iterable[ViewChannel]) -> str:
 
 
 def unadvertise(channel_ids: Iterable[int]) -> str:
-    """Return the end of an offer of channels."""
+    """Return the message that withdraws channels."""
     return json.dumps({"op": "unadvertise", "channelIds": list(channel_ids)})
 
 
 def status(level: StatusLevel, message: str, id: str = "") -> str:  # noqa: A002 - the field's name
-    """Return a status message; one with an id replaces that of the same id."""
+    """Return a status message; it replaces the one with the same `id`, unless that is ""."""
     said: dict[str, Any] = {"op": "status", "level": level.value, "message": message}
     return json.dumps(said | ({"id": id} if id else {}))
 
 
 def remove_status(ids: Iterable[str]) -> str:
-    """Return the end of status messages."""
+    """Return the message that removes status messages."""
     return json.dumps({"op": "removeStatus", "statusIds": list(ids)})
 
 
 def advertise_services(services: Iterable[ViewService]) -> str:
-    """Return the offer of services, all of type std_srvs/srv/Trigger, called with JSON."""
+    """Return the message that offers services, all std_srvs/srv/Trigger with JSON encoding."""
 
     def side(kind: str, properties: Mapping[str, Any]) -> dict[str, str]:
         schema = json.dumps({"type": "object", "properties": properties})
@@ -122,13 +122,13 @@ def service_response(service_id: int, call_id: int, answer: Mapping[str, Any]) -
 
 
 def service_failure(service_id: int, call_id: int, message: str) -> str:
-    """Return that a call failed."""
+    """Return the message that a call failed."""
     said = {"serviceId": service_id, "callId": call_id, "message": message}
     return json.dumps({"op": "serviceCallFailure", **said})
 
 
 def message_head(subscription_id: int, log_ns: int) -> bytes:
-    """Return what precedes the CDR bytes of a message."""
+    """Return the bytes that precede the CDR bytes of a message."""
     return _MESSAGE_DATA.pack(1, subscription_id, log_ns)
 
 
@@ -139,7 +139,7 @@ _MAX_ID: Final = (1 << 32) - 1
 
 
 class WrongRequest(Exception):
-    """A message that is none of the protocol, or one that this server does not take."""
+    """A message that violates the protocol, or that this server does not support."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +166,7 @@ class ServiceCall:
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """Offer a channel of the client, with an id of the client."""
+    """A channel on which the client will publish; the client chose its id."""
 
     id: int
     topic: str
@@ -176,14 +176,14 @@ class Offer:
 
 @dataclass(frozen=True, slots=True)
 class ClientOffers:
-    """Offer channels of the client."""
+    """The client will publish on these channels."""
 
     offers: list[Offer]
 
 
 @dataclass(frozen=True, slots=True)
 class ClientWithdrawal:
-    """Offer these channels of the client no longer."""
+    """The client will no longer publish on these channels."""
 
     ids: list[int]
 
@@ -205,7 +205,7 @@ def text_request(text: bytes) -> ViewRequest:
     """Decode a text message.
 
     Raises:
-        WrongRequest: It is none of the protocol, or one that this server does not take.
+        WrongRequest: It violates the protocol, or this server does not support it.
     """
     try:
         said = json.loads(text)
@@ -229,7 +229,7 @@ def binary_request(data: bytes) -> ViewRequest:
     """Decode a binary message.
 
     Raises:
-        WrongRequest: It is none of the protocol, or one that this server does not take.
+        WrongRequest: It violates the protocol, or this server does not support it.
     """
     opcode, content = data[:1], data[1:]
     try:

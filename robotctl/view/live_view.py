@@ -1,4 +1,4 @@
-"""Feeds the server from a ROS domain: a node of its own subscribes to what viewers watch."""
+"""Feeds the server from a ROS domain: a separate node subscribes to the topics that are watched."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from robotctl.view.foxglove import StatusLevel
 from robotctl.view.server import ViewServer
 
 _NODE: Final = "_view"
-"""ROS tools hide names with an underscore."""
+"""ROS tools hide names that begin with an underscore."""
 
 
 class LiveView:
@@ -53,7 +53,7 @@ class LiveView:
     # From the server
 
     def _subscribed(self, channel_id: int) -> None:
-        """Subscribe; where others watch already, the newcomer needs what is latched, too."""
+        """Subscribe, even if others watch the topic: a new viewer needs its latched messages."""
         self._tap.want(self._topics[channel_id], partial(self._forward, channel_id))
 
     def _unwatched(self, channel_id: int) -> None:

@@ -1,4 +1,4 @@
-"""What viewers may do to the robot with `--control`: stop it, and drive it with the lease."""
+"""Control of the robot by viewers with `--control`: stop it, and drive it if there is a lease."""
 
 from __future__ import annotations
 
@@ -41,22 +41,22 @@ _MODES: Final = {ESTOP.id: EMERGENCY_STOP_MODE, STOP.id: IDLE_MODE}
 _STAND: Final = (0.0, 0.0)
 
 LET_GO_S: Final = 1.0
-"""How long an operator must be silent before the next motion, after one was refused or ended. It is
-longer than the delays of a slow network, which are no release."""
+"""After a motion was refused or ended, the operator must send nothing for this time before the next
+one. Delays of a slow network are shorter, and do not count as letting go."""
 
 MAX_CALLS: Final = {ESTOP.id: 3, STOP.id: 1}
-"""Limit on calls of each service that are not answered yet. With the held velocity they take all
-threads of the loop's pool, which has five on one core, so that no call delays an emergency stop."""
+"""Limit on the unanswered calls of each service. With one call for the velocity they fill the five
+threads that the loop's pool has on one core: no call has to wait for a thread."""
 
 CALL_S: Final = 1.0
-"""How long the daemon may take to answer a held velocity; its robot stands long before."""
+"""Timeout for the daemon's answer to a velocity; a robot without commands stops long before."""
 
 
 class RemoteControl:
-    """Carries requests of viewers to the daemon, through its control socket."""
+    """Forwards requests of viewers to the daemon, through its control socket."""
 
     def __init__(self, robot: str, server: ViewServer, lease: str) -> None:
-        """`lease` is the token of the lease, "" where viewers may only stop the robot."""
+        """`lease` is the token of the lease, "" if viewers may only stop the robot."""
         self._robot = robot
         self._server = server
         self._source = f"robotctl view (uid {os.getuid()}, pid {os.getpid()})"
@@ -74,7 +74,7 @@ class RemoteControl:
     # Services
 
     def _call(self, viewer: Viewer, request: ServiceCall) -> None:
-        """Answer each call, for a caller waits: at once if it cannot be made."""
+        """Forward a call and send its answer; if it cannot be forwarded, answer at once."""
         failure = ""
         if request.service_id not in _MODES:
             failure = "there is no such service"
@@ -107,7 +107,7 @@ class RemoteControl:
             raise WrongRequest(f"this view takes {TWIST} in JSON, and moves the robot by it")
 
     def _take_velocity(self, viewer: Viewer, message: ClientMessage) -> None:
-        """Hold a velocity; of several that wait, the newest counts."""
+        """Note the wanted velocity; if several wait, the newest is sent."""
         velocity = velocity_of(message.data)
         if self._driver is None:
             self._driver = viewer
@@ -118,10 +118,10 @@ class RemoteControl:
         self._wished.set()
 
     async def _drive(self, viewer: Viewer) -> None:
-        """Ask for each wish through one connection, until a silence; it ends the motion."""
+        """Send the wanted velocities to the daemon; a pause of MAX_SILENCE_S ends the motion."""
         try:
             with ExitStack() as stack:
-                # In a thread, because a busy daemon lets a client wait for seconds.
+                # In a thread, because a busy daemon makes a client wait for seconds.
                 client = await asyncio.to_thread(stack.enter_context, Client(self._robot))
                 number = 0
                 while await self._has_wish(MAX_SILENCE_S):
@@ -143,7 +143,7 @@ class RemoteControl:
             self._driver = None
 
     async def _has_wish(self, silence_s: float) -> bool:
-        """Wait for a wish, and return whether there is one before such a silence."""
+        """Wait at most `silence_s` for a wanted velocity; return whether there is one."""
         with suppress(TimeoutError):
             async with asyncio.timeout(silence_s):
                 await self._wished.wait()
@@ -169,7 +169,7 @@ def velocity_of(data: bytes) -> tuple[float, float]:
     """Return linear.x [m/s] and angular.z [rad/s] of a Twist in JSON.
 
     Raises:
-        WrongRequest: It is none, or moves in another direction.
+        WrongRequest: It is no such Twist, is not finite, or moves in another direction.
     """
     try:
         said = json.loads(data)

@@ -38,17 +38,17 @@ from robotctl.view.foxglove import (
 from robotctl.view.viewer import BINARY, TRY_LATER, Viewer, frame_head
 
 DEFAULT_PORT: Final = 8765
-"""The port that Foxglove proposes."""
+"""The default port of Foxglove."""
 
 _Address = tuple[socket.AddressFamily, tuple[Any, ...]]
-"""Family, and the address as `bind` takes it, with any port."""
+"""Family, and an address for `bind`, whose port is replaced."""
 
 
 def listening_socket(host: str, port: int | None) -> socket.socket:
-    """Return a socket that listens; None is DEFAULT_PORT, or a free port where that is taken.
+    """Return a listening socket; `port` None means DEFAULT_PORT, or a free port if it is in use.
 
     Raises:
-        Refused: The address cannot be listened on.
+        Refused: The socket cannot listen on the address.
     """
     address = _address_of(host)
     try:
@@ -72,7 +72,7 @@ def _address_of(host: str) -> _Address:
     """Return family and address of a host.
 
     Raises:
-        Refused: It has none.
+        Refused: The host has no address.
     """
     try:
         found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
@@ -85,10 +85,10 @@ def _address_of(host: str) -> _Address:
 
 
 def _listening(address: _Address, port: int) -> socket.socket:
-    """Return a socket that listens on a port of an address: no other process gets it from now on.
+    """Return a socket that listens on a port; no other process can get the port from now on.
 
     Raises:
-        OSError: It cannot be listened on.
+        OSError: The socket cannot listen on it.
     """
     family, (host, _, *rest) = address
     sock = socket.socket(family, socket.SOCK_STREAM)
@@ -103,7 +103,7 @@ def _listening(address: _Address, port: int) -> socket.socket:
 
 
 def _no_host(host: str, reason: str) -> Refused:
-    """Return the error for a host on which no port can be listened on."""
+    """Return the error for a host on which the view cannot listen."""
     return Refused(
         f"the view cannot listen on {host!r} ({reason})",
         "give an address of this computer as --host, or leave it out for 127.0.0.1",
@@ -115,7 +115,7 @@ MAX_SUBSCRIPTIONS: Final = 10_000
 
 
 class OfferedChannels:
-    """Channels by id, with their subscriptions; an id is never used again."""
+    """Channels by id, with their subscriptions; an id is never reused."""
 
     def __init__(self) -> None:
         self._channels: dict[int, ViewChannel] = {}
@@ -149,7 +149,7 @@ class OfferedChannels:
         """Begin a subscription, and return whether the channel is still offered.
 
         Raises:
-            WrongRequest: The id is taken, the viewer has the channel, or has too many.
+            WrongRequest: The id is in use, or the viewer has the channel or too many already.
         """
         if channel_id not in self._channels:
             return False
@@ -163,7 +163,7 @@ class OfferedChannels:
         return True
 
     def unsubscribe(self, viewer: Viewer, subscription: int) -> int | None:
-        """End a subscription; return its channel if that has no other subscriber, else None."""
+        """End a subscription; return its channel if it has no subscriber left, otherwise None."""
         channel_id = viewer.subscriptions.pop(subscription, None)
         if channel_id is None:
             return None
@@ -176,10 +176,10 @@ class OfferedChannels:
 
 
 MAX_VIEWERS: Final = 128
-"""Limit on viewers; further ones are told to try later."""
+"""Limit on viewers; further ones are closed with TRY_LATER."""
 
 MAX_CONNECTIONS: Final = 2 * MAX_VIEWERS
-"""Limit on connections; further ones are closed at once, before any byte of theirs is read."""
+"""Limit on connections; further ones are closed at once, without reading from them."""
 
 MAX_OFFERS: Final = 1_000
 """Limit on the channels that a viewer offers; Foxglove offers one for each panel that publishes."""
@@ -188,10 +188,10 @@ HANDSHAKE_S: Final = 5.0
 """How long a handshake may take."""
 
 STALL_S: Final = 30.0
-"""After this time in which its socket took nothing, a viewer is disconnected; it may come back."""
+"""A viewer whose socket accepts no data for this time is disconnected; it may reconnect."""
 
 PERIOD_S: Final = 1.0
-"""How often the server looks for late viewers and for dropped messages."""
+"""The period of the checks for stalled viewers, late handshakes and dropped messages."""
 
 _MESSAGE_HEAD_BYTES: Final = len(message_head(0, 0))
 
@@ -238,7 +238,7 @@ class ViewServer:
         """Listen as `listening_socket` does, and return the port.
 
         Raises:
-            Refused: The address cannot be listened on.
+            Refused: The server cannot listen on the address.
         """
         sock = listening_socket(host, port)
         loop = asyncio.get_running_loop()
@@ -247,7 +247,7 @@ class ViewServer:
         return int(sock.getsockname()[1])
 
     async def run(self) -> None:
-        """Until cancelled, end what is late, and tell slow viewers what they missed."""
+        """Until cancelled, end stalled connections and late handshakes; report dropped messages."""
         while True:
             await asyncio.sleep(PERIOD_S)
             now_s = time.monotonic()
@@ -277,12 +277,12 @@ class ViewServer:
         return channel.id
 
     def withdraw(self, channel_id: int) -> None:
-        """Offer a channel no longer; its subscriptions end."""
+        """Withdraw a channel from all viewers, and end its subscriptions."""
         self._offered.withdraw(channel_id)
         self._tell_all(unadvertise([channel_id]))
 
     def publish(self, channel_id: int, log_ns: int, data: bytes | memoryview) -> None:
-        """Send a message to the viewers of a channel, at the end of this turn of the loop."""
+        """Queue a message for the viewers of a channel; the loop's next iteration sends it."""
         subscribers = self._offered.subscribers(channel_id)
         if not subscribers:
             return
@@ -295,26 +295,26 @@ class ViewServer:
         self._unflushed.update(subscribers)
 
     def note(self, id: str, level: StatusLevel, message: str) -> None:  # noqa: A002 - the field's name
-        """Show a message to all viewers, later ones too, until `clear`."""
+        """Show a message to all viewers, including later ones, until `clear`."""
         if self._notes.get(id) != (level, message):
             self._notes[id] = (level, message)
             self._tell_all(status(level, message, id))
 
     def clear(self, id: str) -> None:  # noqa: A002 - the field's name
-        """Show a message no longer."""
+        """Remove the message of a `note`."""
         if self._notes.pop(id, None) is not None:
             self._tell_all(remove_status([id]))
 
     # From the connections
 
     def connected(self, viewer: Viewer) -> None:
-        """Accept a connection before its handshake, or end it beyond the limit."""
+        """Accept a connection before its handshake, or end it beyond MAX_CONNECTIONS."""
         self._connections.add(viewer)
         if len(self._connections) > MAX_CONNECTIONS:
             viewer.abort()
 
     def admit(self, viewer: Viewer) -> None:
-        """Greet a viewer, and offer it everything."""
+        """Send a new viewer the greeting, offers and notes; refuse it beyond MAX_VIEWERS."""
         if len(self._viewers) >= MAX_VIEWERS:
             viewer.close(TRY_LATER, f"{MAX_VIEWERS} viewers are connected already")
             return
@@ -336,13 +336,13 @@ class ViewServer:
         self._viewers.discard(viewer)
 
     def request(self, viewer: Viewer, request: ViewRequest) -> None:
-        """Do what a viewer asks for.
+        """Carry out a request of a viewer.
 
         Raises:
-            WrongRequest: It is not possible.
+            WrongRequest: The request cannot be carried out.
         """
         if viewer not in self._viewers:
-            return  # it was told to leave
+            return  # its connection is being closed
         match request:
             case Subscribe():
                 for subscription, channel_id in request.channels.items():
@@ -386,7 +386,7 @@ class ViewServer:
 
 
 def _tell_dropped(viewer: Viewer) -> None:
-    """Tell a viewer how many messages were dropped, unless it has not read the last such note."""
+    """Tell a viewer how many messages were dropped, if that is new and no other status waits."""
     dropped = viewer.outbox.dropped
     if dropped != viewer.told_dropped and not viewer.outbox.waits_for_control:
         viewer.told_dropped = dropped

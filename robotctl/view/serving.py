@@ -1,4 +1,4 @@
-"""A view from its start to its end: the domain, the server, what ends both, and what fails."""
+"""Runs one view: connects the ROS domain to the server, and ends both."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from robotctl.view.view_job import ViewJob
 _OUT_OF_DESCRIPTORS: Final = frozenset({errno.EMFILE, errno.ENFILE})
 
 SAID_AGAIN_S: Final = 60.0
-"""A lack that lasts is said once in this time; asyncio tries to accept each second."""
+"""A lasting lack of descriptors is reported once in this time; asyncio retries each second."""
 
 
 class LoopFailures:
-    """The exception handler of the loop; without a free descriptor, new viewers wait."""
+    """The exception handler of the loop. New viewers wait while no descriptor is free."""
 
     def __init__(self) -> None:
         self._said_s = -SAID_AGAIN_S
 
     def handle(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Say in one line that no descriptor is free; leave any other failure to asyncio."""
+        """Print one line if no descriptor is free; leave any other failure to asyncio."""
         error = context.get("exception")
         if not isinstance(error, OSError) or error.errno not in _OUT_OF_DESCRIPTORS:
             loop.default_exception_handler(context)
@@ -49,14 +49,14 @@ class LoopFailures:
 Report = Callable[[dict[str, Any]], None]
 
 NICENESS: Final = 5
-"""On a busy computer the robot goes before its spectators."""
+"""On a busy computer the robot's processes have priority over the view."""
 
 _STDIN: Final = 0
 _WILDCARDS: Final = ("0.0.0.0", "::")
 
 
 async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
-    """Serve a view until something ends it; `at_end` gets what must be closed last.
+    """Serve a view until something ends it; `at_end` collects what must be closed last.
 
     Raises:
         RobotctlError: The view cannot be served; the text says why.
@@ -96,7 +96,7 @@ class Serving:
                 await self._run(server, LiveView(session, server).run())
 
     def _controlled_server(self, robot: str) -> ViewServer:
-        """Return a server whose viewers may do to the robot what the job allows."""
+        """Return a server that gives viewers the control that the job allows."""
         name = f"robotctl: robot {robot}"
         if not self._job.control:
             return ViewServer(name, self._admission)
@@ -108,7 +108,7 @@ class Serving:
         return server
 
     async def _run(self, server: ViewServer, feed: Coroutine[Any, Any, None]) -> None:
-        """Run the server with its source until the end."""
+        """Run the server and its feed until one of them ends, or `_ended` is set."""
         work: list[asyncio.Future[Any]] = [asyncio.ensure_future(feed)]
         try:
             port = await server.listen(self._job.host, self._job.port)

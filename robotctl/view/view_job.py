@@ -1,4 +1,4 @@
-"""What `robotctl view` asks its process for, as one line of JSON."""
+"""The job that `robotctl view` sends to its process, as one line of JSON."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 from typing import Final, Self
 
 _ORIGIN: Final = re.compile(r"[a-z][a-z0-9+.-]*://[^\sA-Z/?#@*]+|file://|null")
-"""What browsers send: a scheme and a host, in small letters, without a path."""
+"""What browsers send: a scheme and a host, in lower case, without a path."""
 
 
 def is_origin(text: str) -> bool:
-    """Return whether a page can have this origin; any other text would admit nobody."""
+    """Return whether a browser can send this text as an origin; other text matches no page."""
     return _ORIGIN.fullmatch(text) is not None
 
 
@@ -22,7 +22,7 @@ class LiveTarget:
 
     robot: str
     daemon_pid: int
-    """Its end ends the view; 0 for a daemon whose pid is not known."""
+    """The view ends with this process; 0 if the pid is not known."""
     namespace: str
     domain_id: int
 
@@ -34,23 +34,23 @@ class ViewJob:
     live: LiveTarget
     host: str = "127.0.0.1"
     port: int | None = None
-    """None is the usual port, or a free one where that is taken."""
+    """None means DEFAULT_PORT, or a free port if that is in use."""
     origins: tuple[str, ...] = ()
-    """Pages that may connect in addition to those that are known."""
+    """Origins that may connect in addition to KNOWN_ORIGINS."""
     control: bool = False
     """Whether viewers may stop the robot."""
     lease: str = ""
-    """The token of the lease with which viewers may drive, too."""
+    """The token of the lease with which viewers may drive, "" if they may not."""
     outlives_stdin: bool = False
-    """Whether the process goes on when its stdin is closed; else it ends."""
+    """Whether the process goes on when its stdin is closed."""
 
     def to_json(self) -> str:
-        """Return the line."""
+        """Return the job as one line of JSON."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, line: str | bytes) -> Self:
-        """Return the job of a line that `to_json` made."""
+        """Return the job from a line that `to_json` made."""
         fields = json.loads(line)
         live = LiveTarget(**fields.pop("live"))
         return cls(live=live, origins=tuple(fields.pop("origins")), **fields)

@@ -1,4 +1,4 @@
-"""One connection: its handshake, its requests, and what waits for it, bounded."""
+"""One connection: its handshake, its requests, and its bounded send queue."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ from robotctl.view.foxglove import (
 )
 
 LARGE_BYTES: Final = 1 << 16
-"""Larger messages, as images and point clouds, have a queue of their own: they displace no small
-ones."""
+"""Larger messages, such as images and point clouds, have a separate queue: they never displace
+small ones."""
 
 MAX_MESSAGES: Final = 1024
-"""Limit on the waiting messages, and on the waiting large messages."""
+"""Limit on the messages in each of the two queues, for small and for large ones."""
 
 MAX_BYTES: Final = 256 << 10
-"""Limit on the bytes of either: 100 stalled viewers hold 50 MB. One larger message may wait alone.
-Viewers of the same topics share the bytes, and hold hardly more than one viewer does."""
+"""Limit on the bytes in each queue: 100 stalled viewers need 50 MB. One larger message may wait
+alone. Viewers of the same topics share these bytes, and need hardly more than one viewer."""
 
 MAX_CONTROL_BYTES: Final = 16 << 20
 """Limit on the bytes of offers, states and answers, which are never dropped. One larger offer may
-wait alone: 5,000 topics of nav_msgs/msg/Odometry have one of 19 MB."""
+wait alone: an offer of 5,000 topics of nav_msgs/msg/Odometry has 19 MB."""
 
 PIECE_BYTES: Final = 1 << 16
-"""How much is taken at once: a transport copies what the socket does not take."""
+"""Bytes handed to the transport at once: it copies what the socket does not accept."""
 
 TEXT: Final = 0x81
 BINARY: Final = 0x82
@@ -72,7 +72,7 @@ class Outbox:
         self._messages = _Lane()
         self._large = _Lane()
         self._begun: memoryview = memoryview(b"")
-        """The rest of a frame whose beginning was taken: no other frame may come between."""
+        """The rest of a frame that is partly sent: no other frame may be sent before it."""
 
     def __bool__(self) -> bool:
         """Return whether anything waits."""
@@ -92,7 +92,7 @@ class Outbox:
         """Add a frame that is never dropped.
 
         Raises:
-            OverfullOutbox: The viewer takes none of them.
+            OverfullOutbox: More than MAX_CONTROL_BYTES would wait.
         """
         if self._control and self._control_bytes + len(frame) > MAX_CONTROL_BYTES:
             raise OverfullOutbox
@@ -104,7 +104,7 @@ class Outbox:
         (self._large if len(data) > LARGE_BYTES else self._messages).put(head, data)
 
     def take(self) -> bytes:
-        """Return the next bytes to send, about PIECE_BYTES at most; b"" where nothing waits."""
+        """Return the next bytes to send, about PIECE_BYTES at most; b"" if nothing waits."""
         if not self._begun and self._control:
             frame = self._control.popleft()
             self._control_bytes -= len(frame)
@@ -122,7 +122,7 @@ class Outbox:
 
 
 class _Lane:
-    """Messages in the order they were put, bounded."""
+    """A bounded queue of messages; it drops the oldest ones."""
 
     def __init__(self) -> None:
         self.dropped = 0
@@ -146,7 +146,7 @@ class _Lane:
         return head, data
 
     def take_together(self) -> bytes:
-        """Return the next messages, until they have PIECE_BYTES."""
+        """Return the next messages, joined, until they have PIECE_BYTES."""
         pieces: list[bytes] = []
         size = 0
         while self._waiting and size < PIECE_BYTES:
@@ -159,13 +159,13 @@ MAX_REQUEST_BYTES: Final = 1 << 20
 """Limit on a message of a client; a subscription to 10,000 channels has 400 kB."""
 
 SOCKET_BYTES: Final = 128 << 10
-"""What the kernel buffers for a viewer, which it doubles; by itself it would take megabytes."""
+"""The socket's send buffer for a viewer; Linux doubles it, and would use megabytes by default."""
 
 TRY_LATER: Final = 1013
-"""The close code for a viewer beyond the limit or its own pace (RFC 6455, IANA registry)."""
+"""The close code for a viewer beyond MAX_VIEWERS (RFC 6455, IANA registry)."""
 
 _LOGGER: Final = logging.getLogger("robotctl.view.websocket")
-_LOGGER.disabled = True  # what a stranger sends would fill the terminal
+_LOGGER.disabled = True  # any stranger could fill the terminal with its warnings
 
 
 class ViewerHost(Protocol):
@@ -178,14 +178,14 @@ class ViewerHost(Protocol):
         """Add a viewer whose handshake is done."""
 
     def request(self, viewer: Viewer, request: ViewRequest) -> None:
-        """Do what a viewer asks for.
+        """Carry out a request of a viewer.
 
         Raises:
-            WrongRequest: It is not possible.
+            WrongRequest: The request cannot be carried out.
         """
 
     def wrong(self, viewer: Viewer, problem: str) -> None:
-        """Tell a viewer what is wrong with a message of its own."""
+        """Tell a viewer what is wrong with its message."""
 
     def leave(self, viewer: Viewer) -> None:
         """Forget a connection that has ended, admitted or not."""
@@ -203,10 +203,10 @@ class Viewer(asyncio.Protocol):
         """The channels that the viewer publishes on, by its own ids."""
 
         self.told_dropped = 0
-        """How many dropped messages the viewer has been told of."""
+        """The number of dropped messages that was last sent to the viewer."""
 
         self.since_s = time.monotonic()
-        """When it connected, or when its socket last took anything, on the steady clock."""
+        """The steady time when it connected, or when its socket last became full."""
 
         self.admitted = False
         self._host = host
@@ -219,21 +219,21 @@ class Viewer(asyncio.Protocol):
         )
         self._kind = Opcode.TEXT
         self._message = bytearray()
-        """What has come of a message; empty pieces of it, without number, hold no memory."""
+        """The received fragments of a message; empty fragments use no memory, however many."""
 
         self._full = False
         self._ends = False
-        """Whether the connection is closed when everything that waits has been sent."""
+        """Whether to close the connection when everything that waits has been sent."""
 
     @property
     def is_stalled(self) -> bool:
-        """Whether its socket takes nothing now."""
+        """Whether its socket is full and accepts no data now."""
         return self._full
 
     # From the loop
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Bound what the transport and the kernel keep."""
+        """Limit the send buffers of transport and kernel, and register with the server."""
         self._transport = cast("asyncio.Transport", transport)
         self._transport.set_write_buffer_limits(high=0)
         sock = self._transport.get_extra_info("socket")
@@ -247,12 +247,12 @@ class Viewer(asyncio.Protocol):
         self._host.leave(self)
 
     def pause_writing(self) -> None:
-        """Send nothing until the socket takes more."""
+        """Send nothing until the socket accepts more."""
         self._full = True
         self.since_s = time.monotonic()
 
     def resume_writing(self) -> None:
-        """Send what waits, later: a transport that is closed in this call ends twice."""
+        """Schedule `flush`: closing the transport within this call would end it twice."""
         self._full = False
         asyncio.get_running_loop().call_soon(self.flush)
 
@@ -262,14 +262,14 @@ class Viewer(asyncio.Protocol):
         self._take_events()
 
     def eof_received(self) -> None:
-        """Note the end of the stream; the transport closes then."""
+        """Note the end of the stream; asyncio then closes the transport."""
         self._websocket.receive_eof()
         self._take_events()
 
     # From the server
 
     def tell(self, message: str | bytes) -> None:
-        """Send an offer, a state or an answer, which is never dropped."""
+        """Send an offer, a state or an answer; these are never dropped."""
         kind, data = (TEXT, message.encode()) if isinstance(message, str) else (BINARY, message)
         try:
             self.outbox.put_control(frame_head(kind, len(data)) + data)
@@ -279,7 +279,7 @@ class Viewer(asyncio.Protocol):
         self.flush()
 
     def flush(self) -> None:
-        """Give the socket what waits, until it takes no more, or the peer has reset it."""
+        """Send what waits, until the socket is full or the connection is closing."""
         transport = self._transport
         if transport is None:
             return
@@ -354,11 +354,11 @@ class Viewer(asyncio.Protocol):
             self._host.wrong(self, str(error))
 
     def _send_protocol_bytes(self) -> None:
-        """Send what the handshake, a ping or a close frame asks for."""
+        """Send the bytes that the handshake, a ping or a close frame requires."""
         for data in self._websocket.data_to_send():
             if self._transport is None:
                 return
-            if not data:  # it wants the stream to end
+            if not data:  # the protocol wants the stream to end
                 self._ends = True
             elif not self.admitted:
                 self._transport.write(data)

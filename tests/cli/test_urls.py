@@ -72,7 +72,7 @@ def test_a_web_server_gives_single_files(cli: Cli, bucket: FaultyBucket) -> None
     assert "other.mcap does not exist" in cli("info", f"{folder}/other.mcap").err
     assert cli("sync", f"{folder}/{FILE.name}", "here").exit_code == 0
     assert (Path("here") / FILE.name).read_bytes() == FILE.read_bytes()
-    assert "takes no files" in cli("sync", "--recordings", str(STOPPED), folder).err
+    assert "accepts no files" in cli("sync", "--recordings", str(STOPPED), folder).err
 
 
 def test_status_and_files_here_need_no_library_of_stores(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
     python -P -m robotctl.MODULE ARGUMENTS --report-fd 3
 
-The child sends reports, one JSON object per line, through a pipe of its own. It may also receive
+The child sends reports, one JSON object per line, through a separate pipe. It may also receive
 lines on its stdin. Reports do not use stdout, because libraries print there (Fast DDS warns about
 lock files); stdout and stderr go where a user reads them.
 
@@ -47,7 +47,7 @@ _MODULES = {
     "send_report": "pipes",
     "start": "child",
 }
-"""Where each name stands."""
+"""The module that defines each name."""
 
 
 def __getattr__(name: str) -> object:

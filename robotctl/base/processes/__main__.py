@@ -1,8 +1,8 @@
 """`python -m robotctl.base.processes WORK JOB --report-fd N`: do a job at the lowest CPU priority.
 
-WORK is `module:function`. The function gets the JSON object JOB, and a function that sends a
-report, one line of JSON on N. An error of robotctl becomes the report {"error"}; it goes to stderr
-if the process that started this one has ended.
+WORK is `module:function`. The function gets the JSON object JOB and a function that sends a report,
+which is one line of JSON on descriptor N. A RobotctlError becomes the report {"error": text}; it is
+printed to stderr if the process that started this one has ended.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Starts a command as a child process, which reports through a pipe of its own."""
+"""Starts a command as a child process, which reports through a separate pipe."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class Child:
 
     @property
     def has_stdin(self) -> bool:
-        """Whether lines can be sent to the process: it has a pipe as stdin, not closed here yet."""
+        """Whether lines can be sent: the child's stdin is a pipe that this side has not closed."""
         return self._stdin is not None
 
     def send(self, line: bytes) -> None:
-        """Write a line to its stdin; after `close_stdin`, drop it.
+        """Write a line to the child's stdin; drop the line unless `has_stdin`.
 
         Raises:
             BrokenPipeError: The child has closed its stdin.
@@ -56,13 +56,13 @@ class Child:
             write_whole(self._stdin, line)
 
     def close_stdin(self) -> None:
-        """Close its stdin, which asks the child to end."""
+        """Close the child's stdin, which asks the child to end."""
         if self._stdin is not None:
             os.close(self._stdin)
             self._stdin = None
 
     def receive(self, seconds: float | None = None) -> list[dict[str, Any]]:
-        """Return the next reports; empty if the next line is not complete yet.
+        """Wait for data; return the reports that are complete, possibly none.
 
         Raises:
             TimeoutError: No data arrived within `seconds`.
@@ -77,7 +77,7 @@ class Child:
         return [decoded(line) for line in self._lines.feed(piece)]
 
     def receive_one(self, seconds: float) -> dict[str, Any]:
-        """Return the first report.
+        """Return the next report, and discard others that arrive together with it.
 
         Raises:
             TimeoutError: No report arrived within `seconds`.
@@ -90,12 +90,12 @@ class Child:
         return report[0]
 
     def kill(self, number: int = signal.SIGKILL) -> None:
-        """Send it a signal, unless its exit code is already known."""
+        """Send the child a signal, unless its exit code is already known."""
         if self._exit_code is None:
             os.kill(self.pid, number)
 
     def wait(self, seconds: float) -> int | None:
-        """Wait for its exit code: negative for a signal, None if it is still running."""
+        """Wait up to `seconds` for the exit code (negative: a signal); None: it still runs."""
         until = time.monotonic() + seconds
         while self._exit_code is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
@@ -108,12 +108,12 @@ class Child:
         return self._exit_code
 
     def detach(self) -> None:
-        """Close the pipes, and let the process continue."""
+        """Close the pipes; the process continues."""
         self.close_stdin()
         os.close(self._reports)
 
     def close(self, patience_s: float = 0.0) -> int:
-        """Close the pipes, kill the process after `patience_s`, and return its exit code."""
+        """Close the pipes, wait `patience_s`, kill the process if it runs, return its exit code."""
         self.detach()
         exit_code = self.wait(patience_s)
         while exit_code is None:
@@ -141,12 +141,12 @@ def start(
     with_stdin: bool = False,
     log: Path | None = None,
 ) -> Child:
-    """Start `command`; `option` passes it the number of the descriptor for its reports.
+    """Start `command` with the arguments `option` and the number of the descriptor for reports.
 
-    With a `log`, its stdout and stderr go there; it runs in its own session, outlives this process
-    and inherits no other descriptors. Without a log, both go to our stderr; it has its own process
-    group, so that Ctrl-C in the terminal reaches only this process. Its stdin is a pipe if
-    `with_stdin`, else /dev/null.
+    With a `log`, the child's stdout and stderr go there; it runs in a new session, outlives this
+    process and inherits no other descriptors. Without a log, both go to our stderr; the child runs
+    in a new process group, so that Ctrl-C in the terminal reaches only this process. Its stdin is
+    a pipe with `with_stdin`, and /dev/null without.
     """
     ours: list[int] = []
     theirs: list[int] = []
@@ -186,7 +186,7 @@ def start(
 
 
 def _stop_inheritance() -> None:
-    """Keep inherited descriptors from the child: a lock or pipe of the shell would stay open."""
+    """Mark inherited descriptors as close-on-exec: the child could keep a lock or pipe open."""
     with suppress(OSError):  # no /proc
         for descriptor in map(int, os.listdir("/proc/self/fd")):
             if descriptor > 2:

@@ -1,4 +1,4 @@
-"""Jobs that a process of the lowest CPU priority does for an event loop, which never waits."""
+"""Jobs for an event loop, done in a process of the lowest CPU priority; the loop never blocks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class JobFailed(Exception):
 
 
 def job_command(work: str, job: dict[str, Any]) -> tuple[str, ...]:
-    """Return the command that does a job; `work` is the `module:function` that gets it."""
+    """Return the command that calls `work`, a `module:function`, with `job` in a new process."""
     return (*program("robotctl.base.processes"), work, json.dumps(job))
 
 
@@ -27,17 +27,17 @@ async def run_job(command: Sequence[str]) -> list[dict[str, Any]]:
     """Run the command of a job to its end, and return its reports.
 
     Raises:
-        JobFailed: As `job_reports` raises it.
+        JobFailed: The process could not be started, reported an error, or failed otherwise.
     """
     async with aclosing(job_reports(command)) as reports:
         return [report async for report in reports]
 
 
 async def job_reports(command: Sequence[str]) -> AsyncGenerator[dict[str, Any]]:
-    """Run the command of a job, and yield its reports. Who is cancelled here kills the process.
+    """Run the command of a job, and yield its reports. If cancelled or closed, kill the process.
 
     Raises:
-        JobFailed: The process could not be started, told of an error, or ended in another way.
+        JobFailed: The process could not be started, reported an error, or failed otherwise.
     """
     starting = asyncio.create_task(asyncio.to_thread(start, command))
     try:
@@ -71,7 +71,7 @@ async def reports_of(child: Child) -> AsyncGenerator[dict[str, Any]]:
     """Yield the reports of a child until it closes its pipe.
 
     Raises:
-        ValueError: The child sent something else than JSON objects.
+        ValueError: The child sent a line that is not a JSON object.
     """
     loop, readable = asyncio.get_running_loop(), asyncio.Event()
     loop.add_reader(child.fileno(), readable.set)
@@ -80,7 +80,7 @@ async def reports_of(child: Child) -> AsyncGenerator[dict[str, Any]]:
             await readable.wait()
             readable.clear()
             try:
-                reports = child.receive(0.0)  # the event may be set for what is read already
+                reports = child.receive(0.0)  # the event may be set for data that were read already
             except TimeoutError:
                 continue
             except EOFError:

@@ -41,16 +41,16 @@ def _moved(end: int) -> int:
 
 
 def write_whole(descriptor: int, line: bytes) -> None:
-    """Write the whole line; a signal may interrupt a write to a pipe."""
+    """Write the whole line, in several writes if a signal interrupts one."""
     while line:
         line = line[os.write(descriptor, line) :]
 
 
 @contextmanager
 def pidfd_of(pid: int) -> Iterator[int | None]:
-    """Open a descriptor that becomes readable when the process ends; None if it cannot be opened.
+    """Yield a descriptor that becomes readable when the process ends; None if it cannot be opened.
 
-    Open it before the process is asked to end, because afterwards another process may get its pid.
+    Open it before the process is asked to end: after the end another process may get the pid.
     """
     try:
         descriptor = os.pidfd_open(pid)
@@ -64,7 +64,7 @@ def pidfd_of(pid: int) -> Iterator[int | None]:
 
 
 def readable_within(descriptor: int, seconds: float) -> bool:
-    """Wait until the descriptor is readable, and return whether it is."""
+    """Wait for at most `seconds`; return whether the descriptor is readable."""
     poll = select.poll()
     poll.register(descriptor, select.POLLIN)
     return bool(poll.poll(max(0, int(seconds * 1000))))
@@ -73,7 +73,7 @@ def readable_within(descriptor: int, seconds: float) -> bool:
 REPORT_OPTION: Final = "--report-fd"
 
 Report = Callable[[dict[str, Any]], None]
-"""Sends a report of a job; raises BrokenPipeError if the process that started it has ended."""
+"""Sends a report of a job; raises BrokenPipeError if the process that started the job has ended."""
 
 
 class LineSplitter:
@@ -89,7 +89,7 @@ class LineSplitter:
 
 
 def report_fd(arguments: Sequence[str]) -> int:
-    """Return, in a child, the descriptor for reports; call it after any restart of the process.
+    """Return a child's descriptor for reports. If the child restarts itself, call this afterwards.
 
     Raises:
         SystemExit: The process was not started by robotctl.
@@ -111,7 +111,7 @@ def send_report(descriptor: int, report: dict[str, Any]) -> None:
 
 
 def decoded(line: bytes) -> dict[str, Any]:
-    """Return the report of a line.
+    """Return the report in a line.
 
     Raises:
         ValueError: The line is not a JSON object.

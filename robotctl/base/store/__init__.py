@@ -52,13 +52,13 @@ __all__ = [
 
 
 def open_store(place: str) -> ObjectStore:
-    """Open a URL or a folder; its objects are those below it.
+    """Open a URL or a folder as a store of the objects below it.
 
-    Nothing is asked of a store yet: whether it exists, the first call tells. Credentials come from
-    the environment, as AWS_ACCESS_KEY_ID and AWS_ENDPOINT_URL.
+    No request is sent yet: the first call of a method shows whether the store exists. Credentials
+    come from the environment, such as AWS_ACCESS_KEY_ID and AWS_ENDPOINT_URL.
 
     Raises:
-        UsageError: It is no URL of a store, or what URLs need is not installed.
+        UsageError: The URL is wrong or not that of a store, or obstore is not installed.
     """
     from robotctl.base.store.folder_store import FolderStore
 

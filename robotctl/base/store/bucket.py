@@ -1,10 +1,9 @@
-"""Object stores and web servers, by the library obstore (the extra `store`).
+"""Object stores and web servers, through the library obstore (the extra `store`).
 
-Requests run in a thread of their own, so that Ctrl-C ends the wait for them at once: the library
-has its own threads, and none of its blocking calls can be interrupted. A request that is still
-under way when Python ends would make it print a Rust backtrace: at the exit all requests are
-cancelled first.
-The text of an error of the library may show signatures and headers; ours does not.
+Requests run in a separate thread, so that Ctrl-C ends the wait for them at once: blocking calls of
+the library cannot be interrupted. All requests are cancelled before Python exits, because a request
+that is still running would make the library print a Rust backtrace.
+The library's error texts may contain signatures and headers; ours do not.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ _Result = TypeVar("_Result")
 _Request = Callable[[], Coroutine[Any, Any, _Result]]
 
 _PAUSE_S: Final = 0.2
-"""Before an answer that broke off is asked for again."""
+"""The pause before a request is repeated because its answer broke off."""
 
 MAX_RETRIES: Final = 8
 
@@ -63,10 +62,10 @@ NS_PER_S: Final = 1_000_000_000
 
 _SHA256: Final = "sha256"
 _WRITTEN: Final = "mtime"
-"""The attributes of an object; the second [ns since the epoch] has the name that rclone uses."""
+"""The attribute with the time when the content was written [ns since the epoch], as in rclone."""
 
 _LIBRARY_LETS_GO_S: Final = 0.5
-"""How long its threads may need after a cancellation, on a busy machine; no call waits for them."""
+"""How long the library's threads may need to end after a cancellation; nothing can wait for it."""
 
 _CREDENTIALS: Final = {
     "s3": "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; for a public bucket "
@@ -93,7 +92,7 @@ _REASONS: Final = {
     "CONTENT_RANGE": "the server claims a size that no file can have",
     "Connect": "the server cannot be reached",
 }
-"""Words of the error, and what they mean; the first that is found counts."""
+"""Words in an error text and their meaning; the first one that is found is used."""
 
 _INSTANCE_METADATA: Final = re.compile(
     r"169\.254\.169\.254|metadata\.google|metadata\.azure|SharedKeyCredential|MissingKey"
@@ -115,10 +114,10 @@ class RemoteStore:
     """The objects below a URL; see `ObjectStore`."""
 
     def __init__(self, url: StoreUrl) -> None:
-        """Open a store; nothing is asked of it yet.
+        """Open a store; no request is sent yet.
 
         Raises:
-            UsageError: The library is missing, or the URL is wrong.
+            UsageError: The library is missing, or the URL is invalid or not encrypted.
         """
         try:
             import obstore
@@ -147,7 +146,7 @@ class RemoteStore:
         return printable(self._url)
 
     def list(self, prefix: str = "") -> Iterator[StoredObject]:
-        """Yield the objects below the folder `prefix`, and below its folders."""
+        """Yield the objects below the folder `prefix`, at any depth."""
         if prefix:
             check_key(prefix)
         below = "/".join(part for part in (self._url.path, prefix) if part)
@@ -165,7 +164,7 @@ class RemoteStore:
                 yield _described(meta, meta["path"][skipped:])
 
     def head(self, key: str) -> StoredObject:
-        """Return what is known about an object."""
+        """Return size, etag, time and stored hash of an object."""
 
         async def asked() -> StoredObject:
             options: GetOptions = {"head": True}
@@ -175,7 +174,7 @@ class RemoteStore:
         return self._run(asked, key)
 
     def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
-        """Return exactly the bytes from `begin` to before `end` of the object that was found."""
+        """Return bytes `begin` to `end` (excluded) of an object unchanged since `found`."""
         return requests().run(self._range(found, begin, end))
 
     async def _range(self, found: StoredObject, begin: int, end: int) -> bytes:
@@ -183,7 +182,7 @@ class RemoteStore:
             return b""
         path, where = self._path(found.key), self._where(found.key)
         options: GetOptions = {"range": (begin, end)}
-        if found.etag.startswith('"'):  # a weak one never matches
+        if found.etag.startswith('"'):  # a weak etag never matches
             options["if_match"] = found.etag
 
         async def ranged() -> bytes:
@@ -202,10 +201,10 @@ class RemoteStore:
         return await self._told(ranged, found.key)
 
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
-        """Store an object under a free name; return whether it was free.
+        """Store an object unless the key is in use; return whether it was stored.
 
-        No store has a condition for an object in several parts: another process that stores a
-        large one of the same name at the same time is not noticed.
+        For an object larger than PART_BYTES this is not atomic, because stores have no conditional
+        multipart upload: if another process stores the same key meanwhile, one is overwritten.
         """
         begin, rest = _beginning(parts)
         if len(begin) <= PART_BYTES:
@@ -216,7 +215,7 @@ class RemoteStore:
         return self._put(key, chain((begin,), rest), stamp)
 
     def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
-        """Store an object from parts of any length, and replace one of that name."""
+        """Store an object from parts of any length; replace an object with that key."""
         begin, rest = _beginning(parts)
         self._put(key, begin if len(begin) <= PART_BYTES else chain((begin,), rest), stamp)
 
@@ -277,7 +276,7 @@ def _attributes(stamp: Stamp) -> Attributes:
 
 
 def _beginning(parts: Iterable[bytes]) -> tuple[bytes, Iterator[bytes]]:
-    """Return more than a part of an object, or all of it, and the rest."""
+    """Return the first bytes (more than PART_BYTES, or all there are) and the other parts."""
     begin, rest = bytearray(), iter(parts)
     while len(begin) <= PART_BYTES and (part := next(rest, None)) is not None:
         begin += part
@@ -288,7 +287,7 @@ def _client(*, allow_http: bool) -> ClientConfig:
     return {
         "allow_http": allow_http,
         "connect_timeout": timedelta(seconds=5),
-        # Without a byte: a large part may take long on a thin line.
+        # The longest wait for a next byte: on a slow line, a large part may take much longer.
         "read_timeout": timedelta(seconds=20),
         "timeout": timedelta(minutes=10),
     }
@@ -307,7 +306,7 @@ def _retries() -> RetryConfig:
 
 
 class RequestLoop:
-    """An asyncio loop in a thread of its own; call `end` when Python ends."""
+    """An asyncio loop in a separate thread; call `end` before Python exits."""
 
     def __init__(
         self,
@@ -324,11 +323,11 @@ class RequestLoop:
         self._thread.start()
 
     def start(self, request: Coroutine[Any, Any, _Result]) -> Future[_Result]:
-        """Start a request, and return its result to come."""
+        """Start a request, and return the future of its result."""
         return asyncio.run_coroutine_threadsafe(request, self.loop)
 
     def run(self, request: Coroutine[Any, Any, _Result]) -> _Result:
-        """Return the result of a request, or raise its error; cancel it if Ctrl-C comes."""
+        """Run a request and return its result; cancel the request on Ctrl-C."""
         started = self.start(request)
         try:
             return started.result()
@@ -338,7 +337,7 @@ class RequestLoop:
             raise
 
     def end(self) -> None:
-        """Cancel all requests, end the thread, and wait until the library has let go."""
+        """Cancel all requests, end the thread, and wait until the library's threads have ended."""
 
         def cancel_all() -> None:
             for task in asyncio.all_tasks(self.loop):
@@ -356,14 +355,14 @@ class RequestLoop:
 
 @cache
 def requests() -> RequestLoop:
-    """Return the loop of this process; it is made when it is first needed."""
+    """Return the loop of this process; the first call creates it."""
     loop = RequestLoop()
     atexit.register(loop.end)
     return loop
 
 
 def error_of(error: Exception, scheme: str, where: str) -> StoreError:
-    """Return the error for the user; `where` names the object, or the store."""
+    """Return the error for the user; `where` is the name of the object or the store."""
     text = str(error)
     kind = type(error).__name__
     cure = _CREDENTIALS.get(scheme, _OF_THE_SERVER)
@@ -407,15 +406,15 @@ def _status(text: str) -> int | None:
 
 
 def _code(text: str) -> str:
-    """Return the store's own word for the error, such as ` (SlowDown)`, or ""."""
+    """Return the error code of the store in parentheses, such as ` (SlowDown)`, or ""."""
     found = re.search(r"<Code>(\w{1,60})</Code>", text)
     return f" ({found[1]})" if found else ""
 
 
 def profile_keys(environment: Mapping[str, str]) -> S3Config:
-    """Return keys and region of the profile in AWS_PROFILE, or of the default one.
+    """Return keys and region of the AWS profile in AWS_PROFILE, or of the default profile.
 
-    Nothing is returned if the environment names keys itself, or there are none in the profile.
+    The result is empty if `environment` already names credentials, or the profile has no keys.
     """
     if _OTHER_SOURCES & environment.keys():
         return {}
@@ -438,7 +437,7 @@ def profile_keys(environment: Mapping[str, str]) -> S3Config:
 
 
 def _section(file: str, name: str) -> dict[str, str]:
-    """Return the values of a section; none if the file cannot be read."""
+    """Return the values in a section; empty if there is none or the file cannot be read."""
     parser = ConfigParser(interpolation=None, default_section="")
     try:
         parser.read_string(Path(file).expanduser().read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""A folder as a store: the same calls, the standard library alone."""
+"""A folder as a store, with the methods of `ObjectStore`. Standard library only."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from robotctl.base.text import printable
 PREFIX: Final = ".unfinished-"
 
 _NOT_OFFERED: Final = (errno.EPERM, errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL, errno.ENOSYS)
-"""What FAT and exFAT, as of a USB stick, and some network file systems answer."""
+"""Errors of file systems without O_TMPFILE: FAT, exFAT (USB sticks) and some network ones."""
 
 _AT_FDCWD: Final = -100
 _RENAME_NOREPLACE: Final = 1
-"""Of renameat2(2), which os.rename does not know."""
+"""A flag of renameat2(2); os.rename cannot pass it."""
 
 
 class FolderStore:
-    """The files below a folder; see `ObjectStore`. Links below it are not followed.
+    """The files below a folder; see `ObjectStore`. Links below the folder are not followed.
 
-    The folder is created when something is stored.
+    The folder is created when the first object is stored.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -48,11 +48,11 @@ class FolderStore:
 
     @property
     def name(self) -> str:
-        """Return the folder."""
+        """Return the path of the folder."""
         return printable(self._folder)
 
     def list(self, prefix: str = "") -> Iterator[StoredObject]:
-        """Yield the files below the folder `prefix`, and below its folders."""
+        """Yield the files below the folder `prefix`, at any depth."""
         top = self._path(prefix) if prefix else self._folder
 
         def failed(error: OSError) -> None:
@@ -64,18 +64,18 @@ class FolderStore:
                     path = Path(folder, name)
                     try:
                         status = path.lstat()
-                    except FileNotFoundError:  # it was removed, or has its name now
+                    except FileNotFoundError:  # it was removed, or renamed to its final name
                         continue
                     if stat.S_ISREG(status.st_mode) and not name.startswith(PREFIX):
                         yield _described(path.relative_to(self._folder).as_posix(), status)
 
     def head(self, key: str) -> StoredObject:
-        """Return what is known about a file."""
+        """Return size, etag and time of a file."""
         with self._told(key), self._opened(key) as descriptor:
             return _described(key, os.fstat(descriptor))
 
     def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
-        """Return exactly the bytes from `begin` to before `end` of the file that was found."""
+        """Return bytes `begin` to `end` (excluded) of a file that did not change since `found`."""
         key = found.key
         with self._told(key), self._opened(key) as descriptor:
             if _described(key, os.fstat(descriptor)) != found:
@@ -86,7 +86,7 @@ class FolderStore:
             return data
 
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
-        """Store a file under a free name; return whether it was free."""
+        """Store a file unless the name is in use; return whether it was stored."""
         with self._told(key), self._filled(key, parts, stamp) as file:
             try:
                 file.name_if_free(self._path(key))
@@ -95,7 +95,7 @@ class FolderStore:
             return True
 
     def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
-        """Store a file from parts of any length, and replace one of that name."""
+        """Store a file from parts of any length; replace a file with that name."""
         with self._told(key), self._filled(key, parts, stamp) as file:
             file.name_over(self._path(key))
 
@@ -146,23 +146,23 @@ class FolderStore:
 
 
 def _described(key: str, status: os.stat_result) -> StoredObject:
-    # The time of change as well: that of modification can be set to any value.
+    # ctime as well: any program can set mtime to any value.
     etag = f"{status.st_ino}-{status.st_mtime_ns}-{status.st_ctime_ns}-{status.st_size}"
     return StoredObject(key, status.st_size, etag, status.st_mtime_ns)
 
 
 class UnfinishedFile:
-    """A file to write, and then to name."""
+    """A file that is written first and gets its name afterwards."""
 
     def __init__(self, file: IO[bytes], path: Path | None) -> None:
-        """Own a file that is open; `path` is its hidden name, None if it has none."""
+        """Use an open file; `path` is its temporary name, or None if it has no name."""
         self._file = file
         self._path = path
         self.modified_ns = 0
-        """Its time of change when it gets its name; 0 leaves it as it is."""
+        """The modification time to set when the file gets its name [ns]; 0: do not set it."""
 
     def write(self, data: bytes) -> None:
-        """Append to it.
+        """Append `data` to the file.
 
         Raises:
             OSError: The disk is full or fails.
@@ -170,10 +170,10 @@ class UnfinishedFile:
         self._file.write(data)
 
     def name_if_free(self, target: Path) -> None:
-        """Let it appear as `target`, and return when that would survive a power cut.
+        """Name the file `target`; return when file and name are on the disk (fsync).
 
         Raises:
-            FileExistsError: There is something of that name.
+            FileExistsError: `target` exists.
             OSError: The disk is full or fails.
         """
         self._sync()
@@ -184,7 +184,7 @@ class UnfinishedFile:
         _sync_folder(target.parent)
 
     def name_over(self, target: Path) -> None:
-        """Let it take the place of `target`, and return when that would survive a power cut.
+        """Name the file `target`, replacing that file; return when it is on the disk (fsync).
 
         Raises:
             OSError: The disk is full or fails.
@@ -211,12 +211,12 @@ class UnfinishedFile:
 
 @contextmanager
 def unfinished_file(folder: Path) -> Iterator[UnfinishedFile]:
-    """Yield a file in `folder` that is gone after the block unless it got a name.
+    """Yield a new file in `folder`; it is removed after the block unless it got a name.
 
-    A process that is killed leaves nothing; where every file has a name, a hidden one.
+    A process that is killed leaves at most a hidden file, whose name begins with PREFIX.
 
     Raises:
-        OSError: It cannot be created.
+        OSError: The file cannot be created.
     """
     try:
         descriptor = os.open(folder, os.O_TMPFILE | os.O_WRONLY | os.O_CLOEXEC, 0o600)
@@ -232,7 +232,7 @@ def unfinished_file(folder: Path) -> Iterator[UnfinishedFile]:
         with named:
             yield UnfinishedFile(named, Path(named.name))
     finally:
-        with suppress(FileNotFoundError):  # it has another name by now
+        with suppress(FileNotFoundError):  # it was renamed to its final name
             os.unlink(named.name)
 
 

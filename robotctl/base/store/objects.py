@@ -1,4 +1,4 @@
-"""Objects by their keys: what every store offers, wherever it is, and what can go wrong."""
+"""Objects by key: the interface of every store (folder, bucket, web server), and its errors."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from robotctl.base.errors import UnreadableFile
 from robotctl.base.text import short_name
 
 PART_BYTES: Final = 8 << 20
-"""The parts of a large object that are sent at once; S3 allows 10,000 of at least 5 MiB."""
+"""The part size of a multipart upload; S3 allows 10,000 parts of at least 5 MiB."""
 
 _MAX_KEY_BYTES = 1024
 
 
 class StoreError(UnreadableFile):
-    """A store that does not do what it is asked for; the base class of the errors below."""
+    """A request that a store did not carry out; the base class of the errors below."""
 
 
 class NoSuchObject(StoreError):
@@ -24,7 +24,7 @@ class NoSuchObject(StoreError):
 
 
 class AccessDenied(StoreError):
-    """A store that wants other credentials, or none that is there."""
+    """A store that denies access with these credentials, or that needs some and got none."""
 
 
 class ObjectChanged(StoreError):
@@ -32,7 +32,7 @@ class ObjectChanged(StoreError):
 
 
 class StoreFailed(StoreError):
-    """A store that cannot be reached, or answers with an error, also after several tries."""
+    """A store that cannot be reached or answers with an error, even after retries."""
 
 
 class BrokenAnswer(StoreFailed):
@@ -40,7 +40,7 @@ class BrokenAnswer(StoreFailed):
 
 
 def changed(where: str) -> ObjectChanged:
-    """Return the error for an object that has another content than before."""
+    """Return the error for an object whose content changed while it was read."""
     return ObjectChanged(f"{where} was changed while it was read", "run the command again")
 
 
@@ -51,25 +51,25 @@ def short_answer(where: str, got: int, wanted: int) -> BrokenAnswer:
 
 @dataclass(frozen=True, slots=True)
 class StoredObject:
-    """An object of a store, as it was at one moment."""
+    """What a store reported about an object at one moment."""
 
     key: str
-    """Its path below the store, with slashes."""
+    """The path of the object below the store, with slashes."""
 
     size_bytes: int
     etag: str
-    """Changes with the content; its form is up to the store, and need not be a hash."""
+    """Text that changes when the content changes; each store has its own format."""
 
     modified_ns: int = field(default=0, compare=False)
-    """When its content was written, since the epoch; in a listing, when it was stored."""
+    """When the content was written, since the epoch; in a bucket's listing, when it was stored."""
 
     sha256: str = field(default="", compare=False)
-    """The hash that was stored with it, "" if there is none; a listing has none."""
+    """The hash that was stored with the object; "" if there is none, or in a listing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """What is stored with an object: the hash of its content, and when that was written."""
+    """Metadata to store with an object: the content's SHA-256, and when the content was written."""
 
     sha256: str = ""
     modified_ns: int = 0
@@ -79,10 +79,10 @@ NO_STAMP = Stamp()
 
 
 def check_key(key: str) -> None:
-    """Accept `a/b.mcap`, but nothing that leads out of a folder or that no store can hold.
+    """Check that `key` is a printable relative path such as `a/b.mcap`, without `.` and `..`.
 
     Raises:
-        StoreError: It is no such name.
+        StoreError: It is not, or it is too long for a store.
     """
     harmless = key.isprintable() and len(key.encode(errors="replace")) <= _MAX_KEY_BYTES
     if not harmless or any(part in ("", ".", "..") for part in key.split("/")):
@@ -90,44 +90,44 @@ def check_key(key: str) -> None:
 
 
 class ObjectStore(Protocol):
-    """A bucket, or a part of it below a prefix, or a folder. For threads: one call at a time each.
+    """A folder, a bucket, or the part of a bucket below a prefix. Threads may share it.
 
-    Every method raises StoreError, and KeyboardInterrupt at once. A request that fails is repeated
-    for at most half a minute.
+    Every method may raise StoreError; Ctrl-C interrupts it at once. Failed requests to a server
+    are retried for about 20 s.
     """
 
     @property
     def name(self) -> str:
-        """Return the URL or the folder, for messages; it holds no credentials."""
+        """Return the URL or folder for messages, without credentials."""
 
     def list(self, prefix: str = "") -> Iterator[StoredObject]:
-        """Yield the objects below the folder `prefix`, and below its folders, in no order."""
+        """Yield the objects below the folder `prefix`, at any depth, in no particular order."""
 
     def head(self, key: str) -> StoredObject:
-        """Return what is known about an object.
+        """Return size, etag, time and stored hash of an object.
 
         Raises:
-            NoSuchObject: There is none of that name.
+            NoSuchObject: There is no object with that key.
         """
 
     def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
-        """Return exactly the bytes from `begin` to before `end` of the object that was found.
+        """Return bytes `begin` to `end` (excluded) of the object that `found` describes.
 
         Raises:
-            ObjectChanged: It has another content now.
+            ObjectChanged: Its content has changed since.
             NoSuchObject: It does not exist any more.
         """
 
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
-        """Store an object under a free name, as `put` does; return whether it was free.
+        """Store an object as `put` does, unless the key is in use; return whether it was stored.
 
-        False may also mean that a first try succeeded whose answer was lost: compare the contents
-        if that makes a difference.
+        False may also mean that a first try succeeded but its answer was lost: if that matters,
+        compare the contents.
         """
 
     def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
-        """Store an object from parts of any length, and replace one of that name.
+        """Store an object from parts of any length; replace an object with that key.
 
-        It appears when all its parts are there. If `parts` raises, nothing is stored, and the error
-        is raised here.
+        The object appears when all parts are stored. If `parts` raises an exception, nothing is
+        stored, and `put` raises it.
         """

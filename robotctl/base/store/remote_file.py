@@ -1,4 +1,4 @@
-"""One file at a URL, as a path that the readers of recordings accept. They read ranges of it."""
+"""One file at a URL as a `Path`, so that the readers of recordings can read ranges of it."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from robotctl.base.store import ObjectStore, StoredObject, StoreError, is_url, o
 SUFFIX: Final = ".mcap"
 
 _LEAST_BYTES: Final = 64 << 10
-"""A smaller range takes a store about as long."""
+"""The smallest range to request: a store needs about as long for a smaller one."""
 
 _MOST_BYTES: Final = 4 << 20
-"""How much is asked for at once of a file that is read from start to end."""
+"""The largest range to request of a file that is read from start to end."""
 
 _KEPT_RANGES: Final = 8
 
 MAX_READ_BYTES: Final = 1 << 30
-"""No part of a recording that is read at once is as large."""
+"""The limit of one `read`; no part of a valid recording is larger."""
 
 
 def path_of(text: str) -> Path:
-    """Return the path that a user means: of this computer, or of one file at a URL.
+    """Return the path for `text`, a path on this computer or the URL of one file.
 
     Raises:
-        UsageError: It is a URL of more than one file, or of no store.
+        UsageError: The URL is not that of one MCAP file, or not that of a store.
     """
     if not is_url(text):
         return Path(text)
@@ -49,12 +49,12 @@ def path_of(text: str) -> Path:
 
 
 def not_here(url: str) -> UsageError:
-    """Return the error for a URL where files of this computer are needed."""
+    """Return the error for a URL given to a command that needs files on this computer."""
     return UsageError(f"{url} is not on this computer", f"first robotctl sync {quote(url)} DIR")
 
 
 class RemoteFile(PosixPath):
-    """The path of an MCAP file at a URL. It is asked for once: a change after that is an error."""
+    """The path of an MCAP file at a URL. A change after the first request raises an error."""
 
     _found: StoredObject | None = None
     _reader: RangeReader | None = None
@@ -64,7 +64,7 @@ class RemoteFile(PosixPath):
         return super().__str__().replace(":/", "://", 1)
 
     def reader(self) -> RangeReader:
-        """Return what reads it, and keeps some of what it has read.
+        """Return the reader of the file, which caches recent ranges.
 
         Raises:
             StoreError: There is no such file, or the store fails.
@@ -75,7 +75,7 @@ class RemoteFile(PosixPath):
         return self._reader
 
     def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:
-        """Return kind and size; the rest is zero.
+        """Return the file type and the size; the other fields have no meaning.
 
         Raises:
             StoreError: There is no such file, or the store fails.
@@ -96,11 +96,11 @@ class RemoteFile(PosixPath):
         return False
 
     def absolute(self) -> Self:
-        """Return the path: it is absolute."""
+        """Return this path, which is absolute."""
         return self
 
     def resolve(self, strict: bool = False) -> Self:
-        """Return the path: a store has no links."""
+        """Return this path: a store has no links."""
         return self
 
     def _store(self) -> ObjectStore:
@@ -113,10 +113,10 @@ class RemoteFile(PosixPath):
 
 
 class RangeReader:
-    """Reads one object by ranges, and keeps the last ones. For one thread."""
+    """Reads ranges of one object, and caches the last ones. Use it from one thread."""
 
     def __init__(self, size: int, fetch: Callable[[int, int], bytes]) -> None:
-        """`fetch` returns the bytes from the first offset to before the second."""
+        """`fetch(begin, end)` returns the bytes from `begin` up to, but not including, `end`."""
         self._size = size
         self._fetch = fetch
         self._kept: deque[tuple[int, bytes]] = deque(maxlen=_KEPT_RANGES)
@@ -125,10 +125,10 @@ class RangeReader:
         self._failure: StoreError | None = None
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return `length` bytes at `offset`, fewer only at the end of the object.
+        """Return `length` bytes at `offset`; return fewer only at the end of the object.
 
         Raises:
-            StoreError: They cannot be read; so does each later call, without another request.
+            StoreError: `length` is too large, or a request failed in this or an earlier call.
         """
         if self._failure is not None:
             raise self._failure
@@ -147,7 +147,7 @@ class RangeReader:
         return next(held, None)
 
     def _asked(self, offset: int, end: int) -> tuple[int, bytes]:
-        """Ask for a range; for a larger one each time if it is read from start to end."""
+        """Fetch a range; its minimum size doubles while the object is read from start to end."""
         follows = offset == self._next
         self._window = min(2 * self._window, _MOST_BYTES) if follows else _LEAST_BYTES
         end = min(max(end, offset + self._window), self._size)

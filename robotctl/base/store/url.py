@@ -1,6 +1,6 @@
-"""What users write for a store, and the names of copies: RECORDING/FILE.
+"""The URL of a store as users write it, and the keys of copied recordings: RECORDING/FILE.
 
-An earlier `robotctl sync` made RECORDING/SHA256/FILE. Standard library only.
+An earlier `robotctl sync` made keys of the form RECORDING/SHA256/FILE. Standard library only.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ _URL: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
 
 SCHEMES: Final = ("s3", "gs", "az", "https", "http", "file")
 _WEB: Final = ("https", "http", "file")
-"""Those in whose URLs `%20` is a space; an object's name is written as it is."""
+"""Schemes whose URLs are percent-encoded; in the others, a key is written as it is."""
 
 _HASH: Final = re.compile(r"[0-9a-f]{64}")
 _HASH_FOLDER: Final = re.compile(r"(?<![^/])[0-9a-f]{64}/")
 
 _LOOKED_AT: Final = 3
-"""The number of recordings that are looked into; in a folder of copies the first is enough."""
+"""The number of subfolders to check; in a folder of copies, checking one is enough."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class StoreUrl:
     """Host with port, or the bucket."""
 
     path: str
-    """The name of an object, or the beginning of names, without slashes at its ends."""
+    """The key of an object, or a prefix of keys; no slash at either end."""
 
     def __str__(self) -> str:
         return f"{self.root}/{self.path}".rstrip("/")
@@ -51,7 +51,7 @@ class StoreUrl:
 
     @property
     def parent(self) -> StoreUrl:
-        """Return the URL of the folder that holds this object."""
+        """Return the URL of the folder that contains this object."""
         return StoreUrl(self.scheme, self.host, self.path.rpartition("/")[0])
 
     @property
@@ -61,7 +61,7 @@ class StoreUrl:
 
 
 def is_url(text: str) -> bool:
-    """Return whether a user wrote a URL and no path; it need not be a valid one."""
+    """Return whether `text` begins with SCHEME://; the URL need not be valid."""
     return _URL.match(text) is not None
 
 
@@ -69,7 +69,7 @@ def parse_url(text: str) -> StoreUrl:
     """Return the parts of a URL.
 
     Raises:
-        UsageError: It is no URL of a store; the text does not repeat what may be a password.
+        UsageError: `text` is no URL of a store; the error repeats nothing that may be a password.
     """
     scheme = text.partition("://")[0].lower()
     if not is_url(text) or scheme not in SCHEMES:
@@ -89,23 +89,23 @@ def parse_url(text: str) -> StoreUrl:
 
 
 def without_hashes(key: str) -> str:
-    """Return the name of an object without its folder that is named by a hash."""
+    """Return the key without folders that are named by a SHA-256."""
     return _HASH_FOLDER.sub("", key)
 
 
 def hash_in(key: str) -> str:
-    """Return the hash that names the folder of an object, "" if there is none."""
+    """Return the SHA256 in a key of the form RECORDING/SHA256/FILE, or ""."""
     found = _HASH_FOLDER.search(key)
     return "" if found is None else found[0].rstrip("/")
 
 
 def has_hash_folders(path: Path) -> bool:
-    """Return whether a folder holds such folders, or recordings that do."""
+    """Return whether `path` or one of its first subfolders contains a folder named by a SHA-256."""
     return _has_hash_folder(path) or any(map(_has_hash_folder, _first_folders(path)))
 
 
 def is_hash(name: str) -> bool:
-    """Return whether a folder of this name is one of them."""
+    """Return whether `name` is a SHA-256 in hexadecimal."""
     return _HASH.fullmatch(name) is not None
 
 
@@ -116,7 +116,7 @@ def _has_hash_folder(path: Path | str) -> bool:
 
 
 def _first_folders(path: Path) -> list[str]:
-    """Return the first folders in a folder, without hidden ones; none if it cannot be listed."""
+    """Return the first subfolders that are not hidden; an empty list if `path` is unreadable."""
     with suppress(OSError), os.scandir(path) as found:
         folders = (
             each.path

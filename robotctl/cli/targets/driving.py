@@ -1,4 +1,4 @@
-"""End a drive with the command that waits for it, and hold the lease of a robot meanwhile.
+"""End a drive when the command that waits for it ends, and hold the robot's lease meanwhile.
 
 The command ends by Ctrl-C, by a signal, or when the reader of its output has gone.
 """
@@ -39,7 +39,7 @@ _STDOUT: Final = 1
 
 
 def wait_while_stdout_open(driving: Background[DriveAnswer], at_most_s: float = inf) -> None:
-    """Wait for the end of the drive, or for a time.
+    """Wait until the drive ends, at most `at_most_s`.
 
     Raises:
         KeyboardInterrupt: The reader of stdout has closed it. This is how an ssh connection
@@ -50,7 +50,7 @@ def wait_while_stdout_open(driving: Background[DriveAnswer], at_most_s: float = 
     end = time.monotonic() + at_most_s
     while (
         not driving.is_done and time.monotonic() < end
-    ):  # an interrupted join would take the thread for ended
+    ):  # an interrupted join would mark the thread as ended
         if any(found & (select.POLLERR | select.POLLHUP) for _, found in poll.poll(POLL_S * 1000)):
             raise KeyboardInterrupt
 
@@ -99,11 +99,11 @@ def _say(text: str) -> None:
 
 
 KEEP_S = 0.2
-"""Period in which the daemon hears that this process still runs."""
+"""The period in which this process renews its lease [s]."""
 
 
 class HeldLease:
-    """The lease, from the beginning of the block to its end; other clients cannot start motion.
+    """The robot's lease during a `with` block, in which other clients cannot start motion.
 
     A process that is frozen or killed loses it within about a second, and the robot ramps down.
 
@@ -115,7 +115,7 @@ class HeldLease:
     def __init__(self, robot: str, command: str, reason: str = "") -> None:
         """`command` is the name of the command of robotctl that takes the lease."""
         self.token = secrets.token_hex(16)
-        """What a request carries that acts for the holder (parameter `lease`)."""
+        """The parameter `lease` of each request that acts for the holder."""
         self._robot = robot
         self._source = request_source(command)
         params = {"token": self.token, "source": self._source, "reason": reason}
@@ -170,6 +170,6 @@ class HeldLease:
         self._ended.set()
         if not self.is_over and self._holding.ident is not None:
             params = {"token": self.token, "source": self._source}
-            # The end of the connection releases it too: whatever fails here is told by `result`.
+            # The end of the connection releases the lease, too; `result` reports what fails here.
             with ignoring((signal.SIGINT, *CLOSING_SIGNALS)), suppress(RobotctlError):
                 call(self._robot, LEASE_RELEASE, params)

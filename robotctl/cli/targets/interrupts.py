@@ -1,4 +1,4 @@
-"""What Ctrl-C and signals may interrupt: a call in a thread, and the signals that end a command."""
+"""Background calls that Ctrl-C may interrupt, and the signals that end a command."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ T = TypeVar("T")
 class Background(threading.Thread, Generic[T]):
     """A thread that runs `work` and keeps its result; it does not outlive the process.
 
-    It is not a future: if Ctrl-C interrupts a call of a future, the future's lock may stay taken,
+    It is not a future: if Ctrl-C interrupts a call of a future, the future's lock may stay locked,
     and the thread, which needs that lock, never ends.
     """
 
@@ -44,7 +44,7 @@ class Background(threading.Thread, Generic[T]):
 
 @contextmanager
 def interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
-    """Let signals that would end this process raise KeyboardInterrupt, as Ctrl-C does.
+    """Make signals that would end this process raise KeyboardInterrupt, as Ctrl-C does.
 
     After the first of them the others are ignored until the end of the block: a terminal that
     closes sends several, and the reaction to the first must be completed.

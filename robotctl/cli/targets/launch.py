@@ -100,7 +100,7 @@ def launch(
         RobotctlError: The daemon did not start; the error has its reason and exit code.
     """
     log = _log_of(options.robot)
-    # A name of its own, until it is clear that no other daemon writes to the robot's log.
+    # A separate name, until it is clear that no other daemon writes to the robot's log.
     own_log = log.with_name(f"{log.name}.{os.getpid()}")
     # A Ctrl-C between the start of the child and the `try` would leave the child behind.
     unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPTIONS)
@@ -127,7 +127,7 @@ def launch(
     kept = log.with_name(f"{log.name}.failed") if is_running else log
     see = str(kept) if is_running else command_for(options.robot, "logs")
     failure = _failure(ended, said, own_log, see)
-    if isinstance(failure, AlreadyRunning | UsageError):  # its log holds nothing else
+    if isinstance(failure, AlreadyRunning | UsageError):  # its log holds nothing but this error
         own_log.unlink(missing_ok=True)
     elif is_running:
         own_log.replace(kept)
@@ -169,7 +169,7 @@ def _said_when_ready(daemon: Child) -> dict[str, Any]:
 
 
 def _failure(ended: str, said: dict[str, Any], log: Path, see: str) -> RobotctlError:
-    """Return why the daemon did not start, from its report or else from the end of its log."""
+    """Return why the daemon did not start: by its report, or by the last line of its log."""
     if "error" in said:
         exit_code = said.get("exit_code", RobotctlError.exit_code)
         return error_for_exit_code(exit_code, str(said["error"]), said)
@@ -181,7 +181,7 @@ def _failure(ended: str, said: dict[str, Any], log: Path, see: str) -> RobotctlE
 
 
 def _end(daemon: Child, *, patiently: bool) -> str:
-    """Wait for the daemon, kill it if it does not exit, and return how it ended."""
+    """End the daemon, and return how it ended; `patiently` first waits for it to exit."""
     if not (patiently and daemon.wait(END_DEADLINE_S) is not None):
         daemon.kill(signal.SIGTERM)
     exit_code = daemon.close(END_DEADLINE_S)
@@ -193,17 +193,17 @@ def _end(daemon: Child, *, patiently: bool) -> str:
 VIEW: Final = program("robotctl.view")
 
 READY_S: Final = 30.0
-"""How long the process may take to listen; it needs half a second."""
+"""How long a view may take to be ready [s]; it needs half a second."""
 
 END_S: Final = 10.0
-"""How long the process may take to leave the domain."""
+"""How long the process of a view may take to leave the ROS domain and exit [s]."""
 
 
 def live_target(robot: str) -> LiveTarget:
-    """Return the running daemon of a robot, and its domain; use its discovery range from now on.
+    """Return a robot's running daemon and its domain; use its discovery range if none is set here.
 
     Raises:
-        NoDaemon: None runs.
+        NoDaemon: No daemon runs.
     """
     status = call(robot, STATUS)
     os.environ.setdefault(RANGE, status["discovery_range"])
@@ -211,17 +211,17 @@ def live_target(robot: str) -> LiveTarget:
 
 
 def check_view_installed() -> None:
-    """Check that the extra is there.
+    """Check that the extra robotctl[view] is installed.
 
     Raises:
-        Refused: It is not.
+        Refused: It is not installed.
     """
     if find_spec("websockets") is None:
         raise Refused("the view needs the package websockets", "pip install 'robotctl[view]'")
 
 
 def start_view_of(robot: str) -> dict[str, Any]:
-    """Start a view that goes on until the daemon ends, and return its report `ready`.
+    """Start a view that runs until the daemon ends, and return its report `ready`.
 
     Raises:
         RobotctlError: The view cannot be served.
@@ -288,7 +288,7 @@ def ready_lines(job: ViewJob, ready: dict[str, Any]) -> Iterator[str]:
 
 
 def reports_of(child: Child, seconds: float | None = None) -> Iterator[dict[str, Any]]:
-    """Yield the reports until the process ends; raise the error that one tells."""
+    """Yield the process's reports until it ends; raise the error that a report contains."""
     while True:
         try:
             reports = child.receive(seconds)

@@ -1,4 +1,4 @@
-"""Which recordings a command means, and which times in them."""
+"""Find the recordings that a command's arguments name, and the times in them."""
 
 from __future__ import annotations
 
@@ -65,10 +65,10 @@ RecordedBy = Annotated[
 
 
 def recordings_folder(robot: str | None, given: Path | None) -> Path:
-    """Return the folder `given`, else ./recordings, else the folder of the last daemon.
+    """Return the folder `given`, or else ./recordings if it holds a recording of `robot`.
 
-    ./recordings is taken if it holds a recording (of `robot`, unless that is None). The last daemon
-    is the one of `robot`, or of any robot, that was started last.
+    If it holds none, return the latest existing folder of a daemon of `robot`, or ./recordings if
+    there is no such folder. If `robot` is None, any robot counts.
 
     Raises:
         UsageError: `given` is not a folder, or another user could have changed the note that
@@ -87,10 +87,10 @@ def recordings_folder(robot: str | None, given: Path | None) -> Path:
 
 
 def file_path(text: str) -> Path:
-    """Return what an argument names: a path of this computer, or a URL of one file.
+    """Return the path that an argument names: on this computer, or of one file at a URL.
 
     Raises:
-        UsageError: It is another URL.
+        UsageError: The URL is not of one file in a store.
     """
     from robotctl.base.store.remote_file import path_of
 
@@ -98,10 +98,10 @@ def file_path(text: str) -> Path:
 
 
 def recording_path(text: str) -> Path:
-    """Return what an argument names: a path of this computer.
+    """Return the path on this computer that an argument names.
 
     Raises:
-        UsageError: It is a URL.
+        UsageError: The argument is a URL of a store.
     """
     from robotctl.base.store.remote_file import RemoteFile, not_here
 
@@ -114,14 +114,14 @@ def recording_path(text: str) -> Path:
 def find_recording(
     name: str, robot: str | None, given: Path | None = None, *, also_url: bool = False
 ) -> Path:
-    """Return the path of a recording: a path, a name in the folder of recordings, or `last`.
+    """Return the path of the recording `name`: a path, a name in the recordings folder, or `last`.
 
     A name that is not found is returned as it is; opening it then fails with the reason. With
-    `also_url` it may be a URL of one file, too.
+    `also_url`, the name may be a URL of one file, too.
 
     Raises:
         Refused: `name` is `last`, and there is no recording.
-        UsageError: It is a URL.
+        UsageError: `name` is a URL that `also_url` does not allow.
     """
     path = file_path(name) if also_url else recording_path(name)
     if "://" in name:
@@ -152,8 +152,8 @@ def cure_of_damage(path: Path) -> str:
 def recordings_of(robot: str | None, folder: Path) -> list[Path]:
     """Return the recordings of `robot`, or of any robot, in `folder`, newest first.
 
-    A recording is a folder whose name has the form that a daemon gives it; the name also holds the
-    time.
+    A recording is a folder whose name has the form that a daemon gives it, with the time of its
+    start.
     """
     try:
         found = [(_NAME.fullmatch(path.name), path) for path in folder.iterdir()]
@@ -174,7 +174,7 @@ def robot_of(recording: Path) -> str | None:
 
 
 def noted_folders(robot: str | None) -> Iterator[Path]:
-    """Yield the folders that the daemons of `robot`, or of any robot, recorded to, latest first.
+    """Yield the folder of `robot`'s last daemon; if `robot` is None, of each robot's, latest first.
 
     Raises:
         UsageError: Another user could have changed a note that names one of them.
@@ -208,9 +208,9 @@ COMMIT_DEADLINE_S = 8.0
 
 
 def committed_recording(robot: str, missing: list[str]) -> Path | None:
-    """Let the robot's daemon commit its recording, and return the folder; None without a daemon.
+    """Make the robot's daemon commit its recording, and return the folder; None if that failed.
 
-    `missing` gets a sentence about messages that the daemon did not write.
+    A sentence about messages that the daemon did not write is added to `missing`.
     """
     try:
         with Client(robot) as client:
@@ -221,7 +221,7 @@ def committed_recording(robot: str, missing: list[str]) -> Path | None:
 
 
 def with_earlier(newest: Path) -> list[Path]:
-    """Return a recording and the earlier ones of its robot beside it, newest first."""
+    """Return a recording and its robot's earlier ones there, newest first; up to MAX_RECORDINGS."""
     paths = recordings_of(robot_of(newest), newest.parent)
     if newest not in paths:
         return [newest]
@@ -245,8 +245,8 @@ def open_catalogue(given: str | None, *, quiet: bool) -> Iterator[tuple[Path, Ca
     """Yield a folder and its catalogue; recordings without an index are indexed first.
 
     Raises:
-        UsageError: There is no such folder, or what is needed is not installed.
-        Refused: It cannot be listed.
+        UsageError: There is no such folder, or duckdb is not installed.
+        Refused: The folder cannot be read, or the catalogue cannot be written.
     """
     from robotctl.collection.catalogue import catalogue_of
 

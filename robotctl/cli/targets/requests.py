@@ -1,4 +1,4 @@
-"""Who asks for something, why, and under which lease: what the requests of commands carry."""
+"""The parameters that requests have in common: who asks, why, and under which lease."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _LENGTHS = range(16, 65)
 
 
 def own_token() -> str | None:
-    """Return the token in ROBOTCTL_LEASE, None if there is none.
+    """Return the lease token in ROBOTCTL_LEASE, or None if it is not set.
 
     Raises:
-        UsageError: It cannot be one.
+        UsageError: The text cannot be a token: its length is wrong.
     """
     token = os.environ.get(LEASE_VARIABLE)
     if token and len(token) not in _LENGTHS:
@@ -40,7 +40,7 @@ def asked_by(command: str, reason: str = "") -> dict[str, str]:
 
 
 def checked_reason(reason: str) -> str:
-    """Return the reason if a daemon takes it.
+    """Return the reason if a daemon accepts it.
 
     Raises:
         UsageError: It is too long, or has control characters.

@@ -1,4 +1,4 @@
-"""Every daemon of this user, by the sockets in its runtime folder, and the stop of all."""
+"""Find all daemons of this user by the sockets in the runtime folder, and stop their robots."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 SUFFIX = ".sock"
 
 ANSWER_S = 2.0
-"""How long a daemon may take to tell its status; the daemons are asked at the same time."""
+"""How long a daemon may take to send its status [s]; all daemons are asked in parallel."""
 
 T = TypeVar("T")
 
@@ -32,7 +32,7 @@ class RobotDaemon(NamedTuple):
 
     @property
     def moves(self) -> bool:
-        """Whether it said that its robot moves."""
+        """Whether the status says that the robot moves."""
         return self.status is not None and self.status["mode"] == "MOVING"
 
 
@@ -40,7 +40,7 @@ def names() -> list[str]:
     """Return the robots that have a socket, also one that a killed daemon has left.
 
     Raises:
-        Refused: Only another user may see them.
+        Refused: The runtime folder belongs to another user.
     """
     folder = runtime_folder()
     try:
@@ -53,12 +53,12 @@ def names() -> list[str]:
 
 
 def find(robots: Iterable[str]) -> list[RobotDaemon]:
-    """Return each of these robots that has a daemon."""
+    """Return the daemons of these robots, each with its status or the problem in getting it."""
     return [found for found in at_once(_look, robots) if found is not None]
 
 
 def at_once(ask: Callable[[str], T], robots: Iterable[str]) -> list[T]:
-    """Ask for all robots at the same time, so that a daemon that hangs delays no other."""
+    """Call `ask` for all robots in parallel, so that a daemon that hangs delays no other."""
     asking = [Background(partial(ask, robot)) for robot in robots]
     for each in asking:
         each.start()
@@ -79,7 +79,7 @@ def _look(robot: str) -> RobotDaemon | None:
 
 
 class StoppedRobot(TypedDict):
-    """What became of the stop of one robot; `message` is why it failed if it did."""
+    """The result of stopping one robot; unless `ok`, `message` says why it failed."""
 
     robot: str
     ok: bool
@@ -87,7 +87,7 @@ class StoppedRobot(TypedDict):
 
 
 def stop_all(params: dict[str, str]) -> tuple[list[StoppedRobot], RobotctlError | None]:
-    """Stop every robot at the same time; return what became of it, and the first failure.
+    """Latch the emergency stop of all robots in parallel; return the results, the first failure.
 
     Raises:
         NoDaemon: There is no daemon.
@@ -116,6 +116,6 @@ def stop_all(params: dict[str, str]) -> tuple[list[StoppedRobot], RobotctlError 
 
 
 def others_than(robot: str) -> list[RobotDaemon]:
-    """Return the other robots that move, or do not say whether they do."""
+    """Return the other robots that move, and those whose status is unknown."""
     others = [name for name in names() if name != robot]
     return [found for found in find(others) if found.moves or found.problem]

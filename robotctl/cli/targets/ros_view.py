@@ -1,6 +1,6 @@
-"""What commands see of ROS: through the daemon where one runs, else through a process of their own.
+"""Query ROS for a command: through the daemon if one runs, otherwise through a new process.
 
-That process (robotctl.ros.queries) joins the ROS domain for as long as the command takes.
+That process (robotctl.ros.queries) is in the ROS domain for as long as the command takes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from robotctl.ipc.method_names import GRAPH, GRAPH_NODE, GRAPH_TOPIC, STATUS
 from robotctl.ipc.protocol import MAX_GRAPH_NAME
 
 QUERY: Final = "robotctl.ros.queries"
-"""The module of the process that looks at ROS."""
+"""The module of the process that queries ROS."""
 
 END_S: Final = 10.0
 """How long that process may take to leave its domain."""
@@ -37,7 +37,7 @@ machine starts it slowly."""
 class RosView:
     """The view of one ROS domain; with `through_daemon` a daemon of `robot` answers.
 
-    Relative names are those of the robot's `namespace`, which is "" for none.
+    Relative names are resolved in the robot's `namespace`, which is "" for none.
     """
 
     robot: str
@@ -56,7 +56,7 @@ class RosView:
         """Return the endpoints of a topic, by its full name.
 
         Raises:
-            UsageError: Nothing publishes it or subscribes to it.
+            UsageError: No node publishes or subscribes to the topic.
         """
         if self.through_daemon:
             found = call(self.robot, GRAPH_TOPIC, {"name": _checked(name)})
@@ -67,7 +67,7 @@ class RosView:
         return found
 
     def node(self, name: str) -> GraphNode:
-        """Return what a node does, by its full name.
+        """Return what the node with this full name publishes, subscribes to, serves and calls.
 
         Raises:
             UsageError: There is no such node.
@@ -82,11 +82,11 @@ class RosView:
             raise UsageError(*unknown_name("node", name, known)) from None
 
     def full_name(self, name: str) -> str:
-        """Return the full name of a topic, node or service: relative ones are the robot's."""
+        """Return the full name of a topic, node or service; a relative one gets the namespace."""
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def listen(self, topic: str, type_name: str, *, data: bool) -> MessageListener:
-        """Listen to a topic, with its data or only the times and sizes of its messages.
+        """Subscribe to a topic; without `data`, only the times and sizes of its messages are sent.
 
         Raises:
             UsageError: The topic is unknown, or has several types and none is chosen.
@@ -143,13 +143,13 @@ class RosView:
 
 
 class MessageListener:
-    """The messages of a topic; close it, or use it in a `with` block."""
+    """Receives the messages of a topic; the end of its `with` block ends the subscription."""
 
     def __init__(self, child: Child) -> None:
-        """Wait for the topic.
+        """Wait until the process `child` reports the topic's type and publishers.
 
         Raises:
-            RobotctlError: The topic cannot be listened to; the text says why.
+            RobotctlError: The process cannot subscribe to the topic; the text says why.
         """
         self._child = child
         try:
@@ -192,10 +192,10 @@ class MessageListener:
 
 
 def ros_view(robot: str, domain_id: int | None) -> RosView:
-    """Return the view of a domain: a given one, else that of the daemon, else ROS_DOMAIN_ID or 0.
+    """Return the view of `domain_id`; if None, of the daemon's domain, else of ROS_DOMAIN_ID or 0.
 
     Raises:
-        UsageError: The domain does not exist.
+        UsageError: The number is not a ROS domain.
     """
     if domain_id is None:
         try:
@@ -214,7 +214,7 @@ def _names(typed: Any) -> list[str]:
 
 
 def _checked(name: str) -> str:
-    """Return `name` if the daemon can be asked for it.
+    """Return `name` if it can be a name in ROS.
 
     Raises:
         UsageError: It is too long or not printable.
@@ -225,7 +225,7 @@ def _checked(name: str) -> str:
 
 
 def _checked_report(report: dict[str, Any]) -> dict[str, Any]:
-    """Return a report of the process.
+    """Return the report if it is not an error.
 
     Raises:
         RobotctlError: The process reported this error.

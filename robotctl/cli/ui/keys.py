@@ -77,11 +77,11 @@ class Keyboard:
         return os.read(self._file, 64).decode(errors="ignore") if self._file in ready else ""
 
     def has_ended(self, ready: Sequence[object]) -> bool:
-        """Return whether the terminal was readable without a key, so that none will come."""
+        """Return whether the terminal has ended: call it with `ready` if `read` returned no key."""
         return self._saved is not None and self._file in ready and self._stop_asked not in ready
 
     def flush(self) -> None:
-        """Drop the keys that were pressed and not read."""
+        """Drop the keys that were pressed but not read yet."""
         if self._saved is not None:
             termios.tcflush(self._file, termios.TCIFLUSH)
 
@@ -116,15 +116,15 @@ class Keyboard:
         self._resume()
 
     def _go_on(self, number: int, frame: FrameType | None) -> None:
-        self._take()  # it may have run in the background until now
+        self._take()  # the process may have run in the background until now
 
 
 MAX_SEQUENCE: Final = 40
-"""A longer escape sequence is not waited for."""
+"""The end of an escape sequence is not awaited if it is longer than this [characters]."""
 
 MAX_STRING: Final = 4096
 MAX_STRING_S: Final = 0.1
-"""What is longer, or takes longer, is no string of the terminal: Alt-] may have been pressed."""
+"""A longer or slower text is no string of the terminal: Alt-] may have been pressed."""
 
 ANSWER: Final = "answer"
 """The name of the key that stands for an answer to `CSI ? u`."""
@@ -141,7 +141,7 @@ _SURROGATES_AND_ABOVE = 0xD800
 
 
 class KeyEvent(Enum):
-    """What happened to a key; a terminal that tells no releases tells repeats as presses."""
+    """What happened to a key; a terminal without release events reports repeats as presses."""
 
     PRESSED = 1
     REPEATED = 2
@@ -151,7 +151,7 @@ class KeyEvent(Enum):
 class Key(NamedTuple):
     """A key by its character, or `up`, `down`, `left`, `right`, or ANSWER.
 
-    `is_text`: it came in a form for which a terminal tells no release, as pasted text does.
+    `is_text`: it came in a form that has no release event, as pasted text does.
     """
 
     name: str
@@ -163,8 +163,8 @@ class Key(NamedTuple):
 class KeyParser:
     """Turns what is read from a terminal into keys.
 
-    The forms are those of xterm and of the kitty keyboard protocol. What is neither, the strings of
-    a terminal (OSC, DCS), and what stands between the marks of a paste, is skipped.
+    It reads the forms of xterm and of the kitty keyboard protocol. It skips all other sequences,
+    strings of the terminal (OSC, DCS), and the text between the marks of a paste.
     """
 
     def __init__(self) -> None:
@@ -232,10 +232,10 @@ def _number(text: str) -> int:
 
 
 ANSWER_S: Final = 0.3
-"""How long a terminal may take to answer; one that answers later tells no releases here."""
+"""How long a terminal may take to answer [s]; if it is slower, it is used without releases."""
 
 _ASK: Final = b"\x1b[?u\x1b[c"
-"""Which keyboard flags are set, then which terminal it is: every terminal answers the latter."""
+"""Asks for the keyboard flags, then for the terminal's type, which every terminal answers."""
 
 _BEGIN: Final = b"\x1b[>11u"
 """Push flags: unambiguous codes (1), events (2), for all keys (8)."""
@@ -244,14 +244,14 @@ _END: Final = b"\x1b[<u"
 
 _MARK_PASTES: Final = b"\x1b[?2004h"
 _MARK_NO_PASTES: Final = b"\x1b[?2004l"
-"""A terminal that cannot mark them ignores both."""
+"""A terminal that cannot mark pastes ignores both."""
 
 _IS_KNOWN: Final = re.compile(rb"\x1b\[\?\d+u")
 _IS_ANSWERED: Final = re.compile(rb"\x1b\[\?[\d;]*c")
 
 
 class ReleaseEvents:
-    """A context in which the terminal tells releases of keys, if it can: then `told` is true.
+    """A context in which the terminal reports key releases, if it can: then `told` is true.
 
     It also marks what is pasted, if it can. Keys must arrive one by one (`Keyboard`). `suspend` and
     `resume` enclose the time in which another program uses the terminal.
@@ -264,23 +264,23 @@ class ReleaseEvents:
         self.told = False
 
     def __enter__(self) -> Self:
-        """Ask the terminal, and begin if it can."""
+        """Ask whether the terminal can report releases, and switch on what it can."""
         if self._keys_from >= 0:
             self.told = self._can_tell()
             self.resume()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End it."""
+        """Switch off release events and paste marks."""
         self.suspend()
 
     def suspend(self) -> None:
-        """Let the terminal send keys and pastes as before."""
+        """Make the terminal send keys and pastes as before."""
         if self._keys_from >= 0:
             self._write((_END if self.told else b"") + _MARK_NO_PASTES)
 
     def resume(self) -> None:
-        """Let the terminal tell releases and mark pastes again."""
+        """Make the terminal report releases and mark pastes again."""
         if self._keys_from >= 0:
             self._write((_BEGIN if self.told else b"") + _MARK_PASTES)
 
@@ -301,17 +301,17 @@ class ReleaseEvents:
 
 
 ASK_EACH_S: Final = 0.025
-"""Five times in the longest silence of one who drives by hand."""
+"""The period of questions [s]: a fifth of the longest silence that teleop may have."""
 
 _ASK_FLAGS: Final = b"\x1b[?u"
-"""Which keyboard flags are set: only a terminal that can tell releases answers."""
+"""Asks for the keyboard flags: only a terminal that can report releases answers."""
 
 
 class TerminalAnswers:
     """A context in which a terminal can be asked; `KeyParser` yields its answers as ANSWER.
 
-    The question goes through a descriptor of its own that does not block, so that a terminal that
-    takes nothing delays no key.
+    The question goes through a separate descriptor that does not block, so that a terminal that
+    accepts no data delays no key.
     """
 
     def __init__(self) -> None:
@@ -324,13 +324,13 @@ class TerminalAnswers:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close it."""
+        """Close the terminal's descriptor."""
         os.close(self._file)
 
     def ask(self) -> None:
-        """Ask, if the last question is ASK_EACH_S old."""
+        """Ask the terminal, unless the last question is younger than ASK_EACH_S."""
         now_s = time.monotonic()
         if now_s - self._asked_s >= ASK_EACH_S:
             self._asked_s = now_s
-            with suppress(OSError):  # it takes nothing now, or is gone: then no answer comes
+            with suppress(OSError):  # the terminal accepts nothing now, or is gone: no answer comes
                 os.write(self._file, _ASK_FLAGS)

@@ -98,10 +98,10 @@ def print_answer(
 
 
 Progress = Callable[[int, int], None]
-"""Receives how much is done, and the total."""
+"""A function that is called with how much is done, and the total."""
 
 REDRAW_S: Final = 0.1
-"""How often the bar is drawn again, at most."""
+"""The shortest time between two drawings of the bar [s]."""
 
 
 @contextmanager
@@ -119,7 +119,7 @@ def progress_bar(label: str, *, quiet: bool) -> Iterator[Progress]:
         TaskProgressColumn(),
         TimeRemainingColumn(),
     )
-    # It draws without a thread: a check may copy a process with one thread only.
+    # It has no thread: it is drawn when the work calls `draw`.
     with Bar(*columns, transient=True, auto_refresh=False) as bar:
         task = bar.add_task(label, total=None)
         drawn_s = 0.0

@@ -37,13 +37,13 @@ _MAX_TOPICS = 12
 _BESIDE_WIDTH = 38
 _NAME_WIDTH_BESIDE = 18
 _MAX_TOPICS_BESIDE = 8
-"""They keep the view within a terminal of 24 lines."""
+"""The numbers of topics keep the view within a terminal of 24 lines."""
 
 
 def live_view(status: Status, beside: RenderableType | None = None) -> RenderableType:
     """Return mode, pose, speed, battery, recorder and topics in one panel.
 
-    `beside` stands beside the topics, of which fewer are shown then.
+    `beside` is drawn to the left of the topics, of which fewer are shown then.
     """
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="dim")
@@ -102,11 +102,11 @@ def _topics(topics: list[TopicAnswer], most: int, name_width: int | None = None)
 _BARS: Final = " ▁▂▃▄▅▆▇█"
 
 HISTORY: Final = 20
-"""Values of a sparkline; at ten a second, those of the last 2 s."""
+"""The number of values in a sparkline: at ten per second, those of the last 2 s."""
 
 _OTHER_LINES: Final = 16
 _MAP_ROWS: Final = range(5, 15)
-"""How high the map may be; its width is twice that."""
+"""How high the map may be [lines]; its width is twice that."""
 
 
 class History:
@@ -117,7 +117,7 @@ class History:
         self.errors: deque[float] = deque(maxlen=HISTORY)
 
     def add(self, status: Mapping[str, Any]) -> None:
-        """Keep the speed and the error of this status; without an error the earlier ones go."""
+        """Add the speed and the error of a status; if it has no error, drop the earlier errors."""
         self.speeds.append(_finite((status.get("velocity") or {}).get("linear")))
         error_m = (status.get("drive") or {}).get("cross_track_m")
         if error_m is None:
@@ -127,7 +127,7 @@ class History:
 
 
 def drive_map(path: DrivenPath, history: History, lines: int) -> RenderableType:
-    """Return map and sparklines for a terminal of that many lines."""
+    """Return map and sparklines for a terminal with this number of lines."""
     rows = min(max(lines - _OTHER_LINES, _MAP_ROWS.start), _MAP_ROWS.stop)
     figure = path_figure(path["reference"], path["driven"])
     picture = ground_lines(figure, rows=rows) if path["driven"] else []
@@ -141,7 +141,7 @@ def drive_map(path: DrivenPath, history: History, lines: int) -> RenderableType:
 
 
 def sparkline(values: Iterable[float]) -> str:
-    """Return a bar for each value by its amount; the highest of them is a full one."""
+    """Return a bar for the absolute value of each number; the largest gets a full bar."""
     amounts = [abs(value) for value in values]
     top = max(amounts, default=0.0)
     if not top:
@@ -154,7 +154,7 @@ def _finite(value: Any) -> float:
 
 
 _PATH_ROWS = 12
-"""Keeps the view and the bar within a terminal of 24 lines."""
+"""The height of the path [lines], with which view and bar fit in a terminal of 24 lines."""
 
 
 def recorded_view(robot: RecordedRobot) -> RenderableType:

@@ -13,7 +13,7 @@ from robotctl.ipc.answers import NameAndTypes
 
 
 def is_hidden(name: str) -> bool:
-    """Return whether ROS tools leave a name out of their lists."""
+    """Return whether ROS tools leave the name out of their lists: a part of it begins with _."""
     return "/_" in name
 
 
@@ -40,7 +40,7 @@ SHOWN_LENGTH: Final = 128
 
 _CUT: Final = "..."
 _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_/]*")
-"""Texts that no YAML parser takes for something else, but for the words below."""
+"""Texts that every YAML parser reads as text, except the words below."""
 
 _WORDS = frozenset({"true", "false", "yes", "no", "on", "off", "null", "y", "n"})
 
@@ -114,7 +114,7 @@ def _text(text: str) -> str:
 
 
 def plain_json(value: Any) -> Any:
-    """Return a message with what JSON can hold: NaN and infinity become null, bytes a list."""
+    """Return a message as JSON values: NaN and infinity become null, bytes a list of numbers."""
     if isinstance(value, float):
         return value if isfinite(value) else None
     if isinstance(value, Mapping):

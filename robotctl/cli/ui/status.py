@@ -26,7 +26,7 @@ _INDENT_AND_GAPS = 5
 
 
 class TopicLines:
-    """A table whose columns fit its topics; on a terminal, types get the rest."""
+    """A table whose columns fit its topics; on a terminal, types get the rest of the width."""
 
     def __init__(self, topics: Iterable[tuple[object, object]]) -> None:
         """Fit the columns to `topics`, the names and types of the rows."""
@@ -103,7 +103,7 @@ def is_observer(status: Mapping[str, Any]) -> bool:
 
 
 def status_rows(status: Status) -> Iterator[tuple[str, str]]:
-    """Yield label and text of each row but the reason and the topics; paths are not wrapped."""
+    """Yield label and text of each row except reason and topics; paths are not wrapped."""
     if not is_observer(status):
         yield "pose", pose_text(status)
         yield "velocity", velocity_text(status)
@@ -145,7 +145,7 @@ def pose_text(status: Mapping[str, Any]) -> str:
 def drive_lines(drive: Mapping[str, Any]) -> Iterator[str]:
     """Yield what is driven, and how far off its path the robot is, if that is measured.
 
-    A lap closes where it ends.
+    The closure is how far the robot was from the end of the path when its last lap ended.
     """
     now, rms, worst, true_m, heading, most, closure = (
         number(drive.get(key), ".3f")

@@ -35,7 +35,7 @@ def elided(text: object, width: int) -> str:
 
 
 def row(label: str, text: object) -> Iterator[str]:
-    """Yield the lines of a text beside its label, wrapped into its own column."""
+    """Yield a label with its text; a long text is wrapped into a column after the label."""
     line, width = printable(text), columns() - len(label)
     if len(line) <= width:
         yield f"{label}{line}"
@@ -66,7 +66,7 @@ def columns() -> int:
 
 
 def terminal_lines() -> int:
-    """Return the lines of the terminal, UNLIMITED without one or where it does not know them."""
+    """Return the number of lines of the terminal, UNLIMITED if it is unknown."""
     try:
         return os.get_terminal_size(sys.stdout.fileno()).lines or UNLIMITED
     except (OSError, ValueError):
@@ -74,7 +74,7 @@ def terminal_lines() -> int:
 
 
 def _terminal_columns() -> int | None:
-    """Return the columns of the terminal, 0 if it does not know them, None without a terminal."""
+    """Return the columns of the terminal, 0 if they are unknown, None without a terminal."""
     try:
         return os.get_terminal_size(sys.stdout.fileno()).columns
     except (OSError, ValueError):

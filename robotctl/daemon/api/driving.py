@@ -50,12 +50,12 @@ from robotctl.kernel.types import (
 
 
 def default_laps(kind: PatternKind, *, wait: bool) -> int:
-    """Return the laps of a drive where none are asked for; 0 is until stopped."""
+    """Return the default number of laps of a drive; 0 means until it is stopped."""
     return 1 if wait or not SHAPES[kind].closed else 0
 
 
 def shape_size_m(params: DriveParams) -> float | None:
-    """Return the size that was asked for, None if none was.
+    """Return the requested size [m], or None if none was requested.
 
     Raises:
         UsageError: A size was given that the pattern does not have.
@@ -75,10 +75,10 @@ def shape_size_m(params: DriveParams) -> float | None:
 
 
 def shape_course(params: DriveParams) -> Course:
-    """Return how the pattern is driven.
+    """Return the course of a pattern.
 
     Raises:
-        UsageError: The pattern has no corners, or no angle.
+        UsageError: A corner radius or an angle was given that the pattern does not have.
     """
     shape, name = SHAPES[params.pattern], params.pattern.value
     if params.corner_m is not None and not shape.has_corner:
@@ -94,7 +94,7 @@ def shape_course(params: DriveParams) -> Course:
 
 
 def path_course(params: DrivePathParams) -> Course:
-    """Return how waypoints are driven."""
+    """Return the course of a drive along waypoints."""
     return Course(
         corner_m=PLAIN.corner_m if params.corner_m is None else params.corner_m,
         reverse=params.reverse,
@@ -105,7 +105,7 @@ def path_course(params: DrivePathParams) -> Course:
 
 
 MODE_DEADLINE_S = 30.0
-"""Longer than the ramp of any usual robot."""
+"""Deadline of a mode request; longer than the ramp of any usual robot."""
 
 
 class DrivingMethods:
@@ -145,7 +145,7 @@ class DrivingMethods:
         size_m: float | None = None,
         speed_mps: float | None = None,
     ) -> Pattern:
-        """Return a pattern; a value that is None comes from the configuration.
+        """Return a pattern; None means the configured value, or else the default size of the shape.
 
         Raises:
             UsageError: The speed is above the configured limit.
@@ -163,7 +163,7 @@ class DrivingMethods:
         )
 
     async def begin(self, kind: PatternKind, source: str) -> Reply:
-        """Request a drive of a pattern until stopped, or of one lap where it is open."""
+        """Request a drive of a pattern, until stopped (of one lap if open); return the reply."""
         request_id, pattern = self._control.new_request_id(), self.pattern(kind)
         laps = default_laps(kind, wait=False)
         return await self._control.request(
@@ -226,7 +226,7 @@ class DrivingMethods:
         laps: int,
         course: Course,
     ) -> DriveAnswer:
-        """Request a drive, and wait for its end if the parameters say so."""
+        """Request a drive, and wait for its end if `params.wait` is set."""
         request_id = self._control.new_request_id()
         event = DriveRequested(
             time.monotonic_ns(),
@@ -260,14 +260,14 @@ class DrivingMethods:
         return result
 
     async def _end_drive(self, params: EndDriveParams) -> ModeAnswer:
-        """Ramp down; unlike a request for IDLE, this releases no error and no latched stop."""
+        """Ramp down; unlike a request for IDLE, never release an error or a latched stop."""
         state = self._control.state
         if state.mode is not Mode.MOVING:
             return {"message": f"The robot stands, in {state.mode.name}", "mode": state.mode.name}
         return granted(await self._control.request(self._idle_request(params.source)), self._robot)
 
     def ramp_down(self, request_id: int, source: str) -> bool:
-        """Ramp down the drive that this request began; return whether it was still going on."""
+        """Ramp down the drive that this request began; return whether it was still running."""
         state = self._control.state
         is_it = state.drive is not None and state.drive.request_id == request_id
         if not is_it or state.mode is not Mode.MOVING:

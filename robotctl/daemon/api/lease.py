@@ -1,4 +1,4 @@
-"""The methods of the control socket for the lease: who alone may start and steer motion."""
+"""The methods for `hold` and for the lease, whose holder alone may start and steer motion."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from robotctl.kernel.types.events import LeaseLost, LeaseRequested
 
 
 class HoldMethods:
-    """The handler; the client calls it again and again, for silence ends the motion."""
+    """The handler of `hold`; the client calls it repeatedly, because silence ends the motion."""
 
     def __init__(
         self,
@@ -80,15 +80,15 @@ NOBODY = 0
 """The number of a client without an identity."""
 
 LISTEN_S = 0.25
-"""How often the daemon looks whether the holder of the lease has called `lease_keep`."""
+"""The period of the check whether the holder of the lease has called `lease_keep`."""
 
 SILENT_PERIODS = 4
-"""The number of periods in a row without a call that ends the lease: the holder may be frozen."""
+"""The lease ends after this many periods without a call: its holder may be frozen."""
 
 
 @dataclass(slots=True)
 class _Holder:
-    """A client that asked for the lease; `ended` gets the text of the end."""
+    """A client that requested the lease; `ended` is set to a sentence at its release."""
 
     client: int
     token: str
@@ -97,10 +97,10 @@ class _Holder:
 
 
 class LeaseMethods:
-    """The handlers; the connection of `lease_take` keeps the lease, and its end ends it.
+    """The handlers; the lease ends at the latest when the connection of `lease_take` closes.
 
-    The holder also calls `lease_keep` on a second connection, more often than each `listen_s`. A
-    process that is frozen keeps its connections open, but calls nothing.
+    The holder also calls `lease_keep` on a second connection, at least once in `listen_s`: a frozen
+    process keeps its connections open, but makes no calls.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class LeaseMethods:
         }
 
     def client_of(self, token: str | None) -> int:
-        """Return the number of the client that holds the lease by this token, else NOBODY."""
+        """Return the number of the client that holds the lease with this token, or NOBODY."""
         holder = self._holder
         return holder.client if holder is not None and holder.token == token else NOBODY
 
@@ -151,10 +151,10 @@ class LeaseMethods:
         raise Refused(f"{params.source} lost the lease: {how}", "take it again")
 
     async def _until_silent(self, holder: _Holder) -> None:
-        """Wait until the holder has called nothing for SILENT_PERIODS, or the lease has ended.
+        """Wait until the holder makes no call for SILENT_PERIODS, or the lease is released.
 
-        Periods are counted, and not time: calls that wait while the loop is stalled are heard in
-        the next period.
+        It counts periods, not time: calls that arrive while the loop is stalled count in the next
+        period.
         """
         silent = 0
         while silent < SILENT_PERIODS and not holder.ended.done():

@@ -18,11 +18,11 @@ SPLIT_DEADLINE_S = 5.0
 """How long the disk may take to finish one file and start the next."""
 
 COMMIT_DEADLINE_S = 5.0
-"""How long the disk may take to write the queue; the thread writes four times a second."""
+"""How long the disk may take to write the queue; the recorder writes four times a second."""
 
 
 def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[Any]]:
-    """Return the methods that record, split, commit and mark; the cures in errors name `robot`."""
+    """Return the methods for status, commit, split and mark; the cures in errors name `robot`."""
 
     def failure() -> str:
         return for_robot(recorder.failure, robot)
@@ -35,7 +35,7 @@ def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[
         }
 
     async def commit(_: NoParams) -> Committed:
-        """Answer once the file holds every message received before this request."""
+        """Answer once the file has all messages received so far, or after COMMIT_DEADLINE_S."""
         received = recorder.stats().received
 
         def uncommitted() -> int:

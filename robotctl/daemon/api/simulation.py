@@ -19,17 +19,17 @@ from robotctl.sim.robot import SimFault
 POLL_S = 0.001
 
 AFTER_S = 1.0
-"""How long after its end a fault may still stop the robot."""
+"""How long after the end of a fault the robot may still stop because of it."""
 
 
 class Simulated(Protocol):
     """The simulated robot of this process."""
 
     def set_battery(self, level: float) -> None:
-        """Continue with this battery level, and report it."""
+        """Set the battery level, 0 to 1, and publish it."""
 
     def begin_fault(self, fault: SimFault, for_s: float) -> None:
-        """Begin a fault."""
+        """Begin a fault that lasts `for_s` seconds."""
 
 
 def simulation_methods(
@@ -39,8 +39,8 @@ def simulation_methods(
 ) -> dict[str, Method[Any]]:
     """Return `sim_set` and `sim_fault`.
 
-    `simulated()` returns the robot, None if this daemon simulates none. `mark(text, source)` marks
-    the moment in the recording.
+    `simulated()` returns the robot, or None if this daemon simulates none. `mark(text, source)`
+    adds a mark to the recording.
     """
 
     def robot() -> Simulated:

@@ -1,4 +1,4 @@
-"""The methods that every daemon answers: hello, ping, stop, status and the ROS graph."""
+"""The methods that every daemon offers for its status, its stop and the ROS graph."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from robotctl.ros.tap.tap import Tap
 
 
 def graph_methods(tap: Tap) -> dict[str, Method[Any]]:
-    """Return `graph`, `graph_topic` and `graph_node`; what they tell, rcl has at hand."""
+    """Return `graph`, `graph_topic` and `graph_node`; they only read rcl's graph cache."""
 
     async def graph(_: NoParams) -> Graph:
         return cast(Graph, overview(tap.node))
@@ -56,7 +56,7 @@ def graph_methods(tap: Tap) -> dict[str, Method[Any]]:
 
 
 class RobotView(Protocol):
-    """The state of the robot."""
+    """The source of the robot's part of the status."""
 
     def facts(self) -> RobotFacts:
         """Return the robot's part of the status."""
@@ -86,11 +86,11 @@ class StatusSource:
         self._started = time.monotonic()
 
     def stats(self) -> RecorderStats:
-        """Return the recorder's counts of now, for the other methods."""
+        """Return the recorder's current counts, for `status`."""
         return self._recording.stats()
 
     def status(self, stats: RecorderStats) -> Status:
-        """Return the object of `robotctl status --json`, with these counts."""
+        """Return the object of `robotctl status --json`; `stats` are the recorder's counts."""
         robot, facts = self._options.robot, self._robot.facts()
         if facts["mode_reason"]:
             told = advice(facts["mode_reason"], self._robot.remedies(), robot)
@@ -111,7 +111,7 @@ class StatusSource:
         }
 
     def summary(self, notes: list[str]) -> StartSummary:
-        """Return the report of a ready daemon to its starter."""
+        """Return the report of a ready daemon for the process that started it."""
         status = self.status(self.stats())
         return {
             "ready": True,
@@ -133,7 +133,7 @@ def common_methods(status: StatusSource, stop: asyncio.Event) -> dict[str, Metho
 
     async def get_status(_: NoParams) -> Status:
         stats = status.stats()
-        await asyncio.sleep(0)  # with 500 topics that all change each half takes 0.3 ms
+        await asyncio.sleep(0)  # with 500 changing topics, each of the two steps takes 0.3 ms
         return status.status(stats)
 
     async def end(_: NoParams) -> Stopped:

@@ -1,8 +1,8 @@
-"""The warnings of `robotctl status`: each is made or collected here, and travels as text.
+"""The warnings of `robotctl status`: this module makes or collects all of them, as sentences.
 
-Who shows warnings (`status`, `record status`, `/diagnostics`) knows none of them. To add one, yield
-its sentence in `of_robot` or `of_recording`. A part of the daemon that also logs its sentence
-makes it itself, and is asked for it here.
+To add a warning, yield its sentence in `of_robot` or `of_recording`: `status`, `record status` and
+`/diagnostics` then show it. A part of the daemon that also logs its warning makes the sentence
+itself; this module calls a function of that part (`PartWarning`) to get it.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import RecorderStats
 
 PartWarning = Callable[[], str]
-"""Returns what is wrong with a part of the daemon as a sentence, else ""."""
+"""Returns a sentence about what is wrong with a part of the daemon, or ""."""
 
 RECENT_S = 600.0
-"""How long `status` mentions a problem that is over."""
+"""How long `status` still shows a problem that is over."""
 
 _CHECKS = tuple(
     RULE_OF[cause].check
@@ -49,14 +49,14 @@ _CHECKS = tuple(
         Cause.COMMAND_TYPES_MIXED,
     )
 )
-"""Those of the start conditions whose failure is a warning even if no motion is requested."""
+"""Checks of start conditions that cause a warning even if no motion is requested."""
 
 
 class Warnings:
-    """What is wrong with the daemon of `robot`, or may be; the cures name the robot.
+    """The source of the warnings of a daemon; the cures in them name `robot`.
 
-    `control` is None for a daemon that only records. `faults` are those that it noted, and `parts`
-    are asked one after the other.
+    `control` is None for a daemon that only records. `faults` are the faults that such a daemon has
+    noted; each function in `parts` is called for its warning.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Warnings:
 
 
 def of_recording(recorder: FlightRecorder, stats: RecorderStats) -> Iterator[str]:
-    """Yield what is not recorded, and why."""
+    """Yield the warnings about messages that are not recorded, with the cause."""
     yield from (text for text in (stats.failure, stats.warning) if text)
     if stats.no_memory:
         yield f"{stats.no_memory} messages {NO_MEMORY}"
@@ -112,7 +112,7 @@ def of_recording(recorder: FlightRecorder, stats: RecorderStats) -> Iterator[str
 
 
 def of_robot(control: Control) -> Iterator[str]:
-    """Yield what is wrong with the robot, or may be."""
+    """Yield the warnings about the robot."""
     health, params, now_ns = control.state.health, control.params, time.monotonic_ns()
     yield from filter(None, (check(health, params, now_ns) for check in _CHECKS))
     if params.command.foreign is Foreign.WARN:

@@ -1,1 +1,1 @@
-"""Input becomes an event, the kernel decides on it, and its effects are carried out."""
+"""From input to effect: events for the kernel, its decisions, and how these are carried out."""

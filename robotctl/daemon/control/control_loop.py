@@ -1,4 +1,4 @@
-"""The control loop, and the watchdog that sends zeros where the loop stalls."""
+"""The control loop, and the watchdog that sends zeros while the loop is stalled."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from robotctl.ros.executor import Ticker
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 
 LINE_BYTES: Final = 128
-"""Longer than the line of `schedstat`, which has three numbers."""
+"""Bytes to read of `schedstat`, more than its one line of three numbers."""
 
 _PRESSURE = "/proc/pressure/cpu"
 
 
 class ProcessorWait:
-    """The waiting time of the thread that creates this object; read from any thread.
+    """The time for which the thread that creates this object has waited for a CPU.
 
-    The file is opened once, at the creation: later no descriptor may be free.
+    Any thread may read it. The file is opened only once: later there may be no free descriptor.
     """
 
     def __init__(self) -> None:
@@ -54,7 +54,7 @@ class ProcessorWait:
 
 
 def pressure() -> str:
-    """Return the CPU pressure (PSI) as a clause, "" if unknown."""
+    """Return the CPU pressure (PSI, last 10 s) as text that begins with a comma, "" if unknown."""
     try:
         with open(_PRESSURE, encoding="ascii") as file:
             fields = file.readline().split()
@@ -64,47 +64,47 @@ def pressure() -> str:
 
 
 STALL_S = 0.1
-"""A loop without a tick for this long has stalled..."""
+"""The loop has stalled after this time without a tick, or STALL_TICKS if that is longer."""
 
 CONFIRM_S = 0.02
-"""...unless it ticks within this time: after a pause of the process, the loop catches up."""
+"""No stall if a tick comes within this further time: a process that was paused catches up."""
 
 STALL_TICKS = 2.5
-"""...or this many tick periods, whichever is longer."""
+"""The loop has stalled after this many tick periods, or STALL_S if that is longer."""
 
 ZERO_PERIOD_S = 0.05
 """Period of the zeros while the loop is stalled."""
 
 SHOWN_FRAMES = 3
-"""How many of the innermost calls a stall names."""
+"""How many of the innermost calls the report of a stall names."""
 
 BUSY_SHARE = 0.5
-"""A stall with a larger share of waiting for a processor is blamed on the busy machine."""
+"""If the thread waited for a CPU for more than this share of the time, the machine is blamed."""
 
 ACCOUNT_PERIOD_NS = 100_000_000
-"""How often the wait for a processor is noted: at each tick it took 3 % of the loop's time."""
+"""Period of reading the CPU wait; reading it at each tick took 3 % of the loop's time."""
 
 
 class Gate(Protocol):
-    """The publisher of commands, as the watchdog uses it."""
+    """The part of the command publisher that the watchdog uses."""
 
     def close_gate(self) -> None:
-        """Let only zeros pass from now on; called in the watchdog's thread."""
+        """Pass only zeros from now on; called in the watchdog's thread."""
 
     def publish_zero(self) -> None:
         """Publish a zero while the gate is closed; called in the watchdog's thread."""
 
     def open_gate(self) -> tuple[int, int]:
-        """Let commands pass; return the counts of zeros sent and of commands withheld."""
+        """Pass all commands again; return the counts of zeros sent and of commands withheld."""
 
 
 class Watchdog:
     """A thread that watches the ticks, from the first `ping` to the end of the `with` block.
 
     When the ticks stop, the thread closes the gate and sends zeros until the loop calls `take`.
-    Until the first zero is sent, it opens no file, imports no module, logs nothing, and takes no
-    lock but the publisher's, for which it waits at most `LOCK_TIMEOUT_S`. A C call that holds the
-    GIL blocks this thread as well: then only the robot's own command timeout stops the robot.
+    Until the first zero is sent, it opens no file, imports no module, logs nothing, and acquires
+    no lock but the publisher's, for which it waits at most `LOCK_TIMEOUT_S`. A C call that holds
+    the GIL blocks this thread as well: then only the robot's own command timeout stops the robot.
     """
 
     def __init__(
@@ -114,14 +114,14 @@ class Watchdog:
         now_ns: Callable[[], int] = time.monotonic_ns,
         ended: threading.Event | None = None,
     ) -> None:
-        """`ended` is set at the end of the block; all waits of the thread are its `wait`."""
+        """`ended` is set at the end of the block; the thread waits only by `ended.wait`."""
         self._limit_ns = round(max(STALL_S, STALL_TICKS / rate_hz) * NS_PER_S)
         self._gate = gate
         self._now_ns = now_ns
         self._last_ns = 0
         """The time of the last tick."""
         self._stalled_ns = 0
-        """The time of the last tick before the stall: a tick that stalls itself ends later."""
+        """The time of the last tick before the stall; a tick that stalls still sets `_last_ns`."""
         self._account_ns = 0
         self._waited_ns = 0
         """How long the loop's thread had waited for a processor at `_account_ns`."""
@@ -237,19 +237,19 @@ def where(frame: FrameType | None) -> str:
 _log = logging.getLogger(__name__)
 
 LOOKS_ENOUGH_HZ: Final = 50.0
-"""A control rate from which the ticks look at the heard commands often enough..."""
+"""From this control rate on, it is enough to look at foreign commands once in each tick."""
 
 COMMAND_LATENCY_S: Final = 0.01
-"""...and how long these are collected at a lower rate."""
+"""How long foreign commands are collected before a look, if the control rate is lower."""
 
 
 class ControlLoop:
-    """Ticks the kernel at the control rate, and feeds the watchdog."""
+    """Dispatches ticks to the kernel at the control rate, and pings the watchdog."""
 
     def __init__(
         self, rate_hz: float, control: Control, watchdog: Watchdog, velocity: VelocityPublisher
     ) -> None:
-        """Look at the commands of others on the topic of `velocity`."""
+        """Also check the publishers of all commands on the topic of `velocity`."""
         self._rate_hz = rate_hz
         self._control = control
         self._watchdog = watchdog
@@ -264,7 +264,7 @@ class ControlLoop:
         )
 
     async def run(self, look_at_odometry: Callable[[], None]) -> None:
-        """Decide at each tick, until cancelled."""
+        """Dispatch a tick to the kernel in each period, until cancelled."""
 
         def decide(tick: LoopTick) -> None:
             self.look_at_commands()
@@ -276,7 +276,7 @@ class ControlLoop:
 
 
 def urgent_event(watchdog: Watchdog) -> LoopStalled | FaultReported | None:
-    """Return what the watchdog did or found since the last call, and log a stall."""
+    """Return the watchdog's event (a stall, or its failure) or None, and log a stall."""
     event = watchdog.take()
     if isinstance(event, LoopStalled):
         _log.warning("the loop stalled for %.2f s: %s", event.stalled_s, event.detail)

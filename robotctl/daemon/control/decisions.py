@@ -1,4 +1,4 @@
-"""What requests asked and what the kernel decided, for the journal that is kept for years."""
+"""Adds requests and decisions of the kernel to the journal that is kept for years."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Request = ModeRequested | ResetRequested | DriveRequested | ParameterRequested |
 
 
 class Decisions:
-    """Notes each request with its answer, and each change of the mode; in the loop's thread."""
+    """Logs changes of mode and parameters, and requests that were refused or had an effect."""
 
     def __init__(
         self, log: DecisionLog, show: Callable[[Mapping[str, str]], None] = lambda change: None
@@ -36,17 +36,17 @@ class Decisions:
         self._log = log
         self._show = show
         self._open: dict[int, tuple[Request, int]] = {}
-        """Requests by id, with the number of changes before each."""
+        """The unanswered requests by id, each with `_changes` at its arrival."""
         self._changes = 0
         self._latch: dict[str, bool] = {}
-        """What the next change of the mode does to the latch."""
+        """Values about the latch for the next entry of a mode change."""
 
     def asked(self, request: Request) -> None:
-        """Note a request, before it is decided."""
+        """Note a request before the kernel decides on it."""
         self._open[request.request_id] = request, self._changes
 
     def decided(self, effect: Effect) -> None:
-        """Note an effect; the caller may leave out velocity commands."""
+        """Log an effect if it matters; the caller may omit velocity commands."""
         match effect:
             case LatchEmergencyStop():
                 self._latch = {"latched": True}

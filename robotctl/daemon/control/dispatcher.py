@@ -30,14 +30,14 @@ from robotctl.recording.format.names import MADE_BY
 
 
 class Journal:
-    """The journal; each entry goes to `write` in order, serialized as a ROS message."""
+    """The journal; it passes each entry to `write` in order, serialized as a ROS message."""
 
     def __init__(
         self, write: Callable[[bytes, int], None], commands: Callable[[], int] = lambda: 0
     ) -> None:
         """`write(serialized, seq)` is called for each entry.
 
-        `commands()` returns how many commands the journal accounts for so far.
+        `commands()` returns for how many published commands the journal accounts so far.
         """
         self._write = write
         self._commands = commands
@@ -53,7 +53,7 @@ class Journal:
         self._add(t_ns, EntryKind.EFFECT, effect)
 
     def snapshot(self, t_ns: int, kernel: Kernel) -> None:
-        """Write a snapshot, from which a re-run can start."""
+        """Write a snapshot of the kernel, from which a re-run can start."""
         proof = Proof(self._commands(), self._crc)
         self._add(t_ns, EntryKind.SNAPSHOT, Snapshot(MADE_BY, kernel.params, kernel.state, proof))
 
@@ -75,7 +75,7 @@ def granted(reply: Reply, robot: str) -> ModeAnswer:
 
     Raises:
         Refused: The kernel refused it.
-        RobotctlError: It is done, but could not be saved.
+        RobotctlError: The robot has stopped, but the stop could not be saved.
     """
     if isinstance(reply, UnsavedReply):
         raise RobotctlError(*advice(reply.message, reply.remedies, robot))
@@ -88,7 +88,7 @@ T = TypeVar("T", Reply, DriveEnded)
 
 
 class PendingRequests:
-    """The futures by request id; used in the loop's thread only."""
+    """Futures of replies and of ends of drives, by request id; for the loop's thread only."""
 
     def __init__(self) -> None:
         self._last_id = 0
@@ -103,22 +103,22 @@ class PendingRequests:
         return self._last_id
 
     def expect_reply(self, request_id: int) -> asyncio.Future[Reply]:
-        """Return the future of the one reply to a request."""
+        """Return the future of the reply to a request."""
         return _expect(self._replies, request_id)
 
     def expect_reply_now(self, request_id: int) -> None:
-        """Keep the reply to a request for `reply_now`: its caller does not wait."""
+        """Prepare for a reply that the caller gets by `reply_now`, and not by a future."""
         self._replies_now[request_id] = None
 
     def keep_now(self, reply: Reply) -> bool:
-        """Keep the reply to a request that waits in `reply_now`; return False if none does."""
+        """Keep a reply for which `expect_reply_now` was called; return False for any other."""
         if reply.request_id not in self._replies_now:
             return False
         self._replies_now[reply.request_id] = reply
         return True
 
     def reply_now(self, request_id: int) -> Reply:
-        """Return the reply that was kept."""
+        """Return the reply that `keep_now` has kept."""
         reply = self._replies_now.pop(request_id)
         assert reply is not None, "the request was dispatched while another event was handled"
         return reply
@@ -128,11 +128,11 @@ class PendingRequests:
         return _expect(self._ends, request_id)
 
     def answer(self, reply: Reply) -> None:
-        """Set the future of a reply, if there is one."""
+        """Set the result of the future of this reply, if there is one."""
         _settle(self._replies, reply)
 
     def end_drive(self, ended: DriveEnded) -> None:
-        """Set the future of the end of a drive, if there is one."""
+        """Set the result of the future of this end of a drive, if there is one."""
         _settle(self._ends, ended)
 
 
@@ -150,14 +150,14 @@ def _settle(waiting: dict[int, asyncio.Future[T]], result: T) -> None:
 
 
 SNAPSHOT_PERIOD_NS = 10 * NS_PER_S
-"""The longest part of the journal that must be re-run to know the state at one moment."""
+"""The period of snapshots: no more than this must be re-run to know the state at any time."""
 
 
 class Control:
     """The owner of the kernel. `dispatch` is synchronous, for the loop's thread only.
 
     An event that is dispatched while another is handled waits in a FIFO. Each event is journaled
-    before it is handled, each effect after it is carried out.
+    before the kernel handles it, each effect after it was carried out or has failed.
     """
 
     def __init__(
@@ -171,14 +171,14 @@ class Control:
     ) -> None:
         """`on_failure(error, where)` is called for an effect that could not be carried out.
 
-        `urgent()` is called before each event. It returns an event that the kernel must handle
-        first, that the loop has stalled, or None. `asked(request)` is called for each request
-        before it is dispatched.
+        `urgent()` is called before each event that does not wait in the FIFO. It returns None or an
+        event that the kernel must handle first, such as a stall of the loop. `asked(request)` is
+        called for each request before it is dispatched.
         """
         self._kernel = kernel
         self._journal = journal
         self.carry_out: Callable[[Effect], None] = _nothing_yet
-        """Carries out an effect; set before the first event, by who makes the parts for it."""
+        """Carries out an effect; `driver.build` sets it before the first event."""
 
         self._requests = requests
         self._on_failure = on_failure
@@ -200,7 +200,7 @@ class Control:
         return self._kernel.params
 
     def dispatch(self, event: Event) -> None:
-        """Let the kernel decide on `event`, and carry out its effects."""
+        """Pass `event` to the kernel, and carry out the effects that it returns."""
         if self._busy:
             self._events.append(event)
             return
@@ -216,9 +216,9 @@ class Control:
             self._busy = False
 
     def journal_snapshot(self, t_ns: int) -> None:
-        """Write the kernel's state into the journal, now and then every 10 s.
+        """Write a snapshot of the kernel into the journal now, and from now on every 10 s.
 
-        So a file that begins here can be re-run alone.
+        A file that begins with a snapshot can be re-run without the files before it.
         """
         self._snapshot_t_ns = t_ns
         self._journal.snapshot(t_ns, self._kernel)
@@ -243,7 +243,7 @@ class Control:
         return await self.begin(event)
 
     def decide(self, event: ParameterRequested) -> Reply:
-        """Dispatch a request whose reply waits for nothing; return that reply."""
+        """Dispatch a request that the kernel answers at once, and return the reply."""
         self._requests.expect_reply_now(event.request_id)
         self._asked(event)
         self.dispatch(event)

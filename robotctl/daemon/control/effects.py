@@ -1,4 +1,4 @@
-"""Effects of the kernel: each one is passed to the part that carries it out."""
+"""Passes each effect of the kernel to the part of the daemon that carries it out."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _log = logging.getLogger(__name__)
 
 
 class Effects:
-    """The code for each effect; it runs in the loop's thread, and never waits."""
+    """Carries out each effect in the loop's thread, without blocking."""
 
     def __init__(
         self,
@@ -48,10 +48,10 @@ class Effects:
         true_errors: Callable[[int], TrueErrors | None] = lambda request_id: None,
         measured: Callable[[DriveEnded], DriveEnded] = lambda ended: ended,
     ) -> None:
-        """`decided(effect)` is called for each effect but velocity commands.
+        """`decided(effect)` is called for each effect except velocity commands.
 
-        `measured(ended)` returns the end of a drive without the errors that were not measured.
-        Then `true_errors(request_id)` returns those of a drive with a simulated robot.
+        `measured(ended)` returns `ended`, without the errors if none were measured. After it,
+        `true_errors(request_id)` returns the errors of a simulated robot by its true pose, or None.
         """
         self._measured = measured
         self._true_errors = true_errors
@@ -65,7 +65,7 @@ class Effects:
         self._decided = decided
 
     def carry_out(self, effect: Effect) -> None:
-        """Carry out an effect, or start to; a reply is sent once earlier effects are done."""
+        """Carry out an effect, or start to; a reply waits until the latch has saved its changes."""
         if isinstance(effect, PublishTwist):
             self._publish_twist(effect.twist)
             return

@@ -1,4 +1,4 @@
-"""Input from ROS and from the recorder, as events for the kernel."""
+"""Converts input from ROS and from the recorder into events for the kernel."""
 
 from __future__ import annotations
 
@@ -37,22 +37,22 @@ from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 
 REPEAT_NS = 200_000_000
-"""The shortest time between two events about one publisher while the robot does not move.
+"""The minimum time between two events about one publisher while the robot does not move.
 
 A flood of commands must not fill the journal."""
 
 MAX_TOLD = 16
-"""The most publishers with an event within `REPEAT_NS` while the robot does not move."""
+"""Limit on the publishers with an event within `REPEAT_NS` while the robot does not move."""
 
 NAMELESS = "a publisher that is gone, or has no name yet,"
 
 
 class ForeignCommands:
-    """A check of the publisher of each command; a foreign command becomes an event.
+    """Checks the publisher of each command; a command of another publisher becomes an event.
 
     `name_of(gid)` returns the name of the node with this publisher, "" if unknown. While `moves()`
-    returns true, each foreign command is an event: the first one ends the motion. Otherwise there
-    is one event in 0.2 s about each publisher.
+    returns true, each such command is an event: the first one ends the motion. Otherwise, each
+    publisher causes at most one event in 0.2 s.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class ForeignCommands:
 PUBLISHER_POLL_S = 0.2
 
 LOOKS_PER_INSPECTION = 5
-"""Subscriptions are inspected at each such look, even if their number is the same."""
+"""In every fifth look, subscriptions are inspected even if their number is the same."""
 
 
 async def has_odometry_publisher(
@@ -134,7 +134,7 @@ async def watch_graph(
 
 
 class Inputs:
-    """The inputs; each method is called in the loop's thread."""
+    """The handlers of all inputs; each method is called in the loop's thread."""
 
     def __init__(
         self,
@@ -155,7 +155,7 @@ class Inputs:
             self._robot_report.drove_to(odometry.pose)
 
     def odometry_source(self, source: int, gid: str, name: str, frame: str) -> None:
-        """Handle the first sample of a new publisher of odometry, or another frame of one."""
+        """Handle a new publisher of odometry, or a known one whose `frame` has changed."""
         self._control.dispatch(OdometrySourceFound(time.monotonic_ns(), source, gid, name, frame))
 
     def battery(self, level: float, publisher: str, sequence: int) -> None:
@@ -174,13 +174,13 @@ class Inputs:
         self._control.dispatch(ScanReceived(time.monotonic_ns(), sectors, publisher, sequence))
 
     def guarded_command(self, twist: Twist, publisher: str, sequence: int) -> None:
-        """Handle a velocity that another node wants; it counts while the robot is guarded."""
+        """Handle a velocity command on the guard topic; ignore it unless a guarded motion runs."""
         if self._control.state.guarded is not None:
             now = time.monotonic_ns()
             self._control.dispatch(GuardedCommandReceived(now, twist, publisher, sequence))
 
     def lifecycle(self, state: LifecycleState, source: str) -> None:
-        """Handle a transition of the node that gates motion; one that is not active ramps down."""
+        """Handle a transition of the lifecycle node; ramp down unless its state is ACTIVE."""
         present = self._control.state
         if state is present.health.lifecycle:
             return
@@ -198,7 +198,7 @@ class Inputs:
         )
 
     def recorder_failed(self, detail: str) -> None:
-        """Handle the failure of a recorder without which the robot must not drive."""
+        """Report to the kernel that the recorder failed and that the robot must not drive."""
         self._control.dispatch(FaultReported(time.monotonic_ns(), Cause.RECORDER_FAILED, detail))
 
 
@@ -207,10 +207,9 @@ HOST = slice(4)
 
 
 class RemoteRequests:
-    """Compares the client of the present request with a gid of this process.
+    """Compares the gid of the client of the present request with a gid of this process.
 
-    The host part has two bytes, and a client could send any gid: this prevents mistakes, not
-    attacks.
+    The host part has two bytes, and a client can send any gid: this prevents mistakes, not attacks.
     """
 
     def __init__(self, own_gid: bytes) -> None:
@@ -219,9 +218,9 @@ class RemoteRequests:
     def is_remote(self) -> bool:
         """Return whether the request that is handled now may come from another host.
 
-        A client of another host is not kept away by the range LOCALHOST of this process: it needs
-        only to name this machine as a static peer. An unknown client may be remote where discovery
-        is not limited to this machine.
+        The discovery range LOCALHOST of this process does not exclude other hosts: a client there
+        can name this machine as a static peer. An unknown client counts as remote unless
+        discovery is limited to this machine.
         """
         gid = requester()
         if gid is None:

@@ -22,7 +22,7 @@ from robotctl.kernel.safety import RULES
 from robotctl.kernel.types import Cause
 
 MAX_BYTES = 4096
-"""A reason is a sentence: of a longer file only this much is read."""
+"""Limit on the bytes that are read of the file; a reason is one sentence."""
 
 _CAUSE = "cause: "
 _CAUSES = {rule.cause.value: rule.cause for rule in RULES if rule.action is Mode.EMERGENCY_STOP}
@@ -36,7 +36,7 @@ class LatchedStop(NamedTuple):
 
 
 def read(path: Path) -> LatchedStop | None:
-    """Read the latched stop, None if there is none; never wait for a FIFO or a device.
+    """Return the latched stop, or None if there is none; never wait for a FIFO or a device.
 
     A file that cannot be read is a stop by the operator, with the problem as its reason. A file
     without a cause, which the first version wrote, is a stop by the operator as well.
@@ -104,7 +104,7 @@ RETRY_S = 1.0
 """Pause before a failed change is tried again."""
 
 DISK_S = 2.0
-"""How long a reply waits for a disk that hangs; the robot has stopped already."""
+"""How long a reply waits for a disk that hangs; the robot has already stopped by then."""
 
 Then = Callable[[str], None]
 
@@ -117,7 +117,7 @@ class _Change:
     """What a restart does wrong if the change is not saved."""
 
     def failed(self, error: Exception) -> str:
-        """Return the sentence for a change that failed."""
+        """Return a sentence about the failure of this change."""
         return f"{self.fault}: the emergency-stop latch could not be saved: {error}"
 
 
@@ -131,8 +131,8 @@ class _Waiter:
 class Latch:
     """The latch of one robot, used in the loop's thread.
 
-    A thread carries out one change at a time; of the changes that arrive meanwhile, only the last
-    is carried out.
+    A thread carries out one change at a time; if several changes arrive meanwhile, it carries out
+    only the last of them.
     """
 
     def __init__(self, path: Path) -> None:
@@ -150,23 +150,23 @@ class Latch:
         self._thread = Thread(target=self._serve, name="latch", daemon=True)
 
     def read(self) -> LatchedStop | None:
-        """Read the latched stop, None if there is none; this blocks."""
+        """Return the latched stop, or None if there is none; this blocks."""
         return read(self._path)
 
     def set(self, reason: str, cause: Cause) -> None:
-        """Start to save a stop."""
+        """Begin to save a stop, and return at once."""
         stop = LatchedStop(reason, cause)
         self._begin(partial(write, self._path, stop), "a restart would forget this stop")
 
     def clear(self) -> None:
-        """Start to remove the saved stop."""
+        """Begin to remove the saved stop, and return at once."""
         fault = "a restart would stop the robot again"
         self._begin(partial(remove, self._path), fault)
 
     def when_settled(self, then: Then) -> None:
-        """Call `then(problem)` once each change so far is on the disk, with "" for success.
+        """Call `then(problem)` when the last change is on the disk or has failed, or after DISK_S.
 
-        A change that failed, or takes longer than DISK_S, is a problem; it is tried again.
+        `problem` is "" if the change is on the disk; otherwise the change is tried again.
         """
         change = self._change
         if change is None or self._settled == change.number:
@@ -183,7 +183,7 @@ class Latch:
         self._waiters.append(waiter)
 
     def warning(self) -> str:
-        """Return a sentence if the file is not up to date, else ""."""
+        """Return a sentence if the file is not up to date, or ""."""
         problem, since = self._problem, self._busy_since
         if since is not None and time.monotonic() - since > DISK_S and self._change is not None:
             problem = self._overdue(self._change)

@@ -1,4 +1,4 @@
-"""The robot and its drive, for `status` and `path` of the socket, and for `/robot_status`."""
+"""The robot's state and drive, for `status` and `path` on the socket, and for `/robot_status`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from robotctl.ros.nodes.publishers import CommandLock
 
 
 class TrueErrors(NamedTuple):
-    """The errors of a drive by the true pose, as `kernel.types.DriveReport` has them by odometry.
+    """The errors of a drive by the true pose; `kernel.types.DriveReport` has those by odometry.
 
     `closure_m` is NaN before a lap is complete.
     """
@@ -40,9 +40,9 @@ class TrueErrors(NamedTuple):
 
 
 class GroundTruth:
-    """The true errors of the present or last drive, as long as `truth` tells a true pose.
+    """The true errors of the present or last drive; there are none unless `truth()` returns a pose.
 
-    A drive begins where odometry says, so the true path begins at the true pose of that moment.
+    True and measured pose count as equal at the drive's first sample: earlier drift is no error.
     """
 
     def __init__(self) -> None:
@@ -55,7 +55,7 @@ class GroundTruth:
         self._closure_m = nan
 
     def follow(self, drive: Drive, measured: Pose) -> None:
-        """Note the true pose of the moment at which odometry measured a pose."""
+        """Score the present true pose; `measured` is the pose of odometry at the same time."""
         true = self.truth()
         if true is None or not drive.path.segments:
             return
@@ -72,9 +72,9 @@ class GroundTruth:
             self._closure_m = end.distance(pose)
 
     def end(self, ended: DriveEnded) -> None:
-        """Note the true pose of the moment at which a drive ends.
+        """Update the closure from the true pose at the end of a drive.
 
-        Its last lap may end with it, so that no other sample is followed.
+        The last lap may end together with the drive, and then `follow` is not called after it.
         """
         true, drive = self.truth(), self._drive
         if true is None or drive is None or drive.request_id != ended.request_id:
@@ -85,7 +85,7 @@ class GroundTruth:
             self._closure_m = end.distance(self._seen_from_odometry(true))
 
     def errors(self, request_id: int) -> TrueErrors | None:
-        """Return the errors of the drive that this request began, None if they are not known."""
+        """Return the errors of the drive that this request began, or None if they are unknown."""
         if self._drive is None or request_id != self._drive.request_id:
             return None
         score = self._score
@@ -102,7 +102,7 @@ class GroundTruth:
 
 
 MAX_DRIVEN_POSES = 20_000
-"""Limit of the driven path; above it every second pose is removed."""
+"""Limit on the poses of the driven path; above it, every second pose is removed."""
 
 MIN_STEP_M = 0.005
 """A pose nearer than this to the previous one is not kept."""
@@ -115,7 +115,7 @@ _EXPECTED = (
     Cause.INPUT_LOST,
     Cause.SCAN_LOST,
 )
-"""Causes that refuse a drive until a robot is found."""
+"""Causes that refuse a drive until the robot and its inputs are discovered."""
 
 
 def is_connected(control: Control) -> bool:
@@ -128,7 +128,7 @@ def is_connected(control: Control) -> bool:
 
 
 class RobotReport:
-    """A report of the kernel's state, and the driven path; `sim`: the robot is simulated."""
+    """Reports the kernel's state and the driven path; `sim` is true if the robot is simulated."""
 
     def __init__(self, control: Control, ground_truth: GroundTruth | None = None) -> None:
         self.sim = False
@@ -170,7 +170,7 @@ class RobotReport:
         }
 
     def missing(self) -> list[str]:
-        """Return sentences for what the configuration expects and discovery has not found yet."""
+        """Return sentences about topics that the configuration needs and that are not found yet."""
         health, now = self._control.state.health, time.monotonic_ns()
         found = (RULE_OF[cause].check(health, self._control.params, now) for cause in _EXPECTED)
         missing = [text for text in found if text]
@@ -202,7 +202,7 @@ class RobotReport:
         }
 
     def preflight(self, robot: str) -> Preflight:
-        """Return each start condition, with commands for `robot` in the cures."""
+        """Return each start condition, its problem and cure; commands in the cures name `robot`."""
         health, now_ns = self._control.state.health, time.monotonic_ns()
         conditions: list[ConditionAnswer] = []
         for rule, problem in start_conditions(health, self._control.params, now_ns):
@@ -255,7 +255,7 @@ SHOW_PERIOD_S = 1.0
 
 
 class ShownStatus:
-    """Publishes the mode, the battery level, whether odometry is fresh, and the lock for others."""
+    """Publishes mode, battery level and freshness of odometry, and the lock of the command."""
 
     def __init__(self, modes: ModeService, control: Control, lock: CommandLock) -> None:
         self._lock = lock
@@ -263,14 +263,14 @@ class ShownStatus:
         self._control = control
 
     def show(self, mode: Mode) -> None:
-        """Publish now."""
+        """Publish status and lock with this mode now."""
         self._lock.show(mode)
         level = self._control.state.health.battery_level
         level = level if is_level(level) else nan
         self._modes.publish(Shown(mode, level, is_connected(self._control)))
 
     async def run(self) -> None:
-        """Publish each second."""
+        """Publish once a second, until cancelled."""
         while True:
             self.show(self._control.state.mode)
             await asyncio.sleep(SHOW_PERIOD_S)

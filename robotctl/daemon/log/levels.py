@@ -13,16 +13,16 @@ PACKAGE: Final = "robotctl"
 """The parent of the loggers of all our modules."""
 
 MAX_NAMES: Final = 200
-"""Different names that get a level; Python forgets none, and any process on ROS may invent them."""
+"""Limit on the loggers that get a level: Python keeps each, and any ROS node may name new ones."""
 
 MAX_NAME_LENGTH: Final = 256
 
 _log = logging.getLogger(__name__)
-_log.setLevel(logging.INFO)  # a change is told also while nothing else is
+_log.setLevel(logging.INFO)  # changes are logged even if all loggers are set higher
 
 
 class LoggerLevels:
-    """The levels of Python's loggers; `own` is the name on ROS for those of our modules."""
+    """The levels of Python's loggers; `own` is the ROS name of the loggers of our modules."""
 
     def __init__(self, own: str) -> None:
         self.own = own
@@ -30,11 +30,11 @@ class LoggerLevels:
         """The names that got a level."""
 
     def name_of(self, logger: str) -> str:
-        """Return the name on ROS of a logger of Python."""
+        """Return the ROS name of a Python logger."""
         return self.own if logger == PACKAGE or logger.startswith(f"{PACKAGE}.") else logger
 
     def get(self, name: str) -> int:
-        """Return the level that a logger has of its own: a number of ROS, 0 where it has none."""
+        """Return the ROS level that is set on this logger itself, or 0 if none is set."""
         if name == "":
             return LEVELS[level_name(logging.getLogger().level)]
         logger = logging.root.manager.loggerDict.get(self._python_name(name))
@@ -42,7 +42,7 @@ class LoggerLevels:
         return {"UNSET": UNSET, **LEVELS}[level_name(level)]
 
     def refusal(self, name: str, level: int) -> str:
-        """Return why a level cannot be set, "" where it can."""
+        """Return why a level cannot be set, or "" if it can."""
         if level not in (UNSET, *LEVELS.values()):
             return "Failed reason: Invalid logger level."  # the words of rclpy
         if len(name) > MAX_NAME_LENGTH:
@@ -52,9 +52,9 @@ class LoggerLevels:
         return ""
 
     def set(self, name: str, level: int, source: str) -> None:
-        """Set a level that is not refused, and log by whom it was changed.
+        """Set a level that `refusal` allows, and log the change and its source.
 
-        An unset level of the root, whose name is "", is INFO, as in rcutils.
+        To unset the level of the root logger, whose name is "", sets INFO, as in rcutils.
         """
         before = self.get(name)
         if name == "" and level == UNSET:
@@ -72,7 +72,7 @@ class LoggerLevels:
         )
 
     def apply(self, levels: Iterable[LogLevel]) -> None:
-        """Set the levels of a command line."""
+        """Set the levels of a command line; skip those that `refusal` does not allow."""
         for each in levels:
             if not self.refusal(each.logger, each.level):
                 self.set(each.logger, each.level, "the command line")

@@ -1,4 +1,4 @@
-"""Log lines: their format, repeated ones counted, and the queue in front of stderr.
+"""Log lines: their format, a filter for repeated ones, and the queue in front of stderr.
 
 The reader of stderr may stop: a terminal after Ctrl-S, a full pipe, a disk that hangs. Nothing that
 logs waits for it.
@@ -23,16 +23,16 @@ CAPACITY_BYTES: Final = 1024 * 1024
 """Size of the queue: the largest pipe that Linux grants (/proc/sys/fs/pipe-max-size)."""
 
 FLUSH_S: Final = 1.0
-"""How long the end waits until the queue is written."""
+"""How long the end of the log waits until the queue is written."""
 
 WINDOW_S: Final = 10.0
-"""Length of a burst of equal lines, from the first of them."""
+"""Length of a burst of equal lines, counted from its first line."""
 
 WRITTEN: Final = 3
-"""Equal lines of a burst that are written; a lasting fault must not fill the disk."""
+"""How many lines of a burst are written; a lasting fault must not fill the disk."""
 
 MAX_REMEMBERED: Final = 200
-"""Different lines that are remembered; a further one replaces the oldest."""
+"""Limit on the bursts that are remembered; a further one replaces the oldest."""
 
 _FORMAT: Final = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 _STDERR: Final = 2
@@ -41,7 +41,7 @@ _END: Final = b"\0"
 
 
 class PlainFormatter(logging.Formatter):
-    """A formatter: foreign text can neither control a terminal nor imitate a log line."""
+    """A formatter whose output can neither control a terminal nor contain a forged log line."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's own name
         """Return the message without colours, control characters escaped, extra lines indented."""
@@ -110,7 +110,7 @@ def _note(burst: _Burst) -> Iterator[logging.LogRecord]:
 
 
 class LineHandler(QueueHandler):
-    """A handler that queues lines without waiting, and counts repeated and lost ones instead."""
+    """A handler that queues lines without blocking; it only counts repeated and lost lines."""
 
     def __init__(self, lines: Any = None) -> None:
         super().__init__(lines)
@@ -136,16 +136,16 @@ class LineHandler(QueueHandler):
 
 
 class _StderrListener(QueueListener):
-    """The thread that writes to stderr what is in a pipe, which is the queue: no write to it waits.
+    """The thread that writes lines from a pipe, the queue, to stderr; no write to the pipe blocks.
 
     If stderr is a terminal, a pipe or a socket, the output of C and C++ libraries goes through the
-    pipe as well. They write directly to a regular file, so that the last words of an abort are
+    pipe as well. They write directly to a regular file, so that the last message of an abort is
     kept.
     """
 
     def __init__(self) -> None:
         self.untaken = 0
-        """Lines that stderr did not take."""
+        """The number of lines that could not be written to stderr."""
         self._is_ending = False
         self._stderr = fcntl.fcntl(_STDERR, fcntl.F_DUPFD_CLOEXEC, _STDERR + 1)
         self._reading, self.writing = os.pipe2(os.O_CLOEXEC)
@@ -158,7 +158,7 @@ class _StderrListener(QueueListener):
         super().__init__(no_queue)
 
     def dequeue(self, block: bool) -> Any:
-        """Return what is in the pipe, the sentinel after its end."""
+        """Return data from the pipe; after the last data, return None, which ends the thread."""
         data = os.read(self._reading, _READ_BYTES)
         if not (self._is_ending and _END in data):
             return data
@@ -166,7 +166,7 @@ class _StderrListener(QueueListener):
         return None
 
     def handle(self, record: Any) -> None:
-        """Write lines, and wait as long as stderr does."""
+        """Write lines to stderr; block for as long as stderr blocks."""
         rest = memoryview(record)
         while rest:
             try:
@@ -196,7 +196,7 @@ class _StderrListener(QueueListener):
 
 
 class _StderrHandler(LineHandler):
-    """Writes lines into the pipe of a listener, after a note about those that are missing."""
+    """Writes lines into the pipe of a listener, each after a note about missing lines, if any."""
 
     def __init__(self, listener: _StderrListener, line: str) -> None:
         super().__init__()
@@ -237,7 +237,7 @@ def log_to_stderr(line: str = _FORMAT) -> Iterator[None]:
     """Log to stderr within the block; at its end, write the queue for at most 1 s.
 
     `line` is the format of a line, as for `logging.Formatter`. Lines that do not fit, or that
-    stderr does not take, are counted and reported later.
+    cannot be written to stderr, are counted and reported later.
     """
     listener = _StderrListener()
     handler = _StderrHandler(listener, line)

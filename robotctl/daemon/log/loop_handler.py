@@ -16,7 +16,7 @@ CAPACITY: Final = 500
 """Lines that may wait for the loop."""
 
 LINES_PER_TURN: Final = 10
-"""Lines that are published in one turn of the loop: a control tick must not wait for a burst."""
+"""Limit on lines published in one turn of the loop: a control tick must not wait for a burst."""
 
 Line = tuple[logging.LogRecord, str]
 Publish = Callable[[logging.LogRecord, str], None]
@@ -24,10 +24,10 @@ Publish = Callable[[logging.LogRecord, str], None]
 
 
 class LoopHandler(LineHandler):
-    """A handler for records of any thread; none of them waits, and the loop publishes them.
+    """A handler that queues records from any thread without blocking; the loop publishes them.
 
-    Lines that do not fit or cannot be published are counted, and a line says how many are missing.
-    What is logged while a line is published is left out, so that no line leads to the next.
+    Lines that do not fit or cannot be published are counted, and a later line reports the count.
+    Records that are logged by the publishing itself are ignored: each would cause another one.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, publish: Publish) -> None:
@@ -52,11 +52,11 @@ class LoopHandler(LineHandler):
         return record, self.format(record)
 
     def enqueue(self, record: Any) -> None:
-        """Queue a line, and call the loop.
+        """Queue a line, and schedule its publication in the loop.
 
         Raises:
             queue.Full: It does not fit.
-            RuntimeError: There is no loop any more.
+            RuntimeError: The loop is closed.
         """
         if len(self._waiting) >= CAPACITY:
             raise queue.Full
@@ -66,7 +66,7 @@ class LoopHandler(LineHandler):
             self._loop.call_soon_threadsafe(self._turn)
 
     def close(self) -> None:
-        """Publish what waits; called in the loop."""
+        """Publish the waiting lines; called in the loop."""
         super().close()
         while self._waiting:
             self._publish_some()

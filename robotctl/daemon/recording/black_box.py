@@ -28,30 +28,30 @@ CLIPPED: Final = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 
 @dataclass(frozen=True, slots=True)
 class ClipLimits:
-    """Limits of the number of clips and of their time."""
+    """Limits on the number of clips, and on the time for cutting them [s]."""
 
     waiting: int = 8
     clips: int = 100
-    """For one run of the daemon: a thousand stops must not fill the disk."""
+    """Clips in one run of the daemon: a thousand stops must not fill the disk."""
 
     cut_s: float = 20.0
     end_s: float = 10.0
-    """For all clips that are left when the daemon ends."""
+    """Limit for all clips that are still to be cut when the daemon ends."""
 
     patience_s: float = PATIENCE_S
-    """Added to each deadline: the process waits for the recorder's commit."""
+    """Added to the deadline of each clip: its process waits for the recorder's commit."""
 
 
 DEFAULT_LIMITS = ClipLimits()
 
 
 def clip_command(job: ClipJob) -> Sequence[str]:
-    """Return the command that cuts a clip."""
+    """Return the command line that cuts a clip."""
     return job_command(CLIP, job.as_object())
 
 
 class BlackBox:
-    """The starter of clip processes, for the loop's thread; they have the lowest priority."""
+    """Starts the processes that cut clips, with the lowest priority; for the loop's thread."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class BlackBox:
         now_ns: Callable[[], int] = time.time_ns,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
-        """`command` makes the command that cuts a clip out of the folder `recording`.
+        """`command` returns the command line that cuts a clip out of the folder `recording`.
 
         `now_ns` is the wall clock of the events.
         """
@@ -81,7 +81,7 @@ class BlackBox:
         self._ordered = 0
 
     def note(self, event: RecordedEvent) -> None:
-        """Order a clip of `event`, if it is of a kind that gets one."""
+        """Order a clip of `event` if it is a stop or an error, unless a limit is reached."""
         if event.kind not in CLIPPED or not self.params.clip_before_s:
             return
         if len(self._waiting) >= self._limits.waiting or self._ordered >= self._limits.clips:
@@ -92,7 +92,7 @@ class BlackBox:
         self._came.set()
 
     async def run(self) -> None:
-        """Cut each ordered clip once its time has passed, until cancelled."""
+        """Cut each ordered clip `clip_after_s` after its event, until cancelled."""
         while True:
             self._came.clear()
             while self._waiting:
@@ -103,7 +103,7 @@ class BlackBox:
             await self._came.wait()
 
     async def finish(self) -> None:
-        """Cut the clips that are left, after the recording is closed."""
+        """Cut the remaining clips of the closed recording; start none after `end_s`."""
         until = time.monotonic() + self._limits.end_s
         if self._cutting is not None:
             await asyncio.wait({self._cutting}, timeout=self._limits.end_s)

@@ -18,7 +18,7 @@ _log = logging.getLogger(__name__)
 LOOK_S: Final = 2.0
 
 STEP: Final = 0.1
-"""Each time that a further tenth of the reserve is used, one more topic is stopped."""
+"""One more topic is stopped each time that a further tenth of the reserve is used."""
 
 REOPEN: Final = 1.1
 """Topics are recorded again when this many times the reserve is free."""
@@ -27,9 +27,9 @@ MAX_NAMED: Final = 10
 
 
 class DiskReserve:
-    """Keeps `least_bytes` of the disk free as long as topics can be left out.
+    """Stops recording topics, the heaviest first, while less than `least_bytes` are free.
 
-    `gates` are those of the topics that no check needs. For the loop's thread.
+    `gates` are the gates of the topics that no check needs. For the loop's thread.
     """
 
     def __init__(self, least_bytes: int, gates: Mapping[str, Sequence[MessageGate]]) -> None:
@@ -37,7 +37,7 @@ class DiskReserve:
         self._gates = gates
         self._free_bytes = 0
         self._unknown = ""
-        """Why the free space is not known, else ""."""
+        """Why the free space is unknown, or ""."""
 
         self._sizes: Mapping[str, int] = {}
         self.stopped: list[str] = []
@@ -46,7 +46,7 @@ class DiskReserve:
     async def run(
         self, recorder: Recorder, folder: Path, free: Callable[[Path], int] = free_space
     ) -> None:
-        """Look at the disk until cancelled; return at once without a reserve."""
+        """Check the free space every LOOK_S until cancelled; return at once if the reserve is 0."""
         while self._least_bytes:
             try:
                 free_bytes = await asyncio.to_thread(free, folder)

@@ -39,7 +39,7 @@ from robotctl.ros.tap.tap import Tap
 
 
 def in_loop(call: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Return a function for any thread that schedules `call` in the running loop."""
+    """Return a function that any thread may call; it schedules `call` in the running loop."""
     loop = asyncio.get_running_loop()
 
     def post(argument: Any) -> None:
@@ -53,9 +53,9 @@ _log = logging.getLogger(__name__)
 
 
 class FlightRecorder:
-    """Recorder and tap: they record own topics at once, other topics while the work runs.
+    """Recorder and tap: they record own topics at once, others while the tasks of `work` run.
 
-    Command, odometry, robot status and journal are recorded with any topic filter.
+    The topic filter cannot exclude command, odometry, robot status and journal.
     """
 
     def __init__(
@@ -67,17 +67,17 @@ class FlightRecorder:
     ) -> None:
         """Start to record.
 
-        `mode()` is called from any thread.
+        `mode()` returns the robot's mode; any thread may call it.
 
         Raises:
             Refused: The recording cannot be written.
         """
         self._robot = options.robot
         self.on_failure: Callable[[str], None] = lambda detail: None
-        """Called in the loop when recording has failed and the configuration stops the robot."""
+        """Called in the loop when recording has failed, if `on_recorder_failure` is "stop"."""
 
         self.on_file: Callable[[], None] = lambda: None
-        """Called in the loop when a later file needs a journal snapshot, to be read alone."""
+        """Called in the loop at each split: the next file needs a journal snapshot for a re-run."""
 
         self._closing = False
         self._must_record = config.on_recorder_failure == "stop"
@@ -115,7 +115,7 @@ class FlightRecorder:
         self._marks = MarkPublisher(session)
         self._write_mark = self.tap.reserve(publishers.MARK_TOPIC)
         self._events: int | None = None
-        """The channel for Foxglove, None without one."""
+        """The channel of events for Foxglove, or None if `recording.foxglove_events` is off."""
         if config.recording.foxglove_events:
             topic = Topic(session.resolve(foxglove.TOPIC), foxglove.TYPE_NAME, foxglove.DEFINITION)
             self._events = self._recorder.add_topic(topic)
@@ -130,7 +130,7 @@ class FlightRecorder:
         self.health = HealthLooks(self._sinks.health)
 
     def reconfigure(self, config: Config) -> None:
-        """Use retention, clips, index and the meaning of a failure of `config` from now on."""
+        """Apply the settings in `config` for retention, clips, index and recorder failures."""
         self._must_record = config.on_recorder_failure == "stop"
         self._black_box.params = config.recording
         self.tidier.policy = retention_policy(config.recording)
@@ -138,7 +138,7 @@ class FlightRecorder:
         self._config = config
 
     def work(self) -> dict[str, Work]:
-        """Return what the daemon runs as tasks for the recorder, by the name of the task."""
+        """Return the tasks of the recorder, which the daemon must run, by name."""
         return {
             "recorder": self.tap.run,
             "black box": self._black_box.run,
@@ -150,7 +150,7 @@ class FlightRecorder:
         }
 
     def open_journal(self, publisher: JournalPublisher) -> Callable[[bytes, int], None]:
-        """Return the function that records and publishes a serialized entry with its number."""
+        """Return a function that records and publishes a serialized entry; `seq` is its number."""
         write = self.tap.reserve(publishers.JOURNAL_TOPIC)
 
         def write_entry(serialized: bytes, seq: int) -> None:
@@ -162,7 +162,7 @@ class FlightRecorder:
 
     @property
     def failure(self) -> str:
-        """Why recording has failed, else ""."""
+        """Why recording has failed, or ""."""
         return self._recorder.stats().failure
 
     def note(self, event: RecordedEvent) -> None:
@@ -171,14 +171,14 @@ class FlightRecorder:
         self._black_box.note(event)
 
     def show_event(self, values: Mapping[str, str]) -> None:
-        """Record an event of now that Foxglove shows, if the configuration wants that."""
+        """Record an event for Foxglove with the present time, if the configuration enables it."""
         if self._events is not None:
             now_ns = time.time_ns()
             event = foxglove.encode_event(now_ns, now_ns, values)
             self._recorder.write(self._events, event, now_ns, now_ns, 0, UNKNOWN_GID)
 
     def mark(self, text: str, source: str) -> RecordedEvent:
-        """Mark this moment in the recording and on ROS."""
+        """Add a mark with the present time to the recording, and publish it."""
         now_ns = time.time_ns()
         event = RecordedEvent(EventKind.MARK, now_ns, f"{text} [{source}]")
         self._write_mark(self._marks.publish(event.text), now_ns, now_ns, 0, UNKNOWN_GID)
@@ -197,14 +197,14 @@ class FlightRecorder:
         return self._recorder.stats()
 
     def received(self) -> dict[str, int]:
-        """Return the number of received messages by topic."""
+        """Return the number of received messages of each topic."""
         counts: Counter[str] = Counter()
         for topic in self._recorder.stats().topics:
             counts[topic.name] += topic.received
         return counts
 
     async def close(self) -> None:
-        """Finish the recording; a thread waits for the disk.
+        """Finish the recording in a thread, then send the last head, cut clips and start the index.
 
         Messages that arrive from now on are dropped.
         """
@@ -227,7 +227,7 @@ class FlightRecorder:
         await asyncio.to_thread(rmtree, stats.file.parent, ignore_errors=True)
 
     def problems(self) -> list[str]:
-        """Return what is wrong with single topics, other recordings, or the seal's heads."""
+        """Return warnings about topics, the disk, other recordings, seal heads and the index."""
         return [
             *self.tap.unrecorded.warnings(),
             *self.tap.mismatches.warnings(),

@@ -1,4 +1,4 @@
-"""Gives the newest head of the seal to those who keep it elsewhere: a topic, and a program."""
+"""Sends the newest head of the seal to a topic and to a program, which can keep it elsewhere."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from robotctl.recording.seal.keyring import Head, Keyring
 
 
 class RobotSealer:
-    """The `Sealer` of a daemon; it makes the robot's key when it is first needed.
+    """The `Sealer` of a daemon; it creates the robot's key when the first file needs it.
 
     Only the recorder's thread uses it.
     """
 
     def __init__(self, robot: str, on_head: Callable[[Head], None] = lambda head: None) -> None:
-        """`on_head` gets each head that is kept, in the recorder's thread."""
+        """`on_head` is called in the recorder's thread with each head that is kept."""
         self._robot = robot
         self._on_head = on_head
         self._keyring: Keyring | None = None
@@ -32,17 +32,17 @@ class RobotSealer:
 
         Raises:
             RobotctlError: The state folder cannot be trusted or created.
-            OSError, ValueError: There is no key.
+            OSError, ValueError: The key cannot be read or created.
         """
         folder = make_private(seal_folder(self._robot))
         self._keyring = Keyring(folder, self._robot, self._on_head)
         return self._keyring.open_file(file)
 
     def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
-        """Keep a link in the state folder.
+        """Save a link of the chain in the state folder.
 
         Raises:
-            OSError, ValueError: It cannot be kept.
+            OSError, ValueError: It cannot be saved.
         """
         if self._keyring is not None:
             self._keyring.keep(opening, link, closed=closed)
@@ -59,7 +59,7 @@ class HeadForwarder:
     """Publishes each head, and runs a program with it. For the loop's thread.
 
     The program gets the head (hex) and the name of the file as its last arguments. One runs at a
-    time; heads that come meanwhile are left out but for the newest.
+    time; of the heads that arrive meanwhile, only the newest is used.
     """
 
     def __init__(self, command: str, publish: Callable[[str], None] | None) -> None:
@@ -80,10 +80,10 @@ class HeadForwarder:
         self._arrived = asyncio.Event()
         self._running = asyncio.Lock()
         self.problem = ""
-        """Why the program failed the last time, or ""."""
+        """Why the last run of the program failed, or ""."""
 
     def take(self, head: Head) -> None:
-        """Publish a head, and run the program soon."""
+        """Publish a head, and schedule the program."""
         if self._publish is not None:
             self._publish(head.digest)
         if self._command:
@@ -91,13 +91,13 @@ class HeadForwarder:
             self._arrived.set()
 
     async def run(self) -> None:
-        """Run the program for each head, until cancelled."""
+        """Run the program for the newest head whenever one has arrived, until cancelled."""
         while True:
             await self._arrived.wait()
             await self._forward(COMMAND_TIMEOUT_S)
 
     async def finish(self) -> None:
-        """Run the program for a last head that waits."""
+        """Run the program for the last head, if it still waits."""
         await self._forward(LAST_TIMEOUT_S)
 
     async def _forward(self, timeout_s: float) -> None:

@@ -1,4 +1,4 @@
-"""The index of the recording, made by a separate process when a file of it is closed."""
+"""The index of the recording; a separate process writes it after files are closed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _log = logging.getLogger(__name__)
 INDEX: Final = "robotctl.collection.indexing:index_job"
 
 MAX_BYTES: Final = 2_000_000_000
-"""A larger recording is indexed when it is asked about, and not on the robot's machine."""
+"""A larger recording is not indexed on the robot's machine, but by `robotctl find`."""
 
 NOT_INSTALLED: Final = (
     "recordings are not indexed, because duckdb is not installed: pip install 'robotctl[parquet]'"
@@ -25,9 +25,9 @@ NOT_INSTALLED: Final = (
 
 
 def has_grown(files: int, indexed: int) -> bool:
-    """Return whether there are half as many files again as were indexed the last time.
+    """Return whether there are at least 1.5 times as many files as at the last indexing.
 
-    So all indexes of a recording that goes on cost three times the last one, however long it is.
+    Then all indexing of one recording costs about three times its last run, at any length.
     """
     return 2 * files >= 3 * indexed
 
@@ -35,13 +35,13 @@ def has_grown(files: int, indexed: int) -> bool:
 class Indexer:
     """Starts a process of the lowest priority that writes the index of the present recording.
 
-    One runs at a time. The last one, of the closed recording, outlives the daemon, which does not
-    wait for it. For the loop's thread, in which it only waits: what looks at files, or starts and
-    ends processes, runs in others.
+    One process runs at a time. The last one indexes the closed recording; the daemon does not wait
+    for its end. For the loop's thread, which it does not block: it looks at files and starts
+    processes in other threads.
     """
 
     def __init__(self, recording: Path, log: Path, *, enabled: bool) -> None:
-        """`recording` is the folder; `log`, if it exists, gets what the last process says."""
+        """`recording` is the folder; the last process writes its output to `log`, if it exists."""
         self._recording = recording
         self._command = job_command(INDEX, {"recording": str(recording)})
         self._log = log
@@ -53,19 +53,19 @@ class Indexer:
 
     @property
     def problem(self) -> str:
-        """How often indexing has failed, and why the last time; "" if it has not."""
+        """How often indexing has failed, and why it last failed; "" if it never has."""
         if not self._failures:
             return ""
         times = "once" if self._failures == 1 else f"{self._failures} times"
         return f"indexing failed {times}: {self._last_failure}"
 
     def file_finished(self) -> None:
-        """Note that a file of the recording is closed, and another one is written."""
+        """Note that a file of the recording is closed, and that the next one is begun."""
         self._closed_files += 1
         self._file_closed.set()
 
     async def run(self) -> None:
-        """Index the closed files when there are enough new ones, until cancelled."""
+        """Index the closed files when their number `has_grown`, until cancelled."""
         indexed = 0
         while True:
             await self._file_closed.wait()

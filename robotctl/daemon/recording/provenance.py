@@ -32,8 +32,8 @@ WHEELS: Final = {
     "isal": "isal",
     "numpy": "numpy",
 }
-"""The distribution that holds each library. Of rclpy, the ROS wheel has the true version: the
-package in it still names the version before its last patch."""
+"""The distribution (wheel) of each library. For rclpy, the version of the ROS wheel is right: the
+metadata of the package inside names the version before the last patch."""
 
 _REVISION = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")
 
@@ -42,8 +42,8 @@ def provenance() -> dict[str, str]:
     """Return versions, host and git revisions, as far as they are known.
 
     `git.robotctl` is the commit of robotctl's own source tree, `git.directory` that of the
-    repository in which the daemon was started; each is left out if there is none. `user` is who
-    runs the daemon.
+    repository in which the daemon was started; each is left out if there is none. `user` is the
+    user who runs the daemon.
     """
     try:
         return dict(_provenance(Path.cwd()))
@@ -53,7 +53,7 @@ def provenance() -> dict[str, str]:
 
 @cache
 def _provenance(directory: Path | None) -> Mapping[str, str]:
-    """Read it all once: the files of a running daemon may be replaced."""
+    """Return the values of `provenance`, read once: files of a running daemon may be replaced."""
     known = {
         "robotctl": robotctl.__version__,
         "python": platform.python_version(),
@@ -103,7 +103,7 @@ def revision(folder: Path) -> str:
 
 
 def _values(git: Path, name: str) -> Iterator[str]:
-    """Yield the possible values of the reference `name`."""
+    """Yield the values of the reference `name` in git's files; the first commit hash counts."""
     common = git / "commondir"
     for place in (git, git / _text(common)) if common.exists() else (git,):
         if (place / name).is_file():
@@ -116,11 +116,11 @@ def _values(git: Path, name: str) -> Iterator[str]:
 
 
 def _text(path: Path) -> str:
-    """Return the text of a regular file: a FIFO that an attacker put into /tmp would never end.
+    """Return the text of a regular file; refuse a FIFO, from which reading might never end.
 
     Raises:
-        OSError: It cannot be read, or is no regular file.
-        ValueError: It is no text, or larger than MAX_GIT_BYTES.
+        OSError: The file cannot be read, or is not a regular file.
+        ValueError: It is not UTF-8 text, or is larger than MAX_GIT_BYTES.
     """
     with open_regular(path) as file:
         content = file.read(MAX_GIT_BYTES + 1)
@@ -137,25 +137,25 @@ def _version(distribution: str) -> str:
 
 
 CONTROL_PATH: Final = ("cdr", "config", "daemon", "ipc", "kernel", "ros", "sim")
-"""The packages of everything between a message or request and the command that follows from it."""
+"""The packages whose code turns messages and requests into velocity commands."""
 
 ASIDE: Final = ("ros/executables", "ros/playback")
-"""Folders in them that no daemon imports."""
+"""Folders in these packages that no daemon imports."""
 
 DIGEST: Final = "digest"
-"""The key of the hash over all modules, among their names."""
+"""The key of the hash over all modules; the other keys are names of modules."""
 
 SHORT_CHARACTERS: Final = 16
-"""Of a module's hash: it names the module that differs; the digest is over the whole hashes."""
+"""Length of a module's short hash, which shows which module differs."""
 
 
 @cache
 def software(package: Path = Path(robotctl.__file__).parent) -> dict[str, str]:
-    """Return the beginning of each module's SHA-256 by its name, and the digest over all.
+    """Return the first characters of each module's SHA-256 by name, and the digest over all.
 
     The digest is the SHA-256 of a line `HASH  NAME` for each module, with the whole hash, ordered
-    by name, as sha256sum(1) prints them. Read once, at the first call, so call it early: the files
-    of a daemon that runs may be replaced. Modules whose source cannot be read are left out.
+    by name, as sha256sum(1) prints them. The files are read at the first call, which should
+    be early: those of a running daemon may be replaced. Modules that cannot be read are left out.
     """
     hashes = dict(_hashes(package))
     lines = "".join(f"{value}  {name}\n" for name, value in sorted(hashes.items()))

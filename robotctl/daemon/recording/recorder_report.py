@@ -21,27 +21,27 @@ from robotctl.ros.nodes.publishers import Diagnosis, DiagnosticLevel
 
 HEAVY_BYTES_PER_S = 5e6
 HEAVY_WINDOW_S = 5.0
-"""A topic is heavy above this data rate, averaged over this time..."""
+"""A topic is heavy above HEAVY_BYTES_PER_S, averaged over HEAVY_WINDOW_S."""
 
 CALM_SHARE = 0.5
-"""...until its data rate falls below this share of the limit."""
+"""A heavy topic stays heavy until its data rate falls to this share of the limit."""
 
 TopicKey = tuple[str, str]
 """Name and type."""
 
 
 class RateMeter:
-    """Rates [1/s] to two digits, from counts, over the time between the last two samples."""
+    """Rates [1/s] between the last two samples of message counts, rounded to 0.01."""
 
     def __init__(self) -> None:
         self._counts: Mapping[TopicKey, int] = {}
         self.rates: Mapping[TopicKey, float] = {}
-        """The latest rates; another object after each sample."""
+        """The latest rates; each sample replaces the object."""
 
         self._t_ns = 0
 
     def sample(self, t_ns: int, counts: Mapping[TopicKey, int]) -> None:
-        """Add the counts at steady time `t_ns`."""
+        """Add the counts so far, at steady time `t_ns`."""
         hundredths = 100 * NS_PER_S / (t_ns - self._t_ns)
         self.rates = {
             topic: round((count - self._counts.get(topic, 0)) * hundredths) / 100
@@ -80,7 +80,7 @@ _encode = msgspec.json.Encoder().encode
 
 
 class _Answer(msgspec.Struct):
-    """A TopicAnswer, which is made and encoded in 0.6 of the time of its dictionary."""
+    """A TopicAnswer as a struct: to create and encode it takes 60 % of the time of a dict."""
 
     name: str
     type: str
@@ -99,21 +99,21 @@ class _Answer(msgspec.Struct):
 class _Row:
     key: TopicKey
     at: int
-    """Where the row stands in the answer."""
+    """The index of the row in the answer."""
 
     places: list[int] = field(default_factory=list)
-    """Where the channels of the topic stand in the recorder's counts."""
+    """The indices of the topic's channels in the recorder's counts."""
 
     rate: float = 0.0
 
 
 class TopicRows:
-    """The rows, sorted by name and type. The recorder only ever adds channels."""
+    """The answer's rows, sorted by name and type. The recorder never removes a channel."""
 
     def __init__(self) -> None:
         self._rows: list[_Row] = []
         self._row_of: list[_Row] = []
-        """By the place of a channel."""
+        """The row of each channel, by the channel's index."""
 
         self._topics: Sequence[TopicStats] = ()
         self._rates: Mapping[TopicKey, float] = {}
@@ -121,7 +121,7 @@ class TopicRows:
         self._joined = msgspec.Raw(b"[]")
 
     def encoded(self, topics: Sequence[TopicStats], rates: Mapping[TopicKey, float]) -> msgspec.Raw:
-        """Return the list of rows in JSON; counts that did not change are the objects of before.
+        """Return the rows as a JSON list; unchanged counts must be the same objects as before.
 
         A topic that is missing in `rates` has a rate of 0.
         """
@@ -156,7 +156,7 @@ class TopicRows:
         self._rates = {}
 
     def _take_rates(self, rates: Mapping[TopicKey, float]) -> list[_Row]:
-        """Return the rows whose rate has changed."""
+        """Set the rates of the rows; return the rows whose rate has changed."""
         self._rates = rates
         changed = [row for row in self._rows if row.rate != rates.get(row.key, 0.0)]
         for row in changed:
@@ -185,12 +185,12 @@ def _answer(topic: TopicStats, rate: float) -> _Answer:
 
 
 MAX_TOPICS = 100
-"""Limit of the topics that are listed, those with the most missing messages first."""
+"""Limit on the topics that are listed; those with the most missing messages are first."""
 
 
 def diagnose(stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
-    """Return the recorder's part of /diagnostics: ERROR if recording has failed, WARN if the
-    recording lacks messages, else OK."""
+    """Return the recorder's part of /diagnostics: ERROR if it does not record, WARN if messages
+    are missing or there are warnings, otherwise OK."""
     if stats.state is not RecorderState.RECORDING:
         level, message = DiagnosticLevel.ERROR, stats.failure or stats.state.value
     elif stats.dropped or stats.lost:
@@ -222,7 +222,7 @@ NO_MEMORY = "are not recorded, because memory ran out: end other programs, or ex
 
 
 class RecorderReport:
-    """A report of the counts of the recorder, with cures for `robot`."""
+    """Reports the counts of the recorder; the cures in its warnings name `robot`."""
 
     def __init__(
         self,
@@ -240,13 +240,13 @@ class RecorderReport:
         self._logged_memory = False
 
     def stats(self) -> RecorderStats:
-        """Return the counts of now, which the other methods explain."""
+        """Return the current counts, the argument of the other methods."""
         return self._recorder.stats()
 
     def facts(self, stats: RecorderStats) -> RecordingFacts:
         """Return the recording's part of the status."""
         return {
-            # In JSON already, which the encoder of the answer takes as it is.
+            # This is JSON already, which the encoder of the answer copies.
             "topics": cast(list[TopicAnswer], self._rows.encoded(stats.topics, self._rates.rates)),
             "recorder": {
                 "state": stats.state.value,
@@ -274,12 +274,12 @@ class RecorderReport:
             _log.warning("messages %s", NO_MEMORY)
 
     def diagnosis(self, stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
-        """Return the recorder's part of /diagnostics; the warnings are those of the recorder."""
+        """Return the recorder's part of /diagnostics; `warnings` are those about the recording."""
         told = replace(stats, failure=for_robot(stats.failure, self._robot))
         return diagnose(told, warnings)
 
     def heavy_warnings(self) -> Iterator[tuple[str, str]]:
-        """Yield each heavy topic that can be excluded, with its warning."""
+        """Yield name and warning of each heavy topic that can be excluded."""
         for (topic, _), bytes_per_s in self._heavy.rates.items():
             if self._filter.can_leave_out(topic):
                 rate = f"{topic} brings {bytes_per_s / 1e6:.1f} MB/s"

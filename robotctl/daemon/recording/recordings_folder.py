@@ -31,7 +31,7 @@ def retention_policy(params: RecordingParams) -> RetentionPolicy:
 
 
 def save_recordings_path(recordings: Path, robot: str) -> list[str]:
-    """Save the path of the robot's recordings for later commands; return a note on failure."""
+    """Save the path of the robot's recordings for later commands; return a note if that fails."""
     note = recordings_note_path(robot)
     try:
         make_private(note.parent)
@@ -59,12 +59,12 @@ def open_recorder(
 ) -> Recorder:
     """Start the recording ROBOT_DATE_TIME.
 
-    All callbacks are called from any thread: `mode()` when a file starts, `on_failure(detail)`,
-    `on_split(file)`, and `on_full(file)`, which must arrange a call of the recorder's `split`.
-    `present()` returns the configuration that a later file names; `config` where it is None.
+    All callbacks may be called in any thread: `mode()` when a file starts, `on_failure(detail)`,
+    `on_split(file)`, and `on_full(file)`, which must schedule a call of the recorder's `split`.
+    `present()` returns the configuration for the metadata of a file; the default is `config`.
     `sealer` seals the files if the configuration says so.
-    `evidence` are the full names of the topics that a check needs, `names` those of the daemon's
-    own topics and services by their keys in the metadata.
+    `evidence` are the full names of the topics that a check needs. `names` are the full names of
+    the daemon's own topics and services, by their keys in the metadata.
 
     Raises:
         Refused: The recording cannot be written.

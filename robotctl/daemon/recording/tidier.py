@@ -22,28 +22,28 @@ MAX_PROBLEMS: Final = 10
 
 
 class Tidier:
-    """Starts a process of the lowest priority when the folder of recordings is to be tidied.
+    """Starts processes of the lowest priority that tidy the folder of recordings.
 
-    The first, after `begin`, removes what exceeds the retention policy and repairs what a crash
-    left; each later one, after `file_finished`, only removes. They are processes because they read
-    files of any origin and size. For the loop's thread.
+    The first process, after `begin`, removes what exceeds the retention policy and repairs what a
+    crash left; each later one, after `file_finished`, only removes. This work needs processes, as
+    the files may be of any origin and size. For the loop's thread.
     """
 
     def __init__(self, policy: RetentionPolicy, recording: Path) -> None:
-        """`recording` is the folder of the present recording, among the others."""
+        """`recording` is the folder of the present recording; its parent is the folder to tidy."""
         self.policy = policy
         self._recordings = recording.parent
         self._recording = recording
         self._begun = asyncio.Event()
         self._finished = asyncio.Event()
         self.problems: list[str] = []
-        """Sentences about losses and failures."""
+        """The first MAX_PROBLEMS sentences about losses and failures."""
 
         self.on_removed: Callable[[str], None] = lambda path: None
-        """Called with the path of each file that is removed."""
+        """Called with the path of each file that was removed."""
 
     def begin(self) -> None:
-        """Start to tidy; called when the daemon is ready."""
+        """Allow the first tidying; called when the daemon is ready."""
         self._begun.set()
 
     def file_finished(self) -> None:

@@ -1,14 +1,14 @@
-"""Names topics that stop, slow down, speed up, or whose publisher restarts; it reads no clock.
+"""Detects topics that stop, slow down, speed up or whose publisher restarts; it reads no clock.
 
-With period P, the mean gap between messages that is expected, a topic is
+If P is the expected period (the mean gap between messages), a topic is
 - silent, after max(1 s, 3 P) without a message,
 - slow, with fewer than half of the expected messages within max(0.8 s, 3.5 P), so that one lost
   message of a slow topic is no trouble,
-- fast, with 1.7 times as many in that time, and not only because others were late.
+- fast, with 1.7 times the expected messages in that time, unless they only make up for late ones.
 
-A topic is regular if a whole minute has at least FEWEST messages, no gap is much longer than their
-mean, and, where messages come fast, each SPAN_S has about as many. So what is sent once, at events,
-in bunches or at random is not learned.
+A topic is regular if one minute has at least FEWEST messages, no gap is much longer than the mean
+gap, and (at a high rate) each SPAN_S has about the same number of messages. So the period of a
+topic that is published once, at events, in bunches or at random is not learned.
 """
 
 from __future__ import annotations
@@ -34,9 +34,11 @@ SILENT_PERIODS: Final = 3.0
 WINDOW_S: Final = 0.8
 WINDOW_PERIODS: Final = 3.5
 SLOW, SLOW_END = 0.5, 0.6
+"""Slow begins below SLOW, ends at SLOW_END: shares of the expected messages in a window."""
 FAST, FAST_END = 1.7, 1.5
+"""Fast begins at FAST, ends below FAST_END: shares of the expected messages in a window."""
 FAST_BOTH: Final = 1.35
-"""Shares of the expected messages in one window; FAST_BOTH is for the last two."""
+"""A fast topic also has this share of the expected messages in the last two windows together."""
 
 
 class Trouble(Enum):
@@ -49,41 +51,41 @@ class Trouble(Enum):
 
 
 class TopicWatch:
-    """The watch over one topic with an expected period; times in seconds on a steady clock."""
+    """Watches one topic with an expected period; times in seconds on a steady clock."""
 
     def __init__(self, period_s: float, now_s: float, count: int) -> None:
-        """Begin with `count` messages so far."""
+        """Watch from now on; `count` is the number of messages so far."""
         self.period_s = period_s
         self.trouble = Trouble.NONE
         self.newest_s = now_s
-        """When the newest message came."""
+        """When the newest message arrived."""
 
         self.restarted_s: float | None = None
-        """When a publisher took the place of an earlier one, None if none did."""
+        """When a publisher replaced an earlier one, or None if that never happened."""
 
         self._patience_s = max(SILENT_S, SILENT_PERIODS * period_s) - LOOK_S
-        """How long the topic may be silent, less the time to the next look."""
+        """How long the topic may be silent, minus the time to the next look."""
 
         self._window_s = max(WINDOW_S, WINDOW_PERIODS * period_s)
         self._expected = self._window_s / period_s
-        """Messages in a window."""
+        """Expected messages in a window."""
 
         self._count = count
         self._begin(now_s)
         self._publishers = 0
         self._replaced: tuple[float, dict[bytes, int]] | None = None
-        """When a new publisher came, and the numbers of the others then."""
+        """When a new publisher appeared, and the next sequence numbers of the others then."""
 
     @property
     def rate_hz(self) -> float:
-        """The messages a second within the last window."""
+        """The mean rate in the last window [Hz]."""
         return (self._count - self._window[0][1]) / self._window_s
 
     def look(self, now_s: float, count: int, newest_s: float) -> None:
-        """Note the number of messages so far, and when the newest came."""
+        """Judge the topic by its number of messages so far and the time of the newest."""
         if count != self._count:
             if newest_s - self.newest_s >= self._patience_s:
-                self._begin(newest_s)  # a window with the silence in it tells nothing new
+                self._begin(newest_s)  # a window that contains the silence would look slow
             self._count = count
             if newest_s > self.newest_s:
                 self.newest_s = newest_s
@@ -91,9 +93,9 @@ class TopicWatch:
         self.trouble = self._judge(now_s)
 
     def look_at_publishers(self, now_s: float, next_numbers: Mapping[bytes, int]) -> None:
-        """Note the sequence number that each publisher sends next, the oldest publisher first.
+        """Detect a restart from each publisher's next sequence number, the oldest publisher first.
 
-        A new publisher replaces the others if none of them sends any more.
+        A new publisher counts as a restart if none of the others sends any more.
         """
         if len(next_numbers) != self._publishers:
             if self._publishers:
@@ -102,22 +104,22 @@ class TopicWatch:
         if self._replaced is not None:
             since_s, others = self._replaced
             if any(next_numbers.get(gid, number) != number for gid, number in others.items()):
-                self._replaced = None  # it is one more
+                self._replaced = None  # the new publisher is an additional one
             elif now_s - since_s >= self._patience_s:
                 self.restarted_s, self._replaced = since_s, None
 
     def pause(self, now_s: float) -> None:
-        """Begin again: the looks had a gap, and messages may wait that are not counted yet."""
+        """Restart the windows after a gap between looks: some messages may not be counted yet."""
         if self.trouble is not Trouble.SILENT:
             self.newest_s = now_s
         self._begin(now_s)
 
     def _begin(self, now_s: float) -> None:
         self._begun_s = now_s
-        # Times and counts: first the last one before the window, then those within it.
+        # Pairs (time, count): first the last pair before the window, then those within it.
         self._window: deque[tuple[float, int]] = deque([(now_s, self._count)])
         self._before: deque[tuple[float, int]] = deque()
-        """The same for the window before."""
+        """The same pairs for the window before."""
 
     def _judge(self, now_s: float) -> Trouble:
         if now_s - self.newest_s >= self._patience_s:
@@ -149,21 +151,21 @@ ROUNDS: Final = 3
 """A topic that is irregular for this many minutes is not learned any more."""
 
 LONGEST_GAP: Final = 1.6
-"""In mean gaps..."""
+"""A regular topic has no gap longer than this many mean gaps plus GAP_SLACK_S."""
 
 GAP_SLACK_S: Final = 0.25
-"""...plus this: two looks cannot tell a shorter one."""
+"""Gaps cannot be measured more precisely than this, with a look every LOOK_S."""
 
 SPAN_S: Final = 0.8
 FEWEST_IN_SPAN, MOST_IN_SPAN = 0.7, 1.4
-"""Messages in each SPAN_S, as a share of their mean number."""
+"""Limits on the messages in each SPAN_S of a regular topic, as shares of the mean number."""
 
 
 class LearnedPeriod:
-    """The mean gap between the messages of one topic; times in seconds on a steady clock."""
+    """Learns the mean gap between messages of one topic; times in seconds on a steady clock."""
 
     def __init__(self, count: int) -> None:
-        """Begin with the first message after the first `count`."""
+        """Begin with the next message; `count` is the number of messages so far."""
         self._rounds_left = ROUNDS
         self._restart(count)
 
@@ -181,9 +183,9 @@ class LearnedPeriod:
         self._fewest, self._most = inf, 0.0
 
     def look(self, now_s: float, count: int, newest_s: float, *, late: bool) -> float | None:
-        """Note the number of messages so far and when the newest came; return a learned period.
+        """Add a message count and the time of the newest; return the period once learned, or None.
 
-        `late` tells that the looks had a gap, so that messages may wait that are not counted yet.
+        `late` is true after a gap between looks: some messages may not be counted yet.
         """
         if self._first is None:
             if count != self._before:
@@ -230,13 +232,13 @@ class LearnedPeriod:
 _log = logging.getLogger(__name__)
 
 LATE_S: Final = 2.0 * LOOK_S
-"""After a longer gap between two looks, messages may wait that are not counted yet."""
+"""After a longer gap between two looks, some messages may not be counted yet."""
 
 RECENT_S: Final = 60.0
-"""How long `status` names a trouble that is over."""
+"""How long `status` still shows a trouble that is over."""
 
 FORGET_S: Final = 600.0
-"""After this silence a learned topic is no longer watched: its node was ended."""
+"""After this silence a learned topic is no longer watched: its node has probably ended."""
 
 MAX_NAMED: Final = 20
 MAX_TROUBLES: Final = 5
@@ -244,7 +246,7 @@ MAX_LOGGED: Final = 1_000
 """Limit on the logged sentences: a topic may stop and go without end."""
 
 _STAMP_SLACK_S: Final = 0.1
-"""How much older than the last look a message may be that is new: the tap collects for 0.05 s."""
+"""A new message may be this much older than the last look: the tap batches for 0.05 s."""
 
 EVENTS: Final = frozenset(
     (
@@ -258,28 +260,25 @@ EVENTS: Final = frozenset(
 
 
 def may_be_learned(topic: str, type_name: str) -> bool:
-    """Return whether a topic that is regular should stay so."""
+    """Return False for topics of actions, of service events and of types in EVENTS."""
     is_call = "/_action/" in topic or topic.endswith("/_service_event")
     return not (is_call or type_name in EVENTS)
 
 
 class Arrivals(Protocol):
-    """What has arrived on a channel, recorded or not; its values change.
-
-    `expected` maps each publisher (its gid) to the sequence number that it sends next.
-    """
+    """Counts of what has arrived on a channel, recorded or not; they are updated in place."""
 
     @property
     def arrived(self) -> int:
-        """How many messages."""
+        """The number of messages."""
 
     @property
     def newest_ns(self) -> int:
-        """The log time of the newest one."""
+        """The log time of the newest message."""
 
     @property
     def expected(self) -> Mapping[bytes, int]:
-        """The next number of each publisher, the oldest publisher first."""
+        """The next sequence number of each publisher, by gid; the oldest publisher is first."""
 
 
 @dataclass(slots=True)
@@ -292,26 +291,26 @@ class _Topic:
     count: int = 0
     newest_s: float = 0.0
     since_s: float = 0.0
-    """When the trouble began that is told."""
+    """When the present trouble began."""
 
     over: tuple[Trouble, float, float] | None = None
-    """The last trouble that is over: what, how long [s], and when it ended."""
+    """The last trouble that has ended: its kind, duration [s] and end."""
 
 
 class TopicHealth:
-    """The watch over all topics; times in seconds on a steady clock, `wall_ns` since the epoch.
+    """Watches all topics; times in seconds on a steady clock, `wall_ns` since the epoch.
 
-    A topic is watched if its rate is configured, or after its first minutes if it is regular
+    A topic is watched if its rate is configured, or once it was regular for a minute
     (LearnedPeriod). Used in the loop's thread only.
     """
 
     def __init__(self, expected: RateByTopic, names: Iterable[str], now_s: float) -> None:
-        """Expect configured rates of topics; those in `names` are missed if they never come."""
+        """`expected` are the configured rates; topics in `names` are in trouble until seen."""
         self._expected = expected
         self._topics: dict[str, _Topic] = {}
         self._active: dict[str, _Topic] = {}
         self._told: dict[str, _Topic] = {}
-        """The topics that may have a sentence: of 500 topics few ever have one."""
+        """The topics that may have a warning: of 500 topics, few ever have one."""
 
         self._looked_s = now_s
         self._logged = 0
@@ -320,7 +319,7 @@ class TopicHealth:
 
     @property
     def watched(self) -> int:
-        """The number of topics that are watched or learned."""
+        """The number of topics whose rate is watched or being learned."""
         return len(self._active)
 
     def add(
@@ -332,7 +331,7 @@ class TopicHealth:
         learns: bool,
         now_s: float,
     ) -> None:
-        """Watch a channel of a topic; `learns`: its rate is expected to stay as it is."""
+        """Watch a channel of a topic; with `learns`, learn its rate if none is configured."""
         self._topic(name, type_name, learns=learns, now_s=now_s).channels.append(channel)
 
     def _topic(self, name: str, type_name: str, *, learns: bool, now_s: float) -> _Topic:
@@ -351,7 +350,7 @@ class TopicHealth:
         return topic
 
     def look(self, now_s: float, wall_ns: int) -> bool:
-        """Look at each topic; return whether one has another trouble than before."""
+        """Judge each topic; return whether a trouble has changed or a publisher was restarted."""
         elapsed_s, self._looked_s = now_s - self._looked_s, now_s
         late, news = elapsed_s > LATE_S, False
         for topic in list(self._active.values()):
@@ -370,7 +369,7 @@ class TopicHealth:
         return news
 
     def warnings(self, now_s: float) -> Iterator[str]:
-        """Yield a sentence for each trouble of now, and for those of the last RECENT_S."""
+        """Yield a sentence for each present trouble, and for those that ended within RECENT_S."""
         told: list[str] = []
         for topic in list(self._told.values()):
             sentences = list(_sentences(topic, now_s))
@@ -382,9 +381,9 @@ class TopicHealth:
             yield f"{len(told) - MAX_NAMED} more topics have other rates than expected"
 
     def troubles(self) -> str:
-        """Return what is not as expected now, without numbers; "" if nothing is.
+        """Return the present troubles as text without numbers, or "" if there are none.
 
-        A configured topic without a message is named from the beginning.
+        A configured topic without a message is in trouble from the beginning.
         """
         found = [
             f"{topic.name} is {topic.watch.trouble.value}"

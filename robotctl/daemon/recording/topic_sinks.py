@@ -1,4 +1,4 @@
-"""The sink of each recorded topic: throttled where configured, and under watch."""
+"""The sinks of recorded topics: throttled if configured, and watched by TopicHealth."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from robotctl.ros.messages.type_definition import TopicDescription
 
 
 class HealthLooks:
-    """Gives the clocks to a TopicHealth."""
+    """Calls a TopicHealth periodically, with the times of the real clocks."""
 
     def __init__(self, health: TopicHealth) -> None:
         self._health = health
         self.on_news: Callable[[], None] = lambda: None
-        """Called when a topic has another trouble than before."""
+        """Called when the trouble of a topic has changed."""
 
         self.on_troubles: Callable[[str], None] | None = None
-        """Called with what is not as expected when that has changed; "" if nothing is."""
+        """Called with the text of all present troubles when it changes; "" if there are none."""
 
         self._troubles = ""
 
     async def run(self) -> None:
-        """Look until cancelled."""
+        """Check all topics every LOOK_S, until cancelled."""
         while True:
             if self.on_troubles is not None:
                 troubles = self._health.troubles()
@@ -43,15 +43,15 @@ class HealthLooks:
                 self.on_news()
 
     def warnings(self) -> Iterator[str]:
-        """Yield what is wrong now, and what was recently."""
+        """Yield warnings about present and recent troubles."""
         yield from self._health.warnings(time.monotonic())
 
 
 class TopicSinks:
     """Opens the sinks; for the loop's thread.
 
-    `is_own(topic)` tells the topics of robotctl itself, `is_evidence(topic)` those that a check
-    needs. Both are recorded whole, and so are latched topics; only topics of others are learned.
+    `is_own(topic)` returns whether robotctl publishes the topic, `is_evidence(topic)` whether a
+    check needs it. Both kinds and latched topics are never throttled; own rates are not learned.
     """
 
     def __init__(
@@ -68,17 +68,17 @@ class TopicSinks:
         self._most = RateByTopic(params.throttle)
         self._has_reserve = params.min_free_gb > 0.0
         self.gates: dict[str, list[MessageGate]] = {}
-        """The gates of each topic that may be left out."""
+        """The gates of each topic of which messages may be left out."""
 
         self._sinks: dict[int, ViewSink] = {}
-        """By channel; a topic that comes again has the same one."""
+        """The sinks by channel; a topic that is opened again gets the same sink."""
 
         expected = (each.rpartition("=") for each in params.expected_rates)
         named = [name for name, _, rate in expected if is_plain_name(name) and float(rate)]
         self.health = TopicHealth(RateByTopic(params.expected_rates), named, time.monotonic())
 
     def open(self, topic: TopicDescription) -> ViewSink:
-        """Return the sink of a topic's messages."""
+        """Return the sink for a topic's messages; register the topic with the recorder."""
         described = Topic(
             topic.name, topic.type_name, topic.definition, topic.type_hash, topic.offered_qos
         )

@@ -30,7 +30,7 @@ class ModeChanged:
 
 @dataclass(frozen=True, slots=True)
 class LatchEmergencyStop:
-    """An emergency stop that must be kept over restarts; a cause of None means the operator."""
+    """An emergency stop that must survive restarts; a cause of None means the operator."""
 
     reason: str
     cause: Cause | None = None
@@ -57,9 +57,9 @@ class DriveReport:
     """How well a drive followed its path, by odometry.
 
     `closure_m` is the distance between the end of the path and the robot at the end of its last
-    complete lap, NaN before one is complete. The heading is held against that of the reference.
-    Older versions did not tell the last three, NaN. The four errors are 0 where nothing was
-    measured, as of a held velocity, which has no path; see `without_errors`.
+    complete lap, NaN before that. The heading errors are relative to the reference. In reports of
+    older versions, the last three fields are NaN. The four errors are 0 if nothing was measured, as
+    for a held velocity, which has no path; see `without_errors`.
     """
 
     laps: int
@@ -86,7 +86,7 @@ class DriveReport:
 class DriveEnded:
     """The drive that `request_id` began has ended; `completed` means all its laps were driven.
 
-    `cause` is why the robot had to stop, None where a request or the last lap ended the drive.
+    `cause` is why the robot had to stop, None if a request or the last lap ended the drive.
     """
 
     request_id: int
@@ -104,7 +104,7 @@ Decision = (
     | Reply
     | ParameterChanged
 )
-"""The effects that a kernel of another version must decide as well."""
+"""The effects that a kernel of another version must return, too, when it replays a journal."""
 
 Effect = Decision | DriveEnded
 """Everything that `Kernel.step` returns."""

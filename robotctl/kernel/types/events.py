@@ -1,4 +1,4 @@
-"""The events: everything that `Kernel.step` decides on, with leases and lifecycle states.
+"""The events: everything that `Kernel.step` handles, with leases and lifecycle states.
 
 Every event carries its steady time `t_ns` in nanoseconds: the kernel has no clock.
 """
@@ -18,7 +18,7 @@ from robotctl.kernel.types.values import Cause, Odometry, Twist
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """The holder by its number and its name, and why it took the lease."""
+    """The client that holds the lease, its name as `source`, and why it holds the lease."""
 
     client: int
     source: str
@@ -27,7 +27,7 @@ class Lease:
 
 @dataclass(frozen=True, slots=True)
 class LeaseRequested:
-    """A client takes the lease, or releases it; it gets one `Reply`."""
+    """A request to get the lease (`take`) or to release it; it gets one `Reply`."""
 
     t_ns: int
     request_id: int
@@ -39,7 +39,7 @@ class LeaseRequested:
 
 @dataclass(frozen=True, slots=True)
 class LeaseLost:
-    """A holder is gone; `how` says how that was noticed."""
+    """The client that holds the lease is gone; `how` says how this was noticed."""
 
     t_ns: int
     client: int
@@ -47,7 +47,7 @@ class LeaseLost:
 
 
 class MotionRequest(Protocol):
-    """A request that starts or steers motion; `client` is 0 for one without an identity."""
+    """A request from a client; `client` is 0 for a client without an identity."""
 
     @property
     def request_id(self) -> int:
@@ -66,8 +66,8 @@ class MotionRequest(Protocol):
 class ParameterRequested:
     """A request to change the parameter `key` from the text `old` to the text `new`.
 
-    It gets one `Reply`. A float is written as its repr. The kernel checks values of its own
-    parameters; the daemon has checked those of all others.
+    It gets one `Reply`. The text of a float is its repr. The kernel checks the values of its own
+    parameters; the daemon has already checked all others.
     """
 
     t_ns: int
@@ -116,7 +116,7 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class OdomReceived:
-    """A sample of odometry arrived; its values may be anything, also NaN.
+    """A sample of odometry arrived; its values may be anything, even NaN.
 
     `source` is the number of the publisher (see `OdometrySourceFound`), 0 if unknown. `sequence`
     is the number that the publisher gave the sample.
@@ -133,7 +133,7 @@ class OdometrySourceFound:
     """A publisher of odometry sent its first sample, or its node name became known.
 
     `source` is its number from now on, `gid` its DDS identity, `name` its node name or "".
-    `frame_id` is the frame that its samples name, "" if unknown; a change of it is told again.
+    `frame_id` is the frame that its samples name, "" if unknown; each change causes a new event.
     """
 
     t_ns: int
@@ -160,7 +160,7 @@ class BatteryReceived:
 class SafetyInputReceived:
     """A message of a safety input; `detail` is the sender's text, if it has one.
 
-    Of many equal messages, only some become events: enough to see that the input is heard.
+    Of many equal messages, only some become events: enough to show that the input is not silent.
     `publisher` and `sequence` are as in `BatteryReceived`.
     """
 
@@ -174,10 +174,10 @@ class SafetyInputReceived:
 
 @dataclass(frozen=True, slots=True)
 class ScanReceived:
-    """A laser scan: the nearest range in each direction [m], from behind to the left, by sectors.
+    """A laser scan: the nearest range in each sector [m], counter-clockwise from straight behind.
 
-    inf where nothing is, () if the message is unreadable. `publisher` and `sequence`
-    are as in `BatteryReceived`.
+    A range is inf if the sector is empty; `sectors` is () if the message is unreadable. `publisher`
+    and `sequence` are as in `BatteryReceived`.
     """
 
     t_ns: int
@@ -190,8 +190,8 @@ class ScanReceived:
 class ModeRequested:
     """A request for a mode by its number, valid or not; it gets one `Reply`.
 
-    `client` is the number of the client that may hold the lease, 0 for one without an identity.
-    `reason` is what the client says about it. `remote` means that it may come from another host.
+    `client` is the client's number, as in `Lease`, 0 without an identity. `reason` is the client's
+    text. `remote` means that the request may come from another host.
     """
 
     t_ns: int
@@ -217,8 +217,8 @@ class ResetRequested:
 class DriveRequested:
     """A request to drive `laps` laps (0: until stopped) of a pattern; it gets one `Reply`.
 
-    `client`, `reason` and `remote` are as in `ModeRequested`. `course` says how,
-    and may replace the pattern by waypoints.
+    `client`, `reason` and `remote` are as in `ModeRequested`. With `replace`, the drive may replace
+    another one. `course` may replace the pattern by waypoints or a held velocity.
     """
 
     t_ns: int
@@ -235,9 +235,9 @@ class DriveRequested:
 
 @dataclass(frozen=True, slots=True)
 class HoldReceived:
-    """The client that holds a velocity to run still does, and wants this one; it may be NaN.
+    """A hold-to-run client repeats its request, with the velocity it wants now; it may be NaN.
 
-    `hold` is the id of the `DriveRequested` that began it, `client` as in `ModeRequested`.
+    `hold` is the id of the `DriveRequested` that began the drive, `client` as in `ModeRequested`.
     """
 
     t_ns: int
@@ -248,7 +248,7 @@ class HoldReceived:
 
 @dataclass(frozen=True, slots=True)
 class CommandPublishersSeen:
-    """The other nodes that publish the command topic now."""
+    """The nodes other than robotctl's that have a publisher on the command topic now."""
 
     t_ns: int
     names: tuple[str, ...]
@@ -277,7 +277,7 @@ class CommandListenersSeen:
 
 @dataclass(frozen=True, slots=True)
 class GuardedCommandReceived:
-    """Another node wants this velocity while the robot is guarded; it may be anything, also NaN.
+    """Another node wants this velocity in a guarded motion; it may be anything, even NaN.
 
     `publisher` and `sequence` are as in `BatteryReceived`.
     """
@@ -343,4 +343,4 @@ Event = (
     | FaultReported
     | FaultCleared
 )
-"""Everything that `Kernel.step` takes."""
+"""Everything that `Kernel.step` accepts."""

@@ -22,7 +22,7 @@ ZERO = Twist()
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """A sample of odometry: pose in the `odom` frame, velocity in the robot's own, header stamp."""
+    """A sample of odometry: pose in the `odom` frame, velocity in the robot's, header stamp."""
 
     pose: Pose
     velocity: Twist
@@ -37,9 +37,9 @@ T = TypeVar("T", bound=_Dataclass)
 
 
 def changed(value: T, **changes: Any) -> T:
-    """Return a copy of a frozen dataclass without slots, with other values of some fields.
+    """Return a copy of a frozen dataclass without slots, with some fields changed.
 
-    What each step copies is copied by this: `dataclasses.replace` takes four times as long.
+    Use it for what each step copies: `dataclasses.replace` takes four times as long.
     """
     fields = value.__dict__ | changes
     assert len(fields) <= len(value.__dataclass_fields__), changes  # a name that is no field

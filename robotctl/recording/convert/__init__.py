@@ -1,1 +1,1 @@
-"""Copies of recordings in another form: other files, another compression, from sqlite3."""
+"""Converts recordings: to other files, to another compression, from sqlite3 to MCAP."""

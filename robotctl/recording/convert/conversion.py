@@ -1,4 +1,4 @@
-"""convert: a recording as new files, every message as it was."""
+"""Converts a recording to new files; the messages do not change."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ _NAMES: Final[Mapping[str, Mapping[int, str]]] = {
     "durability": {0: "system_default", 1: "transient_local", 2: "volatile"},
     "liveliness": {0: "system_default", 1: "automatic", 3: "manual_by_topic"},
 }
-"""The numbers of rmw_qos_*_policy_e in rmw/types.h; all others are unknown."""
+"""The names by number in rmw_qos_*_policy_e (rmw/types.h); other numbers are unknown."""
 
 _MAX_CHARACTERS: Final = 1 << 16
-"""More than 100 publishers of a topic; a YAML parser is slow."""
+"""Longest text that is parsed, enough for 100 publishers of a topic: a YAML parser is slow."""
 
 
 def named_policies(profiles: str) -> str:
-    """Return a YAML list of QoS profiles with names in place of the numbers of policies.
+    """Return a YAML list of QoS profiles with the names of policies in place of their numbers.
 
-    Text that is no such list, or has no numbers of policies, is returned as it is.
+    Text that is not such a list, or has no such numbers, is returned unchanged.
     """
     if len(profiles) > _MAX_CHARACTERS:
         return profiles
@@ -82,7 +82,7 @@ _QOS = "offered_qos_profiles"
 
 
 class ChannelTable:
-    """Collects the channels of all source files; equal ones become one."""
+    """Collects the channels of all source files; equal channels get one id."""
 
     def __init__(self) -> None:
         self.channels: list[Channel] = []
@@ -94,7 +94,7 @@ class ChannelTable:
         self._schema_ids: dict[tuple[object, ...], int] = {}
 
     def add(self, channel: Channel, schema: Schema | None) -> int:
-        """Return the id that the converted recording has for a channel of a source file."""
+        """Return the channel's id in the converted recording; add the channel if it is new."""
         metadata = dict(channel.metadata)
         if _QOS in metadata:
             metadata[_QOS] = named_policies(metadata[_QOS])
@@ -146,12 +146,12 @@ class OutputFile:
 
     @property
     def size(self) -> int:
-        """Bytes so far."""
+        """Bytes of the file so far."""
         return self._mcap.size
 
     @property
     def has_messages(self) -> bool:
-        """Whether it holds any."""
+        """Whether the file has any message."""
         return bool(self._mcap.summary.counts)
 
     def write(self, messages: Sequence[PlainMessage]) -> None:
@@ -160,7 +160,7 @@ class OutputFile:
         self._mcap.commit(self._encoder.encode(pack(messages)), finished=False)
 
     def add_metadata(self, records: Sequence[Metadata]) -> None:
-        """Add records."""
+        """Add metadata records. The next write includes them."""
         for record in records:
             self._mcap.add_metadata(record.name, record.metadata)
 
@@ -202,10 +202,10 @@ _REWRITTEN: Final = (METADATA_RECORD, LEDGER_RECORD, CONVERSION_RECORD)
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """The form of the result.
+    """The form of the converted recording.
 
-    With `split_bytes` a new file begins when one has that size, with `one_file` there is only one;
-    with neither, each file of the source becomes one.
+    With `split_bytes` a new file begins when one has that size. With `one_file` there is only one
+    file. With neither, each source file becomes one file.
     """
 
     compression: Compression = Compression.ZSTD
@@ -233,7 +233,7 @@ class Converter:
     """Writes the files of a new recording, one source file after the other."""
 
     def __init__(self, name_of: Callable[[int], Path], form: Form) -> None:
-        """`name_of` gives the path of each new file, from 0 on."""
+        """`name_of` returns the path of a new file from its number, which begins at 0."""
         self._name_of = name_of
         self._form = form
         self._table = ChannelTable()
@@ -288,7 +288,7 @@ class Converter:
         self.done.lost += (prefix + sentence for sentence in source.lost)
 
     def _file_for(self, source: ConvertibleFile) -> OutputFile:
-        """Return the file into which a source file goes first."""
+        """Return the output file for the first messages of a source file."""
         output = self._output
         if output is None:
             return self._begin(source)

@@ -49,10 +49,10 @@ _NAME = re.compile(r"([A-Za-z]\w*)/msg/([A-Za-z]\w*)")
 
 
 def installed_definition(type_name: str, type_hash: str) -> str:
-    """Return the text of the type `pkg/msg/T` and of what it needs, as rosbag2 writes it, or "".
+    """Return the definition of the type `pkg/msg/T` and of the types in it, as rosbag2 writes it.
 
-    It is "" if a .msg file is missing, or if the installed type has another hash than `type_hash`,
-    unless that is "".
+    Return "" if a .msg file is missing, or if `type_hash` is not "" and the installed type is known
+    to have another hash.
     """
     texts: dict[str, str] = {}
     try:
@@ -67,7 +67,7 @@ def installed_definition(type_name: str, type_hash: str) -> str:
 
 
 def _collect(type_name: str, texts: dict[str, str]) -> bool:
-    """Add the texts of a type and of what it needs, depth first; return whether all are there."""
+    """Add the .msg texts of a type and of the types in it; return whether all are installed."""
     if type_name in texts:
         return True
     path = _installed(type_name, ".msg")
@@ -108,13 +108,13 @@ class ConvertibleFile(Protocol):
     name: str
     profile: str
     library: str
-    """The program that wrote it."""
+    """The program that wrote the file."""
 
     lost: list[str]
     """What cannot be read, one sentence each; complete after the pass."""
 
     def channels(self) -> Sequence[tuple[Channel, Schema | None]]:
-        """Return the channels, with the ids that the messages name."""
+        """Return the channels, and the schema of each; messages have the ids of these channels."""
 
     def metadata(self) -> Sequence[Metadata]:
         """Return the metadata records in their order."""
@@ -132,7 +132,7 @@ class McapSource:
     def __init__(
         self, file: InputFile, index: FileIndex, on_progress: Callable[[int], None]
     ) -> None:
-        """`on_progress` gets the offset that is reached [bytes]."""
+        """`on_progress` is called with the offset that is reached [bytes]."""
         self.name = file.path.name
         self.profile = index.profile
         self.library = index.library
@@ -165,7 +165,7 @@ _MAX_TOPICS: Final = 1 << 16
 _TABLES: Final = (
     "SELECT count(*) FROM sqlite_master WHERE type='table' AND name IN ('messages', 'topics')"
 )
-"""A view of these names could have rows without end."""
+"""Counts only tables, because a view with one of these names could have endless rows."""
 
 _MESSAGES: Final = "SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id"
 
@@ -173,19 +173,19 @@ _MESSAGES: Final = "SELECT topic_id, timestamp, data FROM messages ORDER BY time
 class SqliteSource:
     """A .db3 file (see `ConvertibleFile`).
 
-    sqlite3 has one time for each message: it becomes log time and publish time.
+    The file has one time for each message, which becomes both log time and publish time.
     """
 
     profile = PROFILE
     library = "rosbag2 (sqlite3)"
 
     def __init__(self, path: Path, content: Path, on_progress: Callable[[float], None]) -> None:
-        """Open the database in the file `content`, of the file `path` in the bag.
+        """Open the database `content`, which is the file `path` of the bag without compression.
 
-        `on_progress` gets the part of the messages that is done, from 0 to 1.
+        `on_progress` is called with the fraction of messages that is done, from 0 to 1.
 
         Raises:
-            Damaged: It is not such a database, or cannot be read.
+            Damaged: `content` is not a database of rosbag2, or cannot be read.
         """
         self.name = path.name
         self.lost: list[str] = []
@@ -210,15 +210,15 @@ class SqliteSource:
         return list(self._channels.values())
 
     def metadata(self) -> Sequence[Metadata]:
-        """Return nothing: there are no such records in sqlite3."""
+        """Return nothing: a .db3 file has no metadata records."""
         return ()
 
     def attachments(self) -> Iterator[Attachment]:
-        """Yield nothing: there are no attachments in sqlite3."""
+        """Yield nothing: a .db3 file has no attachments."""
         return iter(())
 
     def batches(self) -> Iterator[Sequence[PlainMessage]]:
-        """Yield the messages in the order of their time, about 1 MB together."""
+        """Yield the messages in order of their time, in batches of about 1 MB."""
         batch: list[PlainMessage] = []
         size = done = odd = 0
         try:
@@ -287,7 +287,7 @@ class SqliteSource:
         return channels
 
     def _definitions(self) -> dict[str, str]:
-        """Return the definitions that newer bags hold, by type."""
+        """Return the definitions in the database, by type; older bags have none."""
         if not self._number("SELECT count(*) FROM sqlite_master WHERE name='message_definitions'"):
             return {}
         return {
@@ -303,17 +303,17 @@ class SqliteSource:
 
 
 def _address(path: Path) -> str:
-    """Return the URI under which nothing is written beside the file, unless it has a journal."""
+    """Return a URI with which sqlite3 creates no file in the folder, unless there is a journal."""
     plain = f"file:{quote(str(path.absolute()))}?mode=ro"
     has_journal = any(path.with_name(path.name + end).exists() for end in ("-wal", "-journal"))
     return plain if has_journal else f"{plain}&immutable=1"
 
 
 def _decompression(path: Path) -> Callable[[bytes], bytes]:
-    """Return what makes a message of the bytes in the database.
+    """Return the function that decompresses a message from the database.
 
     Raises:
-        Damaged: They are compressed in an unknown way.
+        Damaged: The compression is unknown.
     """
     form = message_compression((), path)
     if not form:
@@ -325,14 +325,14 @@ def _decompression(path: Path) -> Callable[[bytes], bytes]:
 
 
 Progress = Callable[[int, int], None]
-"""Gets bytes done, and in total."""
+"""Called with the bytes done, and the bytes in total."""
 
 
 class Sources:
     """The files of the recording `path`, in MCAP or sqlite3.
 
-    `lost` and `is_live` are complete after they were read; `lost` has a sentence about each file
-    that is not there or cannot be opened.
+    `lost` and `is_live` are complete after the iteration; `lost` has a sentence about each file
+    that is missing or cannot be opened.
     """
 
     def __init__(self, path: Path, on_progress: Progress) -> None:
@@ -346,7 +346,7 @@ class Sources:
         is_whole = self._paths != [path]
         self.lost = absent_files(text, self._paths) if is_whole else []
         self.told_messages = total_count_in(text) if is_whole else 0
-        """Messages that `metadata.yaml` counts, 0 if it says nothing."""
+        """Message count in `metadata.yaml`; 0 if it has none, or `path` is one file."""
 
         self.is_live = False
         """Whether a file was still being recorded when it was read."""
@@ -356,7 +356,7 @@ class Sources:
         self._total = sum(map(size_of, self._paths))
 
     def __iter__(self) -> Iterator[ConvertibleFile]:
-        """Yield each file; it is open until the next one is asked for."""
+        """Yield each file. A file stays open until the next one is requested."""
         before = 0
         for path in self._paths:
             size = size_of(path)
@@ -373,7 +373,7 @@ class Sources:
         with InputFile(path) as file:
             self.is_live |= file.is_changing()
             size = max(file.size, 1)
-            # Half is for the index, which is quick unless the file must be scanned.
+            # The index is half of the progress, but is quick unless the file must be scanned.
             index = index_of(file, lambda done: share.tell(done / size / 2))
             for sentence in find_shortfalls(
                 self._text, [OpenFile(path, file, index)], all_files=False
@@ -384,7 +384,7 @@ class Sources:
 
 @dataclass(frozen=True, slots=True)
 class _Share:
-    """The part of a file in the progress, in bytes."""
+    """One file's share in the progress of all files, in bytes."""
 
     on_progress: Progress
     before: int
@@ -392,7 +392,7 @@ class _Share:
     total: int
 
     def tell(self, part: float) -> None:
-        """Report how much of the file is done, from 0 to 1."""
+        """Report that `part` of the file is done, from 0 to 1."""
         self.on_progress(self.before + round(min(part, 1.0) * self.size), self.total)
 
 

@@ -16,7 +16,7 @@ from typing import Final
 
 _OWNER_READS = {False: 0o600, True: 0o700}
 _GROUP_READS = {False: 0o640, True: 0o750}
-"""Keys are False for a file, True for a folder."""
+"""Access modes, by whether the path is a folder."""
 
 
 def open_private(path: Path, flags: int) -> int:
@@ -45,7 +45,7 @@ def make_folder(path: Path, *, shared: bool) -> None:
 
 
 def protect_like(path: Path, source: Path) -> None:
-    """Let only this user read `path`, and its group if that may read `source`.
+    """Make `path` readable for its owner only, or for its group too if that may read `source`.
 
     Raises:
         OSError: One of them does not exist.
@@ -54,7 +54,7 @@ def protect_like(path: Path, source: Path) -> None:
 
 
 def share_with_group(path: Path) -> None:
-    """Let the group read a file or folder of this user.
+    """Make a file or folder of this user readable for its group.
 
     Raises:
         OSError: There is no such file.
@@ -63,7 +63,7 @@ def share_with_group(path: Path) -> None:
 
 
 def share_like(path: Path, source: Path) -> None:
-    """Make `path` readable for its group if `source`, from which it was made, is.
+    """Make `path` readable for its group if the group may read `source`, its origin.
 
     Raises:
         OSError: One of them does not exist.
@@ -117,12 +117,12 @@ def size_of(path: Path) -> int:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return what went wrong, in words."""
+    """Return the cause of the error, in words."""
     return (error.strerror if isinstance(error, OSError) else None) or repr(error)
 
 
 def cure_of(error: BaseException) -> str:
-    """Return what to do about the error."""
+    """Return what a user can do about the error, in words."""
     if isinstance(error, MemoryError):
         return _CURES[errno.ENOMEM]
     if isinstance(error, OSError) and error.errno is not None:

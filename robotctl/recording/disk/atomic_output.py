@@ -24,12 +24,12 @@ from robotctl.recording.disk.access import (
 
 @contextmanager
 def replaced_file(target: Path) -> Iterator[IO[bytes]]:
-    """Yield a file that takes the place of `target` at the end of the block, unless it raises.
+    """Yield a file that replaces `target` at the end of the block, unless the block raises.
 
-    It has the access rights of a recording in its folder. A link or a device is not replaced.
+    The group may read it if the group may read the folder. A link or a device is not replaced.
 
     Raises:
-        OSError: It cannot be written, or there is something else than a file.
+        OSError: The file cannot be written, or `target` is not a regular file.
     """
     with suppress(FileNotFoundError):
         if not stat.S_ISREG(target.lstat().st_mode):
@@ -53,10 +53,10 @@ def replaced_file(target: Path) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def atomic_output(target: Path, source: Path) -> Iterator[Path]:
-    """Yield a path to create; what the block leaves there becomes `target` if it does not raise.
+    """Yield a path where the block creates a file or folder; it becomes `target` at the end.
 
-    It is in a hidden, private folder beside `target`, which only a killed process leaves. Its
-    owner may read the result, and the group if that may read `source`, from which it is made.
+    If the block raises, nothing remains. The path is in a hidden, private folder next to `target`,
+    which only a killed process leaves there. The group may read the result if it may read `source`.
 
     Raises:
         Refused: `target` exists already, or cannot be written.

@@ -17,14 +17,14 @@ from robotctl.recording.disk.access import open_private
 Buffer = bytes | bytearray | memoryview
 
 MAX_PARTS = 1024
-"""`pwritev` takes at most IOV_MAX parts at once (limits.h of Linux)."""
+"""`pwritev` accepts at most IOV_MAX parts at once (limits.h of Linux)."""
 
 _LOCK_TRIES = 50
 _LOCK_WAIT_S = 0.002
 
 
 class Storage(Protocol):
-    """What the writer needs of a file; every method may raise OSError."""
+    """The file operations that a writer needs. Every method may raise OSError."""
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
         """Write all of `parts`, concatenated, at `offset` [bytes]."""
@@ -33,7 +33,7 @@ class Storage(Protocol):
         """Cut the file to `size` bytes."""
 
     def sync(self) -> None:
-        """Return when everything written so far, and the file's name, would survive a power cut."""
+        """Make all that was written so far, and the file's name, survive a power cut."""
 
     def close(self) -> None:
         """Close the file."""
@@ -53,7 +53,7 @@ def is_being_written(path: Path) -> bool:
 
 
 def is_locked(fd: int) -> bool:
-    """Return whether another process writes the file that is open as `fd`.
+    """Return whether a DiskFile has locked the file that is open as `fd`.
 
     Raises:
         OSError: The file system has no locks.
@@ -67,7 +67,7 @@ def is_locked(fd: int) -> bool:
 
 
 def _lock(fd: int) -> None:
-    """Lock for writing. Retry for a while, because `is_locked` holds the lock for a moment."""
+    """Lock for writing if possible. Retry for 0.1 s: `is_locked` holds the lock for a moment."""
     for _ in range(_LOCK_TRIES):
         try:
             flock(fd, LOCK_EX | LOCK_NB)
@@ -84,14 +84,14 @@ def _sync_folder(folder: Path) -> None:
     try:
         os.fsync(fd)
     except OSError as error:
-        if error.errno != errno.EINVAL:  # some network file systems cannot
+        if error.errno != errno.EINVAL:  # some network file systems cannot sync folders
             raise
     finally:
         os.close(fd)
 
 
 class DiskFile:
-    """A new file on disk, private to its owner, locked while it is open.
+    """A file on disk that is locked while it is open; a new file is private to its owner.
 
     Each `write_at` is one `pwritev` if possible.
     """
@@ -164,7 +164,7 @@ class DiskFile:
 
 @contextmanager
 def new_file(target: Path, open_file: Callable[[Path], Storage] = DiskFile) -> Iterator[Storage]:
-    """Create `target` for the block; if the block raises, `target` is removed.
+    """Yield the new file `target` and close it after the block; remove it if the block raises.
 
     Raises:
         Refused: `target` exists already, or cannot be written.

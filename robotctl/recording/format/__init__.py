@@ -1,1 +1,1 @@
-"""What the files of a recording hold: MCAP records, rosbag2 metadata, the journal."""
+"""The contents of a recording's files: MCAP records, rosbag2 metadata, the journal."""

@@ -1,6 +1,6 @@
-"""Events as Foxglove shows them: `foxglove_msgs/msg/Event`, which no package of ROS brings.
+"""Events as Foxglove shows them: `foxglove_msgs/msg/Event`, which no ROS package contains.
 
-https://docs.foxglove.dev/docs/sdk/schemas/event names the type and its fields.
+https://docs.foxglove.dev/docs/sdk/schemas/event specifies the type and its fields.
 """
 
 from __future__ import annotations

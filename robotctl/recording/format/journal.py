@@ -13,8 +13,8 @@ from robotctl.messages.cdr import ENCAPSULATION, LITTLE_ENDIAN
 
 TOPIC = "robotctl/journal"
 SHADOW_TOPIC = "robotctl/shadow"
-"""In files of earlier versions: what a second kernel decided that drove nothing, in entries like
-those of the journal. No journal to check."""
+"""In files of earlier versions: the journal of a second kernel that did not drive. Readers do not
+treat this topic as the journal."""
 
 MAX_TEXT_BYTES = 256 << 10
 """Maximum size of the JSON of an entry. A request to the kernel has at most 64 kB."""
@@ -43,14 +43,14 @@ _KINDS = tuple(EntryKind)
 _NAME_SIZE_AT = struct.calcsize("<4sQqBxxx")
 
 MAX_NAME_BYTES = 255
-"""Maximum size of the name of an entry, with the zero at its end."""
+"""Maximum size of the name of an entry, including the zero at its end."""
 
 
 class _Layouts(dict[int, struct.Struct]):
-    """For each size of the name the layout of an entry, made when it is first needed.
+    """The layout of an entry, by the size of its name. Each is created when it is first needed.
 
-    It holds encapsulation (CDR, little endian), seq, t_ns, kind, size of the name, name, and the
-    size of the data, which follows.
+    A layout has encapsulation (CDR, little endian), seq, t_ns, kind, size of the name, name, and
+    size of the data. The data follow.
     """
 
     def __missing__(self, name_bytes: int) -> struct.Struct:
@@ -64,7 +64,7 @@ class _Layouts(dict[int, struct.Struct]):
 _LAYOUTS: Final = _Layouts()
 
 _new = tuple.__new__
-"""Makes a named tuple in a third of the time of its class."""
+"""Creates a named tuple in a third of the time that a call of its class takes."""
 
 
 def encode(entry: JournalEntry) -> bytes:
@@ -78,13 +78,13 @@ def encode(entry: JournalEntry) -> bytes:
 def chained(serialized: bytes, crc: int) -> int:
     """Return the CRC-32 of a journal up to this entry; `crc` is that of all entries before it.
 
-    The zeros at the end do not count: DDS pads a message with more of them.
+    Zeros at the end of the entry are left out, because DDS pads messages with zeros.
     """
     return crc32(serialized.rstrip(b"\0"), crc)
 
 
 def chained_all(entries: Iterable[bytes], crc: int) -> int:
-    """Return what `chained` returns for one entry after the other, in a quarter of the time."""
+    """Return what `chained` returns after a call for each entry, in a quarter of the time."""
     return crc32(b"".join([serialized.rstrip(b"\0") for serialized in entries]), crc)
 
 

@@ -26,7 +26,7 @@ SOFTWARE_RECORD = "robotctl.software"
 """The content hashes of the modules that decide and command; written when a file begins."""
 
 SHADOW_RECORD = "robotctl.shadow"
-"""In files of 0.1 and 0.2: the parameters of a second kernel that decided and drove nothing."""
+"""In files of versions 0.1 and 0.2: the parameters of a second kernel that did not drive."""
 
 FOXGLOVE_RECORD = "foxglove"
 """The name of the device, where Foxglove looks for it; written when a file begins."""
@@ -36,7 +36,7 @@ EVENT_RECORD = "robotctl.event"
 
 LEDGER_RECORD = "robotctl.ledger"
 """The loss ledger since the recording began, one JSON object per topic. It is the last record of a
-finished file. Its queued messages arrived while the file was being finished."""
+finished file. Messages counted as queued arrived while the file was being finished."""
 
 CLIP_RECORD = "robotctl.clip"
 """In a clip: the recording it was cut from, the event, and what is missing."""
@@ -84,7 +84,7 @@ def natural_order(path: Path) -> list[tuple[int, int, str]]:
 
 
 PICTURE_FILE: Final = "path.png"
-"""The path of the last drive that a command waited for."""
+"""A picture of the path of the last drive that a command waited for."""
 
 PAGE_FILE: Final = "report.html"
 
@@ -92,7 +92,7 @@ INDEX_FILE: Final = "index.parquet"
 """What `robotctl index` makes."""
 
 _COMPARISONS: Final = "compared_with_*.html"
-"""Pages that earlier versions made of two recordings."""
+"""Pages in which earlier versions compared two recordings."""
 
 
 def derived_files(folder: Path) -> Iterator[Path]:

@@ -1,6 +1,6 @@
-"""The events that a recorder notes for the effects of the kernel.
+"""The events that a recorder stores for effects of the kernel.
 
-Readers of a recording do without this module: it loads the kernel.
+Readers of a recording do not import this module, because it imports the kernel.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from robotctl.recording.format.recorded_events import RecordedEvent
 NOTED_MODES: Final[Mapping[Mode, EventKind]] = MappingProxyType(
     {Mode.EMERGENCY_STOP: EventKind.EMERGENCY_STOP, Mode.ERROR: EventKind.ERROR}
 )
-"""The modes whose begin is an event."""
+"""The modes whose start is stored as an event."""
 
 _NONE: Final[Mapping[str, float]] = MappingProxyType({})
 
@@ -26,10 +26,10 @@ _NONE: Final[Mapping[str, float]] = MappingProxyType({})
 def noted_event(
     effect: Effect, log_ns: int, true_figures: Mapping[str, float] = _NONE
 ) -> RecordedEvent | None:
-    """Return the event that a recorder notes for an effect, None if it notes none.
+    """Return the event that a recorder stores for an effect, or None for other effects.
 
-    `true_figures` are those of a simulated drive, by their names in `RecordedEvent`. What is not
-    finite is not known.
+    `true_figures` are the true errors of a simulated drive, by their names in `RecordedEvent`.
+    Values that are not finite are left out.
     """
     if isinstance(effect, ModeChanged) and effect.mode in NOTED_MODES:
         return RecordedEvent(NOTED_MODES[effect.mode], log_ns, effect.reason)

@@ -31,18 +31,18 @@ ERRORS = (
     "true_heading_max_rad",
     "true_closure_m",
 )
-"""The errors of a drive that ended, each left out where it is not known."""
+"""The names of a drive's errors. An event lacks those that are not known."""
 
 _DRIVE_FIGURES = (*ERRORS, "drive_s")
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedEvent:
-    """One event; `log_ns` since the epoch.
+    """One event; `log_ns` is its time since the epoch.
 
-    Of a drive that ended: its `laps`, its duration `drive_s`, and its errors (see
-    kernel.types.DriveReport), None if not known; of a robot that the daemon simulated also the true
-    errors, which odometry cannot see.
+    The end of a drive has the drive's `laps`, duration `drive_s` and errors (see
+    kernel.types.DriveReport), None if not known. The `true_*` errors, which odometry cannot see,
+    are only known if the daemon simulated the robot.
     """
 
     kind: EventKind
@@ -62,7 +62,7 @@ class RecordedEvent:
     drive_s: float | None = None
 
     def values(self) -> Mapping[str, str]:
-        """Return the event as the metadata of a file holds it."""
+        """Return the event as the values of a metadata record."""
         values = {"kind": self.kind.value, "log_ns": str(self.log_ns), "text": self.text}
         if self.kind is EventKind.DRIVE_ENDED:
             values["laps"] = str(self.laps)
@@ -72,7 +72,7 @@ class RecordedEvent:
 
     @classmethod
     def from_values(cls, values: Mapping[str, str]) -> Self:
-        """Return the event in the metadata of a file.
+        """Return the event from the values of a metadata record.
 
         Raises:
             ValueError: A value is not allowed.
@@ -94,6 +94,6 @@ def events_in(metadata: Iterable[Metadata]) -> list[RecordedEvent]:
         if record.name == EVENT_RECORD:
             try:
                 events.append(RecordedEvent.from_values(record.metadata))
-            except (KeyError, ValueError):  # of a later version
+            except (KeyError, ValueError):  # written by a later version
                 continue
     return events

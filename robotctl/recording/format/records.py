@@ -1,6 +1,6 @@
-"""The parts of the MCAP format that are written: records, and the bytes of a chunk.
+"""The parts of the MCAP format that robotctl writes: records, and the bytes of a chunk.
 
-Specification: https://mcap.dev/spec. The records come from the `mcap` package, except those written
+Specification: https://mcap.dev/spec. The `mcap` package packs the records, except those written
 per message or per chunk (message, message index, head of a chunk).
 """
 
@@ -46,7 +46,7 @@ MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 """Opcode, record length, channel id, sequence, log time [ns], publish time [ns]."""
 
 MESSAGE_FIELDS_BYTES: Final = 22
-"""The part of a message's record length that is not its data."""
+"""Record length of a message without data."""
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
 """Opcode and content length, before the content of each record."""
@@ -56,10 +56,10 @@ DATA_END_BYTES: Final = RECORD_HEAD_BYTES + 4
 FOOTER_CONTENT_BYTES: Final = 20
 
 FIRST_PRIVATE_OPCODE: Final = 0x80
-"""The specification reserves this and above for applications; readers skip unknown opcodes."""
+"""The first opcode that the specification leaves to applications. Readers skip unknown opcodes."""
 
 ROOM_OPCODE: Final = 0x86
-"""Private opcode of the room that a growing file has for more data."""
+"""Private opcode of the record that reserves room for more data in a growing file."""
 
 _CHUNK_HEAD = struct.Struct("<BQQQQI")
 _MESSAGE_INDEX_HEAD = struct.Struct("<BQHI")
@@ -74,7 +74,7 @@ def record_bytes(record: McapRecord) -> bytes:
 
 
 def room_head(start: int, end: int) -> bytes:
-    """Return the head of the record that fills a file between two offsets."""
+    """Return the head of the room record that fills a file from offset `start` to `end`."""
     return RECORD_HEAD.pack(ROOM_OPCODE, end - start - RECORD_HEAD_BYTES)
 
 
@@ -82,9 +82,9 @@ def room_head(start: int, end: int) -> bytes:
 class Chunk:
     """Messages to write as one MCAP chunk.
 
-    `parts` are the chunk's records as they will be stored (compressed or not). `indexes` gives, for
-    each channel in it, an array('Q') that alternates log time [ns] and offset in the uncompressed
-    chunk. `start_ns` and `end_ns` are the lowest and highest log time [ns].
+    `parts` are the chunk's records as they will be stored (compressed or not). `indexes` maps each
+    channel with messages to an array('Q') that alternates log time [ns] and offset in the
+    uncompressed chunk. `start_ns` and `end_ns` are the lowest and highest log time [ns].
     """
 
     parts: Sequence[Buffer]

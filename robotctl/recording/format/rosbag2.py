@@ -1,8 +1,8 @@
 """rosbag2's layout: a folder, its `metadata.yaml` (version 9), and the same text in each file.
 
-Written as rosbag2 of Jazzy writes it, so that `ros2 bag info` and `ros2 bag play` accept the
-folder. The text is formatted here, because a YAML emitter would hold the interpreter lock for 50 ms
-at each split.
+It is written as rosbag2 of Jazzy writes it, so that `ros2 bag info` and `ros2 bag play` accept the
+folder. This module formats the text itself, because a YAML emitter would hold the interpreter lock
+for 50 ms at each split.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ METADATA_FILE = "metadata.yaml"
 METADATA_RECORD = "rosbag2"
 _VERSION = 9
 _MAX_METADATA_CHARACTERS = 4 << 20
-"""Maximum that is read of a `metadata.yaml`: room for 8,000 topics."""
+"""Maximum length of a `metadata.yaml` that is read, enough for 8,000 topics."""
 
 _NO_START_NS = 2**63 - 1
 """What rosbag2 writes as the start of a recording without messages."""
 
-# Possessive (`*+`): any text takes time in proportion to its length.
+# With possessive quantifiers (`*+`) the search time is proportional to the length of any text.
 _FILE_LIST = re.compile(r"^ *+relative_file_paths:\n((?: *+- .*+(?:\n|\Z))++)", re.MULTILINE)
 _COUNT = r"message_count: *+(\d{1,18}) *+$"
 _FILE_COUNT = re.compile(rf"^ *+- path: *+(.++)\n(?:(?! *+- ).*+\n)*? *+{_COUNT}", re.MULTILINE)
@@ -85,7 +85,7 @@ def write_metadata(folder: Path, topics: Iterable[Topic], files: Sequence[BagFil
 
 
 def metadata_text(path: Path) -> str:
-    """Return the `metadata.yaml` of a recording (a folder or one of its files), or ""."""
+    """Return the `metadata.yaml` of a recording (folder or file), "" if none can be read."""
     try:
         return read_metadata(path)
     except (OSError, ValueError):
@@ -97,7 +97,7 @@ def read_metadata(path: Path) -> str:
 
     Raises:
         OSError: It cannot be read.
-        ValueError: It is no text, or too long.
+        ValueError: It is not UTF-8 text, or too long.
     """
     if isinstance(path, RemoteFile):
         return ""
@@ -122,13 +122,13 @@ def _metadata_in(folder: Path) -> Path:
 
 
 def entries_of(folder: Path) -> list[Path]:
-    """Return what is in the folder of a recording.
+    """Return the files and folders in the folder of a recording.
 
-    Of a copy that an earlier `robotctl sync` made, each file is in a folder that is named by its
-    hash. Of several with one name it is the newest.
+    In a copy by an earlier `robotctl sync`, each file is in a subfolder named by its hash. These
+    files are included, of several with the same name only the newest.
 
     Raises:
-        OSError: It cannot be listed.
+        OSError: A folder cannot be listed.
     """
     entries = list(folder.iterdir())
     if not any(is_hash(each.name) for each in entries):
@@ -143,8 +143,8 @@ def entries_of(folder: Path) -> list[Path]:
 def files_in(text: str) -> list[str]:
     """Return the file names in the text of a `metadata.yaml`; empty if there is no such list.
 
-    Only the list as rosbag2 and robotctl write it, one name per line, is understood: a YAML parser
-    takes a second for 1 MB.
+    The list is only found if each line has one name, as rosbag2 and robotctl write it. A YAML
+    parser would find other forms too, but needs a second for 1 MB.
     """
     block = _FILE_LIST.search(text)
     if block is None:
@@ -159,7 +159,7 @@ def message_counts_in(text: str) -> dict[str, int]:
 
 
 def topic_counts_in(text: str) -> dict[tuple[str, str], int]:
-    """Return the messages of each topic and type from the text of a `metadata.yaml`."""
+    """Return the message count by topic name and type from the text of a `metadata.yaml`."""
     counts: dict[tuple[str, str], int] = {}
     for name, kind, count in _TOPIC_COUNT.findall(text):
         key = _unquoted(name), _unquoted(kind)
@@ -201,7 +201,7 @@ def _body(topics: Iterable[Topic], files: Sequence[BagFile]) -> list[str]:
 
 
 def _topic(topic: Topic, count: int) -> list[str]:
-    # rosbags refuses the whole bag for the hash of a type that a service or an action implies.
+    # rosbags rejects the whole bag if a message type of a service or an action has a hash.
     type_hash = topic.type_hash if "/msg/" in topic.type_name else ""
     return [
         "- topic_metadata:",
@@ -240,13 +240,13 @@ def _unquoted(text: str) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Return a double-quoted scalar. JSON and YAML agree for the names of topics and files."""
+    """Return a double-quoted scalar. JSON and YAML quote names of topics and files alike."""
     return json.dumps(text, ensure_ascii=not text.isprintable())
 
 
 @lru_cache(maxsize=256)
 def _qos_lines(text: str) -> Sequence[str]:
-    """Return the lines of a list of profiles; none for other text, which readers would reject."""
+    """Return the lines of a list of QoS profiles; none for other text, which readers reject."""
     lines = text.rstrip().split("\n")
     if not lines[0].startswith("- ") or not all(map(_QOS_LINE.fullmatch, lines)):
         return ()

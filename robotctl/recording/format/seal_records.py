@@ -1,11 +1,11 @@
-"""The records of a seal: what chains the bytes of a recording, and who signed for them.
+"""The records of a seal: a hash chain over the bytes of a recording, and its signatures.
 
 They have opcodes that MCAP leaves to applications, so every reader skips them. An opening names the
-keys of a file and the file before it. A link holds the chain up to one offset, and a signature:
+keys of a file and the previous file. A link has a signature and the chain's digest up to an offset:
 
-    digest = SHA-256(digest of the link before + SHA-256(the bytes since that link's offset))
+    digest = SHA-256(digest of the previous link + SHA-256(the bytes since that link's offset))
 
-The first link of a file continues the last digest of the file before, or 32 zeros.
+The first link of a file continues the last digest of the previous file, or 32 zeros.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ OPENING_OPCODE: Final = 0x87
 LINK_OPCODE: Final = 0x88
 
 NO_DIGEST: Final = bytes(32)
-"""What the first file of a chain continues."""
+"""The digest that the first file of a chain continues."""
 
 MAX_OPENING_BYTES: Final = 1 << 16
 _FIELDS = struct.Struct("<BIQQ32s")
@@ -35,20 +35,20 @@ _OPENING_DOMAIN = b"robotctl seal: opening\0"
 
 
 class LinkKind(IntEnum):
-    """What a link is for."""
+    """The purpose of a link."""
 
     LINK = 1
-    """It stands at the offset that it covers; the next link continues it."""
+    """In the data, directly behind the bytes that it covers. The next link continues it."""
 
     HEAD = 2
-    """The newest one, in the summary: each commit overwrites it."""
+    """In the summary: the newest link, which each commit overwrites."""
 
     REPAIRED = 3
-    """Not signed: from here on a repair has written."""
+    """A link without a signature: a repair has written the bytes behind it."""
 
 
 def chained(before: bytes, hashed: bytes) -> bytes:
-    """Return the digest that follows `before`; `hashed` is that of the bytes between."""
+    """Return the digest after `before`; `hashed` is the SHA-256 of the bytes in between."""
     return sha256(before + hashed).digest()
 
 
@@ -56,7 +56,7 @@ def chained(before: bytes, hashed: bytes) -> bytes:
 class Link:
     """The chain over the first `covered` bytes of a file.
 
-    `number` counts the links of kind LINK in the file from 1; a head has the number of the next.
+    `number` counts the links of kind LINK in the file from 1; a head has the next link's number.
     `time_ns` is the wall time of its signature, in nanoseconds since the epoch.
     """
 
@@ -81,7 +81,7 @@ class Link:
         """Return the link in the content of a record.
 
         Raises:
-            ValueError: There is none.
+            ValueError: The content is not a link.
         """
         if len(content) != _FIELDS.size + _SIGNATURE_BYTES:
             raise ValueError("a link of the seal has another length")
@@ -97,9 +97,9 @@ class Opening:
     """The beginning of a sealed file.
 
     `number` counts the files of the robot's chain from 1. `root` is the robot's first public key,
-    `previous_key` the one of the file before (or `root`), `key` that of this file; all in hex.
-    `previous` is the newest digest known of the file before, which is named `previous_file`.
-    `certificate` is the signature of `previous_key` for all of that.
+    `previous_key` the key of the previous file (or `root`), `key` that of this file; all in hex.
+    `previous` is the newest known digest of the previous file, whose name is `previous_file`.
+    `certificate` is the signature by `previous_key` for all other fields.
     """
 
     robot: str
@@ -129,7 +129,7 @@ class Opening:
         """Return the opening in the content of a record.
 
         Raises:
-            ValueError: There is none.
+            ValueError: The content is not an opening.
         """
         try:
             found = cls(**json.loads(content))

@@ -1,4 +1,4 @@
-"""What a file says about a topic, and the counts of one."""
+"""What a file says about a topic, and the message counts of a topic."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ class MessageCounts:
     queued: int = 0
     dropped: int = 0
     lost: int = 0
-    """Sent between two messages that were received: gaps in a publisher's sequence numbers."""
+    """Missing between two received messages: gaps in a publisher's sequence numbers."""
 
     unseen: int = 0
-    """Sent by a publisher before its first message that was received."""
+    """Sent by a publisher before the first message that was received from it."""
 
     not_repeated: int = 0
     """Latched messages that later files do not repeat, for lack of memory or room in the file."""
 
     throttled: int = 0
-    """Left out before the recorder received them: throttled, or because the disk is full soon."""
+    """Left out, and not counted as received: throttled, or because the disk is almost full."""
 
 
 COUNTERS: Final = tuple(field.name for field in fields(MessageCounts))
 
 
 LATCHED_QOS = "durability: transient_local"
-"""In the offered QoS of a topic with a latched publisher."""
+"""The offered QoS of a topic with a latched publisher contains this text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +63,8 @@ class Topic:
 class TopicStats(NamedTuple):
     """The MessageCounts of one topic; `bytes` counts the data of received messages.
 
-    A tuple that repeats those counters first: in the loop, `status` makes and sums one for each
-    topic, and a data class takes 1.3 times as long to make.
+    It is a tuple that begins with those counters: `status` creates and sums one per topic in the
+    event loop, and creating a data class takes 1.3 times as long.
     """
 
     received: int = 0
@@ -88,7 +88,7 @@ def total(counts: Iterable[TopicStats]) -> dict[str, int]:
 
 
 def by_topic(channels: Iterable[TopicStats]) -> list[TopicStats]:
-    """Return one entry for each topic and type, in their order, as the sum of its channels."""
+    """Return one entry per topic and type, in order of appearance: the sum of its channels."""
     groups: dict[tuple[str, str], list[TopicStats]] = {}
     for channel in channels:
         groups.setdefault((channel.name, channel.type_name), []).append(channel)
@@ -106,7 +106,7 @@ _COUNTS = (*COUNTERS, "bytes")
 
 
 def ledger_values(topics: Iterable[TopicStats]) -> dict[str, str]:
-    """Return the ledger as the values of a metadata record."""
+    """Return the loss ledger of `topics` as the values of a metadata record."""
     ledger: dict[str, str] = {}
     for stats in by_topic(topics):
         # A topic has a second type if a node publishes one.
@@ -116,7 +116,7 @@ def ledger_values(topics: Iterable[TopicStats]) -> dict[str, str]:
 
 
 def read_ledger(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, int]]:
-    """Return the counts of each topic; empty for a file that was not closed."""
+    """Return the ledger's counts by topic; empty for the metadata of a file that was not closed."""
     ledger = {}
     for topic, text in metadata.get(LEDGER_RECORD, {}).items():
         try:

@@ -32,8 +32,8 @@ _GROUPS = (
     Opcode.CHUNK_INDEX,
     Opcode.STATISTICS,
 )
-"""In the order in the file. What each chunk changes comes last, so that a commit that adds only a
-chunk rewrites only the end of the summary."""
+"""The groups of the summary, in file order. Those that each chunk changes come last, so that a
+commit that adds only a chunk rewrites only the end of the summary."""
 
 _CRC = struct.Struct("<I")
 FOOTER_BYTES = RECORD_HEAD_BYTES + FOOTER_CONTENT_BYTES + len(MAGIC)
@@ -42,7 +42,7 @@ FOOTER_BYTES = RECORD_HEAD_BYTES + FOOTER_CONTENT_BYTES + len(MAGIC)
 
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
-    """The end of a valid file without attachments, as it was read.
+    """What was read from the end of a valid file without attachments.
 
     `data_end` is the offset of its DataEnd record, `data_crc` the checksum in it. `groups` holds
     the records of the summary, concatenated, by their opcode.
@@ -53,15 +53,15 @@ class WrittenFile:
     groups: Mapping[Opcode, bytes]
     statistics: Statistics
     seal: bytes = b""
-    """The record of the seal in the summary; empty if there is none."""
+    """The record of the seal's head in the summary; empty if there is none."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrailerState:
-    """What a file held at one moment: enough to write the trailer of that moment again."""
+    """The state of a file at one moment: enough to write the trailer of that moment again."""
 
     data_end: int
-    """Where the trailer begins."""
+    """The offset where the trailer begins."""
 
     data_crc: int
     statistics: bytes
@@ -69,7 +69,7 @@ class TrailerState:
     """Bytes of the groups that only grow: all but the statistics."""
 
     seal: bytes = b""
-    """The record of the seal, which stands behind the statistics; empty if there is none."""
+    """The record of the seal's head, which follows the statistics; empty if there is none."""
 
     @property
     def kept_bytes(self) -> int:
@@ -77,11 +77,11 @@ class TrailerState:
         return DATA_END_BYTES + sum(self.group_sizes.values())
 
     def distant_footer(self) -> bytes:
-        """Return footer and magic for a later end of the file that point back to this trailer."""
+        """Return footer and magic for a later end of the file; they point back to this trailer."""
         return record_bytes(Footer(self.data_end + DATA_END_BYTES, 0, 0)) + MAGIC
 
     def moved_to(self, data_end: int) -> TrailerState:
-        """Return the same content at another place; the checksum of the data is left out (0)."""
+        """Return this state with the trailer at `data_end`, without the data's checksum (0)."""
         return replace(self, data_end=data_end, data_crc=0)
 
 
@@ -111,7 +111,7 @@ class Trailer(NamedTuple):
         return [self.data_end, *self.summary, self.offsets]
 
     def behind(self, position: int) -> list[Buffer]:
-        """Return everything from `position` bytes after the beginning of the trailer."""
+        """Return the bytes of the trailer from offset `position` (in the trailer) to its end."""
         parts: list[Buffer] = []
         for part in self.parts:
             parts.append(memoryview(part)[max(position, 0) :])
@@ -125,7 +125,7 @@ class Trailer(NamedTuple):
 
 
 class Summary:
-    """What the file holds and where. Records are only added."""
+    """The summary of a file that is being written. Records are added, but never removed."""
 
     def __init__(self) -> None:
         self.counts: dict[int, int] = {}
@@ -142,7 +142,7 @@ class Summary:
 
     @classmethod
     def of(cls, written: WrittenFile) -> Self:
-        """Return the summary of a file that is to be continued."""
+        """Return the summary of a finished file, to continue that file."""
         self = cls()
         for opcode, group in self._groups.items():
             group += written.groups.get(opcode, b"")
@@ -171,7 +171,7 @@ class Summary:
         self._numbers[opcode] += 1
 
     def count(self, chunk: Chunk) -> None:
-        """Count the messages of a chunk, before its index is added."""
+        """Count the messages of a chunk. Call it before the chunk's index is added."""
         first = not self._numbers[Opcode.CHUNK_INDEX]
         self.start_ns = chunk.start_ns if first else min(self.start_ns, chunk.start_ns)
         self.end_ns = max(self.end_ns, chunk.end_ns)
@@ -191,7 +191,7 @@ class Summary:
     def state(self, data_end: int, data_crc: int, seal: bytes = b"") -> TrailerState:
         """Return the current state; `data_end` is where the data ends, `data_crc` its checksum.
 
-        `seal` is the record of the seal for it.
+        `seal` is the record of the seal's head for that data.
         """
         statistics = Statistics(
             attachment_count=self._numbers[Opcode.ATTACHMENT_INDEX],

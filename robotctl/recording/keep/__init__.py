@@ -1,1 +1,1 @@
-"""What happens to recordings afterwards: lists, repair, recovery, clips, removal."""
+"""What robotctl does with existing recordings: list, repair, recover, clip, remove."""

@@ -1,7 +1,7 @@
-"""Clips: files that stand alone, cut from a recording around an event.
+"""Clips: self-contained files, each cut from a recording around an event.
 
 A clip begins with the last messages of latched topics and the journal since its last snapshot, so
-that a fresh kernel can decide everything in the clip again.
+that a new kernel can repeat all decisions in the clip.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from robotctl.recording.write.channel_state import MAX_LATCHED
 from robotctl.recording.write.mcap_writer import McapFile
 
 _OF_THE_WHOLE = (METADATA_RECORD, LEDGER_RECORD, RECOVERY_RECORD, EVENT_RECORD, CLIP_RECORD)
-"""Metadata that is not true for a part of the recording."""
+"""Metadata that describes a whole recording, and would be wrong for a part of it."""
 
 _OF_EACH_FILE = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
 """Metadata that each file of the recording repeats."""
@@ -49,9 +49,9 @@ _OF_EACH_FILE = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
 def records_of_clip(
     recorded: Iterable[Metadata], window: Window
 ) -> Iterator[tuple[str, Mapping[str, str]]]:
-    """Yield name and values of each record that a clip of `window` holds, except its own.
+    """Yield name and values of each metadata record that a clip of `window` copies.
 
-    What made the recording is there once, without the mode, which is that of its start.
+    For each name in _OF_EACH_FILE only the last record is yielded, without its key `mode`.
     """
     records = list(recorded)
     for record in records:
@@ -69,15 +69,15 @@ def records_of_clip(
 CHUNK_BYTES = 1 << 20
 
 Lose = Callable[[str], None]
-"""Gets a sentence about what cannot be read."""
+"""Called with a sentence about what cannot be read."""
 
 Progress = Callable[[int, int], None]
-"""Gets nanoseconds of the recording done, and in total."""
+"""Called with the nanoseconds of the recording done, and in total."""
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What a clip is about: an event of the recording, or any time; then `kind` is None."""
+    """What a clip is about: an event of the recording, or any time (`kind` is then None)."""
 
     log_ns: int
     kind: EventKind | None = None
@@ -130,23 +130,23 @@ def cut_clip(
 
 
 def clip_messages(recording: Recording, window: Window, lose: Lose) -> Iterator[Message]:
-    """Yield what a clip of `window` (ns, both ends included) holds, in its order.
+    """Yield the messages of a clip of `window` (ns, both ends included), in the clip's order.
 
-    `lose` gets a sentence about each part that cannot be read.
+    `lose` is called with a sentence about each part that cannot be read.
     """
     yield from _before(recording, window[0], lose)
     yield from _within(recording, window, lose)
 
 
 def _before(recording: Recording, start_ns: int, lose: Lose) -> Iterator[Message]:
-    """Yield the journal since its last snapshot, then latched messages with the start time."""
+    """Yield the journal since its last snapshot, then latched messages, logged at `start_ns`."""
     yield from since_snapshot(recording, start_ns, lose)
     topics = [topic_of(*each) for each in recording.channels().items()]
     latched = {topic.name: MAX_LATCHED for topic in topics if topic.latched}
     found: dict[tuple[str, bytes, int, int], Message] = {}
     for message in recording.last_before(start_ns, latched, lose):
         sent = message.topic, message.data, message.publish_ns, message.sequence
-        found.pop(sent, None)  # a file repeats it; where the recorder lags, before it came
+        found.pop(sent, None)  # a new file repeats it, with an older log time if the recorder lags
         found[sent] = message._replace(log_ns=start_ns)
     yield from found.values()
 

@@ -1,4 +1,4 @@
-"""Makes one clip: waits until everything is recorded, and chooses a file name."""
+"""Cuts one clip: waits until its whole time range is recorded, and chooses a file name."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from robotctl.recording.keep.listing import CLIPS_FOLDER, ListedRecording, list_
 from robotctl.recording.read.reader import Recording
 
 PATIENCE_S = 3.0
-"""How long to wait for a live recording to contain messages that are due."""
+"""How long to wait for messages of a live recording after they are due [s]."""
 
 _LOOK_AGAIN_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class ClipJob:
-    """What to cut from the recording `source`; without `target`, the clip goes into its clips
-    folder.
+    """What to cut from the recording `source`. Without `target`, the clip is written into the
+    clips folder of the recording.
     """
 
     source: Path
@@ -51,7 +51,7 @@ class ClipJob:
 
     @classmethod
     def from_object(cls, given: dict[str, Any]) -> Self:
-        """Return the job of an object that `as_object` made."""
+        """Return the job from an object that `as_object` returned."""
         kind, target = given["kind"], given["target"]
         return cls(
             Path(given["source"]),
@@ -75,7 +75,7 @@ def remaining_s(job: ClipJob, listed: ListedRecording) -> float:
 
 
 def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) -> Clip:
-    """Cut the clip as soon as the recording contains it or has ended.
+    """Wait until the recording contains the clip, has ended or is PATIENCE_S late; then cut it.
 
     Raises:
         Refused: As `cut_clip` raises it.
@@ -94,7 +94,7 @@ def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) ->
 
 
 def clip_job(given: dict[str, Any], report: Report) -> None:
-    """Cut the clip of a job in a process of its own; report {"target", "lost"}."""
+    """Cut the clip of a job in a separate process; report {"target", "lost"}."""
     made = make_clip(ClipJob.from_object(given))
     report({"target": str(made.target), "lost": list(made.lost)})
 
@@ -112,7 +112,7 @@ def _wait_for_end(job: ClipJob) -> None:
 def _free_name(job: ClipJob) -> Path:
     """Return an unused name in the clips folder of the recording, and create that folder.
 
-    The clip of a file at a URL goes into the working directory.
+    The clip of a file at a URL is written into the working directory.
     """
     source = job.source
     folder = (source if source.is_dir() else source.parent) / CLIPS_FOLDER

@@ -1,4 +1,4 @@
-"""Whether a clip holds what its source holds in that time: messages, types, channels, metadata."""
+"""Compares a clip with the same time in its source: messages, types, channels, metadata."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ NOT_PROVED: Final = (
 )
 
 _OWN: Final = (CLIP_RECORD, METADATA_RECORD)
-"""Metadata that the clip does not take from its source."""
+"""Metadata that a clip does not copy from its source."""
 
 _AFTERWARDS: Final = (CONVERSION_RECORD, RECOVERY_RECORD)
-"""Metadata of a conversion or a repair of the clip."""
+"""Metadata that a later conversion or repair of the clip adds."""
 
 
 @dataclass(slots=True)
 class Origin:
-    """The comparison of a clip with its source; `wrong` is empty if all that it took is the same.
+    """The comparison of a clip with its source; `wrong` has a sentence for each difference.
 
-    `not_proved` says what the source does not tell. Times are in nanoseconds since the epoch.
+    `not_proved` lists what the source cannot confirm. Times are in nanoseconds since the epoch.
     """
 
     clip: Path
@@ -60,10 +60,10 @@ class Origin:
 
 
 def compare_with_source(clip: Path, source: Path) -> Origin:
-    """Compare a clip with its source, a file or a whole recording: all that it took from there.
+    """Compare all that a clip copied with its source, a file or a whole recording.
 
     Raises:
-        UnreadableFile: One of them cannot be read, or the first is no clip.
+        UnreadableFile: One of them cannot be read, or `clip` is not a clip.
     """
     with Recording(clip) as cut, Recording(source) as whole:
         about = cut.info().metadata.get(CLIP_RECORD, {})
@@ -93,7 +93,7 @@ def _differences(
 ) -> Iterator[str]:
     """Yield a sentence for each difference other than in messages.
 
-    Later files of a source that went on do not count.
+    Files that the source got after the clip was cut are ignored.
     """
     named = about.get("of", "").split(", ")
     files = [each for each in source.open_files if each.path.name in named]
@@ -175,7 +175,7 @@ def _same_channel(mine: Channel, other: Channel) -> bool:
 
 
 def _bag_record(clip: Recording) -> Mapping[str, str]:
-    """Return the record that a clip with these messages and channels has."""
+    """Return the rosbag2 record that a clip with these messages and channels must have."""
     found = clip.metadata_of_file(0).get(METADATA_RECORD, {}).get("serialized_metadata", "")
     index = clip.open_files[0].index
     numbers = sorted(index.channels)

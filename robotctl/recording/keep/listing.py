@@ -1,4 +1,4 @@
-"""Finds the recordings below a folder that robotctl wrote, so that no others are changed."""
+"""Lists the recordings in a folder: those that robotctl wrote and may change, or all."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ KEEP_FILE = "keep"
 """A recording with a file of this name in its folder is never removed."""
 
 CLIPS_FOLDER = "clips"
-"""Folder in a recording's folder. It is not part of the bag, but kept or removed with it."""
+"""Subfolder of a recording. It is not part of the bag, but is kept or removed with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class CatalogFile:
 
 @dataclass(frozen=True, slots=True)
 class CatalogFolder:
-    """A recording of robotctl: `files` in their order, and the clips cut from it."""
+    """A recording of robotctl: `files` ordered by number, and the clips cut from it."""
 
     path: Path
     files: tuple[CatalogFile, ...]
@@ -86,7 +86,7 @@ def own_recording(folder: Path) -> CatalogFolder | None:
 
 
 def set_kept(folder: Path, kept: bool) -> None:
-    """Protect the recording in `folder` from removal, or end that.
+    """Protect the recording in `folder` from removal if `kept`, or else end the protection.
 
     Raises:
         OSError: The folder cannot be written.
@@ -122,7 +122,7 @@ def is_own(path: Path) -> bool:
     """Return whether the header of a file says that robotctl wrote it.
 
     Raises:
-        OSError: It cannot be opened.
+        OSError: The file cannot be opened.
     """
     try:
         with InputFile(path) as file:
@@ -139,8 +139,8 @@ GRAVEST_FIRST = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 class ListedRecording:
     """A recording: a folder of files, or a single file.
 
-    Times are in nanoseconds since the epoch, 0 without messages. `damage` says in sentences what
-    cannot be read. `readable` is False if nothing can be read.
+    `start_ns` and `end_ns` are since the epoch, 0 without messages. `damage` says in sentences
+    what cannot be read. `readable` is False if nothing can be read.
     """
 
     path: Path
@@ -169,14 +169,14 @@ class ListedRecording:
 
     @property
     def driven_s(self) -> float | None:
-        """Seconds of all its drives that have ended; None if no duration is known."""
+        """Total duration of the drives that have ended [s]; None if no duration is known."""
         known = [event.drive_s for event in self.events if event.drive_s is not None]
         return sum(known) if known else None
 
     def largest(self, error: str) -> float | None:
-        """Return the largest of an error of its drives, None if that is not known.
+        """Return the largest value of an error in all drives, None if no value is known.
 
-        `error` is one of recording.format.recorded_events.ERRORS.
+        `error` is a name in recording.format.recorded_events.ERRORS.
         """
         known: list[float | None] = [getattr(event, error) for event in self.events]
         return max((each for each in known if each is not None), default=None)
@@ -193,7 +193,7 @@ def list_recordings(
 ) -> Iterator[ListedRecording]:
     """Yield the recordings directly below `folder`, ordered by name.
 
-    `on_progress` gets recordings done and in total. Symbolic links are not followed.
+    `on_progress` receives the recordings done, and in total. Symbolic links are not followed.
 
     Raises:
         OSError: `folder` cannot be listed.
@@ -207,7 +207,7 @@ def list_recordings(
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """Return the recordings directly below `folder`, ordered by name; links are not followed.
+    """Return the recordings and unlistable folders in `folder`, by name; links are not followed.
 
     Raises:
         OSError: `folder` cannot be listed.
@@ -234,7 +234,7 @@ def _mcap_files(path: Path) -> list[Path]:
 
 
 def _packed_files(path: Path) -> list[Path]:
-    """Return files that must be decompressed; they are listed only if requested by name."""
+    """Return the files of `path`, including compressed files, which `recordings_in` ignores."""
     if is_zstd_file(path) and path.is_file():
         return [path]
     return files_of_bag(path) if path.is_dir() else []
@@ -244,7 +244,7 @@ def list_recording(path: Path) -> ListedRecording:
     """Return the recording `path`, a folder or a file.
 
     Raises:
-        OSError: It does not exist.
+        OSError: `path` does not exist or holds no recording.
     """
     text = metadata_text(path)
     files, damage = _mcap_files(path), []

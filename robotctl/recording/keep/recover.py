@@ -1,4 +1,4 @@
-"""Recovers what a broken file of any writer still holds."""
+"""Recovers what can be read of a broken file, whichever program wrote it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from robotctl.recording.write.mcap_writer import McapFile
 
 def seal_of_repair(written: WrittenFile) -> Iterator[bytes]:
     """Yield the records to add to a sealed file before a repair writes: its newest head, and an
-    unsigned link that says "repaired". None for a file without a seal.
+    unsigned link of kind REPAIRED. Yield nothing for a file without a seal.
     """
     if not written.seal:
         return
@@ -61,8 +61,8 @@ def seal_of_repair(written: WrittenFile) -> Iterator[bytes]:
 
 def seal_of_copy(file: InputFile) -> Iterator[bytes]:
     """Yield the records to add to the copy of a sealed file: the opening of the original, and an
-    unsigned link that says "repaired". It covers no byte, and names the newest digest that was
-    read of the original. None for a file without a seal.
+    unsigned link of kind REPAIRED, which covers no byte and has the newest digest that was read
+    from the original. Yield nothing for a file without a seal.
     """
     opening: Opening | None = None
     newest = Link(LinkKind.REPAIRED, number=1, covered=0, time_ns=0, digest=NO_DIGEST)
@@ -92,14 +92,14 @@ def _seal_records(file: InputFile) -> Iterator[tuple[int, bytes]]:
 
 
 Progress = Callable[[int, int], None]
-"""Gets bytes done, and in total."""
+"""Called with the bytes done, and the bytes in total."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecoveryReport:
     """What was recovered; `lost` says in sentences what was not.
 
-    `limit_reached` tells that more can be read with higher limits. `failure` is not None if the
+    `limit_reached` is True if more can be read with higher limits. `failure` is not None if the
     disk or the memory failed while reading: a later attempt may recover more.
     """
 
@@ -157,7 +157,7 @@ def recover(
 
 
 class _RecoveryWriter:
-    """Copies the readable messages of one file, in file order."""
+    """Copies what can be read of one file: messages in file order, attachments, metadata."""
 
     def __init__(
         self, file: InputFile, index: FileIndex, on_progress: Callable[[int], None]

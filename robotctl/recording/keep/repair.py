@@ -1,7 +1,7 @@
 """Repairs recordings of robotctl after a killed process or a power cut.
 
-A file that cannot be read now, because of its disk or lack of memory, is left as it is: the next
-start retries.
+A file that cannot be read now, because the disk fails or memory is short, is left as it is: the
+next start retries.
 """
 
 from __future__ import annotations
@@ -52,16 +52,16 @@ _DATA = (
     OPENING_OPCODE,
     LINK_OPCODE,
 )
-"""The records of robotctl's files before DataEnd."""
+"""The kinds of records that robotctl writes before DataEnd."""
 
 
 def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> int | None:
-    """Return the offset after the last record of the data that belongs to the file; None if all do.
+    """Return the offset of the first record that is not in _DATA or the summary lacks, or None.
 
-    `index` is that of the file's own summary, `data_end` the end of the data according to it.
+    `index` is read from the file's summary; `data_end` is the end of the data according to it.
 
     Raises:
-        Damaged: Not even the header can be read, or a chunk of the index follows that offset.
+        Damaged: A record cannot be read, or a chunk in the summary follows that offset.
     """
     indexed = {place.offset for place in index.places}
     last_indexed = max(indexed, default=0)
@@ -81,7 +81,7 @@ def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> 
 
 
 def _is_listed(file: InputFile, index: FileIndex, opcode: int, offset: int) -> bool:
-    """Return whether the summary lists the record at `offset`, if it is of a kind to be listed.
+    """Return whether the summary lists the record at `offset`; True for kinds it never lists.
 
     Raises:
         Damaged: The record cannot be read.
@@ -95,7 +95,7 @@ def _is_listed(file: InputFile, index: FileIndex, opcode: int, offset: int) -> b
 
 
 def messages_of_chunk(file: InputFile, offset: int) -> list[PlainMessage]:
-    """Return the messages of the chunk at `offset`; none if there is no complete chunk."""
+    """Return the messages of the chunk at `offset`; none if no complete chunk begins there."""
     try:
         opcode, length = read_record_head(file, offset)
         if opcode != Opcode.CHUNK:
@@ -118,11 +118,11 @@ _PIECE_BYTES = 1 << 20
 
 
 def repair(recordings: Path) -> Iterator[TidyNote]:
-    """Repair the recordings below `recordings` that no process is writing; yield what is done.
+    """Repair the recordings below `recordings` that no process is writing; yield a note of each
+    repair. Blocks, because files that were not closed are read completely.
 
     A complete file that was not closed is marked as checked, so that it is read only once. A torn
-    file is replaced by what can be read of it. Blocks: it reads such files completely. Failures
-    with single files are yielded as problems.
+    file is replaced by what can be read of it. A failure with a file is yielded as a problem.
 
     Raises:
         OSError: `recordings` cannot be listed.
@@ -154,7 +154,7 @@ def _repair_folder(folder: CatalogFolder) -> Iterator[TidyNote]:
 
 
 def _list_is_older(folder: CatalogFolder) -> bool:
-    """Return whether a repair was killed before it wrote the list of the files again."""
+    """Return whether a repair was killed before it updated `metadata.yaml`."""
     try:
         listed_ns = (folder.path / METADATA_FILE).stat().st_mtime_ns
         return any(
@@ -186,7 +186,7 @@ def _remove_leftovers(folder: Path) -> None:
 
 
 def _repair_file(path: Path) -> TidyNote | None:
-    """Return what was done to the file; None if it was closed properly.
+    """Repair the file and return a note; None if it was closed properly or is repaired already.
 
     Raises:
         OSError, Damaged, MemoryError: The file is unchanged.
@@ -246,10 +246,10 @@ def _close(
 
 
 def _verify(file: InputFile, index: FileIndex) -> None:
-    """Read everything once.
+    """Read all messages once.
 
     Raises:
-        Damaged: A part cannot be read.
+        Damaged: A message cannot be read.
     """
     left = file.limits.records
     for place in index.places:

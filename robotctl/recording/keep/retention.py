@@ -31,8 +31,8 @@ from robotctl.recording.read.mcap_input import InputFile
 
 
 def rewrite_metadata(folder: Path, files: Sequence[Path]) -> None:
-    """Write the `metadata.yaml` of `folder` with `files`, in this order, as far as they can be
-    read.
+    """Write the `metadata.yaml` of `folder`. It lists `files` in this order, except those that
+    cannot be read.
 
     Raises:
         OSError: It cannot be written.
@@ -62,7 +62,7 @@ def _describe(name: str, index: FileIndex, topics: dict[Topic, int]) -> BagFile:
 
 
 class TidyNote(NamedTuple):
-    """One action, or a failure."""
+    """One action of tidying a recordings folder, or a failure."""
 
     text: str
     problem: bool = False
@@ -73,7 +73,7 @@ class TidyNote(NamedTuple):
 
 
 NOTES_FILE: Final = ".removed.jsonl"
-"""In the folder of recordings."""
+"""The file in a recordings folder that lists removals until a daemon reports them."""
 
 _MAX_BYTES: Final = 4 << 20
 _APPEND: Final = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
@@ -95,7 +95,7 @@ def note_removal(recordings: Path, path: Path, text: str) -> None:
 
 
 def withdraw_note(recordings: Path, path: Path) -> None:
-    """Drop the note of a file that was not removed after all.
+    """Delete the note of a file that was not removed after all.
 
     Raises:
         OSError: The notes cannot be written.
@@ -107,9 +107,9 @@ def withdraw_note(recordings: Path, path: Path) -> None:
 
 
 def noted_removals(recordings: Path) -> Iterator[TidyNote]:
-    """Yield each removal, and drop its note after that; the caller holds the lock of the folder.
+    """Yield each noted removal that is done, then delete their notes. Call it in `only_one_in`.
 
-    A note of a file that still exists stays: its removal is under way, or was interrupted.
+    The note of a file that still exists stays: its removal is in progress, or was interrupted.
     """
     path = recordings / NOTES_FILE
     notes = dict(_notes(path))
@@ -125,7 +125,7 @@ def noted_removals(recordings: Path) -> Iterator[TidyNote]:
 
 @contextmanager
 def only_one_in(recordings: Path) -> Iterator[None]:
-    """Wait until no other process tidies the folder, if its file system has such locks.
+    """Lock the folder for the block, if its file system has locks; wait for other processes.
 
     Raises:
         OSError: The folder cannot be opened.
@@ -182,8 +182,8 @@ def enforce_retention(
     """Remove files below `recordings`, the oldest first, until `policy` is met.
 
     Never removed: a file that is being written, a recording with a `keep` file and its clips, and
-    files that robotctl did not record. `may_remove` is asked just before each removal, and
-    `on_failure` told after one that failed. `now_s` is in seconds since the epoch. Blocks.
+    files that robotctl did not write. `may_remove` is called just before each removal and may
+    prevent it; `on_failure` is called if one fails. `now_s` is in seconds since the epoch. Blocks.
 
     Raises:
         OSError: `recordings` cannot be listed.
@@ -218,12 +218,12 @@ def enforce_retention(
 
 
 def remove_recording(folder: CatalogFolder) -> list[Removed]:
-    """Remove the files and clips of a recording that is neither live nor kept. Blocks.
+    """Remove the files and clips of a recording, which must be neither live nor kept. Blocks.
 
     The folder stays if it holds other files.
 
     Raises:
-        OSError: A file cannot be removed; those before it are gone.
+        OSError: A file cannot be removed; the files before it are removed.
     """
     removed: list[Removed] = []
     try:
@@ -237,7 +237,7 @@ def remove_recording(folder: CatalogFolder) -> list[Removed]:
 
 
 def _tidy(folder: CatalogFolder, gone: set[Path]) -> None:
-    """Update `metadata.yaml` after files were removed, or remove the folder if nothing is left."""
+    """Update `metadata.yaml` after files were removed; remove the folder if none is left."""
     if folder.live:
         return  # its writer updates metadata.yaml
     left = [file.path for file in folder.files if file.path not in gone]

@@ -1,4 +1,4 @@
-"""Tidies a recordings folder: removes old recordings, and repairs those a crash left unfinished."""
+"""Tidies a recordings folder: removes old recordings, repairs those that a crash interrupted."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class TidyJob:
 
     @classmethod
     def from_object(cls, given: dict[str, Any]) -> Self:
-        """Return the job of an object that `as_object` made."""
+        """Return the job from an object that `as_object` returned."""
         policy = RetentionPolicy(**given["policy"])
         return cls(Path(given["recordings"]), policy, given["repairs"])
 
 
 def tidy(job: TidyJob) -> Iterator[TidyNote]:
-    """Remove first, then repair the rest; yield each action, and what others removed. Blocks.
+    """Collect noted removals, remove old files, repair the rest; yield a note of each. Blocks.
 
     Waits for other processes that tidy the folder. Files that are being written are not changed.
     """
@@ -58,6 +58,6 @@ def tidy(job: TidyJob) -> Iterator[TidyNote]:
 
 
 def tidy_job(given: dict[str, Any], report: Report) -> None:
-    """Do a job in a process of its own; report each note. If nobody reads it, the rest waits."""
+    """Run a job in a separate process, and report each note. If a report fails, stop there."""
     for note in tidy(TidyJob.from_object(given)):
         report(note._asdict())

@@ -1,1 +1,1 @@
-"""Reads any MCAP recording, damaged and hostile ones too."""
+"""Reads any MCAP recording, also a damaged or hostile one."""

@@ -27,8 +27,8 @@ _FORMAT = re.compile(r"^( *+compression_format: *+)[\"']?(\w*+)[\"']?(?= *+$)", 
 def message_compression(metadata: Iterable[Metadata], path: Path) -> str:
     """Return the compression of the messages in the file `path`, or "" for none.
 
-    The metadata of the file counts. If it says nothing, the `metadata.yaml` that lists the file
-    does.
+    The file's own metadata decides. If it says nothing, the `metadata.yaml` that lists the file
+    decides.
     """
     texts = [
         record.metadata.get(SERIALIZED_METADATA, "")
@@ -43,7 +43,7 @@ def message_compression(metadata: Iterable[Metadata], path: Path) -> str:
 
 
 def without_compression(values: dict[str, str]) -> dict[str, str]:
-    """Return rosbag2's metadata record for a copy in which nothing is compressed by rosbag2."""
+    """Return rosbag2's metadata record for a copy in which the messages are not compressed."""
     if SERIALIZED_METADATA not in values:
         return values
     text = values[SERIALIZED_METADATA]

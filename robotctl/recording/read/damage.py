@@ -21,7 +21,7 @@ class BeyondLimit(Damaged):
     """Reading on would exceed the limits of `read_limits`. The text says how to raise them."""
 
     def __init__(self, what: str) -> None:
-        """Keep the sentence without the cure."""
+        """Append to `what` how to raise the limits."""
         super().__init__(f"{what} ({CURE})")
 
 
@@ -30,9 +30,9 @@ _failures: ContextVar[list[str] | None] = ContextVar("failures", default=None)
 
 @contextmanager
 def noted_read_failures() -> Iterator[list[str]]:
-    """Yield the sentences of the reads that fail in this thread while the block runs.
+    """Yield a list that collects a sentence for each read that fails in this thread in the block.
 
-    A reader that goes on after such a failure takes it for damage.
+    Code that continues after such a failure would report it as damage of the file.
     """
     found: list[str] = []
     token = _failures.set(found)
@@ -43,6 +43,6 @@ def noted_read_failures() -> Iterator[list[str]]:
 
 
 def note_read_failure(sentence: str) -> None:
-    """Note a read that failed, if a caller wants to know."""
+    """Add the sentence to the list of `noted_read_failures`, if a caller uses it."""
     if (found := _failures.get()) is not None:
         found.append(sentence)

@@ -1,7 +1,7 @@
 """Reads every byte of a file's data section, and checks each record against the others.
 
-The records of robotctl are compared with what its writer makes of the same content, byte for byte.
-In files of other writers only what contradicts itself is a flaw.
+The records of robotctl are compared byte for byte with what its writer writes for this content.
+In files of other writers, only a contradiction is a flaw.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _INDEX_HEAD_BYTES = 6
 
 
 class WholeChunks:
-    """The chunks of one file, read in their order."""
+    """Checks the chunks of one file in file order."""
 
     def __init__(self, file: InputFile, data: WholeData, flaws: Flaws) -> None:
         self._file = file
@@ -61,7 +61,7 @@ class WholeChunks:
         self._entry: ChunkIndex | None = None
         self._skip = False
         self._expected: dict[int, bytes] = {}
-        """The entries of the message indexes that must follow the last chunk, by channel."""
+        """The entries of the message indexes that must still follow the last chunk, by channel."""
 
     def chunk(self, offset: int, end: int, most: int) -> int:
         """Check the chunk at `offset`, and return how many records it holds.
@@ -105,7 +105,7 @@ class WholeChunks:
         return count
 
     def message_index(self, offset: int, content: bytes) -> None:
-        """Check the message index at `offset`, which has this content."""
+        """Check the message index record at `offset` with this content."""
         if self._skip:
             return  # their chunk cannot be read
         end = offset + RECORD_HEAD.size + len(content)
@@ -175,7 +175,7 @@ class WholeChunks:
         return indexes, count
 
     def _entries_of(self, channel: int) -> list[int]:
-        """Return the beginning of a message index.
+        """Return an empty list for the message index entries of a channel.
 
         Raises:
             Damaged: The channel is not known.
@@ -186,7 +186,7 @@ class WholeChunks:
 
 
 def _sorted(entries: bytes) -> list[tuple[int, int]]:
-    """Return the entries of a message index in their order: writers may sort them by time."""
+    """Return the entries of a message index, sorted: other writers may sort them by time."""
     values = array("Q", entries[: len(entries) // 16 * 16])
     return sorted(zip(values[::2], values[1::2], strict=True))
 
@@ -252,7 +252,7 @@ class _DataSection:
         return data
 
     def _read_record(self) -> None:
-        """Read one record; nothing follows DataEnd and what cannot be read.
+        """Read one record, or stop at DataEnd or at a record that cannot be read.
 
         Raises:
             Damaged: The disk fails.
@@ -278,7 +278,7 @@ class _DataSection:
 
 
 class _Checksum:
-    """The CRC of a file's bytes up to `end`. It follows the reading, while the bytes are near."""
+    """The CRC of a file's bytes up to `end`. It is updated soon after the bytes were read."""
 
     def __init__(self, file: InputFile) -> None:
         self._file = file
@@ -286,7 +286,7 @@ class _Checksum:
         self.crc = 0
 
     def add_up_to(self, end: int) -> None:
-        """Go on to `end`.
+        """Continue the CRC up to `end`.
 
         Raises:
             Damaged: The bytes cannot be read.
@@ -383,7 +383,7 @@ class _Reading:
             self._compare(offset, data.define(opcode, content, (offset, end), self._flaws), content)
 
     def _compare(self, offset: int, record: McapRecord, content: bytes) -> None:
-        """Compare a record of robotctl with what its writer makes of the same content."""
+        """Compare a record of robotctl with what its writer writes for the same content."""
         if self._data.own and record_bytes(record)[RECORD_HEAD.size :] != content:
             end = offset + RECORD_HEAD.size + len(content)
             self._flaws.add(offset, end, "a record is not as robotctl writes it")

@@ -1,4 +1,4 @@
-"""What one MCAP file holds and where, as far as known."""
+"""The index of one MCAP file: what it holds and where, as far as known."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class FileIndex:
     end_ns: int = 0
     metadata: list[Metadata] = field(default_factory=list)
     attachments: list[int] = field(default_factory=list)
-    """Offsets of their records."""
+    """Offsets of the attachment records."""
 
     missing: list[str] = field(default_factory=list)
     scanned: bool = False
@@ -128,7 +128,7 @@ class FileIndex:
 
     declared_metadata: int = 0
     declared_attachments: int = 0
-    """The counts of records in the summary, wherever the records are."""
+    """The numbers of metadata and attachment records that the summary counts."""
 
     metadata_offsets: set[int] = field(default_factory=set)
     """Offsets of the records in `metadata`."""
@@ -136,7 +136,7 @@ class FileIndex:
     tally: ReadTally = field(default_factory=ReadTally)
 
     limit_reached: bool = False
-    """Whether something was left out that could be read with higher limits."""
+    """Whether a part was left out that could be read with higher limits."""
 
     def miss(self, sentence: str) -> None:
         """Add a sentence about something that cannot be read."""
@@ -148,7 +148,7 @@ class FileIndex:
         self.miss(f"{what}: {limit}")
 
     def unaccounted(self) -> str:
-        """Return a sentence if all was read, but the summary counts another number; else ""."""
+        """Return a sentence if all was read and the summary counts another number, else ""."""
         found = self.tally.messages_in(place.offset for place in self.places)
         if self.scanned or self.limit_reached or not self.places:
             return ""  # another sentence says why not all was read
@@ -162,7 +162,7 @@ class FileIndex:
 
     @property
     def message_count(self) -> int:
-        """Messages that can be read, of all channels."""
+        """The number of messages that can be read, of all channels."""
         return sum(self.counts.values())
 
 
@@ -178,7 +178,7 @@ LOST_HEADER = Header(profile="", library=""), len(MAGIC)
 
 
 def read_record_head(file: InputFile, offset: int) -> tuple[int, int]:
-    """Return opcode and length of the record at `offset`.
+    """Return the opcode and the content length of the record at `offset`.
 
     Raises:
         Damaged: The file ends there.

@@ -50,13 +50,13 @@ def recording_files(path: Path) -> list[Path]:
 
 
 def reason_of(error: OSError | ValueError) -> str:
-    """Return why a file cannot be read, with the cure where this user may not read it."""
+    """Return why a file cannot be read, and what to do if this user lacks the permission."""
     reason = getattr(error, "strerror", None) or str(error) or repr(error)
     return f"{reason} ({DENIED_CURE})" if isinstance(error, PermissionError) else reason
 
 
 def metadata_of_folder(folder: Path) -> tuple[str, list[str]]:
-    """Return the text of `metadata.yaml`, "" without one, and a sentence if it cannot be read."""
+    """Return the text of `metadata.yaml` ("" without one), and a sentence if it cannot be read."""
     try:
         return read_metadata(folder), []
     except (OSError, ValueError) as error:
@@ -64,9 +64,9 @@ def metadata_of_folder(folder: Path) -> tuple[str, list[str]]:
 
 
 def may_not_be_listed(path: Path) -> bool:
-    """Return whether a path is a folder whose files this user may not see.
+    """Return whether `path` is a folder that this user may not list.
 
-    `Path.glob` finds nothing in it. A file system keeps `lost+found` for itself.
+    `Path.glob` would find nothing in it. The file system's own `lost+found` does not count.
     """
     try:
         next(path.iterdir(), None)
@@ -88,10 +88,10 @@ def is_bag(path: Path) -> bool:
 
 
 def is_recording(path: Path) -> bool:
-    """Return whether a path is a recording, or a folder of recordings, by names and first bytes.
+    """Return whether a path is a recording or a folder of recordings, by names and first bytes.
 
-    True also for a damaged recording, and for a path that cannot be examined: the reader reports
-    what is wrong.
+    Also True for a damaged recording, and for a path that cannot be examined: the reader then
+    reports what is wrong.
     """
     try:
         mode = path.stat().st_mode
@@ -124,7 +124,7 @@ def files_of_bag(folder: Path) -> list[Path]:
 
 
 def absent_files(text: str, present: list[Path]) -> list[str]:
-    """Return a sentence for each of the `absent_names`."""
+    """Return a sentence for each file in `absent_names`."""
     return [
         f"{name}: metadata.yaml names it, but it is not there"
         for name in absent_names(text, present)

@@ -51,7 +51,7 @@ _HEAD = re.compile(
 
 _NAME_OFFSET = RECORD_HEAD.size + 28
 _HEAD_BYTES = _NAME_OFFSET + max(map(len, _COMPRESSIONS)) + 8
-"""Maximum, from the opcode to the data."""
+"""The maximum length of a chunk's fields before its data, from the opcode on [bytes]."""
 
 
 def find_chunk(file: InputFile, offset: int, budget: UnpackBudget) -> int | None:
@@ -71,7 +71,7 @@ def find_chunk(file: InputFile, offset: int, budget: UnpackBudget) -> int | None
 
 
 def _lengths_agree(window: bytes, start: int) -> bool:
-    """Return whether the length of the record fits the length of the data in it."""
+    """Return whether the length of a chunk record fits the length of its data."""
     try:
         _, length = RECORD_HEAD.unpack_from(window, start)
         (name,) = struct.unpack_from("<I", window, start + _NAME_OFFSET)
@@ -102,7 +102,7 @@ _OPCODES = frozenset(Opcode) | frozenset(range(FIRST_PRIVATE_OPCODE, 256))
 def index_by_scanning(
     file: InputFile, on_progress: Callable[[int], None] = lambda offset: None
 ) -> FileIndex:
-    """Index what can be read. `on_progress` gets the offset [bytes] that was reached.
+    """Index the readable parts of a file. `on_progress` gets the offset [bytes] that was reached.
 
     Raises:
         Damaged: Not even the header can be read.
@@ -143,7 +143,7 @@ def index_by_scanning(
 
 
 def read_gaps(file: InputFile, index: FileIndex) -> None:
-    """Add what is in the gaps of a summary: records without an index, loose messages."""
+    """Add the records in the gaps of a summary: those without an index, loose messages."""
     counts, start_ns, end_ns = dict(index.counts), index.start_ns, index.end_ns
     scan = _Scan(file, index)
     for start, end in index.gaps:
@@ -227,7 +227,7 @@ class _Scan:
         return True
 
     def finish(self) -> None:
-        """Add the last loose run, and check that each message has a channel and none is missing."""
+        """Add the last loose run, and report messages that have no channel or are missing."""
         self._end_loose_run()
         for channel in self._index.counts.keys() - self._index.channels.keys():
             count = self._index.counts.pop(channel)
@@ -338,8 +338,8 @@ def index_of(
 ) -> FileIndex:
     """Return the index of a file.
 
-    `on_progress` gets the offset that a scan has reached. With `places` False the index takes less
-    time, and messages cannot be read with it.
+    `on_progress` gets the offset that a scan has reached. Without `places`, this takes less time,
+    but messages cannot be read with the index.
 
     Raises:
         Damaged: Not even the header can be read.

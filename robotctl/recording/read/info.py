@@ -37,8 +37,8 @@ class TopicInfo:
 class RecordingInfo:
     """What a recording holds; times in nanoseconds since the epoch, 0 without messages.
 
-    `missing` says what cannot be read, one sentence each. `indexed` is False if a file had no valid
-    summary and was scanned. `metadata` has the last record of each name.
+    `missing` has a sentence for each part that cannot be read. `indexed` is False if a file without
+    a valid summary was scanned. `metadata` has the last record of each name.
     """
 
     path: Path
@@ -62,7 +62,7 @@ class RecordingInfo:
 
 
 def describe(path: Path, files: Sequence[OpenFile], missing: Sequence[str]) -> RecordingInfo:
-    """Return what the recording `path` holds in these files, of which there is at least one."""
+    """Return what these files of the recording `path` hold; there must be at least one."""
     indexes = [each.index for each in files]
     with_messages = [index for index in indexes if index.message_count]
     start_ns = min((index.start_ns for index in with_messages), default=0)

@@ -56,7 +56,7 @@ class EntryDecoder:
         return entry
 
     def count(self, entries: Sequence[bytes]) -> None:
-        """Count entries that are decoded elsewhere.
+        """Count entries that the caller decodes.
 
         Raises:
             UnreadableFile: They exceed the limits.
@@ -75,7 +75,7 @@ class EntryDecoder:
         """Count a snapshot.
 
         Raises:
-            UnreadableFile: It exceeds the limits.
+            UnreadableFile: There are more snapshots than the limit.
         """
         self._snapshots_left -= 1
         if self._snapshots_left < 0:
@@ -91,7 +91,7 @@ def _beyond(limit: str) -> UnreadableFile:
 
 
 def journal_topic(info: RecordingInfo) -> str | None:
-    """Return the topic with the journal of the robot that recorded, or None if there is none.
+    """Return the journal topic of the robot that recorded, or else the only one, or None.
 
     Journals of other robots in the same ROS domain may have been recorded as well.
     """
@@ -111,7 +111,7 @@ def journal_topics(info: RecordingInfo) -> set[str]:
 
 
 def own_journal_topic(info: RecordingInfo) -> str:
-    """Return the topic that the journal of the robot that recorded has, recorded or not."""
+    """Return the name of the recording robot's journal topic, whether it was recorded or not."""
     robot = info.metadata.get(INFO_RECORD, {}).get("robot", DEFAULT_ROBOT)
     return f"{namespace_of(robot)}/{TOPIC}"
 
@@ -140,9 +140,9 @@ def read_journal(
 def since_snapshot(
     recording: Recording, moment_ns: int, on_missing: Callable[[str], None]
 ) -> list[Message]:
-    """Return the journal from the last snapshot before `moment_ns` to `moment_ns`.
+    """Return the journal entries from the last snapshot before `moment_ns` to `moment_ns`.
 
-    It leads to the kernel's state at that moment. Empty if there is no earlier snapshot.
+    Re-running them gives the kernel's state at that moment. Empty without an earlier snapshot.
     `on_missing` gets a sentence about each part that cannot be read.
     """
     info = recording.info()

@@ -30,14 +30,14 @@ _MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 """RECORD_HEAD and MESSAGE_FIELDS."""
 
 RecordHead = tuple[int, int, int, int, int, int]
-"""Opcode, length of the content [bytes]; in a message also MESSAGE_FIELDS, else without meaning."""
+"""Opcode and content length [bytes]; then MESSAGE_FIELDS, which are valid for messages only."""
 
 HeadBlock = list[tuple[int, RecordHead]]
 """Position and head of each record in a part of a chunk."""
 
 _BLOCK_RECORDS: Final = 512
 _BLOCK_BYTES: Final = 1 << 20
-"""So much of a chunk is walked at once, whichever is less."""
+"""A chunk is walked in blocks, which end after _BLOCK_RECORDS records or this many bytes."""
 
 MAX_RECORD_BYTES: Final = 64 << 20
 """A larger schema, channel, metadata or index record is regarded as damage."""
@@ -86,7 +86,7 @@ class InputFile:
         on_progress: Callable[[int, int], None] = lambda done, total: None,
         source: Source | None = None,
     ) -> None:
-        """Open `path`, a regular file, or read `source`, of which `path` is then only the name.
+        """Open `path`, a regular file, or read `source`; `path` is then only its name.
 
         `on_progress` gets bytes done and in total while a `.mcap.zstd` is decompressed.
 
@@ -106,7 +106,7 @@ class InputFile:
             raise
         self.size = 0
         self.stored_bytes = 0
-        """Bytes on the disk; the limits depend on them."""
+        """The size on the disk [bytes], from which the limits are computed."""
 
         try:
             self.refresh()
@@ -148,7 +148,7 @@ class InputFile:
         return data
 
     def failed(self, reason: str) -> Unreadable:
-        """Return the error for a failure of disk or memory; `failure` keeps the first."""
+        """Return the error for a failure of disk or memory; `failure` keeps the first error."""
         note_read_failure(f"{self.path}: {reason}")
         failure = Unreadable(reason)
         self.failure = self.failure or failure
@@ -168,7 +168,7 @@ class InputFile:
 
 
 def walk_records(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, start and end of the content of each record in a chunk.
+    """Yield opcode, content start and content end of each record in a chunk.
 
     Raises:
         Damaged: A record is cut off or malformed.
@@ -190,7 +190,7 @@ def walk_heads(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, Reco
 
 
 def head_blocks(data: bytes, most: int = sys.maxsize) -> Iterator[HeadBlock]:
-    """Yield what `walk_heads` yields, many at once.
+    """Yield what `walk_heads` yields, in lists.
 
     Raises:
         Damaged: After the last record, if the next one is cut off or malformed.
@@ -229,7 +229,7 @@ def head_blocks(data: bytes, most: int = sys.maxsize) -> Iterator[HeadBlock]:
 
 
 def _short_head(data: bytes, position: int) -> RecordHead:
-    """Return the head of a record that is too near to the end for a message."""
+    """Return the head of a record so near to the end that it is too short for a message."""
     if position + RECORD_HEAD.size > len(data):
         raise Damaged("a chunk ends in the middle of a record")
     opcode, length = RECORD_HEAD.unpack_from(data, position)

@@ -1,6 +1,6 @@
-"""Reads the messages at one place of a file.
+"""Reads the messages at one place of a file, and compares their number with declared counts.
 
-`metadata.yaml` and the ledger declare counts. A file that was cut or exchanged may be valid itself.
+`metadata.yaml` and the ledger declare counts: a file that was cut or replaced may itself be valid.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ _RECORD_HEAD_BYTES: Final = RECORD_HEAD.size
 _HEAD_BYTES: Final = RECORD_HEAD.size + MESSAGE_FIELDS.size
 
 _new: Final = tuple.__new__
-"""Makes a named tuple in a third of the time of its class."""
+"""Makes a named tuple in a third of the time that its class needs."""
 
 
 class Message(NamedTuple):
-    """One recorded message; times in nanoseconds since the epoch, `data` as it was received."""
+    """One recorded message; times in nanoseconds since the epoch, `data` serialized as received."""
 
     topic: str
     type_name: str
@@ -167,7 +167,7 @@ class PlaceReader:
                 yield channel, content, log_ns, publish_ns, sequence
 
     def _contents(self, data: bytes) -> Iterator[list[tuple[RecordHead, bytes]]]:
-        """Yield head and content of the selected messages, many at once.
+        """Yield head and content of the selected messages, in lists.
 
         Raises:
             Damaged: After the last message, if some are missing.
@@ -206,7 +206,7 @@ class PlaceReader:
         return self.file.index.tally.records_left(self.place.offset, limit)
 
     def _wanted(self, data: bytes) -> Iterator[HeadBlock]:
-        """Yield position and head of the messages of selected channels, many at once.
+        """Yield position and head of the messages of selected channels, in lists.
 
         Raises:
             Damaged: After the last message, if the place is damaged.
@@ -245,7 +245,7 @@ class PlaceReader:
         )
 
     def unload(self) -> None:
-        """Free the memory."""
+        """Free the memory of the messages."""
         self._data = b""
         self.entries = []
 
@@ -263,7 +263,7 @@ def place_readers(
 
 
 def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[int, tuple[str, str]]:
-    """Return topic and type of each channel of the file, or only those of `topics`."""
+    """Return the topic and type of each channel in the file, or only of channels of `topics`."""
     return {
         channel.id: (channel.topic, type_name_of(channel, index.schemas.get(channel.schema_id)))
         for channel in index.channels.values()
@@ -274,8 +274,8 @@ def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[in
 def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) -> Iterator[str]:
     """Yield a sentence for each file or recording that holds fewer messages than declared.
 
-    `text` is the `metadata.yaml` of the files, read before them, because they may grow. `all_files`
-    tells that these are all files of the recording.
+    `text` is the `metadata.yaml`, read before the files, because they may grow. `all_files` says
+    that `files` are all files of the recording.
     """
     if any(each.index.limit_reached for each in files):
         return  # not all messages were read
@@ -302,8 +302,8 @@ def _is_own(each: OpenFile) -> bool:
 
 
 def _is_whole(files: Sequence[OpenFile]) -> bool:
-    """Return whether these are the consecutive files of one of our recordings, from its first file
-    on.
+    """Return whether these are consecutive files of one robotctl recording, from the first file
+    on, and neither a clip nor repaired.
     """
     first = files[0].path.stem
     names = [f"{first.removesuffix('0')}{number}" for number in range(len(files))]
@@ -315,7 +315,7 @@ def _is_whole(files: Sequence[OpenFile]) -> bool:
 
 
 def _written_by_ledger(last: OpenFile) -> int:
-    """Return the message count of the recording by the ledger of its last file; 0 without one.
+    """Return the number of messages that the ledger of the last file counts; 0 without a ledger.
 
     Later files repeat latched messages, so the files may hold more.
     """

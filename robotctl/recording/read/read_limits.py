@@ -1,7 +1,7 @@
-"""How much work a file may cause, depending on its size on the disk.
+"""Limits of the work that a file may cause, depending on its size on the disk.
 
 A compressed file may claim any size. Each limit is checked before the work is done. What exceeds a
-limit is not read, and named together with `CURE`.
+limit is not read; the report names it together with `CURE`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ CURE: Final = f"to read it all, set {VARIABLE}=10: ten times the limit"
 MAX_FACTOR: Final = 1_000_000.0
 
 UNPACKED_BYTES: Final = 512 << 20
-"""What a file of any size may unpack to: this takes 0.25 s, or 0.5 s with a copy."""
+"""A file of any size may unpack to this: that takes 0.25 s, or 0.5 s with a copy."""
 
 UNPACKED_RATIO: Final = 512
 """A larger file may unpack to this multiple of its size."""
@@ -30,34 +30,33 @@ UNPACKED_RATIO: Final = 512
 FAST_CHUNK_BYTES: Final = 24 << 20
 FAST_CHUNK_DISCOUNT: Final = 10
 """Chunks up to FAST_CHUNK_BYTES unpack ten times as fast (22 instead of 2 GB/s, measured with
-zeros: the C library keeps the memory of blocks below 32 MiB), and count a tenth. A day of black VGA
-images, which compress to 1/4600, stays below the limit. Black frames of 1080p compress to 1/15600;
-5 GiB of those are read, because `recover` takes 2 s to write them, and because a hostile file would
-look the same."""
+zeros: the C library keeps the memory of blocks below 32 MiB), so a tenth of their size counts. A
+day of black VGA images, which compress to 1/4600, stays below the limit. Black 1080p images
+compress to 1/15600: only 5 GiB of those are read, because `recover` takes 2 s to write them, and
+because a hostile file would look the same."""
 
 CHUNK_BYTES: Final = 72 << 20
 CHUNK_RATIO: Final = 32
-"""One chunk may unpack to CHUNK_BYTES, a large one to CHUNK_RATIO times its stored size. The
+"""A chunk may unpack to CHUNK_BYTES, or to CHUNK_RATIO times its stored size if that is more. The
 largest message that robotctl records has 64 MB; with a copy of it this stays below 256 MB."""
 
 OPEN_BYTES: Final = 96 << 20
 OPEN_RATIO: Final = 32
 MAX_OPEN_BYTES: Final = 256 << 20
-"""Unpacked chunks of a recording held at once because their times overlap: OPEN_BYTES, for a larger
-file OPEN_RATIO times its size, but no more than MAX_OPEN_BYTES. In our files two overlap."""
+"""Chunks whose times overlap are held unpacked at once, up to OPEN_BYTES, or OPEN_RATIO times the
+file size if that is more, but at most MAX_OPEN_BYTES. In our files two chunks overlap."""
 
 ATTACHMENT_BYTES: Final = 256 << 20
 """A larger attachment is not loaded."""
 
 RECORDS: Final = 100_000
 BYTES_PER_RECORD: Final = 4
-"""A file may hold RECORDS messages (and other records), a larger one a record for every 4 bytes.
-The densest harmless file, constant data without message indexes, takes 6; ours take 22."""
+"""A file may hold RECORDS records, or one for every 4 bytes if that is more. The densest harmless
+file, constant data without message indexes, has one for every 6 bytes; ours, for every 22."""
 
 JOURNAL_ENTRIES: Final = 30_000
 BYTES_PER_JOURNAL_ENTRY: Final = 16
-"""Deciding an entry again takes 25 us; an entry takes 16 bytes of index and its share of a
-chunk."""
+"""An entry takes 16 bytes of index and its share of a chunk. Re-running it takes 25 us."""
 
 SNAPSHOTS: Final = 1000
 BYTES_PER_SNAPSHOT: Final = 1000
@@ -65,11 +64,11 @@ BYTES_PER_SNAPSHOT: Final = 1000
 
 JOURNAL_TEXT_BYTES: Final = 16 << 20
 JOURNAL_TEXT_RATIO: Final = 16
-"""The JSON of a journal, as a multiple of the file size: ours compresses to a tenth at best."""
+"""A journal's JSON may have this multiple of the file size; ours compresses to 1/10 at best."""
 
 ZSTD_FILE_BYTES: Final = 256 << 20
 ZSTD_FILE_RATIO: Final = 64
-"""A file compressed as a whole is unpacked to the disk, up to this size."""
+"""A file compressed as a whole may unpack to ZSTD_FILE_BYTES or this multiple of its size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +113,7 @@ class ReadLimits:
 
 
 def unpacking_cost(unpacked_bytes: int) -> int:
-    """Return what a chunk of this size counts against `unpacked_cost`."""
+    """Return the part of `unpacked_cost` that a chunk of this size uses."""
     return unpacked_bytes // (FAST_CHUNK_DISCOUNT if unpacked_bytes <= FAST_CHUNK_BYTES else 1)
 
 
@@ -132,7 +131,7 @@ def _factor() -> float:
 
 
 class ReadTally:
-    """Counts by the offset of a place, so that a place that is read twice counts once."""
+    """Counts by the offset of a place, so that a place that is read twice is counted once."""
 
     def __init__(self) -> None:
         self._records: dict[int, int] = {}
@@ -142,22 +141,22 @@ class ReadTally:
         self._unpacked_total = 0
 
     def records_left(self, offset: int, limit: int) -> int:
-        """Return how many of `limit` records the place at `offset` may hold, given all other
+        """Return how many records the place at `offset` may hold, if `limit` counts those of all
         places.
         """
         return limit - self._record_total + self._records.get(offset, 0)
 
     def note_records(self, offset: int, count: int) -> None:
-        """Set the number of records found at a place, up to its end or a tear."""
+        """Set the number of records found at a place, up to its end or to damage."""
         self._record_total += count - self._records.get(offset, 0)
         self._records[offset] = count
 
     def unpacked_left(self, offset: int, limit: int) -> int:
-        """Return what of `limit` the decompression of single messages at a place may cost."""
+        """Return how much of `limit` is left for decompressing single messages at a place."""
         return limit - self._unpacked_total + self._unpacked.get(offset, 0)
 
     def note_unpacked(self, offset: int, cost: int) -> None:
-        """Set what the decompression of single messages at a place has cost in one reading."""
+        """Set the cost of decompressing single messages at a place, if it is the highest so far."""
         known = self._unpacked.get(offset, 0)
         if cost > known:
             self._unpacked_total += cost - known

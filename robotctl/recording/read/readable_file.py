@@ -1,4 +1,4 @@
-"""What can be read of one MCAP file, to be copied."""
+"""The readable content of one MCAP file, to be copied."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ from robotctl.recording.read.mcap_input import InputFile
 from robotctl.recording.read.messages import ALWAYS, OpenFile, PlaceReader, names_of
 
 _BATCH_BYTES: Final = 8 << 20
-"""Messages that become one chunk of the copy, because a chunk of the original may be much
-larger."""
+"""About this many bytes of messages become one chunk of the copy; original chunks may be larger."""
 
 
 class ReadableFile:
-    """The messages and attachments of a file, in file order; `lost` says what cannot be read."""
+    """The messages and attachments of a file in file order; `lost` has a sentence for each loss."""
 
     def __init__(
         self,
@@ -33,7 +32,7 @@ class ReadableFile:
         index: FileIndex,
         on_progress: Callable[[int], None] = lambda done: None,
     ) -> None:
-        """`on_progress` gets the offset that is reached [bytes]."""
+        """`on_progress` gets the offset [bytes] that was reached."""
         self._file = file
         self._index = index
         self._open_file = OpenFile(file.path, file, index)

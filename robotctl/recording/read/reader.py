@@ -42,7 +42,7 @@ from robotctl.recording.read.read_limits import ReadLimits
 from robotctl.recording.read.source import Source
 
 _Placed = tuple[int, int, int, Message]
-"""Log time, rank of the place, number in it (the order of `merge`), and the message."""
+"""Log time, rank of the place, number in the place, and the message, sorted as in `merge`."""
 
 
 def last_before(
@@ -51,7 +51,7 @@ def last_before(
     moment_ns: int,
     on_missing: Callable[[str], None],
 ) -> list[Message]:
-    """Return the last messages before `moment_ns` in order, as many of each topic as `wanted` says.
+    """Return the last messages before `moment_ns`, by log time; `wanted` gives the count per topic.
 
     Only places that may hold them are read. `on_missing` gets a sentence about each lost part.
     """
@@ -101,9 +101,9 @@ def merge(
     on_missing: Callable[[str], None],
     window: Window = ALWAYS,
 ) -> Iterator[Message]:
-    """Yield the messages of `topics` (None: all) in the window; places outside of it are not read.
+    """Yield the messages of `topics` (None: all) in the window by log time.
 
-    `on_missing` gets a sentence about each lost part.
+    Places outside of the window are not read. `on_missing` gets a sentence about each lost part.
     """
     found = list(place_readers(files, topics, window))
     heap = [(source.place.start_ns, rank) for rank, source in enumerate(found)]
@@ -139,8 +139,8 @@ def in_order_written(
     on_missing: Callable[[str], None],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Iterator[list[Message]]:
-    """Yield messages as `merge` does, but in file order, many at once; `on_progress` gets bytes
-    done and in total.
+    """Yield messages as `merge` does, but in file order and in lists; `on_progress` gets bytes done
+    and in total.
     """
     done, total = 0, sum(file.file.size for file in files)
     for file in files:
@@ -156,7 +156,7 @@ def in_order_written(
 
 
 def _tell_unaccounted(files: Sequence[OpenFile], on_missing: Callable[[str], None]) -> None:
-    """Compare what was read with the counts in the summaries."""
+    """Report files whose summary counts another number of messages than were read."""
     for file in files:
         sentence = file.index.unaccounted()
         if sentence:
@@ -219,8 +219,8 @@ class Recording:
     ) -> None:
         """Open `path`; `on_progress` gets bytes done and in total while files are scanned.
 
-        With `source`, one MCAP file is read from there, and `path` is only its name. Of a folder
-        only `files` are read, if given.
+        With `source`, one MCAP file is read from it, and `path` is only its name. With `files`,
+        only those of the folder `path` are read.
 
         Raises:
             UnreadableFile: Nothing can be read.
@@ -230,7 +230,7 @@ class Recording:
         self._files: list[OpenFile] = []
         self.missing: list[str] = []
         self.lost_files: list[str] = []
-        """The names of the files that are not there or cannot be read."""
+        """The names of the files that are missing or cannot be read."""
 
         text, problems = ("", []) if source else metadata_of_folder(path)
         paths = [path] if source else list(files) or recording_files(path)
@@ -252,7 +252,7 @@ class Recording:
         for sentence in shortfalls:
             note_missing(self.missing, sentence)
         self.lacks_parts = bool(shortfalls) or any(each.index.missing for each in self._files)
-        """Whether a part of the files that can be read is missing."""
+        """Whether parts of the readable files are missing."""
 
     def close(self) -> None:
         """Close the files."""
@@ -269,16 +269,16 @@ class Recording:
 
     @property
     def limits(self) -> ReadLimits:
-        """How much work its size allows."""
+        """The read limits that follow from the size of the recording."""
         return ReadLimits.of(sum(each.file.stored_bytes for each in self._files))
 
     def info(self) -> RecordingInfo:
-        """Return what it holds."""
+        """Return what the recording holds."""
         return describe(self.path, self._files, self.missing)
 
     @property
     def is_live(self) -> bool:
-        """Whether a process still writes its last file."""
+        """Whether a process is still writing the last file."""
         return self._files[-1].file.is_changing()
 
     @property
@@ -292,7 +292,7 @@ class Recording:
 
     @property
     def open_files(self) -> Sequence[OpenFile]:
-        """Its files, in the order in which places are numbered."""
+        """The files of the recording, in the order in which places are numbered."""
         return self._files
 
     def metadata(self) -> list[Metadata]:
@@ -331,8 +331,8 @@ class Recording:
     def last_before(
         self, moment_ns: int, wanted: Mapping[str, int], on_missing: Callable[[str], None]
     ) -> list[Message]:
-        """Return the last messages before a moment in order, as many of each topic as `wanted`
-        says.
+        """Return the last messages before a moment, by log time; `wanted` gives the count per
+        topic.
         """
         return last_before(self._files, wanted, moment_ns, on_missing)
 

@@ -34,14 +34,14 @@ class SealedFile:
 class Chain:
     """What the seals of several files say about each other.
 
-    `wrong` has a sentence for each file whose seal does not continue that of the file before it,
+    `wrong` has a sentence for each file whose seal does not continue the seal of the file before,
     `absent` a sentence for each gap in the numbers of the files.
     """
 
     wrong: list[str] = field(default_factory=list)
     absent: list[str] = field(default_factory=list)
     missing: list[tuple[str, int]] = field(default_factory=list)
-    """First key and number of each file within a gap, at most MAX_MISSING."""
+    """Root key and file number of each file in a gap, at most MAX_MISSING."""
 
 
 def check_chain(files: Iterable[SealedFile]) -> Chain:
@@ -60,7 +60,7 @@ def check_chain(files: Iterable[SealedFile]) -> Chain:
 def _without_copies(
     pairs: Sequence[tuple[Opening, SealedFile]],
 ) -> list[tuple[Opening, SealedFile]]:
-    """Return the files by their numbers; copies only of those that are not here themselves."""
+    """Return the files sorted by number, with a copy only if its original is not among them."""
     originals = {opening.number for opening, file in pairs if not file.seal.is_copy}
     copies = {opening.number: (opening, file) for opening, file in pairs if file.seal.is_copy}
     left = [pair for pair in pairs if not pair[1].seal.is_copy]
@@ -95,7 +95,7 @@ def _compare(pairs: Sequence[tuple[Opening, SealedFile]], chain: Chain) -> None:
 
 
 def _are_alike(file: SealedFile, other: SealedFile) -> bool:
-    """Return whether two files are one and its copy in another folder, as of `sync`."""
+    """Return whether one file is a copy of the other in another folder, as `sync` makes them."""
     same_links = bool(file.seal.links) and file.seal.links == other.seal.links
     return same_links and file.path.name == other.path.name
 
@@ -106,15 +106,15 @@ def find_head(files: Iterable[SealedFile], digest: str) -> SealedFile | None:
 
 
 _AS_RECORDED: Final = (FileState.FINISHED, FileState.LIVE, FileState.NOT_CLOSED)
-"""What claims to be the file of the recorder itself, and so has the seal that it was given."""
+"""The states of a file of the recorder itself, which must have the seal that it was given."""
 
 
 @dataclass(frozen=True, slots=True)
 class KnownFile:
-    """What is known of one file: whether it is `listed` as it is, and two sentences or "".
+    """What this user's lists know about a file: whether it is `listed`, and two sentences or "".
 
-    `wrong` says why it cannot be the file that a list knows; `unproved` says that a list knows its
-    seal, which a repair or a conversion has not kept.
+    `wrong` says why it cannot be the file in a list. `unproved` says that a list knows a seal of
+    the file, which a repair or a conversion did not keep.
     """
 
     listed: bool = False
@@ -123,7 +123,7 @@ class KnownFile:
 
 
 class KnownHeads:
-    """The lists in this user's state folder; each is read once, when it is needed."""
+    """The lists of keys and ends in this user's state folder; each is read on first use."""
 
     def __init__(self) -> None:
         """Find the robots that have a list."""
@@ -172,7 +172,7 @@ class KnownHeads:
         )
 
     def _lists_for(self, name: str, opening: Opening | None) -> Iterator[HeadsList]:
-        """Yield the lists that may know a file: a forged seal may name another robot."""
+        """Yield the lists that may know a file, by its name and by the robot in its seal."""
         robots = [robot for robot in self._robots if name.startswith(f"{robot}_")]
         if opening is not None:
             robots.append(opening.robot)

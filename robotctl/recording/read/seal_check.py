@@ -1,6 +1,6 @@
 """Checks the seal of a file: the chain over its bytes, the signatures, and who made them.
 
-`read_whole_file` has read the file before: the chain alone does not tell that a byte is no record.
+Call `read_whole_file` before: the chain alone does not show whether each byte is in a record.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class SealState(StrEnum):
     """What the seal of a file covers."""
 
     SEALED = "sealed"
-    """All of it."""
+    """The whole file."""
 
     PARTLY = "partly sealed"
-    """Its beginning: a repair wrote the rest, or the recorder could not sign any more."""
+    """The beginning: a repair wrote the rest, or the recorder could no longer sign."""
 
     NONE = "not sealed"
     BROKEN = "broken"
@@ -44,14 +44,14 @@ class SealState(StrEnum):
 class SealOfRead:
     """The seal of a file, as it was checked.
 
-    `links` are those that are valid, in their order, `head` the last of them. `wrong` says in
-    sentences where chain or signatures are broken; `notes` what else is to be said.
+    `links` are the valid links in order, `head` is the last of them. `wrong` says in sentences
+    where the chain or a signature is broken; `notes` has other sentences about the seal.
     """
 
     opening: Opening | None = None
     links: list[Link] = field(default_factory=list)
     is_copy: bool = False
-    """Whether the file is what a repair could read of a sealed one: nothing in it is signed."""
+    """Whether a repair made the file as a copy of a sealed one: nothing in it is signed."""
 
     state: SealState = SealState.NONE
     wrong: list[str] = field(default_factory=list)

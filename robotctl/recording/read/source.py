@@ -106,13 +106,13 @@ class Source(Protocol):
         """Return the present size [bytes]."""
 
     def stored_bytes(self) -> int:
-        """Return the size as it is stored: smaller than `size` if it is compressed as a whole."""
+        """Return the stored size [bytes]: less than `size` if the file is compressed as a whole."""
 
     def read(self, offset: int, length: int) -> bytes:
         """Return `length` bytes at `offset`, or fewer; none only at the end."""
 
     def is_written(self) -> bool:
-        """Return whether a process has it open for recording."""
+        """Return whether a process has the file open for recording."""
 
     def close(self) -> None:
         """Close it; closing twice is harmless."""
@@ -185,7 +185,7 @@ class RemoteSource:
     """A file at a URL, which cannot be changed in place."""
 
     def __init__(self, path: RemoteFile) -> None:
-        """Find the file.
+        """Look up the file.
 
         Raises:
             UnreadableFile: The store fails.
@@ -194,11 +194,11 @@ class RemoteSource:
         self._reader = path.reader()
 
     def size(self) -> int:
-        """Return the size when it was found [bytes]."""
+        """Return the size at the time of the look-up [bytes]."""
         return self._size
 
     def stored_bytes(self) -> int:
-        """Return the same."""
+        """Return `size`: the file is never decompressed."""
         return self._size
 
     def read(self, offset: int, length: int) -> bytes:

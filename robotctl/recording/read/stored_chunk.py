@@ -26,13 +26,13 @@ _PIECE_BYTES = 8 << 20
 
 
 class Decompressor(NamedTuple):
-    """How to undo one compression. Both functions get the stored bytes and the original size."""
+    """How to undo one compression; both functions get the stored bytes and the original size."""
 
     unpack: Callable[[bytes, int], bytes]
-    """It raises Damaged if the data is corrupt, and MemoryError."""
+    """Return the original bytes. It raises Damaged if the data is corrupt, and MemoryError."""
 
     unpack_torn: Callable[[bytes, int], bytes]
-    """It returns the data before the tear."""
+    """Return the original bytes before the place where the data is cut off."""
 
 
 def _zstd(stored: bytes, size: int) -> bytes:
@@ -81,7 +81,7 @@ DECOMPRESSORS: Final[Mapping[str, Decompressor]] = {
     Compression.ZSTD.mcap_name: Decompressor(_zstd, _torn_zstd),
     "lz4": Decompressor(_lz4, _torn_lz4),
 }
-"""By the name in a chunk record."""
+"""The decompressors by the compression's name in a chunk record."""
 
 
 def decompressor_of(name: str) -> Decompressor:
@@ -189,7 +189,7 @@ def read_chunk(file: InputFile, ref: ChunkRef) -> bytes:
 
 
 def read_torn_chunk(file: InputFile, ref: ChunkRef) -> bytes:
-    """Return what can be decompressed of a chunk that the end of the file cuts off; unchecked."""
+    """Return what can be decompressed of a chunk that the end of the file cuts off, unchecked."""
     _check_size(file, ref)
     stored = file.read(ref.data_offset, max(min(ref.data_size, file.size - ref.data_offset), 0))
     return decompressor_of(ref.compression).unpack_torn(stored, ref.uncompressed_size)

@@ -1,4 +1,4 @@
-"""The index of a file from its summary: milliseconds, regardless of its size."""
+"""Reads the index of a file from its summary, in milliseconds for a file of any size."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile, parse, wa
 from robotctl.recording.read.stored_chunk import UnpackBudget
 
 MAX_SUMMARY_BYTES = 256 << 20
-"""About 600,000 chunks. A larger summary is regarded as damage, and the file is scanned."""
+"""Enough for about 600,000 chunks. A larger summary counts as damage; the file is then scanned."""
 
 _OPCODES = frozenset(Opcode)
 _FOOTER_BYTES = RECORD_HEAD.size + FOOTER_CONTENT_BYTES
@@ -44,7 +44,7 @@ _CRC_BYTES = 4
 def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
     """Return the index that the file's summary gives.
 
-    Without `places` it takes a fraction of the time, and messages cannot be read with it.
+    Without `places`, this takes a fraction of the time, but messages cannot be read with the index.
 
     Raises:
         Damaged: The summary is missing or not valid.
@@ -151,9 +151,9 @@ def _read_summary(file: InputFile) -> tuple[bytes, int]:
 
 
 def _before_own_footer(data: bytes) -> bytes:
-    """Return the summary at the beginning of `data`, without the half-written commit that follows.
+    """Return the summary at the beginning of `data`, without an unfinished commit after it.
 
-    The summary then has its own footer.
+    In this case the summary has its own footer.
 
     Raises:
         Damaged: The footer does not belong to the summary.
@@ -168,7 +168,7 @@ def _before_own_footer(data: bytes) -> bytes:
 
 
 def _gaps(chunks: list[ChunkEntry], data_start: int, data_end: int) -> list[tuple[int, int]]:
-    """Return the parts of the data without a chunk or a message index.
+    """Return the start and end of each part of the data that is no chunk and no message index.
 
     Raises:
         Damaged: Chunks overlap.
@@ -189,7 +189,7 @@ def _gaps(chunks: list[ChunkEntry], data_start: int, data_end: int) -> list[tupl
 
 
 def _affordable(places: list[Place], file: InputFile, index: FileIndex) -> list[Place]:
-    """Return the places that may be decompressed within the file's limits."""
+    """Return the first places, as many as the file's limits allow to be decompressed."""
     budget = UnpackBudget(file.limits)
     for number, place in enumerate(places):
         try:
@@ -201,7 +201,7 @@ def _affordable(places: list[Place], file: InputFile, index: FileIndex) -> list[
 
 
 def _read_metadata(file: InputFile, index: FileIndex, entries: list[MetadataIndex]) -> None:
-    """Read the metadata records, each once. Together they cannot be larger than the file."""
+    """Read the metadata records, each once, so that together they are not larger than the file."""
     room = file.size
     for entry in {entry.offset: entry for entry in entries}.values():
         try:

@@ -1,4 +1,4 @@
-"""What the data section of a file holds, found by reading every byte of it."""
+"""The content of a file's data section, found by reading every byte of it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from robotctl.recording.format.names import OWN_LIBRARY
 from robotctl.recording.read.mcap_input import parse
 
 MAX_FLAWS: Final = 20
-"""Maximum number of flaws that are kept of a file; further ones are counted."""
+"""Maximum number of flaws of a file that are kept; further flaws are only counted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class Flaw:
 
 @dataclass(slots=True)
 class Flaws:
-    """The flaws of one file, the first ones in their order, and how many there are."""
+    """The first flaws of one file in file order, and the number of all flaws."""
 
     kept: list[Flaw] = field(default_factory=list)
     count: int = 0
@@ -55,11 +55,11 @@ class Flaws:
 
 @dataclass(slots=True)
 class WholeData:
-    """What a data section holds; offsets in bytes, times in nanoseconds.
+    """The content of a data section; offsets in bytes, times in nanoseconds.
 
     `end` is the offset of the DataEnd record, or where the reading had to stop. `crc` is the
-    checksum of all bytes before it, `told_crc` the one in the DataEnd record: 0 if not given, None
-    without such a record.
+    checksum of all bytes before `end`, `told_crc` the one in the DataEnd record: 0 if it has none,
+    None without such a record.
     """
 
     header: Header
@@ -68,7 +68,7 @@ class WholeData:
     told_crc: int | None = None
     schemas: dict[int, bytes] = field(default_factory=dict)
     channels: dict[int, bytes] = field(default_factory=dict)
-    """The content of the records of schemas and channels, by id."""
+    """The contents of the schema and channel records, by id."""
 
     type_names: dict[int, str] = field(default_factory=dict)
     """The names of the schemas, by id."""
@@ -78,7 +78,7 @@ class WholeData:
     metadata_indexes: dict[int, MetadataIndex] = field(default_factory=dict)
     attachment_indexes: dict[int, AttachmentIndex] = field(default_factory=dict)
     chunk_indexes: dict[int, ChunkIndex] = field(default_factory=dict)
-    """Each by the offset of the record that it describes."""
+    """The chunk index that describes each chunk, by the chunk's offset."""
 
     bad_chunks: set[int] = field(default_factory=set)
     """Offsets of the chunks that cannot be read."""
@@ -95,13 +95,13 @@ class WholeData:
     """Opcode and content of each private record of the summary."""
 
     unread: str = ""
-    """What was not read, as a sentence; "" if all was."""
+    """A sentence about what was not read, "" if everything was read."""
 
     before_last_chunk: tuple[dict[int, int], int, int] = field(default_factory=lambda: ({}, 0, 0))
-    """`counts`, `start_ns` and `end_ns` without the last chunk."""
+    """The values of `counts`, `start_ns` and `end_ns` without the last chunk."""
 
     unfinished: int | None = None
-    """Where a commit begins that was not finished; it reaches to the end of the data."""
+    """The offset of a commit that was not finished; it reaches to the end of the data."""
 
     @property
     def own(self) -> bool:
@@ -110,7 +110,7 @@ class WholeData:
 
     @property
     def message_count(self) -> int:
-        """Messages of all channels."""
+        """The number of messages of all channels."""
         return sum(self.counts.values())
 
     def has_metadata(self, *names: str) -> bool:
@@ -127,7 +127,7 @@ class WholeData:
         self.counts[channel] = self.counts.get(channel, 0) + count
 
     def begin_chunk(self) -> None:
-        """Remember the counts before a chunk."""
+        """Store the present counts as `before_last_chunk`."""
         self.before_last_chunk = dict(self.counts), self.start_ns, self.end_ns
 
     def define(

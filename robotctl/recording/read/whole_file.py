@@ -1,7 +1,7 @@
-"""Reads a whole file: does every byte belong, and is it as it was written?
+"""Reads a whole file: is each byte part of a record, and is it as it was written?
 
-A file of robotctl has one form for its content. So each bit of it is either covered by a checksum,
-or determined by the rest. What a killed recorder leaves behind the last commit is no flaw.
+A file of robotctl has only one form for its content: each bit is covered by a checksum or
+determined by the others. Bytes that a killed recorder leaves after the last commit are no flaw.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ class FileEnd(NamedTuple):
 class BadEnd(Damaged):
     """There is no valid end.
 
-    Where it is wrong is not known: a changed length leads into the middle of another record, and
-    the walk goes astray only later.
+    The wrong byte is not known: after a changed length, the reader continues in the middle of
+    another record, and fails only later.
     """
 
 
 def find_end(file: InputFile, data_end: int) -> FileEnd:
-    """Return where the end is that follows the DataEnd record at `data_end`.
+    """Return the end that follows the DataEnd record at `data_end`.
 
     Raises:
         BadEnd: There is no footer of the right length, or the file ends before it.
@@ -92,7 +92,7 @@ def find_end(file: InputFile, data_end: int) -> FileEnd:
 def end_of_listed(file: InputFile, written: WrittenFile) -> int:
     """Return where the data of a growing file ended when its summary was written.
 
-    Behind it there may be records of the next commit, and the room for more.
+    After that, there may be records of the next commit, and space for more.
 
     Raises:
         Damaged: The summary or the file cannot be read.
@@ -123,10 +123,10 @@ def end_of_listed(file: InputFile, written: WrittenFile) -> int:
 
 
 def ends_in_commit(file: InputFile, end: FileEnd) -> bool:
-    """Return whether the bytes behind `end` are the beginning of a commit that a kill interrupted.
+    """Return whether the bytes after `end` are the beginning of a commit that a kill interrupted.
 
-    Such a file ends with a footer that points back to this end, or to a copy of it: the writer puts
-    it there first (see `McapFile`).
+    Such a file ends with a footer that points back to this end or to a copy of it: the writer
+    writes that footer first (see `McapFile`).
     """
     size = RECORD_HEAD.size + FOOTER_CONTENT_BYTES
     try:
@@ -141,9 +141,9 @@ def ends_in_commit(file: InputFile, end: FileEnd) -> bool:
 
 
 def forget_unlisted_chunk(data: WholeData, summary: bytes) -> int:
-    """Remove the last chunk from `data` if the summary does not list it; return its bytes.
+    """Remove the last chunk from `data` if the summary does not list it; return its size [bytes].
 
-    A kill between chunk and summary leaves that.
+    A kill between writing the chunk and the summary leaves such a chunk.
     """
     if not data.chunk_indexes:
         return 0
@@ -169,7 +169,7 @@ _CRC_BYTES = 4
 _ONES = (1 << 32) - 1
 
 MAX_FLIP_BYTES = 1 << 28
-"""In more bytes, several bits change a CRC-32 in the same way."""
+"""In larger data, flips of different bits may change a CRC-32 in the same way."""
 
 _GROWING_S = 2.0
 """How long reading the end of a growing file is retried."""
@@ -188,7 +188,7 @@ class FileState(StrEnum):
     """The recorder was killed, or could not write."""
 
     REPAIRED = "repaired"
-    """robotctl read it after a kill, and wrote its end again or all of it."""
+    """After a kill, robotctl read the file and wrote it again, or only its end."""
 
     CONVERTED = "converted"
     """robotctl wrote it from another recording."""
@@ -249,7 +249,7 @@ def check_bytes(
     """Read every byte of an open file.
 
     Raises:
-        Damaged: It does not begin as an MCAP file, or the disk fails.
+        Damaged: The file does not begin as an MCAP file, or the disk fails.
     """
     if file.is_changing():
         return _live(file, Flaws(), lambda offset: on_progress(offset, file.size))
@@ -266,7 +266,7 @@ def check_bytes(
 
 
 def _live(file: InputFile, flaws: Flaws, on_progress: Callable[[int], None]) -> WholeFile:
-    """Read a growing file up to the end that it had at one moment."""
+    """Read a growing file up to the end that its summary gives."""
     deadline = time.monotonic() + _GROWING_S
     while True:
         try:
@@ -303,7 +303,7 @@ def _state(data: WholeData) -> FileState:
 
 
 def _check_crc(file: InputFile, found: WholeFile) -> None:
-    """Compare the checksum of the data; name the byte if one bit was flipped."""
+    """Compare the CRC of the data; if one flipped bit explains a difference, name its byte."""
     data, flaws = found.data, found.flaws
     if data.told_crc == data.crc:
         return

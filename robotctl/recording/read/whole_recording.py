@@ -1,4 +1,4 @@
-"""Reads a whole recording: each byte of its files, and all the counts that it tells of itself."""
+"""Reads a whole recording: each byte of its files, and all counts that the recording declares."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ _TopicKey = tuple[str, str]
 class WholeRecording:
     """What reading every byte of a recording found.
 
-    `unreadable` has a sentence for each file that is not there or is no MCAP file, and for what was
-    not read. `wrong` has one for each byte that is not as it was written, and for each count that
-    contradicts another.
+    `unreadable` has a sentence for each file that is missing or is no MCAP file, and for each part
+    that was not read. `wrong` has a sentence for each flaw, and for each count that contradicts
+    another.
     """
 
     path: Path
@@ -94,7 +94,7 @@ def read_whole_recording(
 
 
 def _miscounted(file: WholeFile) -> Iterator[str]:
-    """Yield a sentence for each count of a rosbag2 record that is not what was found."""
+    """Yield a sentence for each count of a rosbag2 record that the messages contradict."""
     texts = [r.metadata for r in file.data.metadata.values() if r.name == METADATA_RECORD]
     if file.state is FileState.FINISHED and texts:
         told = topic_counts_in(texts[-1].get("serialized_metadata", ""))
@@ -102,7 +102,7 @@ def _miscounted(file: WholeFile) -> Iterator[str]:
 
 
 def _contradictions(text: str, files: Sequence[WholeFile], *, whole_folder: bool) -> Iterator[str]:
-    """Yield a sentence for each count of `metadata.yaml` or a ledger that is not what was found."""
+    """Yield a sentence for each count of `metadata.yaml` or a ledger that the files contradict."""
     own = [file for file in files if file.data.own and file.state is not FileState.CLIP]
     if len(own) != len(files) or not files:
         return
@@ -129,7 +129,7 @@ def _contradictions(text: str, files: Sequence[WholeFile], *, whole_folder: bool
 
 
 def _ledger_differences(files: Sequence[WholeFile]) -> Iterator[str]:
-    """Compare each ledger with the messages of all files up to its own."""
+    """Compare each ledger with the messages of all files up to its own file."""
     first = files[0].path.stem
     names = [f"{first.removesuffix('0')}{number}" for number in range(len(files))]
     if not first.endswith("_0") or [file.path.stem for file in files] != names:
@@ -181,7 +181,7 @@ def _key(data: WholeData, channel: Channel) -> _TopicKey:
 
 
 class RecordingProof(StrEnum):
-    """What is proved of a recording, the gravest first."""
+    """What is proved about a recording, the most severe result first."""
 
     BROKEN = "broken"
     """A byte, a count, the chain or a signature is wrong."""
@@ -190,7 +190,7 @@ class RecordingProof(StrEnum):
     """Not everything could be read."""
 
     WHOLE = "whole"
-    """All bytes belong together, but who wrote them is not proved for all."""
+    """No contradiction was found, but not every file is sealed."""
 
     SEALED = "sealed"
 
@@ -216,7 +216,7 @@ class VerifiedRecording:
 
     @property
     def proof(self) -> RecordingProof:
-        """The gravest that was found."""
+        """The most severe result that was found."""
         if self.wrong:
             return RecordingProof.BROKEN
         if self.whole.unreadable:

@@ -22,7 +22,7 @@ from robotctl.recording.read.whole_data import Flaws, WholeData
 
 
 def compare_summary(summary: bytes, start: int, data: WholeData, flaws: Flaws) -> None:
-    """Add what the summary says and the data does not; `start` is its offset.
+    """Add a flaw for each difference between summary and data; `start` is the summary's offset.
 
     All of robotctl's records must be there once. Other writers may leave some out.
     """
@@ -86,7 +86,7 @@ class _Comparison:
             self._flaws.add(offset, end, f"the {name} of the summary is not that of the data")
 
     def end(self, offset: int) -> None:
-        """Find what is missing; the summary ends at `offset`."""
+        """Add a flaw for each record that is missing; the summary ends at `offset`."""
         data = self._data
         if not data.own:
             return

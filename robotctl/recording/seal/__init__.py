@@ -1,1 +1,1 @@
-"""The keys of a robot, and what it signed: see `keyring`."""
+"""The keys of a robot (`keyring`), and the list of the files that it sealed (`heads`)."""

@@ -17,7 +17,7 @@ _MAX_BYTES: Final = 256 << 20
 
 @dataclass(slots=True)
 class HeadsList:
-    """What is known of the files of a robot: how they were opened, and their last heads, by key.
+    """The sealed files of a robot: their openings and last heads, by the file's public key.
 
     `signed` names the files that have at least one signed link.
     """
@@ -28,7 +28,7 @@ class HeadsList:
     _keys: dict[str, set[str]] = field(default_factory=dict)
 
     def add_opened(self, opening: Opening) -> None:
-        """Add a file that was opened: it continues the links of the file before it."""
+        """Add an opened file. The file that it continues has at least one signed link."""
         self.opened[opening.key] = opening
         self._keys.setdefault(opening.file, set()).add(opening.key)
         if opening.previous_file:
@@ -42,12 +42,12 @@ class HeadsList:
     def keys_of(self, file: str) -> Set[str]:
         """Return the public keys of the files that had this name when they were opened.
 
-        There are several where the clock was set back after a recording was removed.
+        There are several if the clock was set back after a recording was removed.
         """
         return self._keys.get(file, frozenset())
 
     def named(self, root: str, number: int) -> str:
-        """Return the name of a file of a chain, "" if it is not known."""
+        """Return the name of file `number` of the chain with key `root`, "" if it is unknown."""
         found = (
             opening.file
             for opening in self.opened.values()
@@ -57,7 +57,7 @@ class HeadsList:
 
 
 def read_heads(folder: Path) -> HeadsList:
-    """Return the list in a robot's folder of keys; lines that are malformed are left out."""
+    """Return the list in a robot's folder of keys; malformed lines are skipped."""
     heads = HeadsList()
     try:
         with open_regular(folder / HEADS_FILE) as stream:

@@ -1,12 +1,12 @@
 """The keys of a robot in its state folder, and the newest head of its chain.
 
-Each file of a recording has a key of its own, and the key of the file before signs for it. Then the
-old private key is overwritten: who steals the present one cannot sign for yesterday. Its files:
+Each file of a recording has a different key, which the key of the previous file signs. Then the old
+private key is overwritten: a thief of the present key cannot sign older files. The folder has:
 
 - `key.json` (0600): the present private key, the number of files, the newest head;
 - `heads.jsonl`: a line for each file that was opened or closed, without secrets.
 
-PyNaCl is imported on first use: it takes 10 ms and 1.1 MB. The package `cryptography` took 8.6 MB.
+PyNaCl is imported on first use: it needs 10 ms and 1.1 MB. The package `cryptography` needs 8.6 MB.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ SEED_BYTES: Final = 32
 
 
 class SigningKey:
-    """A private key."""
+    """An Ed25519 private key."""
 
     def __init__(self, seed: bytes) -> None:
-        """Hold the 32 bytes that determine the key."""
+        """Derive the key from `seed`, 32 random bytes."""
         from nacl.bindings import crypto_sign_seed_keypair
 
         public, self._secret = crypto_sign_seed_keypair(seed)
@@ -41,7 +41,7 @@ class SigningKey:
         """The public key in hex."""
 
     def sign(self, data: bytes) -> bytes:
-        """Return the signature, 64 bytes."""
+        """Return the signature of `data`, 64 bytes."""
         from nacl.bindings import crypto_sign, crypto_sign_BYTES
 
         signed: bytes = crypto_sign(data, self._secret)
@@ -67,7 +67,7 @@ _MAX_KEY_BYTES = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """The newest link that is known of a chain; `file` is "" before the first file."""
+    """The newest known link of a chain; `file` is "" before the first file."""
 
     file: str = ""
     number: int = 0
@@ -79,8 +79,8 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class StoredKey:
-    """What `key.json` holds: `seed` and `key` are private and public key in hex, `root` the robot's
-    first public key, `files` how many files were opened.
+    """The content of `key.json`: `seed` and `key` are private and public key in hex, `root` is the
+    robot's first public key, `files` the number of files that were opened.
     """
 
     root: str
@@ -101,7 +101,7 @@ class Keyring:
     """The keys of one robot. Its folder must be private to the user, and exist."""
 
     def __init__(self, folder: Path, robot: str, on_head: Callable[[Head], None] = lambda _: None):
-        """Use `folder`; `on_head` gets each head that is kept, in the thread that keeps it."""
+        """Use `folder`; `on_head` is called with each stored head, in the thread of `keep`."""
         self._folder = folder
         self._robot = robot
         self._on_head = on_head
@@ -110,8 +110,8 @@ class Keyring:
         """Return the present key; None if there is none yet.
 
         Raises:
-            OSError: It cannot be read.
-            ValueError: The file is damaged.
+            OSError: `key.json` cannot be read.
+            ValueError: `key.json` is damaged.
         """
         try:
             with open_regular(self._folder / KEY_FILE) as stream:
@@ -130,16 +130,16 @@ class Keyring:
         """Return the present key; make the first one if there is none.
 
         Raises:
-            OSError, ValueError: As `load`; or it cannot be written.
+            OSError, ValueError: As `load`, or the key cannot be written.
         """
         with self._locked():
             return self._load_or_make()
 
     def open_file(self, file: str) -> SealOfFile:
-        """Make the key of a new file, and forget the one before.
+        """Make the key of a new file, and overwrite the key of the previous file.
 
         Raises:
-            OSError, ValueError: There is no seal.
+            OSError, ValueError: The keys cannot be read or written: the file has no seal.
         """
         with self._locked():
             stored = self._load_or_make()
@@ -163,10 +163,10 @@ class Keyring:
         return SealOfFile(opening, key.sign)
 
     def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
-        """Keep a link as the head that the next file continues.
+        """Store a link as the head that the next file continues.
 
         Raises:
-            OSError, ValueError: It cannot be kept.
+            OSError, ValueError: It cannot be stored, or another recorder has opened a later file.
         """
         head = Head(
             opening.file, opening.number, link.covered, link.time_ns, link.digest.hex(), closed
@@ -183,10 +183,10 @@ class Keyring:
         self._on_head(head)
 
     def rotate(self) -> StoredKey:
-        """Begin a new chain with a new first key; the old one signs for it.
+        """Begin a new chain with a new first key, which the present key signs.
 
         Raises:
-            OSError, ValueError: There is no key, or it cannot be written.
+            OSError, ValueError: The present key cannot be read, or the new one not be written.
         """
         with self._locked():
             stored = self._load_or_make()
@@ -206,7 +206,7 @@ class Keyring:
         return stored
 
     def _save(self, stored: StoredKey) -> None:
-        """Replace the file, and overwrite the bytes of the one before."""
+        """Replace `key.json`, and overwrite the bytes of the old file with zeros."""
         path, unfinished = self._folder / KEY_FILE, self._folder / f"{KEY_FILE}.new"
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW
         with open(open_private(unfinished, flags), "w", encoding="ascii") as stream:
@@ -235,7 +235,7 @@ class Keyring:
 
 
 class _Lock:
-    """Keeps other processes from changing the key at the same time."""
+    """Keeps other processes from changing the key during a `with` block."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

@@ -1,1 +1,1 @@
-"""The messages of one topic as a table: CSV, JSON lines, Parquet, arrays of numpy."""
+"""The messages of one topic as a table: CSV, JSON lines, Parquet, NumPy arrays."""

@@ -1,4 +1,4 @@
-"""Fields of a topic over time, as arrays of numpy."""
+"""Fields of a topic over time, as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class TopicArrays:
     """The fields of a topic, one entry for each message, in the order of `log_ns`.
 
     `log_ns` and `publish_ns` are when a message was received and published [ns since the epoch],
-    `time_s` the seconds from the first message of the recording. `arrays["a.b"]` is a field:
-    numbers have their own type, a field that is an array of n numbers gives n columns, and texts,
-    bytes and sequences are objects.
+    `time_s` is the log time since the first message of the recording [s]. `arrays["a.b"]` is a
+    field: numbers have the field's type, an array of n numbers has n columns, and texts, bytes and
+    sequences are objects.
     """
 
     topic: str
@@ -55,11 +55,11 @@ def read_arrays(
 ) -> TopicArrays:
     """Return fields of a topic, such as `pose.pose.position.x`; without `fields`, all of them.
 
-    `on_missing` gets a sentence about each part that cannot be read. `type_name` chooses where the
-    topic has several.
+    `on_missing` is called with a sentence about each part that cannot be read. `type_name` chooses
+    a type if the topic has several.
 
     Raises:
-        UsageError: The recording has no such topic, or its type no such field.
+        UsageError: The recording has no such topic, or the topic's type has no such field.
         UnreadableFile: Nothing can be read; or, without `on_missing`, not everything.
     """
     missing: list[str] = []
@@ -94,7 +94,7 @@ def read_arrays(
 
 
 def _places(table: TopicTable, path: str) -> Sequence[int]:
-    """Return where the columns of a field are in a row: one, or those of the items of an array."""
+    """Return the positions of a field's columns in a row; an array has one column per item."""
     try:
         parse_path(table.definition, path)
     except WrongValue as error:

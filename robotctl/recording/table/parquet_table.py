@@ -42,7 +42,7 @@ _ERRNO = re.compile(r'"errno":"(\d+)"')
 _FLOATS: Final = ("float32", "float64")
 
 MAX_VALUES: Final = 1_000_000
-"""Values in memory at a time; a list or bytes count by their length."""
+"""Number of values in memory before a batch is written; a list or bytes count as their length."""
 
 _MEMORY_LIMIT: Final = "1GB"
 _GROUP_BYTES: Final = "64MB"
@@ -51,11 +51,11 @@ _GROUP_BYTES: Final = "64MB"
 def write_parquet(columns: Sequence[Column], rows: Iterable[Row], target: Path) -> int:
     """Write the rows into the new file `target`; return their number.
 
-    Lists of numbers or texts are lists, lists of messages JSON, bytes a BLOB. Beside `target`
-    temporary files need as much space again.
+    Lists of numbers or texts become lists, lists of messages JSON, and bytes a BLOB. Temporary
+    files in the folder of `target` need the same space again.
 
     Raises:
-        UsageError: duckdb is not installed.
+        UsageError, RobotctlError: duckdb is not installed, or fails.
         UnreadableFile: A number does not fit into its column.
         OSError: The disk is full or fails.
     """
@@ -94,7 +94,7 @@ def _duckdb() -> Any:
 
 
 def _batches(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[list[Row]]:
-    """Yield the rows in batches that fit into memory; one without rows if there are none."""
+    """Yield the rows in batches that fit into memory; without rows, yield one empty batch."""
     long = [place for place, column in enumerate(columns) if column.kind is not ColumnKind.NUMBER]
     batch: list[Row] = []
     values = 0
@@ -112,7 +112,7 @@ def _batches(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[list[Ro
 def _write_part(
     database: DuckDBPyConnection, columns: Sequence[Column], batch: Sequence[Row], path: Path
 ) -> None:
-    """Write a batch into a file of its own."""
+    """Write a batch into the new Parquet file `path`."""
     values = zip(*batch, strict=True) if batch else ((),) * len(columns)
     try:
         arrays = {
@@ -143,7 +143,7 @@ def _array(column: Column, cells: Sequence[Any]) -> np.ndarray[Any, Any]:
 
 
 def _restored(column: Column, name: str) -> str:
-    """Return the SQL of a column with its type; duckdb takes NaN of numpy for NULL."""
+    """Return SQL that casts a column to its type, and NULL to NaN: duckdb reads NaN as NULL."""
     if column.kind is ColumnKind.BYTES:
         return f"CAST({name} AS BLOB)"
     if column.kind is ColumnKind.NESTED:
@@ -163,8 +163,8 @@ def _join(database: DuckDBPyConnection, parts: Sequence[Path], target: Path) -> 
         parts[0].rename(target)
         return
     listed = ", ".join(map(_text, parts))
-    # With one thread the rows keep their order; only without the promise of it are groups of rows
-    # limited in bytes.
+    # With one thread the rows keep their order anyway. duckdb limits the bytes of row groups only
+    # if it does not have to preserve the order.
     database.execute("SET preserve_insertion_order=false")
     database.execute(
         f"COPY (SELECT * FROM read_parquet([{listed}])) TO {_text(target)} "

@@ -23,9 +23,9 @@ _ENCODING = "cdr"
 
 
 def choose_topic(info: RecordingInfo, name: str, type_name: str, *, listing: str) -> TopicInfo:
-    """Return the topic `name`, whose leading / may be left out; "" takes any `type_name`.
+    """Return the topic `name` (the leading / is optional) of `type_name` (of any type if "").
 
-    `listing` is the command that lists the topics.
+    `listing` is the command that lists the topics, for the error message.
 
     Raises:
         UsageError: The recording has no such topic, or it has several types.
@@ -69,13 +69,13 @@ _DESCRIBED_IN: Final = "ros2msg"
 
 
 class TopicTable:
-    """The rows of a topic; times of the recording come first in each."""
+    """The messages of a topic as rows, which begin with the values of TIME_COLUMNS."""
 
     def __init__(self, recording: Recording, topic: TopicInfo) -> None:
-        """Plan the columns.
+        """Find the columns of the topic's type.
 
         Raises:
-            UnreadableFile: The recording does not describe the type so that it can be read.
+            UnreadableFile: The recording has no definition of the type that can be read.
         """
         self._recording = recording
         self.topic = topic
@@ -89,10 +89,10 @@ class TopicTable:
         """The columns, in the order of the values of a row."""
 
     def rows(self, on_missing: Callable[[str], None], window: Window = ALWAYS) -> Iterator[Row]:
-        """Yield the rows in the order of their log time [ns], those in `window` (both included).
+        """Yield the rows in order of log time, from start to end of `window` [ns], both included.
 
-        `on_missing` gets a sentence about each part that cannot be read, and at the end one about
-        the messages that do not fit their type.
+        `on_missing` is called with a sentence about each part that cannot be read, and at the end
+        with one about messages that do not fit their type.
         """
         row_of, start_ns, type_name = self._decoder.row, self._start_ns, self.topic.type_name
         misfits, reason = 0, ""
@@ -130,7 +130,7 @@ def _unreadable(topic: TopicInfo, error: UnreadableType) -> UnreadableFile:
 
 
 def _beside_times(column: Column) -> Column:
-    """Return the column of a field with another name, if that is the name of a time."""
+    """Return the column of a field, renamed to `message.` + name if a time column has its name."""
     if column.name in {each.name for each in TIME_COLUMNS}:
         return Column(f"message.{column.name}", column.kind, column.type_name)
     return column
@@ -139,14 +139,14 @@ def _beside_times(column: Column) -> Column:
 _Change = Callable[[Any], Any]
 
 _BOTH: Final = "\r\n"
-"""The end of a row for csv, which before Python 3.13 puts a text with one of these characters in
-quotes only if rows end with it; to a reader both end a row."""
+"""The row end for module `csv`. Before Python 3.13 it quotes a text with one of these characters
+only if rows end with that character, but readers end a row at either."""
 
 
 def write_csv(columns: Sequence[Column], rows: Iterable[Row], stream: TextIO) -> int:
     """Write a header and the rows; return their number.
 
-    Lines end with a line feed. Lists are JSON, bytes are base64, and NaN and infinity `nan`, `inf`.
+    Lines end with a line feed. Lists become JSON, bytes base64, NaN and infinity `nan` and `inf`.
     """
     writer = csv.writer(_LineFeeds(stream), lineterminator=_BOTH)
     writer.writerow([column.name for column in columns])
@@ -156,9 +156,9 @@ def write_csv(columns: Sequence[Column], rows: Iterable[Row], stream: TextIO) ->
 
 
 def write_json_lines(columns: Sequence[Column], rows: Iterable[Row], stream: TextIO) -> int:
-    """Write an object for each row, with the names of the columns as keys; return their number.
+    """Write a JSON object for each row, with the column names as keys; return the number of rows.
 
-    Bytes are base64, and what JSON has no number for is the text `NaN`, `Infinity`, `-Infinity`.
+    Bytes become base64. NaN and infinity become the texts `NaN`, `Infinity` and `-Infinity`.
     """
     names = [column.name for column in columns]
     counted = _Counted(_changed(columns, rows, lambda value: value))
@@ -167,7 +167,7 @@ def write_json_lines(columns: Sequence[Column], rows: Iterable[Row], stream: Tex
 
 
 def json_of(value: Any) -> str:
-    """Return JSON in one line; numbers that it lacks become texts, and bytes become base64."""
+    """Return JSON in one line. NaN and infinity become texts, and bytes become base64."""
     try:
         return json.dumps(value, allow_nan=False)
     except (ValueError, TypeError):
@@ -175,7 +175,7 @@ def json_of(value: Any) -> str:
 
 
 class _LineFeeds:
-    """Receives the rows of csv, and ends them with a line feed alone."""
+    """A stream for `csv` that replaces the end of each row by a line feed."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -185,7 +185,7 @@ class _LineFeeds:
 
 
 class _Counted:
-    """Counts what it yields."""
+    """Yields rows, and counts them."""
 
     def __init__(self, rows: Iterable[Row]) -> None:
         self._rows = rows
@@ -198,7 +198,7 @@ class _Counted:
 
 
 def _changed(columns: Sequence[Column], rows: Iterable[Row], of_list: _Change) -> Iterable[Row]:
-    """Return the rows with text in place of bytes, and what `of_list` makes of lists."""
+    """Return the rows with bytes as base64 text, and lists as `of_list` converts them."""
     changes = {ColumnKind.BYTES: _base64, ColumnKind.LIST: of_list, ColumnKind.NESTED: of_list}
     places = [
         (place, changes[column.kind])

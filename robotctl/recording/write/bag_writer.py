@@ -21,16 +21,16 @@ from robotctl.recording.write.recorder_options import RecorderOptions
 from robotctl.recording.write.recording_file import RecordingFile
 
 MAX_SHARE: Final = 0.25
-"""Maximum share of a file that repeats may take. Otherwise each new file could be full at once."""
+"""Maximum share of a file for repeated latched messages: they must not fill a new file at once."""
 
 
 def repeats(
     channels: Sequence[ChannelState], newest_ns: int, split_bytes: int
 ) -> list[PlainMessage]:
-    """Return the last latched message of each publisher, as if it came just now.
+    """Return the last latched message of each publisher, to be repeated in a new file.
 
-    `newest_ns` is the log time that they get; 0 keeps their own. If not all fit, the smallest are
-    chosen, and the others are counted in `not_repeated` of their channel.
+    `newest_ns` replaces their log times unless it is 0. If they exceed MAX_SHARE of `split_bytes`,
+    the smallest are chosen, and the others are counted in `not_repeated` of their channel.
     """
     latched = [
         (
@@ -59,14 +59,14 @@ METADATA_PERIOD_S = 10.0
 """Maximum age of the counts in `metadata.yaml`; the counts in an MCAP file are always current."""
 
 MAX_EVENTS = 1000
-"""Maximum per file: each event takes room in the summary, which is written four times a second."""
+"""Maximum per file: each event makes the summary longer, and each further event rewrites it."""
 
 MAX_INDEX_BYTES = 8 << 20
 """Maximum size of the chunk index of a file: each chunk adds 10 bytes for each topic in it."""
 
 
 class BagWriter:
-    """Writer of the files of one folder: writes chunks, and begins the next file in time.
+    """Writer of the files of one folder: writes chunks, and begins a new file when one is full.
 
     Not thread-safe. `channels` may grow; a channel's position in it is its channel id. Every method
     may raise OSError; after that only `abandon` may be called.
@@ -83,9 +83,9 @@ class BagWriter:
     ) -> None:
         """Create the first file in `folder`, which must exist.
 
-        `metadata` is called for each file and returns what is stored in it. `on_split` is called
-        with the path of each later file. A full file is followed by the next one; with `on_full`,
-        that is called instead, once for each file.
+        `metadata` is called for each file, which stores what it returns. `on_split` is called with
+        the path of each later file. A full file is followed by the next one; if `on_full` is given,
+        it is called instead with the path of the full file, once per file.
         """
         self._folder = folder
         self._options = options
@@ -120,7 +120,7 @@ class BagWriter:
 
     @property
     def size(self) -> int:
-        """Bytes on disk, of all files."""
+        """Bytes of all files, without the room in the current one."""
         return self._finished_bytes + self._file.size
 
     def write(self, packed: PackedMessages) -> None:
@@ -157,7 +157,7 @@ class BagWriter:
     def split(self) -> None:
         """Finish the current file and continue in a new one, which repeats the latched messages.
 
-        The old one is finished first: the seal of the new one continues it.
+        The current file is finished first, because the seal of the new file continues its seal.
         """
         self._file.finish()
         successor = self._new_file()
@@ -205,7 +205,7 @@ class BagWriter:
     def refresh_metadata(self) -> None:
         """Write `metadata.yaml` if it is older than METADATA_PERIOD_S or lists a removed file.
 
-        Players rely on it. Retention removes the oldest file first, so only that one is checked.
+        Players rely on its list. Retention removes the oldest file first, so only that is checked.
         """
         removed = bool(self._finished) and not self._is_there(self._finished[0])
         if removed or time.monotonic() >= self._metadata_due:

@@ -1,9 +1,9 @@
 """Buffers of packed MCAP records between the event loop and the writer thread.
 
-There is no lock: one thread packs, another takes. The packer writes a message at `end`, then its
-index entry, and increases `end` last. Data below `end` does not change until the buffer is
-recycled, so the other thread may take it at any time. Each of these steps is one bytecode or one C
-call, and therefore atomic under the interpreter lock.
+There is no lock: the loop's thread packs messages, the writer thread removes them by `take`. The
+packer writes a message at `end`, then its index entry, and increases `end` last. Data below `end`
+does not change until the buffer is recycled, so `take` is allowed at any time. Each of these steps
+is one bytecode or one C call, and therefore atomic under the interpreter lock.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from robotctl.recording.format.records import (
 class PackedMessages:
     """Messages taken from a buffer, as the records of an uncompressed chunk.
 
-    `parts`, concatenated, are the records. `indexes` gives, for each channel in it, an array('Q')
-    that alternates log time [ns] and offset in the chunk. `start_ns` and `end_ns` are the lowest
-    and highest log time [ns].
+    `parts`, concatenated, are the records. `indexes` maps each channel with messages to an
+    array('Q') that alternates log time [ns] and offset in the chunk. `start_ns` and `end_ns` are
+    the lowest and highest log time [ns].
     """
 
     parts: Sequence[Buffer]
@@ -44,7 +44,7 @@ class PackedMessages:
 
 
 class PackBuffer:
-    """Room for many messages. `Recorder.write` packs into it and uses these attributes directly.
+    """Memory for many messages. `Recorder.write` packs into it and uses its attributes directly.
 
     A message that would end beyond byte `limit` does not fit; the packer then changes to another
     buffer. The writer thread sets `limit` to 0 to make it change. `unordered` holds the channels
@@ -66,8 +66,8 @@ class PackBuffer:
         self._taken = 0
 
     def weigh(self) -> int:
-        """Add the bytes of the indexes to `size`, and return them. Called by the packer when it is
-        done.
+        """Add the size of the indexes [bytes] to `size`, and return it. Called by the packer after
+        the last message.
         """
         added = sum(len(index) * index.itemsize for index in self.indexes)
         self.size += added
@@ -79,7 +79,7 @@ class PackBuffer:
             self.indexes.append(array("Q"))
 
     def take(self) -> PackedMessages | None:
-        """Return what was packed since the last take, or None. Called by the taker.
+        """Return the messages packed since the last take, or None. Called by the writer thread.
 
         The result is valid until `recycle`.
 
@@ -110,8 +110,8 @@ class PackBuffer:
         return result
 
     def drop(self) -> dict[int, int]:
-        """Discard what was packed, and return the number of messages by channel. Called by the
-        taker.
+        """Discard the messages packed since the last take, and return their number by channel.
+        Called by the writer thread.
         """
         end = self.end
         counts = {channel: _entries_below(index, end) for channel, index in enumerate(self.indexes)}
@@ -121,7 +121,7 @@ class PackBuffer:
         return {channel: count // 2 for channel, count in counts.items()}
 
     def recycle(self) -> None:
-        """Make it empty again. Only allowed after a take that returned everything."""
+        """Empty the buffer. Only allowed after a take that returned all messages."""
         self._taken = 0
         self.end = 0
         self.limit = self.size = len(self.data)
@@ -134,7 +134,7 @@ class LargeMessage:
     __slots__ = ("_message",)
 
     def __init__(self, message: PlainMessage) -> None:
-        """Keep the message. The caller has made its numbers fit the format: none is checked."""
+        """Keep the message. Its numbers must fit the fields of the format: nothing checks them."""
         self._message = message
 
     @property
@@ -151,12 +151,12 @@ class LargeMessage:
         return pack([self._message])
 
     def drop(self) -> dict[int, int]:
-        """Return its channel, and the count 1."""
+        """Return the message's channel with the count 1."""
         return {self._message[0]: 1}
 
 
 def _entries_below(index: array[int], end: int) -> int:
-    """Return the length of the index entries below `end`; the packer may be adding another one."""
+    """Return how many items of `index` are for data below `end`; the packer may be adding more."""
     count = len(index) & ~1
     while count and index[count - 1] >= end:
         count -= 2
@@ -182,11 +182,11 @@ def pack(messages: Iterable[PlainMessage]) -> PackedMessages:
 
 
 _CACHED = {"window_log": 18, "hash_log": 13}
-"""Tables that fit into the L1 and L2 caches: on odometry a third faster, with the same result
-size."""
+"""Sizes of zstd's tables that fit into the L1 and L2 caches: a third faster on odometry, with the
+same size of the result."""
 
 JOINED_BYTES = 8 << 20
-"""Two parts up to this size are copied into one, because zstd takes a tenth longer for a stream."""
+"""Two parts of at most this size in total are joined: zstd needs 10 % more time for a stream."""
 
 
 class OutOfMemory(MemoryError):
@@ -197,7 +197,7 @@ class ChunkEncoder:
     """Compresses chunks and computes checksums. Not thread-safe; releases the interpreter lock."""
 
     def __init__(self, compression: Compression, level: int) -> None:
-        """Set up the compressor; `level` is zstd's level, ignored without compression."""
+        """Set up the compressor; `level` is zstd's level, ignored for other compressions."""
         self._compression = compression
         parameters = ZstdCompressionParameters.from_level(level, **_CACHED if level == 1 else {})
         self._compressor = ZstdCompressor(compression_params=parameters)

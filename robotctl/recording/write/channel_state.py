@@ -14,15 +14,15 @@ MAX_PUBLISHERS = 1024
 """Maximum number of remembered publishers per topic; beyond that the oldest is forgotten."""
 
 MAX_MISSING = 64
-"""Missing numbers remembered per publisher, because a message that arrives late is not lost."""
+"""Maximum of missing numbers remembered per publisher: their messages may still arrive late."""
 
 
 @dataclass(slots=True)
 class SequenceGaps:
     """The gaps in the sequence numbers of one topic.
 
-    `expected` maps each publisher (its gid) to its next sequence number. The hot path compares with
-    it and advances it itself, and calls `note` in all other cases. Sequence number 0 means that the
+    `expected` maps each publisher (its gid) to its next sequence number. `Recorder.write` advances
+    it if a message has that number, and calls `note` otherwise. Sequence number 0 means that the
     publisher does not count its messages.
     """
 
@@ -36,7 +36,7 @@ class SequenceGaps:
     _missing: dict[bytes, set[int]] = field(default_factory=dict)
 
     def note(self, gid: bytes, sequence: int) -> None:
-        """Count a message that is not the expected one, and expect its successor."""
+        """Count the messages missing before `sequence`; one that arrives late is no longer lost."""
         if sequence <= 0:
             return
         expected = self.expected.get(gid)
@@ -86,11 +86,11 @@ class LatchedMessage(NamedTuple):
 
 @dataclass(slots=True)
 class ChannelState:
-    """The running counts and latched messages of one channel; each count has one thread."""
+    """The live counts and latched messages of one channel; only one thread changes each count."""
 
     topic: Topic
     received: int = 0
-    """Changed by the loop before it does anything else with the message."""
+    """Changed by the loop: messages passed to `Recorder.write`, counted before anything else."""
 
     size: int = 0
     """Changed by the loop: bytes of received data."""
@@ -99,17 +99,17 @@ class ChannelState:
     """Changed by the loop: log time of the last message."""
 
     not_kept: int = 0
-    """Changed by the loop: latched messages without memory; later files lack them."""
+    """Changed by the loop: latched messages not kept for lack of memory; later files lack them."""
 
     dropped_by_loop: int = 0
     """Changed by the loop: dropped because there was no room, or because the recorder has ended."""
 
     throttled: int = 0
-    """Changed by the loop: left out before they are received."""
+    """Changed by the loop: messages that were throttled; they do not count as received."""
 
     gaps: SequenceGaps = field(default_factory=SequenceGaps)
     expected: dict[bytes, int] = field(init=False)
-    """`gaps.expected`; a shorter path for the hot path."""
+    """`gaps.expected`, which the hot path reads faster here."""
 
     packers: dict[int, Packer] = field(default_factory=dict)
     """Packers by message size."""
@@ -130,7 +130,7 @@ class ChannelState:
     """A byte for each channel of the recording, 1 where a count has changed: see CountsOfTopics."""
 
     number: int = 0
-    """Which byte is this channel's."""
+    """The index of this channel's byte in `marks`."""
 
     def __post_init__(self) -> None:
         """Set `expected`, and `latched` if the topic is latched."""
@@ -140,7 +140,7 @@ class ChannelState:
     def keep_latched(
         self, gid: bytes, data: Buffer, log_ns: int, publish_ns: int, sequence: int, room: int
     ) -> int:
-        """Keep the last message of publisher `gid` if it fits into `room` bytes.
+        """Keep the last message of publisher `gid` if it needs at most `room` bytes more.
 
         Return the change in memory use [bytes]. A message that does not fit is counted in
         `not_kept`; the older message is discarded too, because it is out of date.
@@ -164,16 +164,16 @@ class ChannelState:
         return len(own) - freed
 
     def latched_messages(self) -> list[LatchedMessage]:
-        """Return a copy, for the writer thread."""
+        """Return a list of the latched messages, for the writer thread."""
         return list(self.latched.values()) if self.latched else []
 
     def mark(self) -> None:
-        """Note that a count has changed, after the change."""
+        """Mark the channel as changed. Call it after a count has changed."""
         self.marks[self.number] = 1
 
     @property
     def arrived(self) -> int:
-        """How many messages came, recorded or not."""
+        """Messages that arrived: received or throttled."""
         return self.received + self.throttled
 
     @property
@@ -183,7 +183,7 @@ class ChannelState:
         return received == self.written + self.dropped_by_writer + self.dropped_by_loop
 
     def stats(self) -> TopicStats:
-        """Return a copy in which the counts agree, for any thread."""
+        """Return a consistent copy of the counts. Any thread may call it."""
         written, dropped = self.written, self.dropped_by_loop + self.dropped_by_writer
         received = self.received  # read last, so that queued is never negative
         queued, not_repeated = received - written - dropped, self.not_kept + self.not_repeated

@@ -1,6 +1,6 @@
 """The seal of the file that is being written: a running hash, and signed links.
 
-A seal that fails never stops the recording: the file continues without, and `failure` says why.
+A seal that fails never stops the recording: the file continues unsealed, and `failure` says why.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from robotctl.recording.format.seal_records import (
 )
 
 LINK_PERIOD_S: Final = 10.0
-"""How often a link is stored; the head is as new as the last commit."""
+"""Period of the links in the data [s]; the head in the summary is written with each commit."""
 
 
 class Sealer(Protocol):
-    """Gives each file its key, and keeps the newest link. Used in the writer thread only.
+    """Gives each file its key, and stores the newest link. Used in the writer thread only.
 
-    Any error that a method raises leaves the recording without a seal.
+    After any error that a method raises, the rest of the file has no seal.
     """
 
     def open_file(self, file: str) -> SealOfFile:
         """Return the seal of a new file."""
 
     def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
-        """Keep a link of the file outside the recording; its bytes are on the disk."""
+        """Store a link outside the recording. The bytes that it covers are on the disk already."""
 
 
 class FileSeal:
-    """The chain over one file. It covers every byte from the first; it signs once it is open."""
+    """The hash chain of one file: it covers each byte from the first, and signs after `open`."""
 
     def __init__(self, sealer: Sealer, clock: Callable[[], float] = time.monotonic) -> None:
         """Begin the chain at the beginning of the file; `clock` gives seconds."""
@@ -50,14 +50,14 @@ class FileSeal:
         self._seal: SealOfFile | None = None
         self._due = 0.0
         self._stored: Link | None = None
-        """The last link that was made and is not kept yet."""
+        """The last link of the file if `keep` has not stored it yet."""
 
         self._head: Link | None = None
         self.failure = ""
-        """Why the file is not sealed any more, or "" ."""
+        """Why the file is no longer sealed, or ""."""
 
     def open(self, file: str) -> bytes:
-        """Begin to sign; return the record to add to the file, empty after a failure."""
+        """Begin to sign; return the opening record for the file, or empty bytes after a failure."""
         try:
             self._seal = self._sealer.open_file(file)
         except Exception as error:  # noqa: BLE001 - the seal never stops a recording
@@ -74,11 +74,11 @@ class FileSeal:
 
     @property
     def link_is_due(self) -> bool:
-        """Whether a link is to be stored."""
+        """Whether a link must be added to the data now."""
         return self._seal is not None and self._clock() >= self._due
 
     def link(self, covered: int) -> bytes:
-        """Return the record of a link at offset `covered`, where all covered bytes end."""
+        """Return the record of a link that covers the bytes of the file before `covered`."""
         link = self._signed(LinkKind.LINK, covered)
         if link is None:
             return b""
@@ -90,16 +90,16 @@ class FileSeal:
         return link.record()
 
     def head(self, covered: int) -> bytes:
-        """Return the record of the head at offset `covered`; empty while it does not sign."""
+        """Return the record of a head for the bytes before `covered`; empty if it cannot sign."""
         if self._seal is None:
             return b""
         self._head = self._signed(LinkKind.HEAD, covered)
         return b"" if self._head is None else self._head.record()
 
     def keep(self, *, closed: bool = False) -> None:
-        """Keep the last link outside the recording, the head if it is closed.
+        """Store the last link outside the recording, or the head if the file is `closed`.
 
-        Call it when the bytes that they cover are on the disk.
+        Call it when the bytes that the link or head covers are on the disk.
         """
         link = self._head if closed else self._stored
         if self._seal is None or link is None:
@@ -123,4 +123,4 @@ class FileSeal:
 
     def _fail(self, error: Exception) -> None:
         self._seal = None
-        self.failure = f"the recording is not sealed from here on: {error}"
+        self.failure = f"the rest of this file is not sealed: {error}"

@@ -4,31 +4,31 @@ Each `commit` appends the new records to the data, followed by a complete traile
 footer, magic. The next commit overwrites that trailer. So a reader can open the file at any moment,
 also after the process was killed, without a recovery step.
 
-A file that grows for long keeps room between data and trailer (below).
+A file that grows by many commits keeps room between data and trailer (below).
 
 A positioned write is not atomic: Linux checks for fatal signals between pages. A kill during a
-write can only damage what that write puts in the place of a trailer or behind it. The file is at
-risk for as long as such a write takes.
+write can only damage the bytes that this write puts in the place of a trailer or behind it. The
+file may become invalid only while such a write is in progress.
 
 A trailer directly behind the data moves with each commit, and all of it is written to the disk
 again: after ten minutes, 50 times as much as what was recorded. So a growing file has a record in
-between that readers skip. Of the trailer, a commit changes only the last few hundred bytes.
+between that readers skip: the room. A commit changes only the trailer's last few hundred bytes.
 
 The file is valid between any two writes of a commit:
 
-(1) within the room: the new records without the head of the first, and the head of the room left;
-(2) the head of the first record: from now on, sequential readers see them all;
+(1) into the room: the new records without the head of the first, and the head of the rest of it;
+(2) the head of the first new record: from now on, sequential readers see all new records;
 (3) the end of the trailer.
 
-Where the room is too small, the trailer first moves away:
+If the room is too small, the trailer is first moved to a later offset:
 
 (1) at the future end of the file: a footer that points back to the trailer;
 (2) before it: a copy of the trailer; (3) the footer of that copy: from now on, readers of the index
 do not need the old trailer; (4) the head of the room, which reaches to the copy.
 
-What the summary lists elsewhere than at its end (a topic, an event, the end of the recording) takes
-the room out again: within the room, the trailer is written behind the new records, and the file is
-cut behind it.
+A commit that changes the summary before its end (a topic, an event, the end of the recording)
+removes the room: the trailer is written into it, behind the new records, and the file is truncated
+behind the trailer.
 """
 
 from __future__ import annotations
@@ -62,29 +62,29 @@ from robotctl.recording.format.trailer import FOOTER_BYTES, Summary, TrailerStat
 from robotctl.recording.write.file_seal import FileSeal
 
 LEAST_BYTES: Final = 64 << 10
-"""The least room that is made; at least that of the trailer is made. So each byte of a trailer is
-written about once more for each byte recorded, however long the file."""
+"""The least size of new room, which is also never smaller than the trailer. So moving trailers
+writes about one byte for each byte recorded, however long the file."""
 
 PAGE_BYTES: Final = 4096
 
 COMMITS: Final = 3
-"""The number of further commits of the same size that new room is made for."""
+"""New room is large enough for this number of further commits of the same size."""
 
 
 class Room(NamedTuple):
-    """The room of a file: its data end at `start`, and the trailer `good` has `trailer_bytes`."""
+    """The room from `start`, the end of the data, to trailer `good`, `trailer_bytes` long."""
 
     start: int
     good: TrailerState
     trailer_bytes: int
 
     def for_bytes(self, size: int, storage: Storage, summary: Summary) -> tuple[TrailerState, int]:
-        """Move the trailer away unless `size` bytes fit before it.
+        """Move the trailer to a later offset unless `size` bytes fit before it.
 
-        Returns the trailer's state, and the bytes that were written for it.
+        Returns the trailer's state, and how many bytes were written to move it.
 
         Raises:
-            OSError: The file must be cut back.
+            OSError: The disk is full or fails. The file must be cut back.
         """
         good = self.good
         if size + RECORD_HEAD_BYTES <= good.data_end - self.start:
@@ -101,10 +101,10 @@ class Room(NamedTuple):
 
 
 def write_hidden(parts: Sequence[Buffer], start: int, storage: Storage) -> None:
-    """Write records into the room from `start`, the first head last: until then nobody reads them.
+    """Write records into the room at `start`, the first head last: readers skip them until then.
 
     Raises:
-        OSError: The file must be cut back.
+        OSError: The disk is full or fails. The file must be cut back.
     """
     first, *others = [memoryview(part) for part in parts if len(part)]
     storage.write_at([first[RECORD_HEAD_BYTES:], *others], start + RECORD_HEAD_BYTES)
@@ -112,10 +112,10 @@ def write_hidden(parts: Sequence[Buffer], start: int, storage: Storage) -> None:
 
 
 def write_in_pages(parts: Sequence[Buffer], offset: int, storage: Storage) -> None:
-    """Write `parts` at `offset`, a page in each write.
+    """Write `parts` at `offset`, one page per write.
 
-    Linux keeps what is written at once in one folio of up to 2 MB, and counts and writes all of it
-    again when a byte of it changes.
+    Linux caches the bytes of one write in a folio of up to 2 MB. When a byte of the folio changes,
+    Linux counts and writes the whole folio again.
 
     Raises:
         OSError: The disk is full or fails.
@@ -142,7 +142,7 @@ class McapFile:
     ) -> None:
         """Begin the file; nothing is written before the first `commit`.
 
-        `seal` chains its bytes. With `keeps_room` it may grow for long.
+        `seal` hashes and signs the bytes of the file. `keeps_room` is for many commits (see above).
         """
         self.summary = Summary()
         self.size = 0
@@ -158,7 +158,7 @@ class McapFile:
         self._data_crc = 0
         self._seal = seal
         self._sealed_pending = 0
-        """Bytes of `_pending` that the seal covers already."""
+        """Number of the first bytes of `_pending` that the seal covers already."""
 
         self._good: TrailerState | None = None
         """The state after the last successful write."""
@@ -212,14 +212,14 @@ class McapFile:
         self.summary.add(Opcode.ATTACHMENT_INDEX, record_bytes(index))
 
     def add_sealed(self, record: bytes) -> None:
-        """Add a record of the seal."""
+        """Add a record of the seal. The summary does not list it."""
         self._pending += record
 
     def commit(self, chunk: Chunk | None = None, *, finished: bool = True) -> None:
         """Write the added records, then `chunk`, then the trailer.
 
-        With `finished` False the trailer is left out, and the file is not valid before another
-        commit: use that for files that are not read before they are complete.
+        With `finished` False (without `keeps_room` only) the trailer is left out, and the file is
+        not valid until another commit: use that for files that are read only when complete.
 
         Raises:
             OSError: The file may be torn until `cut_back` has repaired it.
@@ -263,7 +263,7 @@ class McapFile:
         return state
 
     def _commit_into_room(self, good: TrailerState, chunk: Chunk | None) -> None:
-        """Write records before the trailer, and what changes of that."""
+        """Write the new records into the room, then the part of the trailer that changes."""
         start = self._data_end
         parts, end, entry = self._parts(chunk)
         good = self._make_room(good, end - start)
@@ -273,7 +273,7 @@ class McapFile:
         changed = trailer.behind(good.kept_bytes)
         write_hidden([*parts, room_head(end, state.data_end)], start, self._storage)
         self._storage.write_at(changed, state.data_end + good.kept_bytes)
-        if trailer.size < self.size - start:  # the seal has ended
+        if trailer.size < self.size - start:  # the new trailer lacks the seal's head
             self._storage.truncate(state.data_end + trailer.size)
         self.trailer_bytes += sum(map(len, changed))
         self._good = state
@@ -286,7 +286,7 @@ class McapFile:
         return self._good
 
     def _parts(self, chunk: Chunk | None) -> tuple[list[Buffer], int, ChunkIndex | None]:
-        """Return what is to be written, the offset after it, and the entry of the chunk."""
+        """Return the parts to write, the offset after them, and the chunk's entry in the index."""
         pending = bytes(self._pending)
         end = self._data_end + len(pending)
         if chunk is None:
@@ -302,7 +302,7 @@ class McapFile:
         chunk: Chunk | None = None,
         entry: ChunkIndex | None = None,
     ) -> bytes:
-        """Seal what is about to be written; return the record of the head of the seal."""
+        """Add the chunk to the summary and `parts` to the seal; return the seal's head record."""
         if chunk is not None and entry is not None:
             self.summary.count(chunk)
             self.summary.add(Opcode.CHUNK_INDEX, record_bytes(entry))
@@ -320,7 +320,7 @@ class McapFile:
         self.size = size
 
     def _add_link(self, seal: FileSeal) -> None:
-        """Add a stored link behind what is pending."""
+        """Add a link of the seal behind the pending records."""
         seal.cover(memoryview(bytes(self._pending))[self._sealed_pending :])
         record = seal.link(self._data_end + len(self._pending))
         self._sealed_pending = len(self._pending)
@@ -339,7 +339,7 @@ class McapFile:
 
     def cut_back(self) -> None:
         """Restore the file to its state after the last successful commit. Call it after a failed
-        one.
+        commit.
 
         Nothing may be added or committed afterwards.
 

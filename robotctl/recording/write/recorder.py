@@ -1,8 +1,8 @@
-"""The flight recorder: takes messages from the event loop and writes an always-valid MCAP file.
+"""The flight recorder: accepts messages in the event loop and writes an always-valid MCAP file.
 
-`Recorder.write` packs into memory and never waits; one thread compresses and writes. Messages that
-do not fit into the bounded queue are dropped and counted. For each topic received = written +
-queued + dropped at any time, and queued is 0 after `close`.
+`Recorder.write` packs a message into memory and never waits; a writer thread compresses and writes.
+Messages that do not fit into the memory budget are dropped and counted. For each topic received =
+written + queued + dropped at any time, and queued is 0 after `close`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from robotctl.recording.write.writer_thread import WriterCommand, WriterThread
 
 
 class RecorderState(StrEnum):
-    """Whether the recorder keeps messages, or counts them as dropped."""
+    """Whether the recorder records messages (RECORDING), or counts them as dropped."""
 
     RECORDING = "recording"
     FAILED = "failed"
@@ -48,8 +48,8 @@ class RecorderStats(MessageCounts):
     """The recorder at one instant; the counts are the sums over `topics`.
 
     `file` is the current file, `bytes` the size of all files of this recording. `no_memory` counts
-    the dropped messages for which there was no memory. `failure` and `warning` are
-    sentences, or "".
+    the messages that were dropped because the process could not allocate memory. `failure` and
+    `warning` are sentences, or "".
     """
 
     state: RecorderState
@@ -62,20 +62,20 @@ class RecorderStats(MessageCounts):
 
 
 class CountsOfTopics:
-    """Copies of the counts of channels, to which channels are only ever added."""
+    """Copies of the counts of all channels of a recording. Channels are never removed."""
 
     def __init__(self, channels: Sequence[ChannelState], marks: bytearray) -> None:
-        """`marks` are those of the channels, one byte each; a new channel is marked."""
+        """`marks` has one byte per channel: 1 if the channel is new or its counts have changed."""
         self._channels = channels
         self._marks = marks
         self.topics: tuple[TopicStats, ...] = ()
-        """The counts of each channel; those that do not change stay the same object."""
+        """The counts of each channel; an item stays the same object until its counts change."""
 
         self.sums = dict.fromkeys(COUNTERS, 0)
         """The sum of each counter, by name."""
 
     def update(self) -> None:
-        """Copy what has changed. Call it in the loop's thread."""
+        """Copy the counts that have changed. Call it in the loop's thread."""
         channels, marks = self._channels, self._marks
         place = marks.find(1)
         if place < 0:
@@ -84,7 +84,7 @@ class CountsOfTopics:
         counts += [TopicStats()] * (len(channels) - len(counts))
         try:
             while place >= 0:
-                marks[place] = 0  # first: a change that the copy lacks marks it again
+                marks[place] = 0  # before the copy: a later change marks it again
                 gone.append(counts[place])
                 counts[place] = new = channels[place].stats()
                 come.append(new)
@@ -102,14 +102,14 @@ MAX_TOPICS: Final = 1 << 16
 """A channel id of MCAP has 16 bits."""
 
 _PREFIX = struct.Struct("<BQH")
-"""The constant part of all messages of a channel and a size: opcode, record length, channel id."""
+"""The first bytes of all messages of one channel and size: opcode, record length, channel id."""
 
 
 class Recorder:
     """A recorder that writes one folder in rosbag2's layout.
 
-    `add_topic`, `write` and `split` must be called from one thread, the event loop's. The other
-    methods may be called from any thread.
+    `add_event` and `close` may be called from any thread. The other methods must be called from one
+    thread, the event loop's.
     """
 
     def __init__(
@@ -124,11 +124,11 @@ class Recorder:
     ) -> None:
         """Create `folder` with its first file, and start the writer thread.
 
-        `metadata` is called when a file begins and returns what is stored in it. `on_failure` is
-        called at most once, with a sentence for the operator. `on_split` is called with each later
-        file when it has begun. A full file is followed by the next one; with `on_full`, that is
-        called instead, once, and must cause a call of `split`. All are called in the writer thread,
-        except `metadata` for the first file.
+        `metadata` is called when a file begins; the file stores what it returns. `on_failure` is
+        called at most once, with a sentence for the operator. `on_split` is called with the path of
+        each later file when it has begun. A full file is followed by the next one; if `on_full` is
+        given, it is called instead, once per file, and must cause a call of `split`. All are called
+        in the writer thread, except `metadata` for the first file.
 
         Raises:
             Refused: The folder cannot be written.
@@ -173,10 +173,10 @@ class Recorder:
     def write(
         self, channel: int, data: Buffer, log_ns: int, publish_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Record a message, or count it as dropped. Never waits; the data is copied or immutable.
+        """Record a message, or count it as dropped. Never waits; copies `data` unless it is bytes.
 
         Times are in nanoseconds since the epoch. `sequence` is the sequence number that publisher
-        `gid` gave the message, 0 if it has none.
+        `gid` gave the message, 0 if it gave none.
         """
         state = self._channels[channel]
         state.received += 1
@@ -216,7 +216,7 @@ class Recorder:
             self._drop_for_memory(state, channel)
 
     def leave_out(self, channel: int, log_ns: int, sequence: int, gid: bytes) -> None:
-        """Count a message as throttled: it is not recorded, and its number leaves no gap."""
+        """Count a message as throttled: it is not recorded, and it does not count as lost."""
         state = self._channels[channel]
         state.throttled += 1
         self._marks[channel] = 1
@@ -224,11 +224,11 @@ class Recorder:
         state.gaps.note(gid, sequence)
 
     def channel(self, channel: int) -> ChannelState:
-        """Return the running counts of a channel, to be read in the loop's thread."""
+        """Return the live counts of a channel. Read them in the loop's thread only."""
         return self._channels[channel]
 
     def split(self) -> None:
-        """Continue in a new file, without a gap: messages written from now on go into that one.
+        """Continue in a new file: it gets all messages that are passed to `write` from now on.
 
         Returns at once; `on_split` is called when the new file has begun. Does nothing after
         `close`.
@@ -244,9 +244,9 @@ class Recorder:
         self._thread.queue.put(event)
 
     def stats(self) -> RecorderStats:
-        """Return the counts at this instant; those of a topic are one object until they change.
+        """Return the current counts. Call it in the loop's thread.
 
-        So are `topics`. Call it in the loop's thread.
+        `topics` and each of its items stay the same object until their counts change.
         """
         self._counts.update()
         return self._stats(self._counts.topics, self._counts.sums)
@@ -264,7 +264,7 @@ class Recorder:
         )
 
     def close(self) -> RecorderStats:
-        """Write what is queued, and finish file and folder. Blocks; a second call has no effect.
+        """Write what is queued, finish file and `metadata.yaml`. Blocks; a second call is harmless.
 
         Messages passed to `write` from now on count as dropped.
         """
@@ -311,7 +311,7 @@ class Recorder:
         buffer.end = start + length
 
     def _drop_for_memory(self, state: ChannelState, channel: int) -> None:
-        """Count a dropped message that found no memory, and remove the half of its index entry."""
+        """Count a message dropped for lack of memory; remove its index entry if half is there."""
         index = self._buffer.indexes[channel]
         if len(index) % 2:
             index.pop()
@@ -319,8 +319,8 @@ class Recorder:
         self._no_memory += 1
 
     def _buffer_with_room(self, length: int) -> PackBuffer | None:
-        """Return the active buffer, or a new active one, with room for `length` bytes; None without
-        memory.
+        """Return the active buffer if it has room for `length` bytes, or else a new active one.
+        Return None if the memory budget is used up.
         """
         buffer = self._buffer
         if buffer.end + length <= buffer.limit:
@@ -361,20 +361,20 @@ def _new_packer(state: ChannelState, channel: int, size: int) -> Packer:
 
 
 class MessageGate:
-    """A sink that hands messages on to the recorder, or counts them as throttled.
+    """A sink that passes messages to the recorder, or counts them as throttled.
 
-    It keeps the first message of each interval. An interval begins where the last one ended, so
-    that the rate is reached on average; after a pause, with the next message.
+    It passes the first message of each interval. An interval begins where the last one ended, so
+    that the average rate is `most_hz`; after a pause, it begins with the next message.
     """
 
     def __init__(self, recorder: Recorder, channel: int, most_hz: float = inf) -> None:
-        """Keep `most_hz` messages a second at most; inf keeps all, 0 none."""
+        """Pass at most `most_hz` messages per second; inf passes all, 0 none."""
         self._recorder = recorder
         self._channel = channel
         self._interval_ns = round(NS_PER_S / most_hz) if most_hz else None
         self._due_ns = 0
         self.is_shut = False
-        """Whether no message is kept."""
+        """Whether all messages are counted as throttled."""
 
     def __call__(
         self, data: Buffer, log_ns: int, publish_ns: int, sequence: int, gid: bytes

@@ -27,8 +27,8 @@ class TopicFilter:
     match.
 
     A pattern is a name (`/cmd_vel`), a name with the wildcards `*`, `?` and `[...]` (`*` also
-    matches `/`: `/camera/*`), or one of these for the type (`type:sensor_msgs/msg/Image`). The
-    topics in `always` are recorded regardless of the patterns.
+    matches `/`: `/camera/*`), or `type:` and such a pattern for the type
+    (`type:sensor_msgs/msg/Image`). The topics in `always` are recorded regardless of the patterns.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class TopicFilter:
         return not self._include or any(included)
 
     def can_leave_out(self, topic: str) -> bool:
-        """Return whether patterns may exclude the topic. Some topics are always recorded."""
+        """Return whether patterns may exclude the topic, which is False for those in `always`."""
         return topic not in self._always
 
 
@@ -68,7 +68,7 @@ class TopicPattern:
 
 
 class RateByTopic:
-    """Rates [1/s] from texts such as `/camera/*=5`; the first pattern that matches counts."""
+    """Rates [1/s] from texts such as `/camera/*=5`; the first pattern that matches is used."""
 
     def __init__(self, texts: Iterable[str]) -> None:
         parts = (text.rpartition("=") for text in texts)
@@ -94,15 +94,15 @@ def free_space(folder: Path) -> int:
 class RecorderOptions:
     """Sizes and times of the recorder.
 
-    A footer follows the data after `chunk_bytes` or `flush_s`, whichever comes first; data survives
-    a power cut after `sync_s`. `memory_bytes` is the budget for everything in memory: messages that
-    wait for the disk and, up to a third of it, the latched messages that the next file repeats.
-    Messages that do not fit are counted. A new file begins at `split_bytes` or after `split_s`. The
-    recorder warns when the disk has less than `warn_free_bytes` left, and stops at
-    `stop_free_bytes`. With `group_readable` the group may read the recording, otherwise only its
-    owner may. `records` are further metadata records for the beginning of each file, by their name.
-    `sealer` seals the files, if it is given.
-    The messages of the topics in `evidence` stand in chunks of their own where others are heavy.
+    Messages are in the file, before a valid footer, after `chunk_bytes` or `flush_s`, whichever
+    comes first; they survive a power cut after `sync_s`. `memory_bytes` is the budget for all data
+    in memory: messages that wait for the disk and, up to a third of it, the latched messages that
+    the next file repeats. Messages that do not fit are dropped and counted. A new file begins at
+    `split_bytes` or after `split_s`. The recorder warns when the disk has less than
+    `warn_free_bytes` left, and stops at `stop_free_bytes`. With `group_readable` the group may read
+    the recording, otherwise only its owner may. `records` are further metadata records for the
+    beginning of each file, by name. `sealer`, if given, seals the files. Messages of the `evidence`
+    topics are written in separate chunks if the other topics have much more data.
     """
 
     compression: Compression = Compression.ZSTD

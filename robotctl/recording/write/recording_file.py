@@ -76,7 +76,7 @@ class RecordingFile:
 
     @property
     def size(self) -> int:
-        """Bytes on disk."""
+        """Bytes of the file, without the room between data and trailer."""
         return self._mcap.size
 
     @property
@@ -95,7 +95,7 @@ class RecordingFile:
         return self._mcap.trailer_bytes
 
     def begin_seal(self) -> None:
-        """Begin to sign. Call it in the writer thread: it may import a library, and sync a file."""
+        """Begin the seal. Call it in the writer thread: it may import a library and sync a file."""
         if self.seal is not None:
             self._mcap.add_sealed(self.seal.open(self.path.name))
             self._mcap.commit()
@@ -162,7 +162,7 @@ class RecordingFile:
         return BagFile(self.path.name, summary.start_ns, summary.end_ns, dict(summary.counts))
 
     def _announce_topics(self) -> bool:
-        """Add schema and channel of each topic that is new to the file; return False if none is."""
+        """Add schema and channel of each new topic of the file; return False if there is none."""
         known = len(self._channels)
         if self._announced == known:
             return False

@@ -1,8 +1,8 @@
 """The writer thread: takes packed messages from the queue and writes them.
 
-A chunk can only be read as a whole. Where heavy topics share it, a check of the decisions would
-read every image of a recording. So the messages of the evidence topics get a chunk of their own,
-before the chunk with the rest. In each of the two, messages stay in the order of their arrival.
+A chunk can only be read as a whole. If heavy topics shared it, a check of the decisions would read
+every image of a recording. So the messages of the evidence topics get a separate chunk, before the
+chunk with the rest. Each of the two chunks keeps the order in which messages arrived.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.recorder_options import RecorderOptions
 
 SLICE_NS: Final = 20_000_000
-"""Time slice of the thread. Since Linux 6.12 a waking thread preempts one with a longer slice than
-its own (3 ms by default), and waits for the end of a shorter one."""
+"""Time slice of the thread. Since Linux 6.12 a waking thread preempts a thread with a longer slice
+than its own (3 ms by default), and waits for the end of a shorter slice."""
 
 _SCHED_SETATTR: Final = {"x86_64": 314, "aarch64": 274}
-"""Number of the system call, which no library wraps."""
+"""Number of the system call `sched_setattr`, which glibc wraps only since 2.41."""
 
 
 class _Attributes(ctypes.Structure):
@@ -54,9 +54,9 @@ class _Attributes(ctypes.Structure):
 
 
 def rank_below(nice: int) -> None:
-    """Let the calling thread preempt no other thread, and be preempted by each that wakes.
+    """Make the calling thread preempt no other thread, and any waking thread preempt it.
 
-    When all cores are busy, its share of CPU time is that of its niceness, increased by `nice`.
+    Increase its niceness by `nice`, which sets its share of CPU time when all cores are busy.
     Other threads are not affected.
     """
     os.nice(nice)
@@ -75,17 +75,17 @@ def rank_below(nice: int) -> None:
 
 
 HEAVY_BYTES: Final = 64 << 10
-"""Fewer bytes of other topics stay with the evidence: another chunk would cost more than it
-saves."""
+"""The least size of other topics' messages for a second chunk; a smaller chunk would cost more than
+it saves."""
 
 HEAVY_RATIO: Final = 4
-"""The least ratio of the other bytes to those of the evidence."""
+"""The least ratio of other topics' bytes to the evidence topics' bytes for a second chunk."""
 
 assert MESSAGE_HEAD.size == RECORD_HEAD_BYTES + MESSAGE_FIELDS_BYTES
 
 
 class EvidenceChunks:
-    """Separates evidence from heavy topics; for the writer thread."""
+    """Separates the messages of evidence topics from heavy ones. Used by the writer thread."""
 
     def __init__(self, topics: Collection[str], channels: Sequence[ChannelState]) -> None:
         """`topics` are the full names of the evidence topics; `channels` may grow."""
@@ -95,7 +95,7 @@ class EvidenceChunks:
         self._evidence: set[int] = set()
 
     def separate(self, packed: PackedMessages) -> tuple[PackedMessages, ...]:
-        """Return `packed`, or copies of the evidence in it and of the rest, if that is heavy.
+        """Return `packed`, or a copy of its evidence and a copy of the rest if the rest is heavy.
 
         Raises:
             MemoryError: Nothing is changed.
@@ -117,7 +117,7 @@ class EvidenceChunks:
         return _part(view, spans, packed, chosen), _part(view, gaps, packed, others)
 
     def _learn(self) -> None:
-        """Find the channels of the evidence topics among those that were added."""
+        """Find the channels of evidence topics among the channels added since the last call."""
         known = len(self._channels)
         for channel in range(self._known, known):
             if self._channels[channel].topic.name in self._topics:
@@ -130,7 +130,7 @@ _Span = tuple[int, int]
 
 
 def _spans(view: memoryview, indexes: Iterable[array[int]]) -> list[_Span]:
-    """Return where the records of these indexes stand, in order; neighbours are joined."""
+    """Return the spans of the records in `indexes`, in order; adjacent spans are joined."""
     length = slice(1, RECORD_HEAD_BYTES)
     spans: list[_Span] = []
     for start in sorted(offset for index in indexes for offset in index[1::2]):
@@ -144,7 +144,7 @@ def _spans(view: memoryview, indexes: Iterable[array[int]]) -> list[_Span]:
 
 
 def _between(spans: Sequence[_Span], size: int) -> list[_Span]:
-    """Return the spans that are left of `size` bytes."""
+    """Return the spans from 0 to `size` that are not in `spans`."""
     edges = [0, *(edge for span in spans for edge in span), size]
     return [(start, end) for start, end in zip(edges[::2], edges[1::2], strict=True) if start < end]
 
@@ -152,7 +152,7 @@ def _between(spans: Sequence[_Span], size: int) -> list[_Span]:
 def _part(
     view: memoryview, spans: Sequence[_Span], packed: PackedMessages, channels: Iterable[int]
 ) -> PackedMessages:
-    """Return the messages of `channels`, whose records stand in `spans`, one after the other."""
+    """Return the messages of `channels`: their records, which are those in `spans`, joined."""
     starts = [start for start, _ in spans]
     shifts: list[int] = []
     size = 0
@@ -171,7 +171,7 @@ def _part(
 
 
 SPARE_BUFFERS = 2
-"""Empty buffers kept for the loop: one to change to, one for a burst. Further ones are freed."""
+"""Empty buffers kept for the loop: one to change to, one for a burst. Other buffers are freed."""
 
 NICE = 5
 """How far the thread's priority is below the loop's. When all cores are busy, the loop gets three
@@ -185,7 +185,7 @@ _SETTLE_S = 1.0
 
 
 class WriterCommand(Enum):
-    """What the loop may request through the queue, besides writing."""
+    """What the loop may request through the queue, other than writing."""
 
     SPLIT = "go on in a new file"
     STOP = "finish"
@@ -194,8 +194,8 @@ class WriterCommand(Enum):
 class WriterThread:
     """The thread that writes the files.
 
-    The loop puts full buffers into `queue`. Every `flush_s` the thread also takes what is in the
-    active buffer. The first error ends the file and is kept in `failure`; queued messages are
+    The loop puts full buffers into `queue`. Every `flush_s` the thread also writes what is in the
+    active buffer. The first error ends the file and is described in `failure`; messages are
     counted as dropped from then on.
     """
 
@@ -213,7 +213,7 @@ class WriterThread:
         )
         self.spare: deque[PackBuffer] = deque()
         self.released = 0
-        """Bytes of queued buffers and messages that are free again."""
+        """Bytes of all buffers and messages from the queue that have been freed so far."""
 
         self.failure = ""
         self.no_memory = 0
@@ -334,7 +334,7 @@ class WriterThread:
                 self._drop({channel: len(index) // 2 for channel, index in part.indexes.items()})
 
     def _drop(self, counts: Mapping[int, int]) -> None:
-        """Count messages as dropped, by channel: for lack of memory, unless the file has failed."""
+        """Count dropped messages by channel, and in `no_memory` unless the file has failed."""
         for channel, count in counts.items():
             state = self._channels[channel]
             state.dropped_by_writer += count

@@ -1,7 +1,7 @@
 """The ROS executables: one node per process, for `ros2 run`, launch files and shells.
 
-Each public function is a console script: it runs the node of its name, or asks it, and returns the
-exit code.
+Each public function is a console script and returns its exit code. It runs the node of its name
+until Ctrl-C; `mode_client` only calls a service.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def mode_client() -> int:
 
 
 def _run(name: str) -> int:
-    """Prepare the environment before anything imports rclpy, then run `main` of the module."""
+    """Prepare the environment before anything imports rclpy, then run `main` of module `name`."""
     open_standard_streams()
     try:
         sys.argv = with_log_levels(sys.argv)

@@ -1,8 +1,8 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
-"""Node `mode_service` of the first-package tutorial: modes alone.
+"""Node `mode_service` of the first-package tutorial: it serves modes and drives no robot.
 
-It uses the table of transitions of the daemon, but sends no commands, so it leaves MOVING as soon
-as a robot joins the domain. `robotctl start` drives and records a robot.
+It uses the daemon's transition table but sends no commands, so it leaves MOVING as soon as a
+robot joins the domain. To drive and record a robot, use `robotctl start`.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from robotctl.ros.messages import qos
 from robotctl.ros.nodes.mode_service import ESTOP, NODE_NAME, SET_MODE, STATUS
 
 LOOK_S = 0.1
-"""The time between two looks for a robot on the graph."""
+"""Period of the checks for a robot in the graph."""
 
 STATUS_S = 1.0
 
 GIVEN_UP = ("standalone", "config", "recordings")
-"""Parameters that this executable had when it commanded a gate."""
+"""Parameters that earlier versions of this executable had; setting one is an error now."""
 
 DAEMON = "use: robotctl start --config FILE --recordings DIR"
 OTHER = "ask that one, or give this one another namespace or ROS domain"
 
 DISCOVERY_S = 4.0
-"""How long other processes are looked for: Fast DDS takes 2.6 s at worst on one machine."""
+"""How long discovery of other processes may take: 2.6 s at worst on one machine (Fast DDS)."""
 
 QUIET_S = 0.1
-"""No new endpoint for this long: those of all known processes are discovered."""
+"""The endpoints of known processes count as discovered when none changed for this time."""
 
 NO_ROBOT = "no robot, no odometry and no recorder here: these start conditions are switched off"
 
@@ -67,7 +67,7 @@ class ModeService(Node):
         self.get_logger().warning(f"{NO_ROBOT}; to drive one: robotctl start")
 
     def robot(self) -> str:
-        """Return a sentence on the robot that is on the graph, "" where there is none."""
+        """Return a sentence that says how a robot shows in the graph, or "" if none does."""
         if self.count_publishers("odom"):
             return "odometry is published"
         if self.count_subscribers("cmd_vel"):
@@ -75,7 +75,7 @@ class ModeService(Node):
         return ""
 
     def request(self, number: int) -> tuple[bool, str]:
-        """Request the mode of this number; return whether it was granted, and a sentence."""
+        """Request a mode by its number; return whether it was granted, and a sentence on that."""
         if number not in [mode.value for mode in Mode]:
             return False, f"no mode {number}: use 0 to {max(Mode).value}"
         wanted = Mode(number)
@@ -128,12 +128,12 @@ def main() -> int:
 
 
 def _only_service(alone: bool, context: Context) -> ModeService:
-    """Make the node, unless it was given what only a daemon does or another node serves the modes.
+    """Create the node if no other node serves `set_mode`.
 
-    `alone` says that no other process was in the domain.
+    If `alone`, no other process was in the domain, so discovery is not awaited.
 
     Raises:
-        UsageError: A parameter is one of `GIVEN_UP`.
+        UsageError: A parameter of `GIVEN_UP` is set.
         Refused: Another node serves `set_mode`.
     """
     probe = Node(NODE_NAME, context=context, start_parameter_services=False)

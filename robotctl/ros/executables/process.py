@@ -19,7 +19,7 @@ from robotctl.ros.context import BAD_ARGUMENTS, close_context
 from robotctl.ros.executor import AsyncioExecutor, run
 
 LOGGER_SERVICES: Final = {"enable_logger_service": True}
-"""The option of rclpy's Node with which other programs see and set the levels of its loggers."""
+"""The option of rclpy's Node that lets other programs get and set its loggers' levels."""
 
 Made = TypeVar("Made", bound=Node)
 
@@ -30,8 +30,8 @@ async def opened_node(
 ) -> AsyncIterator[tuple[Made, AsyncioExecutor]]:
     """Make a node, and run its callbacks in the loop until the block ends.
 
-    The command line goes to rclpy, so `--ros-args` can rename, remap and set parameters. `at_end`
-    is called with the node before it leaves the graph, when no callback runs any more.
+    The command line goes to rclpy, so `--ros-args` can rename, remap and set parameters. Unless
+    the block raises, `at_end(node)` is called after the last callback, before the node's end.
 
     Raises:
         UsageError: An argument is wrong, or ROS_DOMAIN_ID is not a domain.

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
-"""Node `velocity_publisher` of the first-package tutorial, with a guard."""
+"""Node `velocity_publisher` of the first-package tutorial; by default it moves no real robot."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STEP_S = 0.5
 """The time between two messages of the tutorial."""
 
 QUIET_STEPS = 8
-"""The first steps, 4 s of zeros, during which other nodes are discovered."""
+"""Number of first steps that publish zeros (4 s), during which other nodes are discovered."""
 
 STEPS_PER_MPS = 10
 MAX_STEPS = 20
@@ -44,7 +44,7 @@ OWN_LISTENERS = (*MONITORS, "simulated_robot")
 """Nodes of robotctl that receive commands and move no real robot."""
 
 ACKNOWLEDGED_S = 1.0
-"""How long the end waits until every reliable subscriber has the last zero."""
+"""How long `stop` waits for reliable subscribers to acknowledge the last zero."""
 
 
 def sweep_mps(number: int) -> float:
@@ -66,11 +66,11 @@ class VelocityPublisher(Node):
     """Publishes `cmd_vel`: the tutorial's sweep.
 
     It publishes zeros for 4 s, then a sweep from -2 to 2 m/s in steps of 0.1 each 0.5 s. It
-    publishes zeros instead, and logs why, while another node publishes the topic, while one that
-    may be a robot subscribes to it, or where discovery reaches beyond this machine.
+    publishes zeros instead, and logs why, while another node publishes the topic, a node that may
+    be a robot subscribes to the topic, or discovery reaches beyond this machine.
 
-    The parameter `sweep` set to true sweeps anyway, set to false never. The method `set_velocity`
-    ends the sweep.
+    With the parameter `sweep` true, it sweeps in each of these cases; with false, never. The method
+    `set_velocity` ends the sweep.
     """
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:
@@ -107,7 +107,7 @@ class VelocityPublisher(Node):
         self._asked = limited
 
     def obstacle(self) -> str:
-        """Return why the sweep may not run now, "" where it may."""
+        """Return why the sweep may not run now, or "" if it may."""
         other = self._other_publisher()
         if other:
             return other
@@ -119,7 +119,7 @@ class VelocityPublisher(Node):
         return f"discovery reaches beyond this machine ({wider})" if wider else ""
 
     def stop(self) -> None:
-        """Publish a last zero, and wait until reliable subscribers have it."""
+        """Publish a last zero; wait until reliable subscribers have it, at most ACKNOWLEDGED_S."""
         self._send(ZERO)
         self._publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED_S))
 
@@ -128,7 +128,7 @@ class VelocityPublisher(Node):
         return str(self._publisher.topic_name)
 
     def _sweep_parameter(self) -> bool | None:
-        """Declare `sweep`; return its value, None for the default: only where nothing can move."""
+        """Declare the parameter `sweep`; return its value, or None if it is not set."""
         dynamic = ParameterDescriptor(
             description="true: sweep anyway; false: never; unset: where no robot can be",
             dynamic_typing=True,
@@ -143,7 +143,7 @@ class VelocityPublisher(Node):
         self._publisher.publish(PLAIN.encode(velocity))
 
     def _other_publisher(self) -> str:
-        """Return a sentence on another publisher of the topic, "" where there is none."""
+        """Return a sentence that names another publisher of the topic, or "" if there is none."""
         if self.count_publishers(self._topic) > 1:
             for each in endpoints.publishers(self, self._topic):
                 if each.gid != self._own_gid:
@@ -174,7 +174,7 @@ class VelocityPublisher(Node):
         return sweep_mps(self._swept - 1), 0.0
 
     def _say(self, why: str) -> None:
-        """Log why zeros are published, once; "" where they are not."""
+        """Log `why` zeros are published, if that changed; "" means that the sweep runs."""
         if why != self._said:
             self._said = why
             if why:

@@ -71,15 +71,15 @@ def check_platform() -> None:
 
 @cache
 def counts_each_message() -> bool:
-    """Return whether the middleware announces as many messages as it has, or more, never fewer.
+    """Return whether the middleware never announces fewer messages than have arrived.
 
-    rmw_fastrtps does: it announces those that were not counted yet.
+    True for rmw_fastrtps: it also announces messages that arrived before the callback was set.
     """
     return str(get_rmw_implementation_identifier()) == "rmw_fastrtps_cpp"
 
 
 def watch(announcement: Announcement, pointer: int, fd: int) -> None:
-    """Let rcl write to the eventfd `fd` whenever the entity at `pointer` has new data.
+    """Make rcl write to the eventfd `fd` whenever the entity at `pointer` has new data.
 
     The descriptor must stay open until `unwatch` has returned.
 
@@ -139,7 +139,7 @@ def _setter(announcement: Announcement) -> Any:
 TIMEOUT_S = 5.0
 
 TOPIC_PREFIX = "/_asyncio_executor_proof_"
-"""Prefix of the topic on which a process tests its path; its process id follows."""
+"""Prefix of the topic that `check_announcements` uses; the process id follows."""
 
 _SENT = Time(sec=0x01020304, nanosec=0x05060708)
 _CDR = bytes.fromhex("00010000 04030201 08070605")
@@ -148,12 +148,12 @@ _passed = False
 
 
 async def check_announcements(context: Context) -> None:
-    """Check that a message of our own is announced, and taken with the expected bytes and info.
+    """Check that a message to ourselves is announced, and has the expected bytes and info.
 
-    Once per process: platform, middleware and the layout of its structures do not change later.
+    It runs once per process: platform, middleware and the layout of its structures do not change.
 
     Raises:
-        UnsupportedPlatform: A step of the path does not work; the text says which.
+        UnsupportedPlatform: A step of this does not work; the text says which.
     """
     global _passed
     if _passed:

@@ -28,7 +28,7 @@ from rosidl_parser.definition import (
 )
 
 Decode = Callable[[bytes], Any]
-"""Returns the message of its serialized form; raises an exception where that is cut short."""
+"""Returns the message that the bytes encode; raises an exception if they are cut short."""
 
 _PLAIN_CDR: Final = b"\x00\x01"
 _BODY: Final = 4
@@ -72,9 +72,9 @@ def decoder_of(message_type: Any) -> Decode:
 class _Source:
     """Generates the source of `decode(data)`, field by field.
 
-    The next field lies `ahead` bytes after `at`. That is the constant `_BODY` or, after a field of
-    variable length, the variable `at` of the generated code. `aligned` is a power of two that
-    divides the distance from `_BODY` to `at`.
+    The next field begins `_ahead` bytes after `_at`. `_at` is the constant `_BODY` or, after a
+    field of variable length, the variable `at` of the generated code. `_aligned` is a power of two
+    that divides the distance from `_BODY` to `_at`.
     """
 
     def __init__(self, message_type: Any, by_rclpy: Decode) -> None:
@@ -98,7 +98,7 @@ class _Source:
         self._message_type = message_type
 
     def compile(self) -> Decode:
-        """Return the compiled function; it leaves to rclpy what is not plain CDR or cut short.
+        """Return the compiled function; data that is cut short or not plain CDR goes to rclpy.
 
         Raises:
             _Unusual: rclpy must decode the type.
@@ -123,7 +123,7 @@ class _Source:
     # Fields
 
     def _message(self, message_type: Any) -> str:
-        """Generate the reading of a message, and return the variable that holds it."""
+        """Generate code that reads a message, and return the name of the message's variable."""
         default = message_type()
         slots = [slot for slot in message_type.__slots__ if slot != "_check_fields"]
         if not slots:
@@ -201,7 +201,7 @@ class _Source:
     # Places
 
     def _number(self, format_: str) -> str:
-        """Generate the reading of a number, in one run with its neighbours."""
+        """Add a number to the run that one `struct` call reads; return its variable's name."""
         size = struct.calcsize(format_)
         self._align(size)
         if not self._run_names:
@@ -220,7 +220,7 @@ class _Source:
         self._ahead += -self._ahead % size
 
     def _aligned_here(self, size: int) -> str:
-        """Return the expression for the place of the next field, of `size` bytes."""
+        """Return the expression for the aligned offset of the next field, of `size` bytes."""
         if size <= self._aligned:
             ahead = self._ahead + -self._ahead % size
             return f"{self._at} + {ahead}"
@@ -234,7 +234,7 @@ class _Source:
         self._at, self._aligned, self._ahead = "at", aligned, 0
 
     def _end_run(self) -> None:
-        """Generate the reading of the collected run of numbers."""
+        """Generate code that reads the collected run of numbers."""
         if not self._run_names:
             return
         unpack = self._constant(struct.Struct(f"<{self._run_format}").unpack_from)

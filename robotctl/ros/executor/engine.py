@@ -1,6 +1,6 @@
 """The part of an executor that exists only while it is open.
 
-Each kind of entity has a class in `sources/` that takes its events and runs its callbacks.
+Each kind of entity has a class in `sources/` that reads its events and runs its callbacks.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from robotctl.ros.executor.sources.waitables import GuardSource, WaitableSource,
 
 
 class Nodes:
-    """The nodes of one executor; each holds a reference to it, as in rclpy."""
+    """The nodes of one executor; each node refers to the executor, as in rclpy."""
 
     def __init__(self, executor: Any) -> None:
         self._executor = executor
@@ -56,7 +56,7 @@ class Nodes:
         return iter(list(self._nodes))
 
     def add(self, node: Node) -> bool:
-        """Add the node; return False where it was added before.
+        """Add the node; return False if it was added before.
 
         Raises:
             RuntimeError: Another live executor has the node.
@@ -79,7 +79,7 @@ class Nodes:
         return True
 
     def remove(self, node: Node) -> bool:
-        """Remove the node; return False where it was not added."""
+        """Remove the node; return False if it was not added."""
         try:
             del self._nodes[node]
         except KeyError:
@@ -148,7 +148,7 @@ class Attachments:
         return entity in self.sources
 
     def follow(self, present: dict[Any, Node]) -> None:
-        """Watch the new entities of `present` (entity -> node) in the loop, and no others."""
+        """Attach the new entities of `present` (entity -> node); detach those not in `present`."""
         for entity in [entity for entity in self.sources if entity not in present]:
             source = self.sources.pop(entity)
             if is_destroyed(source.handle):

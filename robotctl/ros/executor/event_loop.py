@@ -1,9 +1,9 @@
-"""The event loop that polls the executor's sources; its beat, and the executor's time limits.
+"""The event loop that polls the executor's sources, its beat, and the executor's time limits.
 
-asyncio leads each ready descriptor through a selector key, a handle and a queue to its callback.
-At 1 kHz, where each message wakes the loop, that is a tenth of what a message costs the process.
+asyncio passes each ready descriptor through a selector key, a handle and a queue to its callback.
+At 1 kHz, where each message wakes the loop, this is a tenth of the CPU time of a message.
 
-A wake-up costs more than most of what is done in it. So tickers of one rate expire together, and
+A wake-up costs more than most of the work in it. So tickers of one rate expire together, and
 timers whose exact time does not matter expire with them.
 """
 
@@ -28,7 +28,7 @@ SLOW_WARNING_PAUSE_NS = 10_000_000_000
 """The least time between two warnings about the same callback, so that the log stays readable."""
 
 SLICE_NS = 300_000
-"""How long one entity may take messages before the others get their turn."""
+"""How long one entity may handle messages before the others get their turn."""
 
 TURN_NS = 1_000_000
 """The time that all flooded entities share in one turn of the loop; it limits how long the others
@@ -42,20 +42,20 @@ FLOOD_REST_S = 0.002
 """How long the messages of a flooded subscription are collected."""
 
 FLOODED_SHARE = 0.1
-"""A pool that spends a larger share of its time on taking messages is flooded. At 5 to 10 us for a
+"""A pool is flooded if it spends a larger share of its time on messages. At 5 to 10 us for each
 message, that is at 10 to 20 kHz."""
 
 FASTEST_TOPIC_HZ = 50_000.0
-"""No process of ours receives more: a queue must hold the messages of one rest at this rate."""
+"""The highest rate that is expected: a queue must hold the messages of one rest at this rate."""
 
 POLLS_PER_RATE_CHECK = 32
-"""The rate of a subscription is computed each time it was polled this often."""
+"""The rate of a subscription is checked after this number of polls."""
 
 FLOODED_WITHIN_NS = 16_000_000
-"""The subscription is flooded if POLLS_PER_RATE_CHECK polls took less time (over 2 kHz)."""
+"""A subscription is flooded if POLLS_PER_RATE_CHECK polls took less time (over 2 kHz)."""
 
 CALM_BEYOND_NS = 64_000_000
-"""It is no longer flooded if POLLS_PER_RATE_CHECK polls took more time (under 500 Hz)."""
+"""A flood is over if POLLS_PER_RATE_CHECK polls took more time (under 500 Hz)."""
 
 
 BEAT_NS = 20_000_000
@@ -74,13 +74,13 @@ _MS_PER_S: Final = 1000
 """epoll waits for whole milliseconds."""
 
 _MOST_AT_ONCE: Final = 64
-"""Descriptors of one turn; Linux returns the others, which have waited longer, in the next one."""
+"""Limit on the descriptors of one turn; Linux returns the remaining ones in the next turn."""
 
 T = TypeVar("T")
 
 
 class _CallingSelector(EpollSelector):
-    """A selector that calls what watches a descriptor, and returns the other descriptors."""
+    """A selector that calls the callbacks of watched descriptors, and returns the others."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -124,15 +124,15 @@ class _CallingSelector(EpollSelector):
 
 
 def _mask(event: int) -> int:
-    """Return what an event of epoll means for a selector; an error is both."""
+    """Convert an epoll event to a selector's; an error counts as readable and writable."""
     readable = EVENT_READ if event & ~EPOLLOUT else 0
     return readable | (EVENT_WRITE if event & ~EPOLLIN else 0)
 
 
 class EventLoop(asyncio.SelectorEventLoop):
-    """An asyncio loop that an `AsyncioExecutor` wakes up with less work.
+    """An asyncio loop with cheaper wake-ups for an `AsyncioExecutor`.
 
-    It keeps what asyncio promises; `watch` is the cheaper form of `add_reader`.
+    It behaves as asyncio's own loop; `watch` is a cheaper form of `add_reader`.
     """
 
     def __init__(self) -> None:
@@ -141,11 +141,11 @@ class EventLoop(asyncio.SelectorEventLoop):
         super().__init__(self._calling)
 
     def watch(self, fd: int, callback: Callable[[], object]) -> None:
-        """Call `callback` in the present context whenever `fd` is readable, before other calls."""
+        """Call `callback` in the current context when `fd` is readable, before other callbacks."""
         self._calling.watch(fd, partial(copy_context().run, callback))
 
     def unwatch(self, fd: int) -> None:
-        """Stop watching `fd`, which must still be open; one that is not watched is ignored."""
+        """Stop watching `fd`, which must still be open; an `fd` that is not watched is ignored."""
         self._calling.unwatch(fd)
 
     def _report(self, error: BaseException) -> None:
@@ -160,7 +160,7 @@ def run(main: Coroutine[Any, Any, T]) -> T:
 
 
 def watch(loop: asyncio.AbstractEventLoop, fd: int, callback: Callable[[], object]) -> None:
-    """Call `callback` in the loop, of any class, whenever `fd` is readable."""
+    """Call `callback` in `loop`, an asyncio loop of any class, whenever `fd` is readable."""
     if isinstance(loop, EventLoop):
         loop.watch(fd, callback)
     else:
@@ -168,7 +168,7 @@ def watch(loop: asyncio.AbstractEventLoop, fd: int, callback: Callable[[], objec
 
 
 def unwatch(loop: asyncio.AbstractEventLoop, fd: int) -> None:
-    """Stop watching `fd`; where the loop is closed, it does so already."""
+    """Stop watching `fd`; a closed loop watches nothing, so the call does nothing."""
     if isinstance(loop, EventLoop):
         loop.unwatch(fd)
     elif not loop.is_closed():

@@ -1,7 +1,7 @@
 # mypy: disallow-untyped-calls=False
 """AsyncioExecutor: rclpy's callbacks in the asyncio loop, without a spinning thread.
 
-rclpy's own executors build a wait set for every message. This one lets rcl write to an eventfd
+rclpy's own executors build a wait set for every message. This one has rcl write to an eventfd
 that asyncio watches (see `announcements`). Nodes, entities and callbacks stay plain rclpy:
 
     async with AsyncioExecutor() as executor:
@@ -59,7 +59,7 @@ async def wait_for_service(client: Client | ActionClient, timeout_s: float | Non
     """Wait until a server for the client is discovered.
 
     Raises:
-        TimeoutError: None was within `timeout_s` seconds (None: no deadline).
+        TimeoutError: No server was discovered within `timeout_s` seconds (None: no deadline).
     """
     if isinstance(client, ActionClient):
         ready, name = client.server_is_ready, client._action_name
@@ -95,7 +95,7 @@ class AsyncioExecutor:
     ) -> None:
         """Serve nodes of `context` (default: rclpy's default context).
 
-        fifo_priority asks for SCHED_FIFO (1..99) for the loop's thread while the executor is
+        `fifo_priority` requests SCHED_FIFO (1..99) for the loop's thread while the executor is
         open; `scheduling` says whether it was granted.
 
         Raises:
@@ -189,7 +189,7 @@ class AsyncioExecutor:
 
     @property
     def context(self) -> Context:
-        """The context of its nodes."""
+        """The rclpy context of the nodes."""
         return self._context
 
     @property
@@ -203,7 +203,7 @@ class AsyncioExecutor:
         """Run the node's callbacks.
 
         Returns:
-            False where the node was added before, as rclpy does.
+            False if the node was added before, as in rclpy.
 
         Raises:
             RuntimeError: The executor was shut down, or another live executor has the node.
@@ -228,9 +228,9 @@ class AsyncioExecutor:
         return list(self._nodes)
 
     def create_task(self, callback: Any, *args: Any, **kwargs: Any) -> Future:
-        """Run a function, a coroutine function or a coroutine in the loop, soon.
+        """Run a function, a coroutine function or a coroutine in the loop; return its future.
 
-        An exception goes into the future, and to the handler unless a done callback takes it.
+        The future gets an exception; without a done callback, the exception handler gets it too.
 
         Raises:
             RuntimeError: The executor was shut down.
@@ -294,7 +294,7 @@ class AsyncioExecutor:
         """Wait until a server for the client is discovered.
 
         Raises:
-            TimeoutError: None was within `timeout_s` seconds (None: no deadline).
+            TimeoutError: No server was discovered within `timeout_s` seconds (None: no deadline).
             RuntimeError: This is not the executor's loop.
         """
         self._running()

@@ -68,7 +68,7 @@ async def wait(future: Future) -> Any:
 
 
 def open_bridge(loop: asyncio.AbstractEventLoop) -> None:
-    """Let `await future` in this loop use `wait`, until `close_bridge`."""
+    """Make `await future` in this loop use `wait`, until `close_bridge`."""
     _bridged_loops[loop] += 1
     _set_await(_await_bridged)
 
@@ -121,10 +121,10 @@ class ImmediateCallbacks:
 def callbacks_at_once(
     future: Future, immediate: ImmediateCallbacks, executor: Any
 ) -> Iterator[None]:
-    """Let setting the future within the `with` block run its done callbacks at once.
+    """Run the future's done callbacks at once when it is set within the `with` block.
 
-    Afterwards it passes them to `executor`: rclpy would otherwise run a callback that is added
-    later under the future's lock.
+    Callbacks that are added later go to `executor`: rclpy would otherwise run them under the
+    future's lock.
     """
     future._set_executor(immediate)
     try:
@@ -140,7 +140,7 @@ def fail_pending(
     for future in list(pending.values()):
         with callbacks_at_once(future, immediate, None):
             future.set_exception(error)
-        # Fetched: otherwise rclpy prints it where nothing waited for the future.
+        # Fetched: otherwise rclpy prints the exception of a future for which nothing waited.
         future.exception()
     pending.clear()
 
@@ -180,7 +180,7 @@ class Tasks:
         self._closed = False
 
     def open(self, runtime: Runtime) -> None:
-        """Begin to run tasks in the loop of `runtime`."""
+        """Use the loop of `runtime` for the tasks."""
         self._runtime = runtime
 
     def close(self) -> None:
@@ -188,7 +188,7 @@ class Tasks:
         self._closed = True
 
     def create(self, callback: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> ExecutorTask:
-        """Run a function, a coroutine function or a coroutine in the loop, soon.
+        """Run a function, a coroutine function or a coroutine in the loop; return its future.
 
         Raises:
             RuntimeError: The loop is closed.

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class LoopThread:
-    """Runs in the loop what any thread passes in; calls from before the loop runs are kept."""
+    """Runs functions in the loop for any thread; those from before `open` wait for the loop."""
 
     def __init__(self) -> None:
         self._loop: AbstractEventLoop | None = None
@@ -35,7 +35,7 @@ class LoopThread:
                 loop.call_soon(callback)
 
     def give_up(self) -> None:
-        """Run kept and later calls in the thread of their caller, because no loop will run."""
+        """Run kept calls now and later calls at once, in the caller's thread: no loop will run."""
         with self._lock:
             self._given_up = True
             waiting, self._waiting = self._waiting, []

@@ -1,4 +1,4 @@
-"""RawTap: the callback of a subscription that takes serialized messages fast."""
+"""RawTap: a subscription callback that receives serialized messages fast."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _nothing() -> None:
 
 
 class RawTap:
-    """The callback of a raw subscription, with the publisher's gid of each message.
+    """A callback for a raw subscription that also gets the publisher's gid of each message.
 
         node.create_subscription(msg_type, topic, RawTap(sink), qos, raw=True)
 
@@ -39,11 +39,11 @@ class RawTap:
     A gap in the sequence of one gid is a lost message. The sink is synchronous: a task for each
     message would be too slow for 45,000 messages a second.
 
-    An AsyncioExecutor takes such messages past rclpy, and lets them collect for `latency_s`,
-    because one wake-up costs ten times as much as taking one message. The time stamps stay exact:
-    the middleware takes them. Where the subscription's queue is too short for that (below 500 for
-    the default) messages collect for less time or not at all. Any other executor calls the tap as
-    an ordinary callback; the gid is then `UNKNOWN_GID`.
+    An AsyncioExecutor reads such messages without rclpy, and collects them for `latency_s`,
+    because one wake-up costs ten times as much as reading one message. The time stamps stay exact:
+    the middleware sets them. If the subscription's queue is too short for that (below 500 for the
+    default), messages are collected for less time or not at all. Any other executor calls the tap
+    as an ordinary callback; the gid is then `UNKNOWN_GID`.
     """
 
     __slots__ = ("__weakref__", "latency_s", "poll", "sink", "views")
@@ -51,18 +51,18 @@ class RawTap:
     def __init__(self, sink: Sink, *, latency_s: float | None = 0.01, views: bool = False) -> None:
         """Call `sink` at most about `latency_s` seconds late; 0 means at once for each message.
 
-        With None it is called when `poll` is, and messages do not wake the loop.
+        If `latency_s` is None, messages do not wake the loop: only `poll` calls the sink.
         `views` says that `sink` is a ViewSink.
         """
         self.sink = sink
         self.latency_s = latency_s
         self.views = views
         self.poll: Callable[[], None] = _nothing
-        """Takes the messages that have arrived, without waiting for more to collect; set by the
+        """Passes the messages that have arrived to `sink`, without waiting for more; set by the
         AsyncioExecutor that serves the subscription."""
 
     def __call__(self, data: bytes, info: Mapping[str, Any]) -> None:
-        """Take a message from an executor of rclpy."""
+        """Pass a message to `sink`; an executor of rclpy calls this."""
         self.sink(
             data,
             info["received_timestamp"],
@@ -78,7 +78,7 @@ _RET_SUBSCRIPTION_TAKE_FAILED = 401
 
 @cache
 def _take_serialized() -> Any:
-    # PyDLL keeps the GIL: releasing and taking it again would cost more than the take.
+    # PyDLL keeps the GIL: to release and acquire it would cost more than the take.
     function = ctypes.PyDLL("librcl.so").rcl_take_serialized_message
     function.argtypes = [ctypes.c_void_p] * 4
     function.restype = ctypes.c_int
@@ -114,7 +114,7 @@ _UNSUPPORTED = 2**64 - 1
 
 
 LARGE_BYTES = 1 << 20
-"""Messages above this size are handed over as a view, not copied, where views are asked for."""
+"""A message above this size is passed as a view, not as a copy, if views are asked for."""
 
 KEPT_BYTES = 64 << 20
 """Limit on the buffers above LARGE_BYTES that all takers of the process keep for their next
@@ -125,7 +125,7 @@ class SerializedTaker:
     """Takes serialized messages of one subscription through one reused buffer.
 
     It returns the publisher's gid as well: without it, sequence numbers mean nothing on a topic
-    with two publishers. The buffer grows to the largest message, within KEPT_BYTES for all takers.
+    with two publishers. Together, all takers keep at most KEPT_BYTES of large buffers.
     """
 
     _kept_by_all = 0
@@ -157,7 +157,7 @@ class SerializedTaker:
         self._bare = bare
         self._views = views
         self.lent: memoryview | None = None
-        """The large message that was handed over; the next take releases it."""
+        """The view of the last large message; the next take releases the view."""
         self._kept = 0
         self._pointer = pointer
         self._take = _take_serialized()
@@ -173,11 +173,11 @@ class SerializedTaker:
     def take(self) -> Taken | bytes | memoryview | None:
         """Return the next message as (data, received_ns, source_ns, sequence, gid), or None.
 
-        It is the data alone where the taker is bare. A plain tuple in the order of `TakenMessage`:
-        this runs up to 45,000 times a second.
+        A bare taker returns the data alone. The tuple has the order of `TakenMessage`; it is a
+        plain one, because this runs up to 45,000 times a second.
 
         Raises:
-            RclCallFailed: The middleware could not hand over the message.
+            RclCallFailed: rcl could not take the message.
         """
         if self.lent is not None:
             self._end_large()
@@ -223,7 +223,7 @@ class SerializedTaker:
         return view if self._views else bytes(view)
 
     def _end_large(self) -> None:
-        """End the view; free the buffer where all kept buffers would exceed KEPT_BYTES."""
+        """Release the lent view; free the buffer if all kept ones would exceed KEPT_BYTES."""
         assert self.lent is not None
         self.lent.release()
         self.lent = None

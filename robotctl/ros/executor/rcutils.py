@@ -1,4 +1,4 @@
-"""What rcl shares with its callers: C structures, error texts, and our errors made of them."""
+"""C structures and error texts of rcutils, and the exceptions for failed calls of rcl."""
 
 from __future__ import annotations
 

@@ -36,11 +36,11 @@ POLL_S: Final = 0.02
 """The time between two looks for readers, while a response waits: the graph has no callback."""
 
 PAUSE_S: Final = 1.0
-"""The least time between two attempts to send to a reader that is discovered and not matched:
-each blocks the loop for 0.1 s."""
+"""The least time between two attempts to send to a reader that is discovered but not matched:
+each attempt blocks the loop for 0.1 s."""
 
 MAX_KNOWN: Final = 1_000
-"""How many readers are remembered as reached."""
+"""Limit on the readers that are remembered because a response has reached them."""
 
 _GID_BYTES: Final = 16
 _READER_BIT: Final = 0x04
@@ -49,7 +49,7 @@ _READER_BIT: Final = 0x04
 
 @dataclass(slots=True)
 class _Waiting:
-    """A response, or a request, that waits for the reader `gid`; times are of the loop, in s."""
+    """A response, or a request, that waits for the reader `gid`; times are the loop's, in s."""
 
     gid: bytes
     attempt: Callable[[], bool]
@@ -67,9 +67,9 @@ class Replies:
         self._where = where
         self._readers = readers
         self._known: set[bytes] = set()
-        """Readers that took a response."""
+        """Readers to which a response was sent."""
         self._paused: dict[bytes, float] = {}
-        """Readers to which sending failed -> the time of the loop of the next attempt, in s."""
+        """Reader to which sending failed -> the loop's time [s] before which no attempt is made."""
         self._waiting: deque[_Waiting] = deque()
         self._timer: TimerHandle | None = None
         self._closed = False
@@ -77,8 +77,8 @@ class Replies:
     def send(self, header: Any, attempt: Callable[[], bool]) -> None:
         """Call `attempt()` once the client of the request with this header can be answered.
 
-        It returns whether the middleware took the response, and is otherwise called again. After
-        WAIT_S the response is dropped, with a line in the log.
+        `attempt` returns whether the middleware accepted the response; if not, it is called again.
+        After WAIT_S the response is dropped, with a line in the log.
         """
         gid = reader_of(header)
         if gid is None or self._closed:
@@ -90,7 +90,7 @@ class Replies:
             self._keep(_Waiting(gid, attempt, now_s + WAIT_S))
 
     def close(self) -> None:
-        """Drop what waits, and keep nothing from now on."""
+        """Drop the waiting responses; `send` keeps none from now on."""
         self._closed = True
         self._waiting.clear()
         if self._timer is not None:
@@ -157,8 +157,8 @@ class _Everything:
 def readers_of(node: Node, service: str) -> Callable[[], Container[bytes]]:
     """Return a function that lists the discovered readers of the responses of a service.
 
-    `service` is its full name. Where they cannot be listed, because one of them has a name that is
-    not UTF-8 or the node is destroyed, each reader counts as discovered.
+    `service` is its full name. If they cannot be listed, because a name is not UTF-8 or the node is
+    destroyed, each reader counts as discovered.
     """
     topic = f"rr{service}Reply"
 
@@ -176,7 +176,7 @@ def readers_of(node: Node, service: str) -> Callable[[], Container[bytes]]:
 def reader_of(header: Any) -> bytes | None:
     """Return the gid of the reader that waits for the response to a request.
 
-    None where the request does not tell: the middleware, or that of the client, is another one.
+    None if it is unknown: this process or the client does not use Fast DDS.
     """
     if isinstance(header, _rclpy.rmw_service_info_t):
         header = header.request_id
@@ -195,7 +195,7 @@ def reader_of(header: Any) -> bytes | None:
 
 
 def is_taken(send: Callable[[], None]) -> bool:
-    """Send a response; return whether the middleware took it."""
+    """Send a response; return whether the middleware accepted it."""
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         send()
@@ -208,15 +208,15 @@ _REQUESTER: ContextVar[bytes | None] = ContextVar("requester", default=None)
 def requester() -> bytes | None:
     """Return the gid of the client whose request or goal the caller handles.
 
-    It is that of the client's reader of responses, 16 bytes; None where the middleware does not
-    tell, and outside of handlers.
+    The gid (16 bytes) is that of the client's reader of responses. None outside of handlers, or if
+    the middleware does not report it.
     """
     return _REQUESTER.get()
 
 
 @contextmanager
 def request_of(header: Any) -> Iterator[None]:
-    """Let `requester` tell the client of the request with this header."""
+    """Make `requester` return the client of this request header within the `with` block."""
     token = _REQUESTER.set(reader_of(header))
     try:
         yield

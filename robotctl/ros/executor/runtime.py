@@ -1,9 +1,9 @@
 """What the sources of one executor share: loop, tasks, pools and exception handler.
 
-Waking up for one message costs about 50 us, taking it 2 to 10. So messages that may come late (a
+Waking up for one message costs about 50 us, reading it 2 to 10. So messages that may come late (a
 recorder's taps, a flooded topic) are collected for a while, as network drivers collect packets
-under load. The DDS threads still write to the eventfds; a second epoll keeps these apart from the
-loop's own.
+under load. The DDS threads still write to the eventfds of these topics; a second epoll watches
+them, so that they do not wake the loop.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Pooled(Protocol):
     """A source in a pool."""
 
     def poll(self) -> bool:
-        """Deliver what is there; return whether the slice ended before all was delivered."""
+        """Deliver the waiting data; return whether the slice ended before all was delivered."""
 
 
 class Pool:
@@ -109,7 +109,7 @@ class Pool:
                 self._resting = self._loop.call_at(rested_s(rest_s), self._poll)
 
     def _rest_after(self, begun_ns: int, *, left: bool) -> float:
-        """Return how long to rest, by the share of time that polling took since the last rest."""
+        """Return how long to rest [s], by the share of time that polls took since the last rest."""
         now_ns = time.monotonic_ns()
         self._busy_ns += now_ns - begun_ns
         if left:
@@ -132,7 +132,7 @@ class Pool:
 
 
 def rested_s(rest_s: float) -> float:
-    """Return the steady time [s] until which to rest: on a beat, if that shortens it little."""
+    """Return the steady time [s] when a rest ends; one longer than BEAT_NS ends on a beat."""
     until_ns = time.monotonic_ns() + round(rest_s * NS_PER_S)
     if rest_s * NS_PER_S > BEAT_NS:
         until_ns = beat_before(until_ns)
@@ -216,7 +216,7 @@ class Resumable(Protocol):
     """A source that waits for its callback group."""
 
     def resume(self) -> None:
-        """Deliver again what is there."""
+        """Continue to deliver the waiting data."""
 
 
 class Runtime:
@@ -236,7 +236,7 @@ class Runtime:
         self.slow = SlowCallbacks()
         self.slice_ns = SLICE_NS
         self.flooded: set[object] = set()
-        """The sources whose last slice ended before all was delivered."""
+        """The sources whose last time slice ended before all data was delivered."""
         self._pools: dict[float, Pool] = {}
         self._on_exception = on_exception
         self._on_idle: Callable[[], None] | None = None
@@ -269,13 +269,13 @@ class Runtime:
         self._pools.clear()
 
     def mark_flooded(self, source: object) -> None:
-        """Share a turn of the loop between this source and the other flooded ones."""
+        """Shorten the slices, so that this source and the other flooded ones share a turn."""
         if source not in self.flooded:
             self.flooded.add(source)
             self._share_turn()
 
     def mark_drained(self, source: object) -> None:
-        """Note that the source has nothing left: it is not flooded."""
+        """Note that the source has no data left, so it is not flooded."""
         if source in self.flooded:
             self.flooded.remove(source)
             self._share_turn()

@@ -117,8 +117,8 @@ class Ticker:
     """Ticks on an absolute schedule of the steady clock, for one task at a time.
 
     The first tick comes within a period after the first wait, and later ones at multiples of the
-    period after it, even if a tick was taken late. Tickers of one rate in one process tick at the
-    same times. A Linux timer drives it, because asyncio's own timers round up to 1 ms.
+    period after it, even if a tick was handled late. Tickers of one rate in one process tick at
+    the same times. A Linux timer drives them, because asyncio's own timers round up to 1 ms.
 
         async for tick in Ticker(50.0):
             step(tick.t_ns)
@@ -130,7 +130,7 @@ class Ticker:
     """
 
     def __init__(self, hz: float, *, lead_ns: int = 0) -> None:
-        """Tick `hz` times a second, `lead_ns` before the other tickers.
+        """Tick `hz` times a second, `lead_ns` before the other tickers of this rate.
 
         Raises:
             ValueError: hz is not a finite number in (0, 10000].

@@ -14,10 +14,10 @@ from rclpy.node import Node
 
 
 class GraphChanges:
-    """Changes of the graph while the `with` block is open, for one task of the running loop.
+    """Watches for changes of the graph during the `with` block, for one task of the loop.
 
-    rcl offers no callback for them, so a thread waits. It pauses from a change until the next
-    `wait`: a node that changes the graph all the time wakes it no more often than the task looks.
+    rcl has no callback for graph changes, so a thread waits for them. After a change the thread
+    pauses until the next `wait`, so constant changes wake it no more often than the task waits.
     """
 
     def __init__(self, node: Node) -> None:
@@ -51,9 +51,9 @@ class GraphChanges:
         self._end.destroy()
 
     async def wait(self, at_most_s: float) -> bool:
-        """Return whether the graph changed since the last change that was returned.
+        """Wait at most `at_most_s` seconds for a change; return whether there was one.
 
-        Waits for a change, at most `at_most_s` seconds. One change may be returned twice.
+        A change since the last `wait` ends the wait at once. One change may be reported twice.
         """
         self._awaited.set()
         with suppress(TimeoutError):
@@ -82,7 +82,7 @@ class GraphChanges:
 
 
 def _add_graph_of(node: int, wait_set: int) -> None:
-    """Add the guard condition of the graph of the rcl_node_t at `node` to an rcl_wait_set_t."""
+    """Add the graph guard condition of the rcl_node_t at `node` to the rcl_wait_set_t."""
     library: Any = ctypes.PyDLL("librcl.so")
     library.rcl_node_get_graph_guard_condition.restype = ctypes.c_void_p
     guard = library.rcl_node_get_graph_guard_condition(ctypes.c_void_p(node))

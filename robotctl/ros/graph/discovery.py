@@ -1,7 +1,7 @@
 """Waiting until all processes in a ROS domain are discovered, and have discovered this one.
 
-On this DDS topic each process tells which endpoints its nodes have. rcl allows no topic without a
-leading slash, so both are made by rmw.
+Each process announces its nodes' endpoints on the DDS topic `ros_discovery_info`. Reader and writer
+are created through rmw, because rcl allows no topic name without a leading slash.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _TIMEOUT: Final = 2
 
 
 class Introduction(NamedTuple):
-    """What a process announced last: its prefix of gids, its endpoints, and the message itself."""
+    """A process's last announcement: its gid prefix, its endpoints' gids, and the raw message."""
 
     process: bytes
     endpoints: frozenset[bytes]
@@ -43,13 +43,13 @@ class Introduction(NamedTuple):
 
 
 class IntroductionReader:
-    """The last introduction of each process in the domain, this one included."""
+    """Reads the last introduction of each process in the domain, including this process."""
 
     def __init__(self, node: Node) -> None:
-        """Read as `node`.
+        """Create the reader on `node`.
 
         Raises:
-            RclCallFailed: The middleware does not allow it.
+            RclCallFailed: The middleware could not create the reader.
         """
         self.by_process: dict[bytes, Introduction] = {}
         self._node = node
@@ -58,7 +58,7 @@ class IntroductionReader:
         self._reader = _create(node, "rmw_create_subscription", _qos(_READ_DEPTH), options)
 
     def look(self) -> None:
-        """Process what has arrived."""
+        """Read the introductions that have arrived."""
         while (data := self._take()) is not None:
             try:
                 found = read_introduction(data)
@@ -84,22 +84,22 @@ class IntroductionReader:
 class IntroductionWriter:
     """Announces this process again, to learn whether others know its endpoints.
 
-    The middleware tells other processes of our publishers in the order in which they were made,
-    and this one is the last: a process that has acknowledged its message knows all others.
+    The middleware announces our publishers in the order of their creation. This writer is created
+    last, so a process that has acknowledged its message knows all the others.
     """
 
     def __init__(self, node: Node) -> None:
-        """Write as `node`; create it after all publishers that others must know.
+        """Create the writer on `node`, after all publishers that others must know.
 
         Raises:
-            RclCallFailed: The middleware does not allow it.
+            RclCallFailed: The middleware could not create the writer.
         """
         self._node = node
         options = _function("rmw_get_default_publisher_options", PublisherOptions)()
         self._writer = _create(node, "rmw_create_publisher", _qos(1), options)
 
     def write(self, data: bytes) -> None:
-        """Announce this process with its own last introduction."""
+        """Announce this process again; `data` is its last introduction."""
         memory = ctypes.create_string_buffer(data, len(data))
         message = rcutils.SerializedMessage(
             buffer=ctypes.addressof(memory),
@@ -110,7 +110,7 @@ class IntroductionWriter:
         _checked("rmw_publish_serialized_message", self._writer, ctypes.byref(message), None)
 
     def is_acknowledged(self) -> bool:
-        """Return whether all processes have acknowledged what was written."""
+        """Return whether all discovered processes have acknowledged what was written."""
         wait = _function("rmw_publisher_wait_for_all_acked", ctypes.c_int)
         code = wait(self._writer, RmwTime(0, 0))
         if code == _TIMEOUT:
@@ -126,7 +126,7 @@ def read_introduction(data: bytes) -> Introduction:
     """Read a rmw_dds_common/ParticipantEntitiesInfo.
 
     Raises:
-        struct.error: It is not one.
+        struct.error: `data` is no such message.
     """
     reader = CdrReader(data)
     process = reader.octets(GID_BYTES)[:PROCESS_BYTES]
@@ -203,7 +203,7 @@ _POLL_S: Final = 0.005
 _ACKNOWLEDGED_POLL_S: Final = 0.001
 
 REPEAT_S: Final = 0.02
-"""The time between two messages that others shall acknowledge; that takes them about 8 ms."""
+"""The time between two announcements of `make_known`; others acknowledge one after about 8 ms."""
 
 
 class FoundEndpoint(NamedTuple):
@@ -211,7 +211,7 @@ class FoundEndpoint(NamedTuple):
 
     gid: bytes
     introduces: bool
-    """Whether its topic is that of the introductions: it need not belong to a node."""
+    """Whether it is on the introductions' topic; such an endpoint need not belong to a node."""
 
     @property
     def process(self) -> bytes:
@@ -220,7 +220,7 @@ class FoundEndpoint(NamedTuple):
 
 
 class Discovery:
-    """The other endpoints that a node has discovered, and since when none was added or removed.
+    """Finds out when a node has discovered the endpoints of all other processes.
 
     Close it before the node is destroyed.
     """
@@ -234,7 +234,7 @@ class Discovery:
         self._since_s = time.monotonic()
 
     def close(self) -> None:
-        """Remove what it added to the graph."""
+        """Remove its reader of introductions from the graph."""
         self._introductions.close()
 
     def wait(self, quiet_s: float, until_s: float, stopped: threading.Event) -> None:
@@ -243,10 +243,9 @@ class Discovery:
         The wait ends at `until_s` (`time.monotonic`) at the latest, or when `stopped` is set.
 
         Fast DDS announces a process every 3 s by default, and about half of the first
-        announcements get lost. So the processes on this machine are counted by their ports; where
+        announcements get lost. So the processes on this machine are counted by their ports. If
         processes may be on other machines, which cannot be counted, the wait lasts until
-        `until_s`. A process that starts adds one endpoint after the other: `quiet_s` waits for
-        that.
+        `until_s`. `quiet_s` allows for a starting process, which adds its endpoints one by one.
         """
         while time.monotonic() < until_s and not stopped.is_set():
             if self.is_complete(quiet_s):
@@ -254,23 +253,23 @@ class Discovery:
             stopped.wait(_POLL_S)
 
     def is_alone(self) -> bool:
-        """Return whether there is no other process in the domain: nothing is to be discovered.
+        """Return whether there is no other process in the domain, so nothing to discover.
 
-        False where processes may be on other machines.
+        False if processes may be on other machines.
         """
         return is_on_this_machine_only() and participants_here(self._domain_id) == 1
 
     def is_complete(self, quiet_s: float) -> bool:
-        """Look at the graph; return whether all processes are discovered and quiet, as in `wait`.
+        """Read the graph; return whether all processes are discovered and quiet, as in `wait`.
 
-        False where processes may be on other machines.
+        False if processes may be on other machines.
         """
         if not is_on_this_machine_only():
             return False
         self._introductions.look()
         introduced, here = self._introductions.by_process, participants_here(self._domain_id)
         if here is None or len(introduced) < here:
-            return False  # without a look at all endpoints, which takes 30 us for each
+            return False  # before all endpoints are read, which takes 30 us for each
         known = frozenset(_discovered(self._node))
         others = frozenset(each for each in known if each.process != self._process)
         now_s = time.monotonic()
@@ -281,7 +280,7 @@ class Discovery:
     def make_known(self, until_s: float, stopped: threading.Event) -> bool:
         """Wait until all discovered processes know all publishers of this one.
 
-        Returns False where one has not said so at `until_s`, or when `stopped` is set.
+        Returns False if one has not acknowledged them by `until_s`, or if `stopped` is set.
         """
         writer = IntroductionWriter(self._node)
         try:
@@ -308,7 +307,7 @@ def _discovered(node: Node) -> Iterator[FoundEndpoint]:
 
 
 def count_complete(known: Iterable[FoundEndpoint], introduced: Mapping[bytes, Introduction]) -> int:
-    """Count the processes that have introduced themselves with exactly their known endpoints."""
+    """Count the processes whose nodes' discovered endpoints are exactly those they introduced."""
     of_nodes: dict[bytes, set[bytes]] = {}
     all_gids: dict[bytes, set[bytes]] = {}
     for each in known:

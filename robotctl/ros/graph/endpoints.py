@@ -20,7 +20,7 @@ from robotctl.ros.graph.rcl_graph import Gid, Role
 
 
 class Endpoint(NamedTuple):
-    """A publisher or subscription of any process; bytes that are not UTF-8 become `\\xff`."""
+    """A publisher or subscription of any process; its names show non-UTF-8 bytes as `\\xff`."""
 
     node_name: str
     node_namespace: str
@@ -47,19 +47,19 @@ def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
 
 
 def publishers(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
-    """Return the publishers of a topic, by a name that `topics` returned."""
+    """Return the publishers of a topic; `topic` is a name as `topics` returns it."""
     return _endpoints(node, Role.PUBLISHER, topic, dds_names)
 
 
 def subscriptions(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
-    """Return the subscriptions to a topic, by a name that `topics` returned."""
+    """Return the subscriptions to a topic; `topic` is a name as `topics` returns it."""
     return _endpoints(node, Role.SUBSCRIPTION, topic, dds_names)
 
 
 def publisher_count(node: Node, topic: str) -> int:
-    """Return how many publishers a topic has, by a name that `topics` returned.
+    """Return how many publishers a topic has; `topic` is a name as `topics` returns it.
 
-    The method of the node would expand and validate the name each time.
+    rclpy's `Node.count_publishers` would expand and validate the name each time.
     """
     with node.handle:
         count: int = node.handle.get_count_publishers(topic)
@@ -67,14 +67,14 @@ def publisher_count(node: Node, topic: str) -> int:
 
 
 def subscription_count(node: Node, topic: str) -> int:
-    """Return how many subscriptions a topic has, by a name that `topics` returned."""
+    """Return how many subscriptions a topic has; `topic` is a name as `topics` returns it."""
     with node.handle:
         count: int = node.handle.get_count_subscribers(topic)
         return count
 
 
 def node_names(node: Node) -> list[str]:
-    """Return the full name of each discovered node; one of two processes stands there twice."""
+    """Return the full name of each discovered node; a name that two nodes share is listed twice."""
     with node.handle:
         found = rcl_graph.node_names(node.handle.pointer)
     return [f"{_escaped(space).rstrip('/')}/{_escaped(name)}" for name, space in found]
@@ -95,7 +95,7 @@ _OF_RCLPY = {
 
 
 def _endpoints(node: Node, role: Role, topic: str, dds_names: bool) -> list[Endpoint]:
-    # The methods of the node would refuse names that ROS does not allow.
+    # rclpy's methods of Node would refuse names that ROS does not allow.
     with node.handle:
         if topic.isascii():
             try:
@@ -130,10 +130,10 @@ def _escaped(text: bytes) -> str:
 
 
 LOOK_NODE = "_robotctl_look_"
-"""How the node of a `robotctl topic|node|service` command begins; ROS tools do not list it."""
+"""Prefix of the node names of `robotctl topic|node|service` commands; ROS tools hide them."""
 
 TOOL_NODES = (LOOK_NODE, "_ros2cli_")
-"""How the nodes of commands begin that look at topics and drive nothing."""
+"""Prefixes of the node names of commands that read topics and drive nothing."""
 
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """The node name that rmw reports for a publisher discovered before its node."""
@@ -143,7 +143,7 @@ PROCESS_BYTES = 12
 GuidPrefix_t)."""
 
 _OF_EVERY_NODE = "/parameter_events"
-"""A topic on which each node publishes from its beginning."""
+"""A topic that each node publishes from its creation on."""
 
 
 def gid_of(publisher: Publisher) -> bytes:
@@ -167,10 +167,10 @@ def publisher_names(node: Node, topic: str) -> dict[bytes, str]:
 
 
 def node_of(node: Node, topic: str, gid: bytes) -> str:
-    """Return the full name of the node with this publisher of a topic, "" where unknown.
+    """Return the full name of the node whose publisher of a topic has this gid, "" if unknown.
 
-    A message may come before its publisher is announced. Its process is known by then: if that has
-    one node, the publisher is that node's.
+    A message may arrive before its publisher is discovered. The publisher's process is known by
+    then; if the process has only one node, that node is returned.
     """
     name = publisher_names(node, topic).get(gid, "")
     if name:

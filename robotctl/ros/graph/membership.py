@@ -15,13 +15,13 @@ from robotctl.ros.context import close_context, open_context
 class Membership:
     """A node in a ROS domain during a `with` block; the middleware's threads discover others.
 
-    It imports little: what the command imports afterwards is imported during discovery.
+    It imports little itself, so that discovery goes on while the command imports the rest.
     """
 
     def __init__(self, domain_id: int, node_name: str) -> None:
         self.domain_id = domain_id
         self.was_certainly_empty = is_certainly_empty(domain_id)
-        """Whether the domain certainly had no other process when this one joined."""
+        """Whether the domain certainly had no other process when this process joined."""
 
         self.since_s = time.monotonic()
         self._context = open_context(domain_id)
@@ -42,5 +42,5 @@ class Membership:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Leave the domain, with everything that was made of the node."""
+        """Close the discovery, destroy the node and leave the domain."""
         close_context(self._context, [self.node], [self.discovery.close])

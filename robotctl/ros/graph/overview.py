@@ -23,8 +23,8 @@ _REQUEST_TYPE = re.compile(r"(\w+)::srv::dds_::(\w+)_Request_|(\w+)::action::dds
 def overview(node: Node) -> dict[str, Any]:
     """Return the names of all topics and services with their types, and those of all nodes.
 
-    Nodes of commands that only look are left out: this one, and those that the graph still lists.
-    `left_out` says how many names are beyond MAX_NAMES.
+    Nodes of `robotctl topic|node|service` commands, including this one, are left out.
+    `left_out` counts the names beyond MAX_NAMES.
     """
     found: dict[str, list[Any]] = {
         "topics": _typed(endpoints.topics(node)),
@@ -38,7 +38,7 @@ def overview(node: Node) -> dict[str, Any]:
 
 
 def topic_facts(node: Node, topic: str) -> dict[str, Any]:
-    """Return the types, publishers and subscriptions of a topic, by its full name.
+    """Return types, publishers and subscriptions of a topic; `topic` is its full name.
 
     Each endpoint has its node's full name ("" while unknown), its type, gid and QoS.
     """
@@ -54,9 +54,9 @@ def topic_facts(node: Node, topic: str) -> dict[str, Any]:
 
 
 def node_facts(node: Node, name: str) -> dict[str, Any] | None:
-    """Return what a node, by its full name, publishes, subscribes to, serves and calls.
+    """Return what the node with this full name publishes, subscribes to, serves and calls.
 
-    None where no such node is known.
+    None if no such node is known.
     """
     namespace, _, base = name.rpartition("/")
     try:
@@ -89,7 +89,7 @@ def _typed(names: Mapping[str, Iterable[str]]) -> list[dict[str, Any]]:
 
 
 def services(node: Node) -> dict[str, set[str]]:
-    """Return the types of each service that is served or called, from the topics of DDS."""
+    """Return service name -> types for each service with a server or client, by its DDS topic."""
     found: dict[str, set[str]] = {}
     for topic, types in endpoints.topics(node, dds_names=True).items():
         if match := _REQUEST_TOPIC.fullmatch(topic):

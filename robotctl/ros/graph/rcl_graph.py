@@ -109,7 +109,7 @@ class Gid(ctypes.Structure):
 
 
 class Role(Enum):
-    """What an endpoint does with its topic; the value is rcl's function that lists such ones."""
+    """The kind of an endpoint; the value is rcl's function that lists endpoints of that kind."""
 
     PUBLISHER = "rcl_get_publishers_info_by_topic"
     SUBSCRIPTION = "rcl_get_subscriptions_info_by_topic"

@@ -1,9 +1,8 @@
 """The classes of installed types, by name.
 
 Other processes and files choose type names: they must not choose what Python imports. So only
-names that the ament index lists are imported.
-
-Each event handler also takes a file descriptor, and the graph shows what it would report.
+names that the ament index lists are imported. `NO_PUBLISHER_EVENTS` and `NO_SUBSCRIPTION_EVENTS`
+avoid rclpy's event handlers: each takes a file descriptor, and the graph shows what it reports.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 MAX_TYPE_NAME = 255
-"""Characters; a longer name does not fit into an announcement of Fast DDS."""
+"""Limit on the characters of a name; a longer one does not fit into a Fast DDS announcement."""
 
 _CALL = r"(?:_Request|_Response|_Event)?"
 _IMPLIED = {
@@ -30,7 +29,7 @@ _IMPLIED = {
     "srv": _CALL,
     "action": rf"(?:_Goal|_Result|_Feedback|_FeedbackMessage|_(?:SendGoal|GetResult){_CALL})?",
 }
-"""Suffixes of the types that a service or an action implies, by kind."""
+"""Kind of interface -> pattern of the suffixes of the types that the interface implies."""
 
 _TYPE_NAMES = {
     kind: re.compile(rf"([a-z](?:_?[a-z0-9])*)/{kind}/([A-Z][A-Za-z0-9]*){implied}")
@@ -76,14 +75,14 @@ def message_class(type_name: str) -> Any:
     """Return the class of `pkg/msg/T`, or of a type that a service or an action implies.
 
     Raises:
-        UnusableType: The ament index does not list the interface, or loading it failed.
+        UnusableType: The name is invalid or not in the ament index, or the class cannot be loaded.
     """
     name = parse_type_name(type_name)
     if not is_installed(name):
         raise UnusableType("is not installed")
     try:
         module = import_module(f"{name.package}.{name.kind}")
-        # Implied types are defined beside their interface, and not always exported.
+        # Implied types are defined in their interface's module, and not always exported.
         module = import_module(getattr(module, name.interface).__module__)
         return getattr(module, name.short)
     except BaseException as error:
@@ -113,7 +112,7 @@ NO_SUBSCRIPTION_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 
 @dataclass(frozen=True, slots=True)
 class OwnTopic:
-    """Name, message class and offered QoS; the name is relative to the robot's namespace."""
+    """A topic of robotctl with its offered QoS; a relative name is in the robot's namespace."""
 
     name: str
     message_class: Any
@@ -127,7 +126,7 @@ class OwnTopic:
     def create_publisher(
         self, node: Node, events: PublisherEventCallbacks = NO_PUBLISHER_EVENTS
     ) -> Publisher:
-        """Create the node's publisher of the topic."""
+        """Create a publisher of the topic on `node`."""
         return node.create_publisher(
             self.message_class, self.name, self.qos, event_callbacks=events
         )

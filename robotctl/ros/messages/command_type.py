@@ -27,7 +27,7 @@ COMMANDS = {
     CommandQos.BEST_EFFORT: QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
     CommandQos.TRANSIENT_LOCAL: QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
 }
-"""The values of `command.qos`. A latched command is one tick old at most."""
+"""The profile for each value of `command.qos`. A latched command is at most one tick old."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class CommandType:
     encode: Callable[[Twist], bytes]
     decode: Callable[[bytes], Twist]
     qos: QoSProfile = field(default_factory=lambda: COMMAND)
-    """What our publisher offers, and what the simulated robot asks for."""
+    """What our publisher offers, and what the simulated robot requests."""
 
     @property
     def type_name(self) -> str:
@@ -54,7 +54,7 @@ PLAIN = CommandType(TwistMessage, encode_twist, decode_twist)
 
 
 def stamped(frame_id: str) -> CommandType:
-    """Return geometry_msgs/TwistStamped in this frame, stamped with the time of its encoding."""
+    """Return the type geometry_msgs/TwistStamped in this frame; encoding sets the stamp to now."""
     encoder = StampedTwistEncoder(frame_id)
     return CommandType(
         TwistStampedMessage,

@@ -39,8 +39,8 @@ SERVICE_EVENTS = QoSProfile(depth=100)
 """Reliable, because they record who requested what; a call is two events."""
 
 REQUESTS = QoSProfile(depth=1_500)
-"""For a service that loses no request: the depth is how many requests may wait to be taken, and how
-many responses to be received, before one overwrites another. rclpy's default is 10."""
+"""For a service that loses no request: the depth is how many requests, and how many responses, may
+wait before one overwrites another. rclpy's default is 10."""
 
 PARAMETERS = QoSProfile(depth=10)
 """For parameter services: rclpy's depth of 1000 takes 0.3 MB more a node."""
@@ -78,7 +78,7 @@ def recording(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile:
 def recording_latched(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile | None:
     """Return the profile of a second subscription that gets the latched messages.
 
-    None where `recording` gets them already, or no publisher latches messages.
+    None if `recording` gets them already, or no publisher latches messages.
     """
     offers = list(offered)
     latched = [each for each in offers if each.durability is DurabilityPolicy.TRANSIENT_LOCAL]

@@ -1,7 +1,7 @@
-"""The definition and the hash of a ROS type, with which a recording needs no installed type.
+"""Definitions and hashes of ROS types; a recording that has them is readable without the types.
 
 A description is the JSON form of type_description_interfaces/msg/TypeDescription: fields with the
-numbers of FieldType.msg; it has no comments and no constants.
+numbers of FieldType.msg, without comments and constants.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ of it."""
 
 
 def texts_of(type_name: str, described: Mapping[str, Any]) -> dict[str, str]:
-    """Return the texts of a type and of its dependencies by `pkg/T`, depth first.
+    """Return `pkg/T` -> ros2msg text for a type and each of its dependencies, depth first.
 
-    The description holds `type_name` as its root or as a type that the root refers to.
+    `described` contains `type_name` as its root type or as a referenced type.
 
     Raises:
         KeyError: A type is missing, or ros2msg cannot express it (long double, fixed strings).
@@ -94,7 +94,7 @@ _BUILT_IN = frozenset(
     | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 )
 _UNKNOWN = (OSError, PackageNotFoundError, UnusableType, ValueError, KeyError)
-"""Raised for a type that is not installed, or not in the way of ROS 2 Jazzy."""
+"""Raised for a type that is not installed, or whose files are not those of ROS 2 Jazzy."""
 
 
 @lru_cache(maxsize=1024)
@@ -120,7 +120,7 @@ def definition_of(type_name: str) -> str:
 
 @lru_cache(maxsize=1024)
 def holds_bytes(type_name: str) -> bool:
-    """Return whether a type has a field of any number of bytes, as images and point clouds do."""
+    """Return whether a type has an unbounded array of bytes, as images and point clouds do."""
     return _BYTES.search(definition_of(type_name)) is not None
 
 
@@ -166,7 +166,7 @@ def _interface_file(package: str, kind: str, name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class TopicDescription:
-    """Full name, type, the type's text and hash, and the QoS that the publishers offer."""
+    """A topic's full name, its type with definition and hash, and its publishers' QoS as YAML."""
 
     name: str
     type_name: str

@@ -57,14 +57,14 @@ class GoalDrive(Protocol):
 
     @property
     def reply(self) -> asyncio.Future[Reply]:
-        """The answer to the request for the drive."""
+        """Future of the answer to the request for the drive."""
 
     @property
     def ended(self) -> asyncio.Future[DriveEnded]:
-        """The end of the drive; pending if the drive is refused."""
+        """Future of the end of the drive; it stays pending if the drive is refused."""
 
     def progress(self) -> DriveProgress | None:
-        """Return how far the drive has come, None if it is not going on."""
+        """Return how far the drive has come, or None if it is not going on."""
 
     def ramp_down(self) -> bool:
         """End the drive with a ramp; return whether it was still going on."""
@@ -73,9 +73,9 @@ class GoalDrive(Protocol):
 class DriveAction:
     """The action `drive_pattern` (DrivePattern) of a node.
 
-    Each goal reaches the kernel when it is accepted, as a request for a drive does. A goal rejected
-    in ROS has no text, so a goal that the kernel refuses is accepted and then aborted: its result
-    says why. Feedback is published each `FEEDBACK_PERIOD_S`.
+    Each accepted goal is submitted to the kernel at once, as a request for a drive. ROS rejects a
+    goal without a reason, so a goal that the kernel refuses is accepted and then aborted: its
+    result says why. Feedback is published each `FEEDBACK_PERIOD_S`.
     """
 
     def __init__(
@@ -86,8 +86,8 @@ class DriveAction:
     ) -> None:
         """Call `begin(goal, source)` for each goal.
 
-        It returns at once, or raises ValueError with why the goal cannot be requested. `say`
-        returns the text of a refusal for the client.
+        `begin` must return at once; it raises ValueError, with the reason, if the goal cannot be
+        requested. `say` returns the text of a refusal for the client.
         """
         self._begin = begin
         self._say = say
@@ -109,7 +109,7 @@ class DriveAction:
         )
 
     def close(self) -> None:
-        """Destroy the action, which the node that has it does not: it would keep the context."""
+        """Destroy the action server: rclpy's node does not, and it would keep the context alive."""
         self._server.destroy()
 
     def _has_room(self, _: Any) -> GoalResponse:
@@ -118,13 +118,13 @@ class DriveAction:
         return GoalResponse.REJECT if full else GoalResponse.ACCEPT
 
     def _end_unanswered(self) -> None:
-        """End the goals that rclpy accepted and forgot: their client never got the answer."""
+        """Abort goals that rclpy accepted but will not execute: it could not send the answer."""
         for handle in list(self._server._goal_handles.values()):
             if handle.status == GoalStatus.STATUS_ACCEPTED:
                 handle.execute(self._refuse)
 
     def _accept(self, handle: Any) -> None:
-        """Request the drive now: its task runs a turn of the loop later."""
+        """Request the drive at once: the goal's task starts only in a later turn of the loop."""
         asked = handle.request
         goal = Goal(asked.pattern, asked.size, asked.laps, asked.speed, asked.replace)
         try:
@@ -172,7 +172,7 @@ class DriveAction:
 
 
 def _finish(handle: Any, ended: DriveEnded) -> Any:
-    """Set the end of a goal; return its result."""
+    """Set the goal's final state, and return its result."""
     if ended.completed:
         handle.succeed()
     elif handle.is_cancel_requested and ended.cause is None:

@@ -33,10 +33,10 @@ T = TypeVar("T")
 
 
 class NumberedSubscriber(Generic[T]):
-    """Receives from publishers of any QoS, as a part of the hidden node.
+    """Subscribes on the hidden node to a topic's publishers of any QoS.
 
-    `read` returns the value in a serialized message, and raises nothing. `publisher` is the gid in
-    hexadecimal digits, `sequence` its own number of the message.
+    `read` returns the value of a serialized message and must not raise. `publisher` is the
+    publisher's gid in hex, `sequence` its sequence number of the message.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class NumberedSubscriber(Generic[T]):
 
 
 class BatterySubscriber(NumberedSubscriber[float]):
-    """Hands on the level of each message, NaN for an unreadable one."""
+    """Reports the battery level of each message, NaN for an unreadable one."""
 
     def __init__(
         self, session: Session, topic: str, on_level: Callable[[float, str, int], None]
@@ -77,7 +77,7 @@ class BatterySubscriber(NumberedSubscriber[float]):
 
 
 class ScanSubscriber(NumberedSubscriber[tuple[float, ...]]):
-    """Hands on the sectors of each scan, () for an unreadable one."""
+    """Reports the sectors of each scan, () for an unreadable one."""
 
     def __init__(
         self, session: Session, topic: str, on_scan: Callable[[tuple[float, ...], str, int], None]
@@ -87,7 +87,7 @@ class ScanSubscriber(NumberedSubscriber[tuple[float, ...]]):
 
 
 class GuardSubscriber(NumberedSubscriber[Twist]):
-    """Hands on each wanted velocity, NaN for an unreadable one."""
+    """Reports each wanted velocity, NaN for an unreadable one."""
 
     def __init__(
         self,
@@ -108,8 +108,8 @@ class GuardSubscriber(NumberedSubscriber[Twist]):
 
 
 OnReading = Callable[[SafetyInput, float, str, str, int], None]
-"""Called with an input, its value and its text as a `Reader` returns them, the gid of the publisher
-in hexadecimal digits, and the publisher's own number of the message.
+"""Called with an input, its value and its text as a `Reader` returns them, the publisher's gid in
+hex, and the publisher's sequence number of the message.
 """
 
 _CLASSES: dict[SafetyInput, Any] = {
@@ -123,19 +123,19 @@ _CLASSES: dict[SafetyInput, Any] = {
 
 @dataclass(slots=True)
 class _Last:
-    """The last value that was handed on, and when [steady ns]."""
+    """The last value that was reported, and the time of the report [steady ns]."""
 
     value: float = nan
     t_ns: int = 0
 
 
 class SafetyInputs:
-    """A part of the hidden node; receives the inputs that are used, from publishers of any QoS."""
+    """Subscribes on the hidden node to the inputs in use, from publishers of any QoS."""
 
     def __init__(
         self, session: Session, params: SafetyInputParams, robot: str, on_reading: OnReading
     ) -> None:
-        """Call `on_reading` for each new value, and for equal ones often enough."""
+        """Call `on_reading` for changed values; for equal ones, REPEATS_PER_TIMEOUT a timeout."""
         self._on_reading = on_reading
         used = [kind for kind in SafetyInput if params.of(kind).use is not Use.OFF]
         if not used:

@@ -44,7 +44,7 @@ CALLS = tuple(
     OwnTopic(f"{service}/_service_event", kind.Event, qos.SERVICE_EVENTS)
     for service, kind in ((SET_MODE, SetMode), (ESTOP, Trigger))
 )
-"""The topics that show the calls and responses of each service."""
+"""The introspection topics, which carry the requests and responses of each service."""
 
 
 NODE_NAME = "mode_service"
@@ -68,9 +68,9 @@ e-stop latch is on the disk."""
 class ModeService:
     """Node `mode_service`: `set_mode` (SetMode), `estop` (Trigger), `robot_status` (RobotStatus).
 
-    Requests do not wait for each other: each reaches the kernel when it is taken, and is answered
-    when it is done. `estop` has its own queue, so a backlog of `set_mode` does not delay it. Calls
-    and responses are published on `set_mode/_service_event` and `estop/_service_event`.
+    Requests do not wait for each other: each is submitted to the kernel when it is received, and
+    answered when it is done. `estop` has its own queue, so a backlog of `set_mode` does not delay
+    it. Both services publish their calls on `_service_event` topics.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class ModeService:
         request: Callable[[int, str], Future[Reply]],
         say: Callable[[Reply], str] = attrgetter("message"),
     ) -> None:
-        """Call `request(mode number, source)` for each request; it returns at once.
+        """Call `request(mode number, source)` for each request; it must return at once.
 
         `say` returns the text of a reply for the caller of the service.
         """
@@ -88,8 +88,8 @@ class ModeService:
         self._say = say
         self._in_work = 0
         self.node = session.node_of(ManagedNode, NODE_NAME)
-        """The node. Its lifecycle says whether motion may start; its services work in each state.
-        Other roles of its process may add their interfaces."""
+        """The node. Its lifecycle state says whether motion may start; its services work in each
+        state. Other roles of this process may add interfaces to the node."""
         self._publisher = STATUS.create_publisher(self.node)
         self._serve(Trigger, ESTOP, self._stop)
         self._serve(SetMode, SET_MODE, self._set_mode)
@@ -147,7 +147,7 @@ class ModeService:
         return response
 
     def _ask(self, mode: int, service: str) -> Future[Reply]:
-        """Submit a request now: the task that waits for the reply runs a turn of the loop later."""
+        """Submit a request at once: the task that waits for the reply starts only a turn later."""
         namespace = self.node.get_namespace().rstrip("/")
         reply = self._request(mode, f"the ROS service {namespace}/{service}")
         self._in_work += 1

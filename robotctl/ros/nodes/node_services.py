@@ -40,7 +40,7 @@ from robotctl.ros.messages import qos
 
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """One parameter with its present value; `range` is None where there is no limit."""
+    """One parameter with its present value; `range` is None if there is no limit."""
 
     key: str
     value: Any
@@ -51,15 +51,15 @@ class Declared:
 
 
 Ask = Callable[[Sequence[tuple[str, Any]], str], str]
-"""Asks for new values of keys, all or none, for the named service; returns the refusal, or ""."""
+"""Requests new values for keys, all or none, as the named service; returns the refusal or ""."""
 
 
 class ParameterServices(ParameterService):
     """The six parameter services of a node.
 
     rclpy checks types, ranges and read-only parameters as it does for every node; then `ask` is
-    called. A change by another way is told with `show`. The queues are short, because rclpy's take
-    0.3 MB a node.
+    called. `show` adopts a change that was made by other means. The queues are short, because
+    rclpy's take 0.3 MB a node.
     """
 
     def __init__(self, node: Node, declared: Sequence[Declared], ask: Ask) -> None:
@@ -85,8 +85,8 @@ class ParameterServices(ParameterService):
             )
 
     def show(self, key: str, value: Any) -> None:
-        """Adopt a value that was changed; other keys than the node's are ignored."""
-        if key not in self._keys or self._asking:  # rclpy takes over what it asked for
+        """Adopt a value that was changed by other means; keys that the node lacks are ignored."""
+        if key not in self._keys or self._asking:  # rclpy itself adopts what it asked for
             return
         self._showing = True
         try:
@@ -132,7 +132,7 @@ def _declare(node: Node, declared: Declared) -> None:
         return
     texts = Parameter.Type.STRING_ARRAY
     node.declare_parameter(declared.key, texts, _descriptor(declared))
-    # Not by a public method: each would take an empty list for an array of bytes.
+    # Not by a public method: each would read an empty list as an array of bytes.
     node._parameters[declared.key] = Parameter(declared.key, texts, declared.value)
 
 
@@ -154,13 +154,13 @@ def _descriptor(declared: Declared) -> ParameterDescriptor:
 
 
 MAX_LEVELS: Final = 100
-"""Levels that a call may change; a longer list would hold up the loop."""
+"""Limit on the levels in one call; a longer list would hold up the loop."""
 
 Get = Callable[[str], int]
-"""Returns the level of a logger, 0 where it has none."""
+"""Returns the level of a logger, or 0 if the logger has none."""
 
 Set = Callable[[str, int, str], str]
-"""Sets the level of a logger for the named service; returns the refusal, or ""."""
+"""Sets the level of a logger as the named service; returns the refusal or ""."""
 
 
 class LoggerServices(LoggingService):
@@ -188,7 +188,7 @@ class LoggerServices(LoggingService):
 
 
 def set_native_level(name: str, level: int) -> str:
-    """Set the level of a logger of rcl and rclpy; return why that failed, "" where it did not."""
+    """Set the level of a logger of rcl and rclpy; return why that failed, or ""."""
     try:
         set_logger_level(name, level, detailed_error=True)
     except (RuntimeError, TypeError, ValueError) as error:  # TypeError: it is not UTF-8
@@ -197,7 +197,7 @@ def set_native_level(name: str, level: int) -> str:
 
 
 class ManagedNode(LifecycleNode):
-    """A node with the lifecycle services and `transition_event`; its own interfaces always work.
+    """A node with the lifecycle services; its other interfaces work in every lifecycle state.
 
     `changed(state)` is called after each request for a transition.
     """
@@ -222,7 +222,7 @@ class ManagedNode(LifecycleNode):
         node.trigger_activate()
 
     def destroy_node(self) -> None:
-        """Destroy the node and its state machine, which rclpy leaves: it keeps the context."""
+        """Destroy the node and, unlike rclpy, its state machine, which keeps the context alive."""
         Node.destroy_node(self)
         self._state_machine.destroy_when_not_in_use()
 

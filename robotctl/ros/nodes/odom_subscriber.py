@@ -20,7 +20,7 @@ from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.session import Session
 
 WANTED = {OdometryQos.BEST_EFFORT: qos.SENSOR, OdometryQos.RELIABLE: QoSProfile(depth=10)}
-"""The values of `odometry.qos`."""
+"""The profile for each value of `odometry.qos`."""
 
 MAX_SOURCES = 256
 """Limit on remembered publishers; beyond it, the one that was silent longest is forgotten."""
@@ -30,7 +30,7 @@ LOOKS_FOR_NAME = 20
 
 
 class OdomSubscriber:
-    """Node `odom_subscriber`; receives from publishers of any QoS."""
+    """Node `odom_subscriber`; with the default QoS it receives from publishers of any QoS."""
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class OdomSubscriber:
         """Call `on_odometry(odometry, source, sequence)` for each message.
 
         `source` is the number of the message's publisher, counted from 1; `sequence` is the
-        publisher's own number of the message. Before a publisher's first message,
+        publisher's sequence number of the message. Before a publisher's first message,
         `on_source(source, gid, name, frame)` is called with that number, the gid in hexadecimal
         digits, and the node's name, "" where it is not known yet. It is called again when
         `find_names` finds the node, and when the frame of its messages changes.
@@ -58,10 +58,10 @@ class OdomSubscriber:
         self._last_source = 0
         self._last_gid: bytes | None = None
         self._frame = b""
-        """The frame of the last message, as its bytes."""
+        """The frame id of the last message, as serialized bytes."""
 
         self._told: dict[bytes, tuple[str, str]] = {}
-        """Node and frame of each publisher, as `on_source` was told last."""
+        """Node and frame of each publisher, as last reported to `on_source`."""
 
         self._nameless: dict[bytes, int] = {}
         """Publishers without a known node, and how many more times to look for it."""
@@ -78,7 +78,7 @@ class OdomSubscriber:
         )
 
         self.look: Callable[[], None] = lambda: tap.poll()
-        """Handles the samples that have arrived, before the loop does."""
+        """Handles the messages that have arrived at once, without waiting for the loop."""
 
     @property
     def topic(self) -> str:
@@ -103,7 +103,7 @@ class OdomSubscriber:
         self._on_odometry(odometry, source, sequence)
 
     def _number(self, gid: bytes) -> int:
-        """Return the number of a new publisher, and look for its node."""
+        """Return a new publisher's number; at MAX_SOURCES, forget the one silent longest."""
         if len(self._sources) >= MAX_SOURCES:
             forgotten = next(iter(self._sources))
             del self._sources[forgotten]

@@ -1,4 +1,4 @@
-"""Publishers of diagnostics, journal, marks, heads of the seal, and log lines."""
+"""Publishers of the command lock, diagnostics, journal, marks, heads of the seal and log lines."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ LOCKING = frozenset({Mode.ERROR, Mode.EMERGENCY_STOP})
 
 
 class CommandLock:
-    """Publishes on the lock topic, as a part of `node`; nothing where the topic is ""."""
+    """Publishes the command lock on `topic`, from `node`; if `topic` is "", it does nothing."""
 
     def __init__(self, node: Node, topic: str) -> None:
         own = OwnTopic(topic, Bool, qos.LATCHED)
         self._publisher = own.create_publisher(node) if topic else None
 
     def show(self, mode: Mode) -> None:
-        """Tell whether the mode locks."""
+        """Publish whether `mode` is one of LOCKING."""
         if self._publisher is not None:
             self._publisher.publish(Bool(data=mode in LOCKING))
 
@@ -65,7 +65,7 @@ class Diagnosis:
 
 
 class DiagnosticsPublisher:
-    """Publishes on `DIAGNOSTICS_TOPIC`, as a part of the hidden node."""
+    """Publishes on `DIAGNOSTICS_TOPIC`, from the hidden node."""
 
     def __init__(self, session: Session, robot: str) -> None:
         self._robot = robot
@@ -104,7 +104,7 @@ class HeadPublisher:
         self._publisher = HEAD_TOPIC.create_publisher(node)
 
     def publish(self, digest: str) -> None:
-        """Publish a head in hex; a failure is logged only."""
+        """Publish the head of the seal, a hash in hex; a failure is only logged."""
         try:
             self._publisher.publish(bytes(serialize_message(String(data=digest))))
         except _rclpy.RCLError as error:
@@ -115,7 +115,7 @@ JOURNAL_TOPIC = OwnTopic("robotctl/journal", JournalEntry, qos.JOURNAL)
 
 
 class JournalPublisher:
-    """Publishes entries that are serialized already, as a part of the hidden node."""
+    """Publishes serialized entries on `JOURNAL_TOPIC`, from the hidden node."""
 
     def __init__(self, session: Session) -> None:
         node = session.helper()
@@ -128,7 +128,7 @@ class JournalPublisher:
     def publish(self, serialized: bytes) -> None:
         """Publish one entry if there is a subscriber.
 
-        A failure is logged only: no decision depends on it.
+        A failure is only logged: no decision depends on the topic.
         """
         if not self._subscriptions:
             return  # the topic is volatile: no later subscriber gets it
@@ -148,7 +148,7 @@ MARK_TOPIC = OwnTopic("robotctl/marks", String, qos.MARK)
 
 
 class MarkPublisher:
-    """Publishes on `MARK_TOPIC`, as a part of the hidden node."""
+    """Publishes on `MARK_TOPIC`, from the hidden node."""
 
     def __init__(self, session: Session) -> None:
         node = session.helper()
@@ -157,7 +157,7 @@ class MarkPublisher:
     def publish(self, text: str) -> bytes:
         """Publish a mark and return it serialized.
 
-        A failure is logged only: the mark is recorded anyway.
+        A failure is only logged: the mark is recorded anyway.
         """
         serialized = bytes(serialize_message(String(data=text)))
         try:
@@ -171,7 +171,7 @@ ROSOUT_TOPIC: Final = OwnTopic("/rosout", Log, qos.ROSOUT)
 """One topic for all nodes of a domain."""
 
 MAX_TEXT: Final = 10_000
-"""Characters of a line; more are cut off."""
+"""Limit on the characters of a line; the rest is cut off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +179,7 @@ class RosoutLine:
     """A log line; `level` is a number of rcl_interfaces/msg/Log, `logger` the name on ROS."""
 
     t_ns: int
-    """Since the epoch."""
+    """Wall-clock time since the epoch [ns]."""
 
     level: int
     logger: str
@@ -190,7 +190,7 @@ class RosoutLine:
 
 
 class RosoutPublisher:
-    """Publishes on `ROSOUT_TOPIC`, as a part of the hidden node."""
+    """Publishes on `ROSOUT_TOPIC`, from the hidden node."""
 
     def __init__(self, session: Session) -> None:
         self._publisher = ROSOUT_TOPIC.create_publisher(session.helper())
@@ -199,7 +199,7 @@ class RosoutPublisher:
         """Publish a line.
 
         Raises:
-            Exception: It is no text, or the middleware failed.
+            Exception: A field of `line` has a wrong type or value, or the middleware failed.
         """
         seconds, nanoseconds = divmod(line.t_ns, NS_PER_S)
         self._publisher.publish(

@@ -39,9 +39,9 @@ MAX_STEP_S = 0.1
 robot does not jump."""
 
 LEAD_NS = 5_000
-"""How long before a control tick the robot of a daemon moves: its odometry is then of this moment.
+"""How long before each control tick the simulated robot moves, so that its odometry is fresh.
 
-Both timers expire while the loop wakes up, so that it turns once for both, in this order."""
+Both timers expire during one wake-up of the loop, which handles them in this order."""
 
 
 def odometry_topic(name: str) -> OwnTopic:
@@ -70,8 +70,8 @@ class SimulatedRobot:
     ) -> None:
         """Subscribe to the command on topic `command`; publish on topics `odometry` and `battery`.
 
-        There is no battery where its topic is "". `full_level` is the level reported for a full
-        battery.
+        If `battery` is "", no battery is published. `full_level` is the level that is reported for
+        a full battery.
         """
         self._params = params
         self._robot = Robot(params)
@@ -81,7 +81,7 @@ class SimulatedRobot:
         self._moved_ns = 0
         self._battery_due_ns = 0
         self._wall_ns = 0
-        """The wall clock less the steady clock [ns]."""
+        """Wall-clock time minus steady time [ns], read when `run` begins."""
 
         node = session.node("simulated_robot")
         tap: Any = RawTap(self._command, latency_s=None)
@@ -130,12 +130,12 @@ class SimulatedRobot:
         return self._robot.truth
 
     def set_battery(self, level: float) -> None:
-        """Continue with this battery level, 0 to 1, and report it at once."""
+        """Continue with this battery level, 0 to 1; the next step of the motion reports it."""
         self._robot.battery = level
         self._is_changed = True
 
     def begin_fault(self, fault: SimFault, for_s: float) -> None:
-        """Begin a fault; its time is that of the motion."""
+        """Begin a fault that lasts `for_s` seconds of the motion's time."""
         self._robot.faults.begin(fault, for_s)
         self._is_changed = True
 

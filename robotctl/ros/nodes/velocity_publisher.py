@@ -1,4 +1,4 @@
-"""Publishes the velocity command; robotctl has no other publisher of it."""
+"""The daemon's only publisher of the velocity command."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MAX_NAMED = 8
 """Limit on the other publishers, and on the other types, that are named."""
 
 LOCK_TIMEOUT_S = 0.02
-"""Longer than any publication takes; a thread that holds the lock longer is stuck in it."""
+"""Longer than any publication takes: a thread that holds the lock longer hangs in rclpy."""
 
 
 def is_monitor(node_name: str) -> bool:
@@ -77,7 +77,7 @@ class VelocityPublisher:
         self._withheld = 0
         self.published = 0
         self.accounted = 0
-        """How many of them the journal accounts for: the zeros of a stall once it is over."""
+        """How many published commands the journal has; zeros of a stall count once it is over."""
 
     @property
     def topic(self) -> str:
@@ -89,9 +89,9 @@ class VelocityPublisher:
     ) -> Callable[[], None]:
         """Call `heard(gid)` for each command on the topic, of any publisher.
 
-        Commands are collected for `latency_s` seconds, without limit if it is None. Returns a
-        function that takes the collected ones at once. The subscription is best effort, so that it
-        receives from publishers of any QoS.
+        Commands are collected for `latency_s` seconds; if it is None, until the returned function
+        is called, which handles the collected commands at once. The subscription is best effort,
+        so that it receives from publishers of any QoS.
         """
         tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
         # rclpy's types allow a callback of one argument only.
@@ -123,7 +123,7 @@ class VelocityPublisher:
             self._log.debug(publishing_line(twist))
 
     def publish_zero(self) -> None:
-        """Send a zero if the gate is closed; for threads other than the loop's.
+        """Send a zero if the gate is closed, unless `is_silent()`; not for the loop's thread.
 
         Raises:
             TimeoutError: A publication of the loop hangs.
@@ -166,9 +166,9 @@ class VelocityPublisher:
         return named_nodes(each for each in publishers if each.gid != self.gid)
 
     def listeners(self) -> tuple[int, tuple[str, ...], str]:
-        """Return how many subscriptions take our commands, the other types subscribed to, and ours.
+        """Return how many subscriptions have our type, the other subscribed types, and our type.
 
-        Recorders and monitors of daemons are not counted: they drive nothing.
+        Subscriptions of recorders, monitors and tools are not counted: they drive nothing.
         """
         types = [
             short_name(each.topic_type)
@@ -188,7 +188,7 @@ class VelocityPublisher:
 
 
 def named_nodes(found: Iterable[endpoints.Endpoint]) -> tuple[str, ...]:
-    """Return the full names of the nodes of endpoints in order, at most MAX_NAMED and a count."""
+    """Return the sorted full names of the endpoints' nodes: MAX_NAMED at most, then "N more"."""
     names = sorted(short_name(full_name(each)) for each in found)
     named = [name or "a node whose name is not known yet" for name in names[:MAX_NAMED]]
     if len(names) > MAX_NAMED:

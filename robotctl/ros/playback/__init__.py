@@ -1,1 +1,1 @@
-"""Recorded messages published on ROS again."""
+"""Publishes recorded messages on ROS again."""

@@ -1,6 +1,6 @@
-"""Publishers and clients of a replay, and what it must know of the graph.
+"""Publishers and clients of a replay, and what the replay must know of the graph.
 
-The class of a type brings all modules of its package, and numpy: 80 ms of CPU for an Odometry.
+`serialized_type` avoids importing a whole message package and numpy: 80 ms of CPU for Odometry.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ _OF_RCLPY: Final = (
     *("type_support", "create_ros_message", "destroy_ros_message"),
     *("convert_from_py", "convert_to_py"),
 )
-"""What rclpy looks for in the metaclass of a type, in capitals and after an underscore."""
+"""What rclpy reads from a type's metaclass, which has `type_support` as `_TYPE_SUPPORT`."""
 
 
 @lru_cache(maxsize=1024)
 def serialized_type(type_name: str) -> Any:
-    """Return a class of `pkg/msg/T` for publishers of serialized messages; it has no fields.
+    """Return a class without fields for `pkg/msg/T`, enough to publish serialized messages.
 
-    Of another kind, such as `pkg/srv/T_Event`, the whole class.
+    For another kind, such as `pkg/srv/T_Event`, return the whole class.
 
     Raises:
         UnusableType: The ament index does not list the type, or loading it failed.
@@ -66,10 +66,10 @@ def serialized_type(type_name: str) -> Any:
 MAX_TEXT: Final = 1 << 20
 MAX_DEPTH: Final = 10_000
 VOLATILE_DEPTH: Final = 1000
-"""The least depth of a volatile topic: subscribers do not see it; a shallow queue loses bursts."""
+"""The least depth for a volatile topic: a shallow queue loses bursts, a deep one does no harm."""
 
 _INFINITE_SEC: Final = 2_147_483_647
-"""What recorders before Jazzy wrote for an infinite time; later ones write a larger number."""
+"""The seconds that recorders before Jazzy wrote for an infinite time; later ones write more."""
 
 _RELIABILITY = {"1": ReliabilityPolicy.RELIABLE, "2": ReliabilityPolicy.BEST_EFFORT}
 _DURABILITY = {"1": DurabilityPolicy.TRANSIENT_LOCAL, "2": DurabilityPolicy.VOLATILE}
@@ -105,7 +105,7 @@ def replay_qos(offered: str, *, most: int = MAX_DEPTH) -> QoSProfile:
 
 
 def latched_depth(offered: str) -> int:
-    """Return how many latched messages a late subscriber gets, 0 where the topic is volatile."""
+    """Return how many latched messages a late subscriber gets, 0 if the topic is volatile."""
     qos = replay_qos(offered)
     return int(qos.depth) if qos.durability is DurabilityPolicy.TRANSIENT_LOCAL else 0
 
@@ -135,7 +135,7 @@ def _depth(profile: Mapping[str, Any]) -> int:
 
 
 def _common(profiles: Sequence[Mapping[str, Any]], policy: str) -> Duration:
-    """Return the duration that all profiles have in common, else 0 (unspecified)."""
+    """Return the duration of a policy if all profiles have the same one, or 0 (unspecified)."""
     spans = {_span_ns(each.get(policy)) for each in profiles}
     return Duration(nanoseconds=spans.pop() if len(spans) == 1 else 0)
 
@@ -155,12 +155,12 @@ SETTLE_S: Final = 3.5
 """How long discovery may take: an announcement that was lost is repeated after 3 s."""
 
 QUIET_S: Final = 0.03
-"""How long the graph must not change: a process that starts adds one endpoint after the other."""
+"""How long the graph must not change: a starting process adds its endpoints one by one."""
 
 MATCH_S: Final = 2.0
 KNOWN_S: Final = 0.5
-"""How long others may take to say that they know our publishers. It takes them 8 ms, or 0.2 s where
-a message gets lost; a process that was killed never says so."""
+"""How long others may take to acknowledge that they know our publishers. They take 8 ms, or 0.2 s
+if a message gets lost; a process that was killed never acknowledges."""
 
 CLOCK_TYPE: Final = "rosgraph_msgs/msg/Clock"
 
@@ -169,11 +169,11 @@ ACKNOWLEDGE_S: Final = 7.0
 be due only after 3 s."""
 
 IN_FLIGHT: Final = 250
-"""How many messages a replay at full speed sends before it waits for acknowledgements. That takes
-about 5 ms; few messages get lost while they fit into the shared memory of Fast DDS (512 kB)."""
+"""How many messages a replay at full speed sends before it waits for acknowledgements, for about
+5 ms. Few messages get lost while they fit into the shared memory of Fast DDS (512 kB)."""
 
 IN_FLIGHT_BULKY: Final = 5
-"""The same for images, point clouds and the like."""
+"""IN_FLIGHT for images, point clouds and the like."""
 
 _POLL_S: Final = 0.02
 _MATCHED_POLL_S: Final = 0.002
@@ -201,9 +201,9 @@ class ReplaySession:
         self._clients: list[Client] = []
 
     def settle(self, quiet_s: float = QUIET_S) -> None:
-        """Wait until every process in the domain is discovered; not at all where there was none.
+        """Wait until every process is discovered and nothing changed for `quiet_s` seconds.
 
-        That is when each has announced itself, and nothing changed for `quiet_s` seconds.
+        The wait ends SETTLE_S after joining at the latest; an empty domain needs no wait.
         """
         if not self._is_alone:
             self._discovery.wait(quiet_s, self._joined + SETTLE_S, self.stopped)
@@ -238,7 +238,7 @@ class ReplaySession:
         """Check that the type is installed.
 
         Raises:
-            Unpublishable: It is not, or cannot be loaded.
+            Unpublishable: The type is not installed, or cannot be loaded.
         """
         _installed(serialized_type, type_name)
 
@@ -252,7 +252,7 @@ class ReplaySession:
     ) -> Callable[[bytes], bool]:
         """Create a publisher, and return a function that sends a serialized message.
 
-        With `patient`, it waits for slow subscribers, at most `BLOCKED_S` seconds.
+        With `patient`, the function waits for slow reliable subscribers, at most BLOCKED_S a call.
 
         Raises:
             Unpublishable: ROS does not allow the name, or the type cannot be published here.
@@ -295,7 +295,7 @@ class ReplaySession:
         return clock_sender(publisher)
 
     def count_matched(self) -> int:
-        """Return how many subscriptions have matched, over all topics."""
+        """Return how many subscriptions have matched our publishers, over all topics."""
         return sum(publisher.get_subscription_count() for publisher in self._publishers)
 
     def wait_for_subscribers(self, expected: int, tell: Callable[[int], object]) -> None:
@@ -312,9 +312,9 @@ class ReplaySession:
     def wait_for_matches(self) -> None:
         """Wait until discovered subscriptions and servers have matched on both sides.
 
-        The wait takes 2 s at most, and none where there is no other process. A publisher matches
-        its subscribers before they match it; what it sends until then is lost, or late where it is
-        reliable.
+        The wait takes MATCH_S + KNOWN_S at most; without another process there is none. A publisher
+        matches a subscriber before the subscriber matches the publisher; a message that is sent in
+        between is lost, or late if the publisher is reliable.
         """
         if self._is_alone:
             return

@@ -19,10 +19,10 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ENCAPSULATION
 
 BLOCKED_S: Final = 5.0
-"""How long a subscriber that takes nothing may hold up a replay at full speed."""
+"""How long a subscriber that acknowledges nothing may hold up a replay at full speed."""
 
 ACKNOWLEDGED_POLL_S: Final = 0.001
-"""The time between two looks for acknowledgements, which come after about 5 ms."""
+"""The time between two checks for acknowledgements, which come after about 5 ms."""
 
 MAX_OPEN_REQUESTS: Final = 10_000
 """Limit on the requests that are remembered until their second event comes."""
@@ -32,7 +32,7 @@ _CLOCK = struct.Struct("<4siI")
 
 
 def sender(publisher: Publisher) -> Callable[[bytes], bool]:
-    """Return a function that publishes a message, and returns whether the middleware took it."""
+    """Return a function that publishes a message, and returns whether the middleware accepts it."""
     publish = publisher.publish
 
     def send(data: bytes) -> bool:
@@ -48,17 +48,17 @@ def sender(publisher: Publisher) -> Callable[[bytes], bool]:
 class PatientSender:
     """Publishes messages no faster than reliable subscribers acknowledge them.
 
-    After some messages it waits until all are acknowledged, at most BLOCKED_S. A queue of the kind
-    KEEP_ALL would not do: where a message got lost, and the publisher keeps more messages than the
+    After `in_flight` messages it waits until all are acknowledged, at most BLOCKED_S. A KEEP_ALL
+    queue is no alternative: if a message is lost while the publisher keeps more messages than the
     subscriber's depth, Fast DDS 2.14 delivers nothing any more. The subscriber holds newer messages
-    back until it has the lost one, has no room for that one because of them, and refuses it each
-    time (`DataReaderHistory::received_change_keep_last`).
+    back until it has the lost one, but they fill its queue, so it refuses the lost one each time
+    (`DataReaderHistory::received_change_keep_last`).
     """
 
     def __init__(self, publisher: Publisher, in_flight: int, stopped: threading.Event) -> None:
-        """Publish by `publisher`, `in_flight` messages between two waits, or as many as it keeps.
+        """Publish with `publisher`; wait after `in_flight` messages, or its depth if that is less.
 
-        No wait outlasts `stopped`.
+        Setting `stopped` ends a wait.
         """
         self.topic = str(publisher.topic_name)
         self.given_up = 0
@@ -71,7 +71,7 @@ class PatientSender:
         self._unacknowledged = 0
 
     def __call__(self, data: bytes) -> bool:
-        """Publish a message; return whether the middleware took it."""
+        """Publish a message; return whether the middleware accepted it."""
         if self._unacknowledged >= self._in_flight:
             self.given_up += not self._is_acknowledged()
             self._unacknowledged = 0
@@ -80,7 +80,7 @@ class PatientSender:
 
     def _is_acknowledged(self) -> bool:
         until_s = time.monotonic() + BLOCKED_S
-        # It would hold the GIL while it waits.
+        # Polled, because rclpy would hold the GIL while it waits.
         while not self._publisher.wait_for_all_acked(Duration()):
             if self._stopped.wait(ACKNOWLEDGED_POLL_S) or time.monotonic() > until_s:
                 return False
@@ -88,7 +88,7 @@ class PatientSender:
 
 
 def clock_sender(publisher: Publisher) -> Callable[[int], bool]:
-    """Return a function that publishes a time in ns, and returns whether the middleware took it."""
+    """Return a function that publishes a time [ns]; it returns whether that succeeded."""
     send_once = sender(publisher)
 
     def send(time_ns: int) -> bool:
@@ -111,7 +111,7 @@ class RequestSender:
         """Request -> number of client events minus number of server events."""
 
     def __call__(self, data: bytes) -> bool | None:
-        """Send the request; return whether that worked, None where there was none to send."""
+        """Send the request; return whether that worked, or None if there was none to send."""
         try:
             event = deserialize_message(data, self._event_type)
         except _rclpy.RCLError:

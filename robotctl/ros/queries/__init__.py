@@ -1,5 +1,5 @@
-"""A process of its own that looks at ROS for a command: `python -m robotctl.ros.queries`.
+"""A separate process that queries ROS for one command: `python -m robotctl.ros.queries`.
 
-The daemon's loop and the command's own process stay free of what it does: it imports rclpy, joins
-the domain, waits for discovery, and loads foreign types.
+It imports rclpy, joins the domain, waits for discovery and loads foreign types. None of this
+then happens in the daemon's loop or in the command's own process.
 """

@@ -1,8 +1,8 @@
-"""`python -m robotctl.ros.queries --report-fd N`: do what the first line on stdin asks.
+"""`python -m robotctl.ros.queries --report-fd N`: answer the query in the first line on stdin.
 
-The line is a JSON object with the name of a look (`names`, `topic`, `node`, `listen`, `call`), the
-domain, and what the look needs. The reports are the answers; a failure is {"error", "exit_code"}
-with details of the error. The process ends with its stdin, so it does not outlive its parent.
+The line is a JSON object: `look` names the query (`names`, `topic`, `node`, `listen`, `call`), next
+to `domain_id` and the query's arguments. Each answer is a report; a failure is {"error",
+"exit_code"} and the error's details. The process ends when its parent closes stdin.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def main(arguments: list[str]) -> int:
-    """Do one look and return the exit code."""
+    """Answer one query; return 0, also after a failure, which is reported."""
     environment.prepare()
     send = partial(send_report, report_fd(arguments))
     with suppress(BrokenPipeError, asyncio.CancelledError):  # nothing waits for the answer any more
@@ -48,10 +48,10 @@ def main(arguments: list[str]) -> int:
 
 
 def _look(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
-    """Look at the domain, and `send` what was asked for.
+    """Run the query in the domain, and `send` its answers.
 
     Raises:
-        RobotctlError: The look is refused; the text says why.
+        RobotctlError: The query is refused; the text says why.
     """
     # Discovery goes on during these imports.
     if request["look"] in ("listen", "call"):  # these import numpy, which takes 60 ms

@@ -26,10 +26,10 @@ Send = Callable[[dict[str, Any]], None]
 
 
 def run(work: Coroutine[Any, Any, None]) -> None:
-    """Run `work` in a loop to its end.
+    """Run `work` in an event loop until it is done.
 
     Raises:
-        asyncio.CancelledError: The command that asked has closed stdin: it has ended.
+        asyncio.CancelledError: The asking command has ended: it closed stdin.
     """
     asyncio.run(_until_stdin_ends(work))
 
@@ -49,12 +49,12 @@ async def _until_stdin_ends(work: Coroutine[Any, Any, None]) -> None:
 
 
 async def call(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
-    """Report {"type", "definition", "data"} of the response, the data in base64.
+    """Call a service and report {"type", "definition", "data"} of the response, data in base64.
 
     Raises:
-        NoDaemon: No such service appears in time, or it does not answer.
-        UsageError: It has another type, or a value does not fit the type.
-        Refused: Its type is not installed here.
+        NoDaemon: No such service appears in time, or the service does not answer.
+        UsageError: The service has another type, or a value does not fit the type.
+        Refused: The service's type is not installed here, or cannot be read.
     """
     node, name = visitor.node, request["name"]
     visitor.discover(lambda: name in services(node), expected=request["expected"])
@@ -95,7 +95,7 @@ def _type_of(name: str, wanted: str, types: list[str]) -> str:
     """Return the type to call the service with.
 
     Raises:
-        UsageError: It is not the wanted one, or there are several.
+        UsageError: The service lacks the wanted type, or has several types and none is wanted.
     """
     if wanted and types and wanted not in types:
         raise UsageError(f"{name} has type {', '.join(types)}, not {wanted}", "leave the type out")
@@ -120,7 +120,7 @@ def _message(type_name: str, kind: Any, values: Any) -> Any:
     """Return a request with the given values.
 
     Raises:
-        UsageError: A value does not fit.
+        UsageError: A value does not fit the type.
     """
     definition = _definition(type_name)
     defaults = decode(definition, serialize_message(kind()))
@@ -140,13 +140,13 @@ def _definition(type_name: str) -> Definition:
 async def listen(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
     """Report type and definition of a topic, then each message, until cancelled.
 
-    The first report is {"type", "definition", "publishers"}; then {"received_ns", "source_ns",
-    "size", "publisher"}, and "data" in base64 if the request wants it.
+    The first report is {"type", "definition", "publishers"}; each message is {"received_ns",
+    "source_ns", "size", "publisher"}, with "data" in base64 if the request asks for data.
 
     Raises:
-        UsageError: The name cannot be a topic's; or the topic is unknown, or has several types, of
-            which the request names none.
-        Refused: Its type is not installed here.
+        UsageError: The name is not a valid topic name, the topic is unknown, or the topic has
+            several types and the request names none.
+        Refused: The topic's type is not installed here.
     """
     node, topic = visitor.node, request["name"]
     if not endpoints.is_topic_name(topic):

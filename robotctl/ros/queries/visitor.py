@@ -1,4 +1,4 @@
-"""A process that visits a ROS domain for one command."""
+"""The membership in a ROS domain of a process that answers one command."""
 
 from __future__ import annotations
 
@@ -13,37 +13,37 @@ from robotctl.ros.graph.endpoints import LOOK_NODE
 from robotctl.ros.graph.membership import Membership
 
 STDIN: Final = 0
-"""Readable only when the command has closed it: after the first line it sends nothing."""
+"""Readable only when the command has closed it, because the command sends a single line."""
 
 SETTLE_S: Final = 3.5
 """How long discovery may take: an announcement that was lost is repeated after 3 s."""
 
 EXPECTED_S: Final = 20.0
-"""How long discovery may take of what the daemon has already discovered."""
+"""How long the discovery of a name may take that the daemon has already discovered."""
 
 QUIET_S: Final = 0.1
-"""How long the graph must not change until it counts as discovered."""
+"""The graph counts as discovered when it has not changed for this time."""
 
 _POLL_S: Final = 0.01
 
 
 class Visitor(Membership):
-    """A membership that ends with stdin."""
+    """A membership for one command; its waits are cancelled when the command closes stdin."""
 
     def __init__(self, domain_id: int) -> None:
         super().__init__(domain_id, f"{LOOK_NODE}{os.getpid()}")
 
     def settle(self) -> None:
-        """Wait until every process in the domain is discovered."""
+        """Wait until every process in the domain is discovered, until SETTLE_S after joining."""
         self.discover(lambda: False)
 
     def discover(self, is_known: Callable[[], bool], *, expected: bool = False) -> bool:
-        """Wait until something is known, and return whether it is.
+        """Wait until `is_known()`, and return whether it is.
 
-        The wait ends when all processes are discovered; of what is `expected` only after 20 s.
+        The wait lasts until discovery is complete, at most SETTLE_S; if `expected`, EXPECTED_S.
 
         Raises:
-            asyncio.CancelledError: The command that asked has closed stdin: it has ended.
+            asyncio.CancelledError: The asking command has ended: it closed stdin.
         """
         until_s = self.since_s + (EXPECTED_S if expected else SETTLE_S)
         while not is_known():

@@ -1,1 +1,1 @@
-"""The tap: subscribes to every topic of the graph and hands over serialized messages."""
+"""The tap: subscribes to every topic of the graph and passes serialized messages to sinks."""

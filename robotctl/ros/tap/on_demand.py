@@ -1,4 +1,4 @@
-"""Tells which topics there are, and subscribes to a topic only while its messages are wanted."""
+"""Reports the graph's topics, and subscribes to a topic only while its messages are wanted."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ CALM_S: Final = 1.0
 """The time between two looks while rcl announces no change: a QoS may change without one."""
 
 MAX_TOPICS: Final = 5_000
-"""Limit on the topics that are told; other processes may create any number."""
+"""Limit on the topics that are reported; other processes may create any number."""
 
 
 class TopicWatcher(Protocol):
-    """Hears which topics there are."""
+    """Receives what `OnDemandTap` finds out about the topics of the graph."""
 
     def appeared(self, topic: str, type_name: str, definition: str) -> None:
         """Add a topic that has a publisher, with the ros2msg text of its type."""
 
     def vanished(self, topic: str) -> None:
-        """Hear that the last publisher of a topic of its type is gone."""
+        """Remove a topic: the last publisher with the topic's type is gone."""
 
     def unusable(self, topic: str, problem: str) -> None:
-        """Hear why a topic cannot be shown, "" once the topic is gone."""
+        """Set why a topic cannot be shown; "" when it can be, or is gone."""
 
 
 class OnDemandTap:
-    """Watches the graph that `node` sees; the loop's thread only."""
+    """Watches the graph that `node` sees; use it in the loop's thread only."""
 
     def __init__(self, node: Node, watcher: TopicWatcher) -> None:
         self._node = node
@@ -64,9 +64,9 @@ class OnDemandTap:
                 await changes.wait(0.0 if is_loading else CALM_S)
 
     def want(self, topic: str, sink: ViewSink) -> None:
-        """Hand the messages of a known topic to `sink`, at first those that are latched.
+        """Pass the messages of a known topic to `sink`, first the latched ones.
 
-        Where a sink is there already, it is replaced if that brings the latched messages again.
+        An earlier sink stays if the topic has no latched messages; otherwise `sink` replaces it.
         """
         if topic in self._tapped and not self._tapped[topic].is_latched:
             return
@@ -75,13 +75,13 @@ class OnDemandTap:
         self._tap(topic)
 
     def unwant(self, topic: str) -> None:
-        """Subscribe to a topic no longer."""
+        """End the subscription to a topic."""
         self._sinks.pop(topic, None)
         if topic in self._tapped:
             self._tapped.pop(topic).close()
 
     def _look(self) -> bool:
-        """Compare the graph with what is known; return whether a type is loading."""
+        """Compare the graph with the known topics; return whether a type is loading."""
         present = list(endpoints.topics(self._node))[:MAX_TOPICS]
         is_loading = False
         for topic in present:
@@ -92,7 +92,7 @@ class OnDemandTap:
         return is_loading
 
     def _look_at(self, topic: str) -> bool:
-        """Tell what is new about a topic; return whether its type is loading."""
+        """Report what changed about a topic; return whether its type is loading."""
         if not endpoints.is_topic_name(topic) or not endpoints.publisher_count(self._node, topic):
             self._forget(topic)
             return False
@@ -135,7 +135,7 @@ class OnDemandTap:
         self._watcher.unusable(topic, problem)
 
     def _tap(self, topic: str, offered: dict[str, list[QoSProfile]] | None = None) -> None:
-        """Subscribe to a wanted topic, or follow publishers that now offer another QoS."""
+        """Subscribe to a wanted topic, or adapt its subscription to its publishers' QoS."""
         type_name = self._known[topic]
         profiles = (offered or self._offered(topic)).get(type_name, [])
         try:

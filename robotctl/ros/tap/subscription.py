@@ -1,4 +1,4 @@
-"""The subscription of one recorded topic.
+"""The subscription of one tapped topic.
 
 A subscription gets either latched messages or the messages of volatile publishers, never both
 (DDS 1.4, 2.2.3.4), so a topic with both kinds of publisher takes two subscriptions. Each new
@@ -30,7 +30,7 @@ T = TypeVar("T")
 
 
 class LatchedMerge:
-    """Hands each message to the sink once, though two subscriptions may deliver it.
+    """Passes each message to the sink once, though two subscriptions may deliver it.
 
     Each subscription delivers the messages of one publisher in order.
     """
@@ -65,7 +65,7 @@ class LatchedMerge:
             self._sink(data, received_ns, source_ns, sequence, gid)
 
     def restart(self) -> None:
-        """Expect new subscriptions, which repeat what the earlier ones delivered."""
+        """Prepare for new subscriptions, which repeat latched messages of the earlier ones."""
         for spans in (self._live, self._latched):
             for gid, (_, last) in spans.items():
                 _keep(self._known, gid, max(last, self._known.get(gid, 0)))
@@ -80,15 +80,15 @@ def _keep(known: dict[bytes, T], gid: bytes, what: T) -> None:
 
 
 LATENCY_S = 0.05
-"""How long messages are collected before they are taken together, which costs less. Their time
-stamps are the middleware's, so the recording does not show the delay."""
+"""How long messages are collected before they are handled together, which costs less. The
+middleware sets their time stamps, so the recording does not show the delay."""
 
 Requests = tuple[QoSProfile, QoSProfile | None]
 """The QoS requested for all messages, and that of a second subscription for latched ones."""
 
 
 class TappedSubscription:
-    """Hands the messages of one topic to its sink until it is closed."""
+    """Passes the messages of one topic to its sink, until `close`."""
 
     def __init__(
         self,
@@ -99,11 +99,11 @@ class TappedSubscription:
         offered: Sequence[QoSProfile],
         latency_s: float = LATENCY_S,
     ) -> None:
-        """Subscribe to publishers that offer these profiles; take messages `latency_s` late."""
+        """Subscribe to publishers that offer these profiles; collect messages for `latency_s`."""
         self.topic = topic
         self.type_name = type_name
         self.publishers = 0
-        """The number of publishers at the last look."""
+        """The number of publishers at the last look at the graph; `Tap` sets it."""
 
         self.abandoned_since: float | None = None
         """When the last publisher went, on the steady clock [s]; None while there is one."""
@@ -123,7 +123,7 @@ class TappedSubscription:
         return latched is not None or requested.durability is DurabilityPolicy.TRANSIENT_LOCAL
 
     def adapt(self, offered: Sequence[QoSProfile]) -> None:
-        """Subscribe again where publishers now offer other profiles.
+        """Subscribe again if the profiles that publishers now offer need another QoS.
 
         Messages that are sent meanwhile are lost, and counted as lost.
 

@@ -1,4 +1,4 @@
-"""Subscribes to every topic of the graph, and hands its serialized messages to a sink."""
+"""Subscribes to every topic of the graph, and passes its serialized messages to a sink."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ MAX_LOGGED: Final = 1_000
 
 
 class QosMismatches:
-    """The mismatches on topics that `look` is called for; one is named for each topic.
+    """Finds QoS mismatches on the topics that `look` is called for, and keeps one for each.
 
-    Hidden nodes are left out: a recorder may ask for latched messages of some publishers only.
+    Hidden nodes are left out: a recorder may request latched messages of some publishers only.
     """
 
     def __init__(self, node: Node) -> None:
@@ -77,7 +77,7 @@ class QosMismatches:
 
 
 def mismatch(topic: str, publishers: Sequence[Endpoint], subscriptions: Sequence[Endpoint]) -> str:
-    """Return a sentence about the first pair that does not match, "" if all do."""
+    """Return a sentence about the first pair whose QoS does not match, or "" if all match."""
     offers, requests = (
         [each for each in side if not each.node_name.startswith("_")][:MAX_ENDPOINTS]
         for side in (publishers, subscriptions)
@@ -116,11 +116,11 @@ MAX_SAID = 1_000
 
 
 class Unrecorded:
-    """Collects the sentences; each goes to the log once."""
+    """Collects a sentence for each topic that is not fully recorded, and logs each once."""
 
     def __init__(self) -> None:
         self.problems: dict[str, str] = {}
-        """Topic -> the sentence that says what of it is not recorded."""
+        """Topic -> the sentence that says which part of the topic is not recorded, and why."""
 
         self._said: set[str] = set()
         self._missed = 0
@@ -159,20 +159,20 @@ class Unrecorded:
 
 
 POLL_S = 0.05
-"""The time between two looks while the graph changes; a foreign topic is found within twice it."""
+"""The time between two looks while the graph changes; a new topic is found within twice that."""
 
 CALM_S = 1.0
 """The time between two looks while rcl announces no change."""
 
 LOOKS_PER_COUNT = 4
-"""The publishers of a tapped topic are counted once in this number of looks at the graph..."""
+"""The publishers of a tapped topic are counted once in this number of looks at the graph."""
 
 LOOKS_PER_INSPECTION = 40
-"""...and inspected once in this number of looks: with the same count, one may have replaced
-another. This number of looks follows each change."""
+"""The publishers' QoS and types are read once in this number of looks: with the same count, one
+publisher may have replaced another. Each change of the graph causes this number of looks."""
 
 TOPICS_PER_TURN = 50
-"""Topics that are looked at in one turn of the loop, so that the loop is not held up."""
+"""Limit on the topics that are checked in one turn of the loop, so as not to hold up the loop."""
 
 ABANDONED_S = 60.0
 """The subscription of a topic without publishers ends after this time, which is long enough for a
@@ -190,7 +190,7 @@ class TooManyTopics(Exception):
 
 
 class Tap:
-    """Node `recorder`; subscribes once to every topic, with the QoS that its publishers offer."""
+    """Subscribes on the hidden node to every topic once, with a QoS that matches its publishers."""
 
     def __init__(
         self,
@@ -210,13 +210,13 @@ class Tap:
         self._own: set[str] = set()
         self._tapped: dict[str, TappedSubscription] = {}
         self._left_out: dict[str, list[str]] = {}
-        """Topic -> its types at the time when it was decided not to record it."""
+        """Topic -> the types that it had when it was left out."""
 
         self._failed: set[str] = set()
         """Topics that are left out after a failure that may be temporary; they are tried again."""
 
         self._awaited: dict[str, str] = {}
-        """Topic -> its type that is being loaded."""
+        """Topic -> the type that it waits for; the type is being loaded."""
 
         self._types = TypeLoader()
         self._looks = count()
@@ -225,7 +225,7 @@ class Tap:
 
     @property
     def node(self) -> Node:
-        """The node `recorder`, from which the whole graph is seen."""
+        """The hidden node, from which the whole graph is seen."""
         return self._node
 
     async def run(self) -> None:
@@ -248,13 +248,13 @@ class Tap:
             self._subscribe(name, topic.type_name, [topic.qos])
 
     def reserve(self, topic: OwnTopic) -> ViewSink:
-        """Return the sink of an own topic that its role records directly; never subscribe to it."""
+        """Return the sink for a topic that robotctl records directly; never subscribe to it."""
         name = self._resolve(topic.name)
         self._reserved.add(name)
         return self._open_sink(describe(name, topic.type_name, [topic.qos]))
 
     def _is_unfinished(self) -> bool:
-        """Return whether something is to happen without a change of the graph."""
+        """Return whether there is work to do even if the graph does not change."""
         abandoned = any(each.abandoned_since is not None for each in self._tapped.values())
         return abandoned or bool(self._failed or self._awaited)
 
@@ -320,7 +320,7 @@ class Tap:
         self._leave_out(topic, type_names, problem)
 
     def _await(self, topic: str, type_name: str) -> None:
-        """Remember that the topic's type is loading; note the topic where that takes long."""
+        """Remember that the topic's type is loading; note the topic if that takes long."""
         self._awaited[topic] = type_name
         if self._types.is_slow(type_name):
             problem = f"its type {type_name} is not loaded after {SLOW_LOAD_S:g} s"
@@ -367,7 +367,7 @@ class Tap:
         self._tell_types(topic, tapped.type_name, list(offered))
 
     def _tell_types(self, topic: str, recorded: str, published: list[str]) -> None:
-        """Note the types of a topic that are published and not recorded."""
+        """Note the types of a topic that are published but not recorded."""
         names = [short_name(name) for name in published if name != recorded]
         others = ", ".join(names[:MAX_TYPES_NAMED])
         if len(names) > MAX_TYPES_NAMED:

@@ -13,7 +13,7 @@ from robotctl.ros.messages.classes import UnusableType, message_class, parse_typ
 from robotctl.ros.messages.type_definition import definition_of, type_hash_of
 
 SLOW_LOAD_S = 2.0
-"""A load that takes longer does not delay the next one; most take 0.1 s."""
+"""A load that takes longer is slow, and the next one does not wait for it; most take 0.1 s."""
 
 MAX_LOADS = 4
 """Limit on simultaneous loads. A second one begins only while all others are slow, because each
@@ -64,7 +64,7 @@ class TypeLoader:
         return since_s is not None and time.monotonic() - since_s > SLOW_LOAD_S
 
     async def pause(self, at_most_s: float) -> None:
-        """Sleep until all requested types are loaded, but at most `at_most_s` seconds."""
+        """Sleep `at_most_s` seconds, or until a load ends and no other type waits for its load."""
         self._all_loaded.clear()
         with suppress(TimeoutError):
             async with asyncio.timeout(at_most_s):

@@ -62,12 +62,12 @@ PASSED_ON: Final = (
     "FASTDDS_DEFAULT_PROFILES_FILE",
     "RMW_IMPLEMENTATION",
 )
-"""Variables of the installing shell that the unit keeps; one of the user keeps its state, too."""
+"""Variables that the daemon's unit gets from this shell; a user unit also gets STATE_VARIABLE."""
 
 NOT_IN_A_UNIT: Final = ("--drive", "--foreground", "--dry-run", "--json", "--robot")
 
 CALL_S: Final = 60.0
-"""Longer than a daemon takes to be ready or to end."""
+"""The time limit of a systemctl call [s]: a daemon becomes ready, and ends, in less."""
 
 _DAEMON: Final = """\
 Type=notify
@@ -77,7 +77,7 @@ RestartSec=2
 RestartPreventExitStatus=2 5
 WatchdogSec=10
 TimeoutStopSec=30"""
-"""After the exit codes 2 and 5 (configuration, already running) a start would fail again."""
+"""No restart after exit code 2 (configuration) or 5 (already running): it would fail again."""
 
 _COPIES: Final = """\
 Type=oneshot
@@ -88,7 +88,7 @@ IOSchedulingClass=idle"""
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """Place and text of a systemd unit, of the machine if `system`, else of the user."""
+    """The path and the text of a systemd unit: a system unit if `system`, otherwise a user unit."""
 
     path: Path
     text: str
@@ -246,13 +246,13 @@ def remove_sync(
 
 
 def daemon_unit(robot: str, words: list[str], *, system: bool, user: str) -> Unit:
-    """Return the unit that starts the daemon of `robot` with these words of `start`.
+    """Return the unit that runs `robotctl start` for `robot` with the arguments `words`.
 
     A restart never moves the robot: the daemon begins in IDLE, or in EMERGENCY_STOP if that was
     latched.
 
     Raises:
-        UsageError: There is no such user, or a word cannot stand in a unit.
+        UsageError: There is no such user, or an argument is not allowed in a unit.
     """
     settings = [_DAEMON, *_environment(("" if system else STATE_VARIABLE), *PASSED_ON)]
     if system:
@@ -272,13 +272,13 @@ def daemon_unit(robot: str, words: list[str], *, system: bool, user: str) -> Uni
 def sync_units(
     robot: str, words: list[str], *, system: bool, user: str, every_min: int
 ) -> tuple[Unit, Unit]:
-    """Return the timer and the service that runs `robotctl sync` with these words.
+    """Return the timer and the service that runs `robotctl sync` with the arguments `words`.
 
-    A run starts `every_min` minutes after the one before it has ended. Credentials come from a
-    file, which is not read by other users: a unit can be.
+    A run starts `every_min` minutes after the previous one has ended. Credentials come from the
+    file sync.env, because other users may be able to read a unit.
 
     Raises:
-        UsageError: There is no such user, or `sync` does not accept the words.
+        UsageError: There is no such user, or an argument is not allowed in a unit.
     """
     from robotctl.cli.commands.many_recordings.sync import app as copies
 
@@ -286,7 +286,7 @@ def sync_units(
     credentials = _state_of(user, system=system) / robot / "sync.env"
     settings = [_COPIES, f"EnvironmentFile=-{quoted(str(credentials))}"]
     service = _service(robot, command, settings, system=system, user=user)
-    # First after two minutes: the daemon has the machine for itself while it starts.
+    # The first run comes after two minutes: until then, a starting daemon is not slowed down.
     timer = f"[Timer]\nOnActiveSec=120\nOnUnitInactiveSec={every_min}min\n"
     about = f"the recordings of robot {robot} are copied"
     path = unit_path(robot, "-sync", system=system)
@@ -297,10 +297,10 @@ def sync_units(
 
 
 def unit_path(robot: str, suffix: str = "", *, system: bool) -> Path:
-    """Return where the unit of a robot belongs.
+    """Return the path of a robot's unit.
 
     Raises:
-        UsageError: No robot may have this name.
+        UsageError: The name is not allowed for a robot.
     """
     config = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
     folder = SYSTEM_FOLDER if system else Path(config) / "systemd" / "user"
@@ -308,10 +308,10 @@ def unit_path(robot: str, suffix: str = "", *, system: bool) -> Path:
 
 
 def quoted(word: str) -> str:
-    """Return a word of a unit file, quoted as systemd.syntax(7) says.
+    """Return `word` as a unit file has to contain it, quoted by systemd.syntax(7).
 
     Raises:
-        UsageError: It holds a control character.
+        UsageError: It has a character that is not printable.
     """
     if not word.isprintable():
         raise UsageError(f"{word!r} cannot stand in a unit file", "use printable characters")
@@ -320,7 +320,7 @@ def quoted(word: str) -> str:
 
 
 def me() -> str:
-    """Return the name of the user, under sudo of the one who called it."""
+    """Return the name of the user, under sudo that of the user who called sudo."""
     return os.environ.get("SUDO_USER") or getpass.getuser()
 
 
@@ -330,7 +330,7 @@ def _text(about: str, section: str, wanted_by: str = "") -> str:
 
 
 def _service(robot: str, words: list[str], settings: list[str], *, system: bool, user: str) -> str:
-    """Return the section of a service that runs robotctl on the robot's recordings."""
+    """Return the [Service] section that runs robotctl with `words` on the robot's recordings."""
     command = [str(Path(sys.executable).with_name("robotctl")), *words]
     if not any(word.partition("=")[0] == "--recordings" for word in words):
         folder = _state_of(user, system=system) / "recordings" / robot
@@ -343,13 +343,13 @@ def _service(robot: str, words: list[str], settings: list[str], *, system: bool,
 
 
 def _environment(*names: str) -> list[str]:
-    """Return the settings that keep variables of this shell."""
+    """Return an `Environment=` line for each of these variables that is set in this shell."""
     given = [f"{name}={os.environ[name]}" for name in names if name in os.environ]
     return [f"Environment={quoted(each)}" for each in given]
 
 
 def _state_of(user: str, *, system: bool) -> Path:
-    """Return the folder of logs and recordings that a unit of `user` has.
+    """Return the state folder (logs, recordings) of the user as whom the unit runs.
 
     Raises:
         UsageError: There is no such user.
@@ -363,10 +363,10 @@ def _state_of(user: str, *, system: bool) -> Path:
 
 
 def _command_words(command: str, app: typer.Typer, words: list[str]) -> list[str]:
-    """Return the words of a command with absolute paths: a unit has another working folder.
+    """Return the arguments of a command, paths made absolute: a unit has another working folder.
 
     Raises:
-        UsageError: The command would refuse them, or they do not belong into a unit.
+        UsageError: They are not allowed in a unit; typer's own, if the command would refuse them.
     """
     from robotctl.base.store import is_url
 
@@ -397,7 +397,7 @@ def _as_list(value: Any) -> list[Any]:
 
 
 def _install(units: list[Unit], *, now: bool) -> tuple[str, list[str]]:
-    """Write units, and enable the last; return what systemd said against it, and all lines.
+    """Write units, enable the last; return systemd's error ("" for none) and the lines to print.
 
     Raises:
         RobotctlError: A file cannot be written.
@@ -414,14 +414,14 @@ def _install(units: list[Unit], *, now: bool) -> tuple[str, list[str]]:
     lines = [f"{unit.path} written" for unit in units]
     if problem:
         command = f"systemctl {'' if system else '--user '}enable --now {name}"
-        lines.append(f"systemd did not take it ({problem}); once it runs: {command}")
+        lines.append(f"systemd did not accept it ({problem}); once it runs: {command}")
     else:
         lines[-1] += ", enabled and started" if now else ", enabled"
     return problem, lines
 
 
 def _remove(paths: list[Path], installer: str, *, system: bool) -> tuple[str, list[str]]:
-    """Stop units and remove their files; return what systemd said against it, and all lines.
+    """Stop and remove units; return systemd's error ("" for none) and the lines to print.
 
     Raises:
         Refused: There is no unit.
@@ -443,7 +443,7 @@ def _remove(paths: list[Path], installer: str, *, system: bool) -> tuple[str, li
 
 
 def _systemctl(*words: str, system: bool) -> str:
-    """Run systemctl; return why it failed, "" if it did not."""
+    """Run systemctl; return why it failed, or "" if it succeeded."""
     command: Iterable[str] = ("systemctl", *(() if system else ("--user",)), *words)
     try:
         done = subprocess.run(list(command), capture_output=True, text=True, timeout=CALL_S)

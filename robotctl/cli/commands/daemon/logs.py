@@ -34,9 +34,9 @@ _LINE = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}) ([A-Z]+) ([^ :]+): (
 
 @dataclass(frozen=True, slots=True)
 class LogLine:
-    """A line of the log; `time_ns` since the epoch is that of the last line that has a time.
+    """A line of the log; `time_ns` is since the epoch, None where no time is known.
 
-    `level` and `logger` are None for a line that continues the one before it.
+    A line that continues an earlier one has the time of that line, and `level` and `logger` None.
     """
 
     line: str
@@ -114,13 +114,13 @@ def _parsed(lines: Iterable[str]) -> Iterator[LogLine]:
 def _time_ns(when: str) -> int | None:
     try:
         local = datetime.strptime(when, "%Y-%m-%d %H:%M:%S,%f").astimezone()
-    except ValueError:  # 2026-02-31
+    except ValueError:  # a date that does not exist, such as 2026-02-31
         return None
     return int(local.replace(microsecond=0).timestamp()) * NS_PER_S + local.microsecond * 1000
 
 
 def _begin_of_last(path: Path, count: int) -> int:
-    """Return where the last `count` lines of the log begin [bytes]."""
+    """Return the offset at which the last `count` lines of the log begin [bytes]."""
     begins: deque[int] = deque(maxlen=count)
     end = 0
     with open_regular(path) as log:
@@ -133,7 +133,7 @@ def _begin_of_last(path: Path, count: int) -> int:
 def _lines(path: Path, *, follow: bool, begin: int = 0) -> Iterator[str]:
     """Yield the lines of the log from byte `begin`; with `follow`, wait for more.
 
-    Goes on with the log of the next run.
+    With `follow`, continue with the log of the daemon's next run.
     """
     while True:
         with TextIOWrapper(open_regular(path), errors="replace") as log:
@@ -155,5 +155,5 @@ def _lines(path: Path, *, follow: bool, begin: int = 0) -> Iterator[str]:
 
 
 def _is_replaced(path: Path, log: TextIO) -> bool:
-    """Return whether the next start has put another file at the path."""
+    """Return whether a later start has replaced the log file at `path`."""
     return path.exists() and not os.path.samestat(path.stat(), os.fstat(log.fileno()))

@@ -1,4 +1,4 @@
-"""ps: every robot of this user."""
+"""ps: list every robot of this user."""
 
 from __future__ import annotations
 

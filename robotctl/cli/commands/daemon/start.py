@@ -160,7 +160,7 @@ def start(
 
 
 def _view_of(robot: str, ready: StartSummary) -> dict[str, Any] | None:
-    """Start a view of a daemon that has just become ready; note in the summary why that failed."""
+    """Start a view and return its report; if it fails, note why in `ready` and return None."""
     try:
         return start_view_of(robot)
     except RobotctlError as error:
@@ -169,7 +169,7 @@ def _view_of(robot: str, ready: StartSummary) -> dict[str, Any] | None:
 
 
 def summary(ready: StartSummary) -> Iterator[str]:
-    """Yield the lines about a daemon that has just become ready, from its report."""
+    """Yield the lines to print when the daemon has become ready; `ready` is its report."""
     robot = printable(ready.get("robot"))
     yield f"robotctl {__version__}: robot {robot} is ready"
     yield f"  mode        {mode_text(ready)}"

@@ -34,7 +34,7 @@ HEADER = _ROW.format(
 
 
 def status_line(status: Status) -> str:
-    """Return mode, pose, speed, battery and recorder in the columns of HEADER; `-` is unknown."""
+    """Return mode, pose, speed, battery and recorder in the columns of HEADER; `-` if unknown."""
     pose: Mapping[str, Any] = status["pose"] or {}
     velocity: Mapping[str, Any] = status["velocity"] or {}
     recorder = status["recorder"]
@@ -55,9 +55,9 @@ def _cell(value: Any, form: str) -> str:
 
 
 def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
-    """Yield the daemon's status until the work is done; nothing if it is done at once.
+    """Poll and yield the daemon's status until `working` is done; nothing if it ends at once.
 
-    Failed polls are skipped, because the work itself reports how it ended.
+    Failed polls are skipped: `working` itself reports how it ended.
     """
     period_s = POLL_S if is_terminal() else LINE_S
     working.join(POLL_S)
@@ -91,11 +91,11 @@ def show(statuses: Iterator[Status]) -> None:
 KEYS: Final = "space stop   e emergency stop   q quit"
 
 PATH_S: Final = 1.0
-"""How often the map is drawn again."""
+"""The period in which the daemon is asked for the driven path [s]."""
 
 
 def watch_on_screen(robot: str) -> None:
-    """Draw the status until `q`, and stop the robot by keys.
+    """Draw the status until `q` is pressed; other keys stop the robot.
 
     Raises:
         NoDaemon: The daemon has ended.
@@ -137,7 +137,7 @@ def _path(client: Client) -> DrivenPath:
 
 
 def _pressed(keyboard: Keyboard) -> str:
-    """Wait for a poll's time; return the keys that were pressed meanwhile."""
+    """Wait for keys, at most POLL_S; return them, or `q` if the terminal has ended."""
     if not keyboard.sources:
         time.sleep(POLL_S)
         return ""
@@ -147,7 +147,7 @@ def _pressed(keyboard: Keyboard) -> str:
 
 
 def _stopped(robot: str, key: str) -> str:
-    """Stop the robot if the key says so; return what to tell."""
+    """Stop the robot if `key` is a stop key; return the text to show, "" for any other key."""
     told = {" ": "stopped with a ramp", "e": "emergency stop, released by robotctl reset"}
     if key not in told:
         return ""
@@ -185,7 +185,7 @@ def watch(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 
 
 def _each_second(robot: str) -> Iterator[Status]:
-    """Yield the status of the daemon until the daemon ends, with NoDaemon."""
+    """Yield the daemon's status each second until the daemon ends, which raises NoDaemon."""
     while True:
         yield call(robot, STATUS)
         time.sleep(LINE_S)

@@ -1,6 +1,6 @@
 """find: search all recordings of a folder for drives, recordings, events or topics.
 
-A row of the answer is opened at its moment: as a report or a clip.
+`--open N` opens a row of the answer as a report or as a clip, at the row's time.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ SHOWN = {
     "events": ("recording", "start_ns", "event", "text"),
     "topics": ("recording", "topic", "messages", "lost", "rate_hz"),
 }
-"""The columns that a terminal shows of each table; `--json` has all."""
+"""The columns of each table that are printed as text; `--json` has all."""
 
 LEAST_WIDTH = 10
 
 AROUND_DRIVE_S: Final = (2.0, 2.0)
 AROUND_EVENT_S: Final = (30.0, 5.0)
-"""What a clip holds before and after."""
+"""Seconds of a clip before and after: a drive (AROUND_DRIVE_S), or an event."""
 
 DISPLAYS: Final = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 class OpenAs(StrEnum):
-    """The command that shows a recording."""
+    """The command that `--open` runs."""
 
     REPORT = "report"
     CLIP = "clip"
@@ -53,12 +53,12 @@ class OpenAs(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ShownPage:
-    """A recording, and a moment or a drive in it, in seconds after its beginning."""
+    """A recording; `at_s` is where the row begins [s into the recording], None for all of it."""
 
     path: Path
     at_s: float | None
     drive_s: float | None
-    """How long the drive lasts, None if the row is about something else."""
+    """The duration of the drive [s], None if the row is not a drive."""
 
 
 @app.command()
@@ -136,7 +136,7 @@ def find(
         raise UsageError(f"--{wanted[0]} and --{wanted[1]} are two tables", "give one of them")
     table = wanted[0] if wanted else "drives"
     if sql is not None and (condition or wanted):
-        raise UsageError("--sql is a whole question", "give no condition and no table beside it")
+        raise UsageError("--sql is a whole question", "leave the condition and the table out")
     from robotctl.collection.questions import ask
     from robotctl.collection.questions import find as find_rows
 
@@ -176,7 +176,7 @@ def _lines(found: Answer, shown: tuple[str, ...]) -> Iterator[str]:
 
 
 def _cells(texts: list[str], width: int) -> tuple[list[str], str]:
-    """Return the cells of a row: those that are cut on a terminal, and the last one."""
+    """Return the cells of a row: all but the last, cut to a third of `width`, and the last one."""
     return [elided(each, width // 3) for each in texts[:-1]], texts[-1]
 
 
@@ -191,7 +191,7 @@ def _text(column: str, value: Any) -> str:
 
 
 def _shown_row(rows: list[dict[str, Any]], number: int, folder: Path) -> ShownPage:
-    """Return what row `number`, from 1 on, is about.
+    """Return the recording and the time of row `number`; the first row is 1.
 
     Raises:
         Refused: There is no such row, or its recording is gone.
@@ -210,11 +210,11 @@ def _shown_row(rows: list[dict[str, Any]], number: int, folder: Path) -> ShownPa
 
 
 def _open_as(shown: ShownPage, kind: OpenAs, *, as_json: bool) -> None:
-    """Do what the command of that name does with the recording, at the moment.
+    """Run `report` or `clip` on the recording, at the time of the row.
 
     Raises:
-        UsageError: The row has no moment to clip.
-        RobotctlError: As the command raises it.
+        UsageError: The row has no time, so it cannot be clipped.
+        RobotctlError: The command failed.
     """
     file = str(shown.path)
     at = None if shown.at_s is None else f"{shown.at_s:.3f}"
@@ -233,7 +233,7 @@ def _open_as(shown: ShownPage, kind: OpenAs, *, as_json: bool) -> None:
 
 
 def _show_page(shown: ShownPage) -> None:
-    """Show the page at the moment in a browser, where there is a screen."""
+    """Open the page at the row's time in a browser, if stdout is a terminal with a display."""
     if not sys.stdout.isatty() or not any(map(os.environ.get, DISPLAYS)):
         return
     import webbrowser
@@ -244,7 +244,7 @@ def _show_page(shown: ShownPage) -> None:
 
 
 def _offset_s(path: Path, about: Mapping[str, Any]) -> float | None:
-    """Return how long after the beginning of the recording the row begins, None for all of it."""
+    """Return when the row begins [s into the recording], None if it concerns all of it."""
     from robotctl.recording import read_info
 
     start_ns = about.get("start_ns")

@@ -1,4 +1,4 @@
-"""gate: decide every recording of a folder again, and pass only what history approves."""
+"""gate: decide every recording of a folder again, and fail if one is decided differently."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 app = new_app()
 
 RESULTS = ".gate"
-"""The folder of the results, in the folder of recordings."""
+"""The default folder of the results, within the folder of recordings."""
 
 
 @app.command()
@@ -148,7 +148,7 @@ def _recordings(place: Path) -> list[Path]:
 
 
 def _check_writable(path: Path) -> None:
-    """Refuse a file that cannot be written, before anything is judged."""
+    """Raise Refused if a file cannot be written, before anything is judged."""
     existed = path.exists()
     try:
         with path.open("a"):
@@ -164,7 +164,7 @@ def _cannot_write(path: Path, error: OSError) -> Refused:
 
 
 def _user() -> str:
-    """Return who accepts: in a container a user may have no name."""
+    """Return the name of the user who accepts, or the uid: in a container it may have no name."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):
@@ -180,7 +180,7 @@ def _accept(report: GateReport, known: Baseline, baseline: Path, by: str, why: s
 
 
 def _error(report: GateReport, problems: Sequence[RobotctlError]) -> RobotctlError | None:
-    """Return why the gate does not pass; what could not be written comes last."""
+    """Return why the gate does not pass, or None; `problems` with writing are named last."""
     also = "".join(f"; {problem}" for problem in problems)
     if failures := report.failures():
         return Divergence(f"{len(failures)} of {len(report.results)} recordings do not pass{also}")
@@ -195,7 +195,7 @@ def _error(report: GateReport, problems: Sequence[RobotctlError]) -> RobotctlErr
 
 
 MAX_NAMED = 5
-"""The number of recordings that are named for each cause, and of drives; --json names all."""
+"""How many recordings are named per cause, and how many drives in all; --json names all."""
 
 OPEN_LOOP = "the robot does not react, so how far and how well it would drive is not known"
 
@@ -237,7 +237,7 @@ def answer_object(place: Path, report: GateReport) -> dict[str, Any]:
 
 
 def answer_lines(place: Path, report: GateReport) -> Iterator[str]:
-    """Yield the lines for people."""
+    """Yield the lines that are printed without `--json`."""
     counted = ", ".join(f"{count} {verdict}" for verdict, count in report.counts().items() if count)
     total = len(report.results)
     yield from row("", f"{short_path(place)}: {total} recordings: {counted or 'none'}")
@@ -271,7 +271,7 @@ def _first(result: Judgement) -> str:
 
 
 def _change_lines(report: GateReport) -> Iterator[str]:
-    """Yield what other parameters change in all recordings together, and in the first drives."""
+    """Yield what --what-if changes in all recordings together, and in the first drives."""
     totals = report.totals()
     if totals is None:
         return

@@ -1,4 +1,4 @@
-"""index: make the index beside each recording, which `find` answers from."""
+"""index: write an index beside each recording; `find` answers from the indexes."""
 
 from __future__ import annotations
 

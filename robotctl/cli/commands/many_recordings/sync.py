@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 app = new_app()
 
 BURST_S: Final = 0.5
-"""How much may be sent at once after a pause."""
+"""After a pause, as many bytes may be sent at once as the limit allows in this time [s]."""
 
 _BITS: Final = 8e-6
-"""Megabits of a byte."""
+"""Megabits per byte."""
 
 _LOOK_EACH_S: Final = 1.0
 _ANSWER_S: Final = 2.0
@@ -117,7 +117,7 @@ def sync(
                     offered, store, pace=pace, on_progress=on_progress, dry_run=dry_run
                 )
             if removes and not dry_run:
-                with progress_bar("reading back", quiet=as_json):  # how much, retention decides
+                with progress_bar("reading back", quiet=as_json):  # retention decides how much
                     now_s = time.time_ns() / NS_PER_S
                     there = {*run.complete, *run.live}
                     pruned = prune(Path(source), store, policy, now_s, complete=there, pace=pace)
@@ -129,10 +129,10 @@ def sync(
 
 
 def _ends(places: list[str], folder: Path | None, robot: str) -> tuple[str, str]:
-    """Return from where to copy and to where.
+    """Return the source and the target of the copy: folders or URLs.
 
     Raises:
-        UsageError: There are more or less than two, or one is wrong.
+        UsageError: There are more than two places, or one cannot be used.
     """
     from robotctl.base.store import is_url, parse_url
 
@@ -149,12 +149,12 @@ def _ends(places: list[str], folder: Path | None, robot: str) -> tuple[str, str]
     if not is_url(target):
         _check_folder(Path(target), source)
     elif parse_url(target).scheme in ("https", "http"):
-        raise UsageError(f"{target} is a web server, which takes no files", "name a bucket")
+        raise UsageError(f"{target} is a web server, which accepts no files", "name a bucket")
     return source, target
 
 
 def _check_folder(target: Path, source: str) -> None:
-    """Raise UsageError for a folder that is not there, as an unmounted disk, or the wrong one."""
+    """Raise UsageError if `target` cannot be a folder (unmounted disk?) or is in the source."""
     from robotctl.base.store import is_url
 
     if not target.parent.is_dir() or (target.exists() and not target.is_dir()):
@@ -226,21 +226,21 @@ def _error(run: Synced, pruned: Pruned) -> RobotctlError | None:
 
 
 class SyncPace:
-    """Waits before each piece, in whatever thread; the end of the `with` block ends a wait."""
+    """Delays each piece that is sent, in any thread; leaving the `with` block ends all waits."""
 
     def __init__(self, limit_mbps: float | None, robot: str | None) -> None:
-        """`limit_mbps` in megabits per second; None for no limit, and for no robot to wait for."""
+        """Send at most `limit_mbps` [Mbit/s], and not while `robot` moves; None: no such limit."""
         self._bytes_per_s = None if limit_mbps is None else limit_mbps / _BITS
         self._robot = robot
         self._ended = threading.Event()
         self._look_s = self._free_s = time.monotonic()
-        """When to look next whether the robot moves, and when all that was sent would have left."""
+        """When to ask next whether the robot moves; when all sent bytes have left at the limit."""
 
     def __enter__(self) -> Self:
-        """Ask the daemon once.
+        """Ask the daemon once, so that an error ends the command before anything is sent.
 
         Raises:
-            RobotctlError: It cannot be asked, so its robot could move at any time.
+            RobotctlError: The daemon refused; without a daemon, or an answer, nothing is raised.
         """
         if self._robot is not None:
             with suppress(NoDaemon):
@@ -251,7 +251,7 @@ class SyncPace:
         self._ended.set()
 
     def __call__(self, count: int) -> None:
-        """Wait until this number of bytes may be sent; with 0, until the robot does not move.
+        """Wait until the robot does not move and the limit allows `count` more bytes.
 
         Raises:
             Interrupted: The block has ended.
@@ -271,7 +271,7 @@ class SyncPace:
 
 
 def _may_be_moving(robot: str) -> bool:
-    """Return whether the robot moves; one with a daemon that does not tell may move."""
+    """Return whether the robot moves, or True if its daemon runs but does not tell."""
     try:
         return _is_moving(robot)
     except NoDaemon as error:

@@ -134,7 +134,7 @@ def _find(
     """Return the recording and the moment to clip.
 
     Raises:
-        Refused: There is none.
+        Refused: No recording contains such a moment.
     """
     from robotctl.recording.keep.listing import list_recording
     from robotctl.recording.read.files import recording_files
@@ -150,7 +150,7 @@ def _find(
             listed = list_recording(path)
         except OSError as error:
             if file is not None:
-                recording_files(path)  # raises the reason if it can tell
+                recording_files(path)  # raises an error with the reason, if it finds one
                 raise UnreadableFile(f"{path} cannot be read: {error.strerror}") from error
             continue
         found = _moment(listed, event, at)

@@ -1,4 +1,4 @@
-"""convert: a recording in other files, another compression, or from sqlite3."""
+"""convert: copy a recording into other files: joined, split, compressed, or from sqlite3."""
 
 from __future__ import annotations
 

@@ -91,10 +91,10 @@ def evidence(
 def _recordings(
     robot: str, told: Evidence, found: Evidence, elsewhere: Path | None, since_ns: int
 ) -> Iterator[dict[str, Any]]:
-    """Yield each recording that the journal names, then others of the robot next to them.
+    """Yield each recording that the journal names, then others of the robot in the same folders.
 
-    Of what is `told` to be older than what was `found`, a recording is left out if its own messages
-    are older too. `elsewhere` may hold those that are no more where they were made.
+    `told` is from the whole journal, `found` from `since_ns` on: a recording that only `told` names
+    is left out if it ended before. One that has left its folder is looked for in `elsewhere`.
     """
     wanted = set(found.recordings())
     removed = {Path(str(item.get("file"))).parent.name for item in told.removed}
@@ -120,7 +120,7 @@ def _recordings(
 
 
 def _looked_at(path: Path) -> dict[str, Any]:
-    """Return what a recording is, as an object of `--json`, without its verdicts."""
+    """Return the object of a recording for `--json`; its verdicts are still None."""
     from robotctl.recording.keep.listing import list_recording
 
     item = {"path": str(path), "state": _MISSING, "named": True}
@@ -135,15 +135,15 @@ def _looked_at(path: Path) -> dict[str, Any]:
 
 
 def _heads(recording: Path, robot: str = "") -> Iterator[tuple[str | None, int]]:
-    """Yield what each file notes of the journal: its newest entry when the file began, and when.
+    """Yield for each file the journal's newest hash when the file began, and that time [ns].
 
-    A file of an earlier version notes None. Those of other robots than `robot` are left out.
+    The hash is None in a file of an early version. With `robot`, files of other robots are skipped.
     """
     from robotctl.recording import read_info
     from robotctl.recording.format.names import INFO_RECORD
     from robotctl.recording.read.files import recording_files
 
-    with suppress(UnreadableFile):  # its verdict tells why
+    with suppress(UnreadableFile):  # the verdict says why
         for file in recording_files(recording):
             info = read_info(file)
             noted = info.metadata.get(INFO_RECORD, {})
@@ -152,7 +152,7 @@ def _heads(recording: Path, robot: str = "") -> Iterator[tuple[str | None, int]]
 
 
 def _cut_off(log: LogContent, recording: Path) -> Iterator[str]:
-    """Yield a sentence if a recording knows an entry that is not in the journal."""
+    """Yield a sentence if a recording names an entry that the journal lacks."""
     for head, start_ns in _heads(recording):
         is_older = log.begins_later and log.entries and start_ns <= log.entries[0].time_ns
         if head and head not in log.heads and not is_older:
@@ -164,7 +164,7 @@ def _cut_off(log: LogContent, recording: Path) -> Iterator[str]:
 
 
 def _prove(items: Sequence[dict[str, Any]], *, quiet: bool) -> dict[str, Any] | None:
-    """Add the verdicts to finished recordings; return what `verify` says of all together."""
+    """Add the verdicts to finished recordings; return `verify`'s summary, None without any."""
     from robotctl.cli.commands.recordings.verify.report import verify_together
     from robotctl.rerun.check_many import check_recordings
 
@@ -245,13 +245,13 @@ def _wrong(
 
 
 MOST_SHOWN: Final = 50
-"""Of each list, the last ones, and of sentences on the journal the first; `--json` has all."""
+"""How many items are printed: the last of each list, the first sentences about the journal."""
 
 _INDENT = "  "
 
 
 def evidence_lines(answer: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the report, from the object of `--json`."""
+    """Yield the lines of the report; `answer` is its object in `--json`."""
     journal = answer["journal"]
     since = "" if answer["since_ns"] is None else f" since {moment(answer['since_ns'])}"
     yield f"robot {answer['robot']}{since}"

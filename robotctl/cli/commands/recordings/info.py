@@ -77,7 +77,7 @@ def info(
 
 
 def as_object(found: RecordingInfo) -> dict[str, Any]:
-    """Return the object of `info --json`; times in nanoseconds since the epoch, or seconds."""
+    """Return the object for `info --json`. Suffixes give the units; `_ns` is since the epoch."""
     from robotctl.recording.format.names import EVENT_RECORD, LEDGER_RECORD, EventKind
     from robotctl.recording.format.rosbag2 import METADATA_RECORD
     from robotctl.recording.format.topics import read_ledger

@@ -86,7 +86,7 @@ def _stored(robot: str) -> StoredKey:
     """Return the present key.
 
     Raises:
-        Refused: There is none, or it cannot be read.
+        Refused: The robot has no key, or the key cannot be read.
     """
     from robotctl.recording.seal.keyring import Keyring
 

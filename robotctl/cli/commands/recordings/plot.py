@@ -23,7 +23,7 @@ app = new_app()
 
 PNG, SVG = ".png", ".svg"
 WIDTH, HEIGHT = 80, 23
-"""The size of the picture without a terminal."""
+"""The size of the text figures without a terminal [columns, lines]."""
 
 MAX_WIDTH: Final = 300
 LEAST_ROWS: Final = 4
@@ -93,7 +93,7 @@ def plot(
 
 
 def _lines(found: Sequence[FieldSeries], duration_s: float) -> Iterator[str]:
-    """Yield the pictures one below the other, as high as the terminal where that is possible."""
+    """Yield the figures one below the other; together they fill the terminal if they fit in it."""
     from robotctl.show.terminal import LABEL, time_lines
 
     width, height = WIDTH, HEIGHT

@@ -30,7 +30,7 @@ _COUNTS = {
     for name in ("received", *CountsAnswer.__annotations__, "unseen")
     if name != "throttled"
 }
-"""The counters of a topic, and the widths of their columns; few topics are throttled."""
+"""The counters of a topic and their column widths; `throttled` is rare and has its own line."""
 
 _MIN_NAME_WIDTH = 24
 
@@ -80,7 +80,7 @@ def split(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 
 
 def status_lines(answer: RecordStatus) -> Iterator[str]:
-    """Yield the lines of `robotctl record status`, from its object in `--json`."""
+    """Yield the lines of `robotctl record status`; `answer` is its object in `--json`."""
     recorder = answer["recorder"]
     written = size(recorder.get("bytes") or 0)
     yield f"{printable(recorder.get('state'))}: {short_path(recorder.get('file'))}, {written}"

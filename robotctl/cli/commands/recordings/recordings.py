@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 
 def remove(path: Path, *, without_asking: bool) -> int:
-    """Remove the recording in the folder `path`, and return how many bytes that were.
+    """Remove the recording in the folder `path`, and return its size [bytes].
 
     Raises:
         Refused: It is no recording of robotctl, is being written, is kept, or cannot be removed.
@@ -195,7 +195,7 @@ def _refuse_options_before(context: typer.Context, command: str) -> None:
     """Check that no option of the list was given before `command`.
 
     Raises:
-        UsageError: One was.
+        UsageError: An option was given before `command`.
     """
     for option in given_options(context).values():
         raise UsageError(
@@ -269,7 +269,7 @@ def _lines(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterato
 
 
 def _error(each: ListedRecording, name: str, what: str) -> Iterator[str]:
-    """Yield the largest of an error of the drives, and the true one, where they are known."""
+    """Yield the largest error `name` of all drives, with the true one if known; or nothing."""
     measured, true = each.largest(name), each.largest(f"true_{name}")
     if measured is not None:
         in_truth = "" if true is None else f" ({true:.3f} in truth)"
@@ -277,7 +277,7 @@ def _error(each: ListedRecording, name: str, what: str) -> Iterator[str]:
 
 
 def _drive_figures(each: ListedRecording) -> Iterator[str]:
-    """Yield the largest errors of the drives, and how long they took together."""
+    """Yield the largest errors of the drives, and their total duration."""
     yield from _error(each, "cross_track_max_m", "m off track")
     yield from _error(each, "heading_max_rad", "rad off heading")
     yield from _error(each, "closure_m", "m closure")

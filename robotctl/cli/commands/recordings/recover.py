@@ -62,14 +62,14 @@ def recover(
 
 
 def _beside(source: Path) -> Path:
-    """Return the default target: beside the source, but outside a rosbag2 folder.
+    """Return the default target: next to the source, but outside a rosbag2 folder.
 
-    Within that folder it would be taken for a part of the bag.
+    Inside that folder, a reader would treat the copy as a part of the bag.
     """
     folder = source.parent
     if (folder / "metadata.yaml").exists():
         folder = folder.parent
-    plain = Path(source.name.removesuffix(".zstd"))  # the copy is not compressed as a file
+    plain = Path(source.name.removesuffix(".zstd"))  # the copy is not compressed as a whole
     return folder / f"{plain.stem}_recovered{plain.suffix}"
 
 

@@ -38,7 +38,7 @@ app = new_app()
 
 @dataclass(frozen=True, slots=True)
 class FoundIncident:
-    """An incident, its recording, and the later recordings without an incident."""
+    """An incident, its recording, later recordings without one, and what could not be read."""
 
     path: Path
     incident: Incident
@@ -93,7 +93,7 @@ def why(
 def _recordings_to_search(
     file: str | None, robot: str | None, folder: Path | None, missing: list[str]
 ) -> list[Path]:
-    """Let a running daemon commit, then return the recordings to search, newest first."""
+    """Make a running daemon commit, then return the recordings to search, newest first."""
     if file not in (None, LAST) and _holds_recordings(recording_path(file)):
         folder, file = recording_path(file), LAST
     newest = asked = None
@@ -118,9 +118,9 @@ def _holds_recordings(path: Path) -> bool:
 def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
     """Return the recording to search for the time `at`, and that time [ns].
 
-    It is the newest recording that contains the time, else the newest that begins before it, else
-    the newest. Seconds count from the start of the newest. Recordings that cannot be read are
-    skipped and added to `missing`.
+    It is the newest recording that contains the time; if none does, the newest that begins before
+    the time, or the newest of all. Seconds count from the start of the newest. Recordings that
+    cannot be read are skipped and named in `missing`.
 
     Raises:
         UnreadableFile: No recording can be read.
@@ -154,7 +154,7 @@ def _find(
     """Return the last incident, or the one nearest to `at_ns`.
 
     Raises:
-        Refused: There is none.
+        Refused: No recording has an incident.
     """
     from robotctl.rerun.incident import find_incident
 
@@ -209,7 +209,7 @@ def _later(found: FoundIncident) -> str:
 
 
 def as_object(found: FoundIncident) -> dict[str, Any]:
-    """Return the object of `why --json`; times in seconds, milliseconds and ns since the epoch."""
+    """Return the object for `why --json`. Suffixes give the units; `log_ns` is since the epoch."""
     from robotctl.rerun.journal_values import text_of
     from robotctl.rerun.why import explain, rule_of
 

@@ -51,31 +51,31 @@ TURN_RPS = 0.3
 """The rate of the turn, unless limits.angular_rps is lower."""
 
 QUIET_S = 2.0
-"""How long nothing is commanded in the second one."""
+"""How long nothing is commanded at the end of the second motion [s]."""
 
 STANDING_S = 1.5
 """Pause before and after each motion, in which the robot stands."""
 
 _LATEST_S = DRIVEN_S + 10.0
-"""The end of the first motion if no stop ends it."""
+"""When a motion that is to be stopped by zero ends by itself, if no stop comes [s]."""
 
 _SPLIT_DEADLINE_S = 15.0
 
 
 def way_m(speed_mps: float) -> float:
-    """Return how much room the straight motions need [m], with half of it in reserve."""
+    """Return how much room the straight motions need [m]: the planned way plus 50 % reserve."""
     return 1.5 * speed_mps * (2.0 * DRIVEN_S + QUIET_S)
 
 
 def turn_rad(rate_rps: float) -> float:
-    """Return how far the robot may turn, with half of it in reserve."""
+    """Return how far the robot may turn [rad]: the planned turn plus 50 % reserve."""
     return 1.5 * rate_rps * DRIVEN_S
 
 
 def drive_motions(robot: str, speed_mps: float, rate_rps: float) -> Path:
-    """Drive forward, and stop by zero; then by silence; turn to the left, and stop by zero.
+    """Drive forward twice and turn left once; return the file that records it.
 
-    Return the file that holds it.
+    The first and the last motion are stopped by a zero command, the second by silence.
 
     Raises:
         Interrupted: Ctrl-C or a signal ended it; the robot stands.
@@ -108,7 +108,7 @@ def drive_motions(robot: str, speed_mps: float, rate_rps: float) -> Path:
 
 
 def _stop_by_zero(robot: str, params: dict[str, Any], reason: str) -> None:
-    """Drive, then let the kernel command zero at once by ERROR, and clear that again."""
+    """Drive, then request ERROR, in which the kernel commands zero at once, and reset it."""
     driving = _begin(robot, params | {"for_s": _LATEST_S, "reason": reason})
     _wait(robot, driving, DRIVEN_S)
     if driving.is_done:
@@ -128,7 +128,7 @@ def _begin(robot: str, params: dict[str, Any]) -> Background[DriveAnswer]:
 
 
 def _wait(robot: str, driving: Background[DriveAnswer], at_most_s: float | None = None) -> None:
-    """Wait for the end of a motion, or for a time; end it where this command is interrupted."""
+    """Wait until a motion ends, at most `at_most_s`; on Ctrl-C, stop it and raise Interrupted."""
     try:
         wait_while_stdout_open(driving, at_most_s) if at_most_s else wait_while_stdout_open(driving)
     except KeyboardInterrupt:
@@ -225,7 +225,7 @@ def _report(
 ) -> tuple[dict[str, object], Iterator[str], UsageError | None]:
     """Measure, and write the configuration; return the report as an object and as lines.
 
-    The last is why the configuration could not be written.
+    The third item is the error if the configuration could not be written, or None.
     """
     from robotctl.commission.measure import measured, read_trial
     from robotctl.commission.propose import file_lines, measured_lines, proposals, warnings
@@ -257,7 +257,7 @@ def _report(
 
 
 def _write(out: Path, text: str) -> UsageError | None:
-    """Write a new file, or none; return why it could not be written."""
+    """Write a new file completely or not at all; return why it could not be written, or None."""
     created = False
     try:
         with out.open("x", encoding="utf-8") as file:

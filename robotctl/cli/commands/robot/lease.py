@@ -1,4 +1,4 @@
-"""lease: who alone may start and steer motion."""
+"""lease: the sole right to start and steer motion."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _line(answer: LeaseStatus) -> str:
 
 
 SIGNALLED = 128
-"""Added by shells to the number of the signal that ended a command."""
+"""The exit code after a signal is this plus the signal's number, as in shells."""
 
 
 @group.command()

@@ -1,1 +1,1 @@
-"""Commands that look at ROS."""
+"""Commands that query ROS."""

@@ -66,7 +66,7 @@ def call_service(
 
 
 def parse_words(words: list[str]) -> tuple[str, Any]:
-    """Return type ("" where it is left out) and values of the words after the service's name.
+    """Return the type ("" if it is left out) and the values that follow the service's name.
 
     Raises:
         UsageError: The values are not YAML in the form {field: value}, or there are more words.

@@ -1,4 +1,4 @@
-"""completion: let the Tab key complete commands and options, by one static script a shell."""
+"""completion: complete commands and options with Tab, by a static script for each shell."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ START_FILES: Final = MappingProxyType(
         Shell.FISH: ".config/fish/completions/robotctl.fish",
     }
 )
-"""The file that each shell reads when it starts, below the home folder."""
+"""The file to which `install` adds the script, relative to the home folder."""
 
 BEGIN, END = "# robotctl completion: begin\n", "# robotctl completion: end\n"
 """The script stands between these lines of the start file."""
 
 VALUES: Final = MappingProxyType({"MODE": tuple(MODES), "PATTERN": MOTIONS})
-"""What an argument with this metavar may be."""
+"""The values that an argument with this metavar may have."""
 
 _BASH: Final = """\
 _robotctl() {
@@ -62,7 +62,7 @@ _robotctl() {
 }
 complete -o default -F _robotctl robotctl
 """
-"""The script for bash; zsh reads it too, where `path` and `words` are names of its own."""
+"""The script for bash and zsh; it avoids the names `path` and `words`, which zsh reserves."""
 
 _ZSH: Final = """\
 (( $+functions[compdef] )) || { autoload -Uz compinit && compinit }
@@ -106,7 +106,7 @@ def install(context: typer.Context, shell: ShellName, as_json: Json = False) -> 
         path.parent.mkdir(parents=True, exist_ok=True)
         old = path.read_text(errors="surrogateescape") if path.exists() else ""
         new = with_script(old, script(shell, context.find_root().command))
-        if new.startswith(old):  # most often: no other content is at risk
+        if new.startswith(old):  # usually; appending puts no other content at risk
             with path.open("a", errors="surrogateescape") as file:
                 file.write(new[len(old) :])
         else:
@@ -136,7 +136,7 @@ def words() -> None:
 
 
 def script(shell: Shell, root: Any) -> str:
-    """Return what the shell has to run when it starts; `root` is the typer command."""
+    """Return the completion script for a shell; `root` is the typer command."""
     table = dict(_table(root))
     if shell is Shell.FISH:
         paths = " ".join(f"'{path}'" for path in table if path)
@@ -153,7 +153,7 @@ def script(shell: Shell, root: Any) -> str:
 
 
 def with_script(text: str, script: str) -> str:
-    """Return the text of a start file with the script, once."""
+    """Return the start file's text with the script, which replaces an earlier one."""
     block = f"{BEGIN}{script}{END}"
     head, begin, rest = text.partition(BEGIN)
     _, end, tail = rest.partition(END)
@@ -164,7 +164,7 @@ def with_script(text: str, script: str) -> str:
 
 
 def _table(command: Any, path: str = "") -> Iterator[tuple[str, list[str]]]:
-    """Yield each command below this one, as ` recordings rm`, with the words that may follow."""
+    """Yield this command and all below it, as ` recordings rm`, with the words that may follow."""
     below: Mapping[str, Any] = {}
     if hasattr(command, "list_commands"):
         every = {name: command.get_command(None, name) for name in command.list_commands(None)}

@@ -48,18 +48,18 @@ CONFIG = Path(__file__).with_name("demo.yaml")
 SIDE_M = 1.0
 
 SENSORS_DEADLINE_S = 20.0
-"""How long the first odometry and battery may take; usually a second, more under load."""
+"""How long the first odometry and battery may take [s]: usually 1 s, more under load."""
 
 MAP_ROWS = range(5, 19)
-"""How high the map of the path may be."""
+"""How high the map of the path may be [lines]."""
 
 LINES_AROUND_MAP = 10
-"""What stands on the last screen beside map and figures: captions, commands, the next prompt."""
+"""The lines of the last screen besides map and figures: captions, commands, the next prompt."""
 
 
 @dataclass(frozen=True, slots=True)
 class DemoResult:
-    """The drive, the daemon's status at its end, and both paths."""
+    """The answer of the drive, the daemon's status after it, and the reference and driven path."""
 
     drive: DriveAnswer
     status: Status
@@ -158,7 +158,7 @@ def _wait_for_sensors(robot: str) -> None:
     """Wait until the daemon knows the robot's pose and battery level.
 
     Raises:
-        RobotctlError: It does not know them by the deadline.
+        RobotctlError: The daemon does not know them by the deadline.
     """
     until = time.monotonic() + SENSORS_DEADLINE_S
     while time.monotonic() < until:

@@ -143,10 +143,10 @@ def fail(
 
 
 def seconds(text: str) -> float:
-    """Return a duration in seconds.
+    """Return the seconds of a duration such as `2s` or `500ms`.
 
     Raises:
-        UsageError: It is none, or too long.
+        UsageError: The text is no duration above 0, or it is too long.
     """
     unit, factor = next((unit, factor) for unit, factor in _UNITS if text.endswith(unit))
     try:

@@ -1,4 +1,4 @@
-"""Services and their clients."""
+"""Sources of services, actions and the clients of both."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class ServiceSource(EventFdSource):
 
 
 class ClientSource(EventFdSource):
-    """A client; it sets the future of each request whose response came.
+    """A client; it sets the future of each request whose response arrives.
 
     Its callback group does not hold back responses: a response runs no callback of the group, and
     an async callback that awaits a client of its own group would otherwise never end.
@@ -101,7 +101,7 @@ class ClientSource(EventFdSource):
             future.set_result(response)
 
     def fail_pending(self, reason: str) -> None:
-        """End every call that waits, with an error that names `reason`."""
+        """Fail every pending call, with an error that contains `reason`."""
         error = ShutdownException(f"{self.where}: {reason}")
         fail_pending(self.entity._pending_requests, error, self._immediate)
 
@@ -111,7 +111,7 @@ EXPIRY_POLL_S = 1.0
 
 
 class _ActionSource(EventFdSource):
-    """The common part: rclpy's Waitable takes and executes, the source says when."""
+    """Base of action sources: rclpy's Waitable takes and executes, the source decides when."""
 
     def __init__(
         self, runtime: Runtime, entity: Any, handle: Any, where: str, executor: Any
@@ -130,7 +130,7 @@ class _ActionSource(EventFdSource):
 
 
 class ActionServerSource(_ActionSource):
-    """An action server; a finished goal is removed when its result timeout is over."""
+    """An action server; it removes a finished goal after the goal's result timeout."""
 
     announcements = (
         Announcement.GOAL_REQUEST,
@@ -268,7 +268,7 @@ class ActionClientSource(_ActionSource):
         return None if feedback is None else self._execute({"feedback": feedback})
 
     def fail_pending(self, reason: str) -> None:
-        """End every call that waits, with an error that names `reason`."""
+        """Fail every pending call, with an error that contains `reason`."""
         error = ShutdownException(f"{self.where}: {reason}")
         for pending in (
             self.entity._pending_goal_requests,

@@ -27,7 +27,7 @@ class Source:
     """
 
     woken_by: ClassVar[str]
-    """What wakes the loop for it, for the debug log."""
+    """What wakes the loop for this source, for the debug log."""
 
     def __init__(self, runtime: Runtime, entity: Any, handle: Any, where: str) -> None:
         self.runtime = runtime
@@ -45,7 +45,7 @@ class Source:
         )
 
     def attach(self) -> None:
-        """Begin to deliver.
+        """Begin to deliver the entity's data.
 
         Raises:
             InvalidHandle: The entity was destroyed meanwhile.
@@ -58,24 +58,24 @@ class Source:
         raise NotImplementedError
 
     def resume(self) -> None:
-        """Deliver again what is there: the callback group became free."""
+        """Continue to deliver the waiting data: the callback group became free."""
         raise NotImplementedError
 
     def blocked(self) -> bool:
-        """Park the source if its callback group forbids a callback now; return whether it does."""
+        """Park the source if its callback group forbids a callback now; return whether it did."""
         if self._reentrant:
             return False
         if self._custom_group:
             if self.group.can_execute(self.entity):
                 return False
         elif self.group._active_entity is None:
-            # As can_execute finds out, but without its lock and weak reference at every message.
+            # The test of can_execute, but without its lock and weak reference at every message.
             return False
         self.runtime.park(self.group, self)
         return True
 
     def run_callback(self, callback: Callable[[], Any]) -> bool:
-        """Run one callback; where the group forbids it, park the source and return False."""
+        """Run one callback; if the group forbids that, park the source and return False."""
         if self._custom_group and not self.group.beginning_execution(self.entity):
             self.runtime.park(self.group, self)
             return False
@@ -104,17 +104,17 @@ class Source:
 
 
 class EventFdSource(Source):
-    """A source for whose entity rcl writes to an eventfd that asyncio watches."""
+    """A source to whose eventfd rcl writes when its entity has new data."""
 
     woken_by = "eventfd"
     announcements: ClassVar[tuple[Announcement, ...]]
     drains_first: ClassVar[bool] = True
-    """Whether there may be earlier data that is not announced after the attachment."""
+    """Whether data may have arrived before `attach` that is not announced afterwards."""
     announced = 0
-    """The number of announcements when the eventfd was last read."""
+    """The count that the last read of the eventfd returned."""
 
     pool: Pool | None = None
-    """The pool that polls the eventfd; None where the loop watches it."""
+    """The pool that watches the eventfd; None if the loop itself watches the eventfd."""
 
     _listening = False
 
@@ -151,7 +151,7 @@ class EventFdSource(Source):
         self.handle.__exit__(None, None, None)
 
     def listen(self, pool: Pool | None) -> None:
-        """Let the pool poll the eventfd; without one, the loop watches it, at every message."""
+        """Have the pool watch the eventfd; if it is None, the loop, which wakes at each message."""
         self.stop_listening()
         if pool is None:
             watch(self.runtime.loop, self._fd, self.poll)
@@ -160,7 +160,7 @@ class EventFdSource(Source):
         self.pool, self._listening = pool, True
 
     def stop_listening(self) -> None:
-        """Let nothing but a call of `poll` take messages."""
+        """Stop watching the eventfd: from now on, only a call of `poll` delivers data."""
         if not self._listening:
             return
         self._listening = False
@@ -174,7 +174,7 @@ class EventFdSource(Source):
             os.eventfd_write(self._fd, 1)
 
     def poll(self) -> bool:
-        """Deliver what is there; return whether the slice ended before all was delivered."""
+        """Deliver the waiting data; return whether the slice ended before all was delivered."""
         try:
             self.announced = os.eventfd_read(self._fd)
         except BlockingIOError:
@@ -240,17 +240,17 @@ class EventFdSource(Source):
         """Return the next item, or None.
 
         Raises:
-            TakeFailed: rcl could not hand it over.
+            TakeFailed: rcl could not take the item.
         """
         raise NotImplementedError
 
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
-        """Run the callback; return its coroutine if it is async."""
+        """Run the callback with an item; return its coroutine if it is async, or None."""
         raise NotImplementedError
 
 
 class TakeFailed(Exception):
-    """rcl could not hand over an item; trying again at once would fail again."""
+    """rcl could not take an item; another attempt at once would fail, too."""
 
     def __init__(self, reason: Exception) -> None:
         super().__init__(str(reason))
@@ -258,5 +258,5 @@ class TakeFailed(Exception):
 
 
 def coroutine_of(result: Any) -> Coroutine[Any, Any, Any] | None:
-    """Return a callback's result if it is a coroutine, else None."""
+    """Return a callback's result if it is a coroutine, or None."""
     return result if isinstance(result, CoroutineType) else None

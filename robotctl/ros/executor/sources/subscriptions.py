@@ -1,4 +1,4 @@
-"""Subscriptions: messages are taken as bytes past rclpy, and decoded for typed callbacks."""
+"""Sources of subscriptions, whose messages are read as bytes without rclpy, and of QoS events."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _fields(status: Any) -> dict[str, Any]:
 
 
 def _counts_of(fields: dict[str, Any]) -> dict[str, int]:
-    """Return the counts that have a change; for an incompatible type, rclpy has the change only."""
+    """Return the counts that come with a change; an incompatible type's status has no count."""
     return {name: count for name, count in fields.items() if f"{name}_change" in fields}
 
 
@@ -89,10 +89,10 @@ UNKNOWN_COUNT: Final = 1 << 62
 
 
 class _TakenSource(EventFdSource):
-    """The base of subscriptions, whose messages are taken serialized.
+    """The base of subscription sources, which take messages in serialized form.
 
-    As many are taken as were announced, where the middleware counts them: a take that finds nothing
-    costs half as much as one that finds a message.
+    Where the middleware counts messages, only the announced number is taken: a take that finds
+    nothing costs half as much as one that finds a message.
     """
 
     announcements = (Announcement.MESSAGE,)
@@ -106,7 +106,7 @@ class _TakenSource(EventFdSource):
         decode: Decode | None,
         views: bool = False,
     ) -> None:
-        """The receiver gets what `decode` makes of the data; without it, all that is taken."""
+        """The receiver gets `decode(data)` or, if `decode` is None, all fields of `Taken`."""
         super().__init__(runtime, subscription, subscription.handle, where)
         self._taker = SerializedTaker(self.handle.pointer, views=views, bare=decode is not None)
         self._decode = decode
@@ -114,11 +114,11 @@ class _TakenSource(EventFdSource):
         self._receive = self.receiver_of(self._callback)
         self._counts = counts_each_message()
         self._is_counted = False
-        """Whether no more messages wait than the eventfd counts."""
+        """Whether the eventfd has counted all messages that wait."""
         self._polls = 0
 
     def receiver_of(self, callback: Any) -> Callable[..., Any]:
-        """Return the function that is called for each message, for this callback of the user."""
+        """Return the function to call for each message; `callback` is the subscription's."""
         raise NotImplementedError
 
     def check_rate(self) -> None:
@@ -250,7 +250,7 @@ class RawTapSource(_TakenSource):
             self.stop_listening()
 
     def poll_now(self) -> None:
-        """Take the messages that were announced by now."""
+        """Deliver the messages that have been announced so far."""
         if not self.closed:
             self.poll()
 
@@ -259,10 +259,10 @@ class RawTapSource(_TakenSource):
 
 
 def affordable_rest_s(wanted_s: float, qos: QoSProfile) -> float:
-    """Return how long messages may be collected: at most `wanted_s`, and until a queue may be full.
+    """Return how long messages may be collected [s]: `wanted_s`, or less if the queue is short.
 
-    0 where that is less than FLOOD_REST_S: such a short rest saves nothing. Sources with the same
-    rest share a pool.
+    If the queue allows less than FLOOD_REST_S and `wanted_s`, return 0: such a rest saves nothing.
+    Sources with the same rest share a pool.
     """
     if qos.history == HistoryPolicy.KEEP_ALL:
         return wanted_s

@@ -27,8 +27,8 @@ _ANY_JUMP = JumpThreshold(
 class TimerSource(Source):
     """A timer on the steady, system or ROS clock, with cancel and reset.
 
-    While /clock drives a ROS clock, no Linux timer can know the deadline; then each step of the
-    clock checks the timer.
+    While /clock drives a ROS clock, no Linux timer can know the deadline. Then the timer is checked
+    at each step of the clock.
     """
 
     woken_by = "timerfd"
@@ -104,7 +104,7 @@ class TimerSource(Source):
                 return
         if self.blocked():
             return
-        # Only rcl knows whether it was cancelled or reset meanwhile, or its clock runs slower.
+        # Only rcl knows whether the timer was cancelled or reset, or its clock runs slower.
         if self.handle.is_timer_canceled() or not self.handle.is_timer_ready():
             self.resume()
             return

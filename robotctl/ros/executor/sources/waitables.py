@@ -1,7 +1,7 @@
 """Guard conditions and foreign Waitables, which rcl does not announce on an eventfd.
 
-These are guard conditions and foreign Waitables. The thread only waits; the loop takes and
-executes, while the thread pauses.
+A thread waits for them in a wait set. The loop takes their data and runs their callbacks, while
+the thread pauses.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SHUTDOWN_POLLS = 200
 
 
 class WaitSetSource(Source):
-    """A source whose entity the thread waits for."""
+    """A source whose entity a `WaitSetThread` waits for."""
 
     woken_by = "wait-set thread"
 
@@ -49,15 +49,15 @@ class WaitSetSource(Source):
         self._thread.remove(self)
 
     def release(self) -> None:
-        """Let rclpy destroy the entity: the thread no longer waits for it."""
+        """Release the handle, so that rclpy may destroy the entity: the thread does not use it."""
         self.handle.__exit__(None, None, None)
 
     def counts(self) -> tuple[int, int, int, int, int, int]:
-        """Return the number of its subscriptions, guards, timers, clients, services and events."""
+        """Return how many subscriptions, guards, timers, clients, services and events it has."""
         raise NotImplementedError
 
     def fill(self, wait_set: Any) -> None:
-        """Add them to a wait set."""
+        """Add the entity to a wait set."""
         raise NotImplementedError
 
     def run_if_ready(self, wait_set: Any) -> None:
@@ -66,7 +66,7 @@ class WaitSetSource(Source):
 
 
 class WaitSetThread:
-    """The thread; it starts with the first source and ends with the executor."""
+    """The thread that waits for the sources of one executor; it starts when first needed."""
 
     def __init__(
         self, runtime: Runtime, context: Context, on_context_down: Callable[[], None]
@@ -104,7 +104,7 @@ class WaitSetThread:
         self.refresh()
 
     def refresh(self) -> None:
-        """Build the wait set again."""
+        """Make the thread build its wait set again."""
         if self._wake is not None:
             self._wake.trigger()
 
@@ -162,7 +162,7 @@ class WaitSetThread:
         for guard in guards:
             wait_set.add_guard_condition(guard.handle)
         for source in sources:
-            # Destroyed since: its removal is on the way.
+            # InvalidHandle: the entity was destroyed; its source is removed soon.
             with suppress(InvalidHandle):
                 source.fill(wait_set)
         return wait_set
@@ -234,8 +234,8 @@ class GuardSource(WaitSetSource):
 class WaitableSource(WaitSetSource):
     """A Waitable of a class that is not rclpy's.
 
-    After an exception of one of its methods it is not waited for during a pause, because it stays
-    ready.
+    After one of its methods raised an exception, the thread does not wait for it for
+    RETRY_AFTER_FAILED_TAKE_S, because it stays ready.
     """
 
     def __init__(

@@ -5,7 +5,7 @@
   (`--what-if`), or re-run its drives with a simulated robot (`--resim`).
 
 `command` declares the options and calls one of the five; `screen` shows a replay, and
-`select_recordings` tells which of the given files are recordings.
+`select_recordings` finds the recordings among the given files.
 """
 
 from robotctl.cli.commands.recordings.replay.command import app as app

@@ -1,4 +1,4 @@
-"""Re-run the decisions of a recording: compared, with other parameters, or with a simulation."""
+"""Re-run the decisions of a recording: unchanged, with other parameters, or with a simulation."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def check_command(
 
 
 def report_lines(report: dict[str, Any]) -> Iterator[str]:
-    """Yield the result of one check, from its object in `--json`."""
+    """Yield the lines to print for one check; `report` is its object in `--json`."""
     verdict = Verdict(report["verdict"])
     yield f"{verdict.value:{LABEL_WIDTH}}{short_path(report['path'])}"
     if report["events"]:
@@ -136,12 +136,12 @@ def compare_settings(
     closed_loop: bool,
     as_json: bool,
 ) -> None:
-    """Compare each recording with a run under `settings`, and print the tables or one object.
+    """Compare each recording with a re-run under `settings`; print tables, or one JSON object.
 
     An argument among `files` that has an equals sign and names no file is one more setting.
 
     Raises:
-        UsageError: A setting is not allowed, or there is none.
+        UsageError: A setting is not allowed, or no recording is given.
         UnreadableFile: A recording could not be read completely.
     """
     more = [str(file) for file in files if "=" in file.name and not file.exists()]
@@ -173,7 +173,7 @@ def compare_settings(
 
 
 def settings_lines(settings: Mapping[str, Mapping[str, object]]) -> Iterator[str]:
-    """Yield a table of the settings, recorded and changed."""
+    """Yield a table with the recorded and the changed value of each setting."""
     yield ""
     yield table_row("", ["recorded", "what if"])
     for key, values in settings.items():
@@ -201,7 +201,7 @@ OPEN_LOOP = (
 def what_if_command(
     files: Sequence[Path], settings: Sequence[str], robot: str | None, *, as_json: bool
 ) -> None:
-    """Print how decisions with other parameters differ.
+    """Print how the decisions differ with other parameters.
 
     Raises:
         UsageError: A setting is not allowed.
@@ -213,7 +213,7 @@ def what_if_command(
 
 
 def what_if_lines(found: dict[str, Any]) -> Iterator[str]:
-    """Yield the tables of one recording, from its object in `--json`."""
+    """Yield the lines to print for one recording; `found` is its object in `--json`."""
     yield f"{short_path(found['path'])}, {duration(found['duration_s'])}"
     yield OPEN_LOOP
     yield from settings_lines(found["settings"])
@@ -266,7 +266,7 @@ _SIDES = {"recorded": "recorded", "simulated": "simulated", "what_if": "what if"
 def resim_command(
     files: Sequence[Path], settings: Sequence[str], robot: str | None, *, as_json: bool
 ) -> None:
-    """Print the recorded and the simulated drives.
+    """Print the recorded drives compared with the simulated ones.
 
     Raises:
         UsageError: A setting is not allowed.
@@ -278,7 +278,7 @@ def resim_command(
 
 
 def resim_lines(found: dict[str, Any]) -> Iterator[str]:
-    """Yield the tables of one recording, from its object in `--json`."""
+    """Yield the lines to print for one recording; `found` is its object in `--json`."""
     yield f"{short_path(found['path'])}, {duration(found['duration_s'])}"
     yield "  Simulated: the recorded parameters and requests, with a simulated robot."
     sides = [side for side in _SIDES if side != "what_if" or found["settings"]]

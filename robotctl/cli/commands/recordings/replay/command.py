@@ -209,7 +209,7 @@ def _refuse_playing_options(context: typer.Context) -> None:
     """Check that no option is given that only affects playing.
 
     Raises:
-        UsageError: One is given.
+        UsageError: Such an option is given.
     """
     for name, spelling in given_options(context).items():
         if name not in _OPTIONS_OF_RERUNS:
@@ -233,5 +233,5 @@ def _only(files: list[Path]) -> Path:
 
 
 def _names(given: list[str] | None) -> tuple[str, ...]:
-    """Return topic names that were given one by one or with commas."""
+    """Return the topic names, which may be given one by one or separated by commas."""
     return tuple(name for text in given or () for name in text.split(",") if name)

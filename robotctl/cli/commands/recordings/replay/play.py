@@ -29,7 +29,7 @@ KEYS: Final = {
     "-": Command.SLOWER,
     "n": Command.NEXT,
 }
-"""All keys but QUIT; `=` is the plus key without Shift."""
+"""All keys except QUIT; `=` is the plus key without Shift."""
 
 QUIT: Final = "q"
 
@@ -91,7 +91,7 @@ def play_in_process(
 
 
 class _Player:
-    """The player process, with the report, the screen and the pause of its replay."""
+    """The player process, with its report, its screen, and whether it is paused."""
 
     def __init__(self, child: Child, report: PlayerReport, screen: Screen) -> None:
         self._child = child
@@ -101,7 +101,7 @@ class _Player:
         self._was_playing = False
 
     def wait_for_input(self, keyboard: Keyboard) -> None:
-        """Wait for the player or the keyboard, and handle what comes."""
+        """Wait for a report of the player or for a key, and handle it."""
         child = self._child
         patience_s = None if child.has_stdin else END_DEADLINE_S
         ready, _, _ = select.select([child.fileno(), *keyboard.sources], [], [], patience_s)

@@ -26,7 +26,7 @@ class Screen(Protocol):
     """The display of the player's reports."""
 
     def show(self, report: dict[str, Any]) -> None:
-        """Show a report: a note, the start, or the progress."""
+        """Show a report: a note, the wait for subscribers, the start, or the progress."""
 
     def suspend(self) -> None:
         """Stop drawing while other programs use the terminal."""
@@ -37,7 +37,7 @@ class Screen(Protocol):
 
 @contextmanager
 def screen(robot: RecordedRobot | None, *, quiet: bool) -> Iterator[Screen]:
-    """Yield a screen that draws a bar on a terminal, prints notes without one, or is quiet."""
+    """Yield a screen: a bar on a terminal, printed notes without one, nothing if `quiet`."""
     if quiet:
         yield _Nothing()
     elif is_terminal():
@@ -157,7 +157,7 @@ def bar_text(progress: dict[str, Any], position_s: float, length_s: float) -> st
 
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
-    """Yield the summary of a replay, from its object in `--json`."""
+    """Yield the lines of a replay's summary; `summary` is its object in `--json`."""
     domain, names = summary["domain_id"], summary["prefix"]
     where = f"with the prefix {names}" if names else "under the original names"
     yield f"  sent        {summary['sent']} messages in ROS domain {domain}, {where}"

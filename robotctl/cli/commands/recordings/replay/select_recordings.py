@@ -1,4 +1,4 @@
-"""Which of the given files are recordings: for `check`, `what_if` and `resim`."""
+"""Find the recordings among given files: for --check, --what-if, --resim and `verify`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LABEL_WIDTH = 12
 def select_recordings(
     files: Sequence[Path], robot: str | None, *, also_urls: bool = False
 ) -> tuple[list[Path], list[Path]]:
-    """Return the recordings that paths, names or `last` stand for, and the paths to skip.
+    """Return the recordings that `files` name (paths, names or `last`), and the paths to skip.
 
     A folder of recordings stands for all of them. If no path is a recording, none is skipped: each
     then fails with its own error.

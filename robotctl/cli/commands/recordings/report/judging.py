@@ -20,7 +20,7 @@ from robotctl.show.page import CommandVerdict, Explanation, ReportFindings, Tone
 from robotctl.show.traces import Recorded
 
 MAX_EXPLAINED: Final = 5
-"""Each explanation reads the journal once."""
+"""How many incidents are explained at most: each explanation reads the journal once."""
 
 MAX_SENTENCES: Final = 20
 
@@ -30,7 +30,7 @@ _ROWS: Final = ("came_in", "known", "rule", "asked", "went_out", "since")
 
 
 def judge(path: Path, recorded: Recorded, *, quiet: bool) -> ReportFindings:
-    """Check, verify and explain a recording; without a journal there is nothing but its bytes."""
+    """Check, verify and explain a recording; without a journal, only verify its bytes."""
     judgements, explanations = [], []
     if recorded.has_journal:
         with progress_bar("checking", quiet=quiet) as on_progress:
@@ -88,7 +88,7 @@ def _verified(report: dict[str, Any]) -> CommandVerdict:
 
 
 def _explained(path: Path, recorded: Recorded, *, quiet: bool) -> list[Explanation]:
-    """Explain the last incident, and the emergency stops and errors before it, in their order."""
+    """Explain the last incident and the last emergency stops and errors, in order of time."""
     stops = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
     times = [event.log_ns for event in recorded.info.events if event.kind in stops]
     found: dict[int, Explanation] = {}
@@ -96,7 +96,7 @@ def _explained(path: Path, recorded: Recorded, *, quiet: bool) -> list[Explanati
         with progress_bar("reading the journal", quiet=quiet) as on_progress:
             try:
                 incident = find_incident(path, at_ns, on_progress).incident
-            except UnreadableFile:  # what cannot be read is told already
+            except UnreadableFile:  # the verdicts name what cannot be read
                 incident = None
         if incident is None or incident.seq in found:
             continue

@@ -1,4 +1,4 @@
-"""verify: is a recording whole, and is its seal unbroken?"""
+"""verify: check whether recordings are whole, and whether their seals are unbroken."""
 
 from __future__ import annotations
 

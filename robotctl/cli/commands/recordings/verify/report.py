@@ -77,9 +77,9 @@ def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
 
 
 def _links(file: SealedFile, start_ns: int, end_ns: int) -> dict[str, Any] | None:
-    """Return the links that seal what a file holds of a time, None if there are none.
+    """Return the seal's links that cover a file from `start_ns` to `end_ns`, None without any.
 
-    A link seals all that was written before it, so that the one behind the time belongs to them.
+    A link seals all that was written before it, so the first link at or after `end_ns` is included.
     """
     after = [link for link in file.seal.links if link.time_ns >= start_ns]
     if not after or file.seal.links[0].time_ns > end_ns:
@@ -105,16 +105,16 @@ def _link_line(links: dict[str, Any]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class VerifiedTogether:
-    """Recordings that were verified together: the object of each in `--json`, and that of all."""
+    """The result of verifying recordings: the object of each in `--json`, and the summary."""
 
     recordings: list[dict[str, Any]]
     summary: dict[str, Any]
 
 
 def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> VerifiedTogether:
-    """Verify recordings, the chain over all of them, and what this machine knows of their files.
+    """Verify recordings, their common chain, and their files by this machine's lists of keys.
 
-    `head` must be in one of them, if it is given.
+    If `head` is given, one of the recordings must contain it.
     """
     heads = KnownHeads()
     found: list[VerifiedRecording] = []
@@ -136,7 +136,7 @@ def _verify(
     heads: KnownHeads,
     found: list[VerifiedRecording],
 ) -> dict[str, Any]:
-    """Return the object of one recording; add it to `found` if it can be read."""
+    """Verify a recording and return its object in `--json`; add it to `found` if readable."""
 
     try:
         found.append(verify_recording(path, on_progress))
@@ -157,7 +157,7 @@ NOT_PROVED = (
 
 
 def recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, Any]:
-    """Return the object of one recording; `heads` is what this machine knows of such files."""
+    """Return the object of one recording; `heads` are this machine's lists of keys."""
     whole = found.whole
     known = [(file.path.name, heads.compare(file)) for file in found.files]
     wrong = [*found.wrong, *(f"{name}: {each.wrong}" for name, each in known if each.wrong)]
@@ -209,7 +209,7 @@ def unreadable_object(path: Path, reason: str) -> dict[str, Any]:
 def summary_object(
     found: Sequence[VerifiedRecording], head: str, heads: KnownHeads
 ) -> dict[str, Any]:
-    """Return what holds for all recordings together: their chain, the head, what is not proved."""
+    """Return the summary of all recordings: their chain, the head, and what is not proved."""
     files = [file for each in found for file in each.files]
     chain = check_chain(files)
     within = {sentence for each in found for sentence in (*each.wrong, *each.chain.absent)}
@@ -234,7 +234,7 @@ def summary_object(
 
 
 def recording_lines(report: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines for one recording, from its object."""
+    """Yield the lines to print for one recording; `report` is its object in `--json`."""
     yield f"{report['verdict']:{_LABEL_WIDTH}}{short_path(report['path'])}"
     for file in report["files"]:
         count = f"{file['messages']} messages"
@@ -253,7 +253,7 @@ def recording_lines(report: dict[str, Any]) -> Iterator[str]:
 
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines for all recordings together."""
+    """Yield the lines to print for the summary of all recordings."""
     for name, label in (("wrong", "wrong"), ("notes", "note"), ("not_proved", "not proved")):
         for sentence in summary[name]:
             yield from row("", f"{label}: {sentence}")
@@ -294,7 +294,7 @@ def _seal_object(sealed: SealedFile) -> dict[str, Any]:
 
 
 def _named_here(chain: Chain, files: Sequence[SealedFile], heads: KnownHeads) -> Iterator[str]:
-    """Yield what the lists in this user's state folder know about the files that are missing."""
+    """Yield a sentence for each missing file that this user's lists of keys name."""
     robots = {
         file.seal.opening.root: file.seal.opening.robot
         for file in files

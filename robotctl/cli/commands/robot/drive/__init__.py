@@ -1,7 +1,7 @@
-"""drive: drive a pattern, or a path from a file or a recording.
+"""drive: drive a pattern, a velocity, or a path from a file, a recording or a topic.
 
 - `command`: declares the options and makes the request.
-- `paths`: reads the points of a path from a file or a recording.
+- `paths`: reads the points of a path from a file, a recording or a topic.
 - `running`: waits for the end of a drive, and draws its picture.
 """
 

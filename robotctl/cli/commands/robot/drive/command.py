@@ -52,14 +52,14 @@ _OWNERS = {
     "corner": "a rounded-square or a path",
     "angle": "an arc or a turn",
 }
-"""The motions that have an option which others lack."""
+"""The motions to which an option belongs, in the words of the error."""
 
 
 def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") -> list[str]:
-    """Return what is given after the motion; a path may be that of a topic.
+    """Return the arguments after the motion; a path with a `topic` has none.
 
     Raises:
-        UsageError: There is no such motion, or too much or too little is given.
+        UsageError: There is no such motion, or its arguments are too many, too few or wrong.
     """
     values = list(given or ())
     for value in (motion, *values):
@@ -92,7 +92,7 @@ def options_of(pattern: PatternKind) -> frozenset[str]:
 
 
 def cure_of(pattern: PatternKind) -> str:
-    """Return which size a pattern has, "" if it has none."""
+    """Return the advice to use the option for the size of a pattern, "" if it has none."""
     name = SHAPES[pattern].size_name
     return f"use --{name.value}" if name else ""
 
@@ -100,10 +100,10 @@ def cure_of(pattern: PatternKind) -> str:
 def refuse_options(
     what: str, options: Mapping[str, object], *, allowed: Collection[str], cure: str = ""
 ) -> None:
-    """Check which options are given; `cure` says which size to use instead of another.
+    """Check that only `allowed` options are given; `cure` is the advice for a wrong size option.
 
     Raises:
-        UsageError: One of them does not fit.
+        UsageError: Another option is given.
     """
     for name, value in options.items():
         if value is not None and name not in allowed:
@@ -115,11 +115,11 @@ def refuse_options(
 
 
 def path_params(robot: str, values: Sequence[str], frame: Frame) -> dict[str, Any]:
-    """Return what a path takes beyond every drive.
+    """Return the parameters of the request for a path from a file or a recording.
 
     Raises:
         UsageError: There is no such file.
-        Refused: It is `last`, and the robot has no recording.
+        Refused: The name is `last`, and the robot has no recording.
         UnreadableFile: The file holds no path.
     """
     from robotctl.cli.commands.robot.drive.paths import read_waypoints
@@ -128,7 +128,7 @@ def path_params(robot: str, values: Sequence[str], frame: Frame) -> dict[str, An
 
 
 def topic_params(robot: str, topic: str, reason: str) -> dict[str, Any]:
-    """Wait for a path on a topic, and return what it takes beyond every drive.
+    """Wait for a path on a topic, and return the parameters of the request for it.
 
     Raises:
         Refused: The message holds no path that can be driven.
@@ -141,7 +141,7 @@ def topic_params(robot: str, topic: str, reason: str) -> dict[str, Any]:
 
 
 def velocity_params(values: Sequence[str], duration: str | None) -> dict[str, Any]:
-    """Return what a velocity takes beyond every drive.
+    """Return the parameters of the request for a velocity.
 
     Raises:
         UsageError: There is no duration, or it is not allowed.

@@ -31,21 +31,21 @@ if TYPE_CHECKING:
 
 
 MAX_BYTES = 64 * MAX_POINTS
-"""More than any path needs."""
+"""The most that is read of a file [bytes]: more than any path needs."""
 
 MAX_SHOWN = 60
-"""How much of a wrong point is shown."""
+"""How much of a wrong point is shown [characters]."""
 
 MCAP = b"\x89MCAP0\r\n"
 
 KINDS = "use CSV with the header x,y, YAML with a list of [x, y], or a recording"
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-"""A decimal number. Python and YAML know more: 0_3 and 1:30 are no metres."""
+"""A decimal number. Python and YAML accept more, such as 0_3 and 1:30."""
 
 
 class _WrittenPoint(NamedTuple):
-    """A point as it is written: its values, the line of the file, and what stands there."""
+    """A point of a file: its values as text, its line number, and its original text."""
 
     values: list[str]
     line: int
@@ -53,10 +53,10 @@ class _WrittenPoint(NamedTuple):
 
 
 def read_waypoints(name: str, frame: Frame, robot: str) -> list[list[float]]:
-    """Return the points of a path in metres, to a tenth of a millimetre.
+    """Return the points of a path [m], rounded to 0.1 mm.
 
-    A recording is a path, a name or `last`, of the robot. Its points are the places of its last
-    motion, relative to where that began, or in the frame of odometry.
+    `name` is a file, or a recording: its path, its name or `last`. The points of a recording are
+    those of its last motion, relative to its beginning or in the odometry frame (`frame`).
 
     Raises:
         UsageError: There is no such file.
@@ -76,7 +76,7 @@ def read_waypoints(name: str, frame: Frame, robot: str) -> list[list[float]]:
 
 
 def _content(name: str, path: Path) -> bytes | None:
-    """Return the content of a file, at most a byte more than is allowed; None of a folder."""
+    """Return the content of a file, at most MAX_BYTES + 1 bytes, or None for a folder."""
     try:
         if path.is_dir():
             return None
@@ -113,8 +113,8 @@ def _csv_rows(lines: list[str]) -> Iterator[_WrittenPoint]:
 
 
 def _yaml_rows(name: str, text: str) -> Iterator[_WrittenPoint]:
-    """Yield the points of a list in YAML, as they are written: an alias is not followed deeper."""
-    import yaml  # here: it takes 20 ms
+    """Yield the points of a YAML list as they are written; nested aliases are not expanded."""
+    import yaml  # here: the import takes 20 ms
 
     try:
         root = yaml.compose(text, yaml.SafeLoader)  # the loader in C crashes on deep nesting
@@ -153,11 +153,11 @@ def _point(name: str, number: int, row: _WrittenPoint) -> Point:
 def last_path(robot: str, frame: Frame) -> tuple[Point, ...]:
     """Return the path of the newest recording in which the robot drove; a note names an older one.
 
-    A running daemon first writes what it has not written yet.
+    A running daemon first commits its recording.
 
     Raises:
         Refused: The robot has no recording.
-        UnreadableFile: It drove in none of the last ones, or one cannot be read.
+        UnreadableFile: The robot drove in none of the last recordings, or one cannot be read.
     """
     missing: list[str] = []
     newest = committed_recording(robot, missing) or find_recording(LAST, robot)
@@ -175,7 +175,7 @@ def last_path(robot: str, frame: Frame) -> tuple[Point, ...]:
 
 
 def recorded_path(recording: Path, frame: Frame) -> tuple[Point, ...]:
-    """Return the path of a recording.
+    """Return the path that the robot of a recording drove in its last motion [m].
 
     Raises:
         UnreadableFile: The recording cannot be read, its robot did not drive, or a part of its last
@@ -204,7 +204,7 @@ ODOMETRY_FRAME: Final = "odom"
 
 
 def heard_path(robot: str, topic: str) -> tuple[str, list[list[float]], Frame]:
-    """Wait for the next path on a topic; return its full name, points [m] and their frame.
+    """Wait for the next path on a topic; return the topic's full name, the points [m], the frame.
 
     Raises:
         Refused: The message holds no path, too many points, or is in an unknown frame.
@@ -228,7 +228,7 @@ def heard_path(robot: str, topic: str) -> tuple[str, list[list[float]], Frame]:
 def path_in(
     definition: Definition, data: bytes, frames: Mapping[str, Frame], name: str
 ) -> tuple[list[list[float]], Frame]:
-    """Return points and frame of a serialized path; `frames` says what the names of frames mean.
+    """Return points [m] and frame of a serialized path; `frames` maps each frame_id to a frame.
 
     Raises:
         Refused: It holds no path, too many points, or is in another frame.

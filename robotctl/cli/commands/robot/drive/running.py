@@ -1,4 +1,4 @@
-"""Wait for the end of a drive, which ends with its command."""
+"""Run a drive that ends with its command: wait for its end, and draw its picture."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from robotctl.show.png import write_path_png
 
 
 def leave_picture(robot: str, drive: Mapping[str, Any]) -> Path | None:
-    """Draw the last drive of a robot beside its recording, and return where; it replaces a picture.
+    """Draw the last drive into the folder of its recording, and return the path of the picture.
 
-    `drive` is the answer that tells its figures. The drive is over and recorded, so a picture that
-    fails is no error: a note on stderr says why, and None is returned.
+    `drive` is the daemon's answer with the figures. An earlier picture is replaced. The drive is
+    recorded, so a picture that fails is no error: a note on stderr says why; None is returned.
     """
     try:
         path = call(robot, PATH)
@@ -67,7 +67,7 @@ def drive_and_wait(
 ) -> dict[str, Any]:
     """Show the live view until the drive ends, and return the daemon's answer with its picture.
 
-    For a drive that was stopped, the numbers are printed as well before the error is raised.
+    The figures of a drive that was stopped are printed before the error is raised.
 
     Raises:
         Interrupted: Ctrl-C or a signal ended the drive; the robot stands.
@@ -104,7 +104,7 @@ def _with_picture(robot: str, answer: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def tracking_lines(result: Mapping[str, Any]) -> list[str]:
-    """Return the lines on distance, picture, and the errors that were measured, of a drive."""
+    """Return the lines about a drive: its distance, the measured errors, and its picture."""
     rms, worst, closure, distance = (
         number(result.get(key), ".3f")
         for key in ("cross_track_rms_m", "cross_track_max_m", "closure_m", "distance_m")
@@ -133,7 +133,7 @@ def tracking_lines(result: Mapping[str, Any]) -> list[str]:
 
 
 def _true_line(result: Mapping[str, Any]) -> str:
-    """Return the errors by the true pose of a simulated robot."""
+    """Return a line with the errors by the true pose of a simulated robot."""
     rms, worst, heading, closure = (
         number(result.get(f"true_{name}"), ".3f")
         for name in ("cross_track_rms_m", "cross_track_max_m", "heading_rms_rad", "closure_m")

@@ -1,7 +1,7 @@
 """teleop: drive by hand, with keys or a gamepad that must be held.
 
-- `command`: declares the options; the session from start to end, and what it shows.
-- `controls`: what the operator wants now, by keys or gamepad, and how the daemon is asked for it.
+- `command`: declares the options, runs the session, and draws its screen.
+- `controls`: turns keys or a gamepad into the wanted motion, and requests it from the daemon.
 """
 
 from robotctl.cli.commands.robot.teleop.command import app

@@ -58,14 +58,14 @@ if TYPE_CHECKING:
 
 
 MAX_TOPICS: Final = 6
-"""They are seen on a terminal of 24 lines; on a smaller one the end of the view is cut off."""
+"""As many fit on a terminal of 24 lines; a smaller terminal cuts off the end of the view."""
 
 END_S: Final = 1.0
-"""How long the terminal may take for the last picture."""
+"""How long `suspend` waits for the last drawing to end [s]."""
 
 
 class TeleopScreen:
-    """A context that draws the status of the robot, and the lines that `lines()` returns."""
+    """A context that draws the lines that `lines()` returns, with the robot's status below."""
 
     def __init__(self, robot: str, lines: Callable[[], list[str]]) -> None:
         self._robot = robot
@@ -95,10 +95,10 @@ class TeleopScreen:
             self._drawing.join(END_S)
 
     def check(self) -> None:
-        """Notice that nothing is drawn any more.
+        """Raise the error that has ended the drawing, if there is one.
 
         Raises:
-            RobotctlError: The status cannot be asked for.
+            RobotctlError: The daemon did not return its status.
             OSError: The terminal is gone, or there are too many open files.
         """
         if self._drawing is not None and self._drawing.is_done and not self._ended.is_set():
@@ -118,7 +118,7 @@ class TeleopScreen:
 
 
 def view_below(lines: list[str], status: Status) -> RenderableType:
-    """Return whole lines of text, with the live view below them: what is cut off is its end."""
+    """Return the lines with the live view below: a small terminal cuts off the end of the view."""
     from rich.console import Group
     from rich.text import Text
 
@@ -129,10 +129,10 @@ def view_below(lines: list[str], status: Status) -> RenderableType:
 
 
 PERIOD_S: Final = ASK_EACH_S
-"""How often the hands are looked at while something is held."""
+"""The period in which keys or gamepad are read while something is held [s]."""
 
 IDLE_S: Final = 0.1
-"""How often the rest is looked at while nothing is held."""
+"""The same period while nothing is held [s]; the lease and the screen are checked with it."""
 
 WITH_RELEASES: Final = (
     "hold w a s d or the arrows; a terminal that is silent for 125 ms is zero",
@@ -140,18 +140,18 @@ WITH_RELEASES: Final = (
 )
 WITHOUT_RELEASES: Final = (
     "hold w a s d or the arrows; nothing moves until the key repeats",
-    "this terminal tells no releases: zero 125 ms after the last repeat",
+    "this terminal does not report key releases: zero 125 ms after the last repeat",
 )
 KEYS: Final = "+ - speed   space let go   e emergency stop   q quit"
 _FASTER, _SLOWER, _LET_GO, _STOP, _QUIT = "+=", "-", " ", "e", "q"
 
 
 class Quit(Exception):
-    """The operator ended the session."""
+    """The operator ended the session, or the terminal is gone."""
 
 
 class TeleopSession:
-    """The operator's hands, what they hold, and the text that is shown around them."""
+    """One session: reads keys or gamepad, requests the motion, and returns the text to show."""
 
     def __init__(
         self,
@@ -173,7 +173,7 @@ class TeleopSession:
         self._woke_s = time.monotonic()
 
     def lines(self) -> list[str]:
-        """Return the keys, the speeds and what was refused, for the screen."""
+        """Return the lines for the screen: the keys, the speeds, and why a motion ended."""
         messages = (self._holding.message, self._hands.problem)
         return [
             *self._how_to_move(),
@@ -188,18 +188,18 @@ class TeleopSession:
         return WITHOUT_RELEASES if self._answers is None else WITH_RELEASES
 
     def begin(self, answers: TerminalAnswers | None) -> None:
-        """Read a terminal that tells releases, of which `answers` are asked, or another (None)."""
+        """Begin; `answers` asks a terminal that reports key releases, None for any other one."""
         self._answers = answers
         self._hands = HandsWithoutReleases() if answers is None else HandsWithReleases()
         self._holding.silence_lets_go = answers is None and self._gamepad is None
 
     def let_go(self) -> None:
-        """Hold nothing any more; the robot ramps down."""
+        """Let go of all keys and of the gamepad; the robot ramps down."""
         self._forget()
         self._holding.want(STAND)
 
     def turn(self, keyboard: Keyboard) -> None:
-        """Wait for a key, or until a held velocity is due, and send what is wanted.
+        """Wait for input or for the end of the period, and send the wanted velocity.
 
         Raises:
             Quit: The operator ended the session, or the terminal is gone.
@@ -243,7 +243,7 @@ class TeleopSession:
             self._gamepad.forget()
 
     def _forget_the_past(self, keyboard: Keyboard) -> None:
-        """Forget what was pressed before this process was stopped or slow."""
+        """Drop the keys that were pressed before, or while, this process was stopped or slow."""
         self._forget()
         keyboard.flush()
         self._parser = KeyParser()
@@ -264,7 +264,7 @@ class TeleopSession:
             self._emergency_stop()
 
     def _press_control(self, name: str) -> None:
-        """Do what the terminal would do where it tells releases: then it sends no signals."""
+        """Act on Ctrl-C and Ctrl-Z: a terminal that reports releases sends no signals for them."""
         if name == "c":
             raise KeyboardInterrupt
         if name == "z":
@@ -337,7 +337,7 @@ def teleop(
         except Quit:
             pass
         finally:
-            with suppress(RobotctlError):  # the first failure is the one to tell
+            with suppress(RobotctlError):  # the first error is the one to report
                 session.let_go()
 
 
@@ -380,7 +380,7 @@ def _controls(button: int, axes: str) -> Controls:
     """Return the controls of a gamepad.
 
     Raises:
-        UsageError: There can be no such button or axis.
+        UsageError: The number of the button or of an axis is not possible.
     """
     numbers = axes.split(",")
     if len(numbers) != 2 or not all(n.isdecimal() and int(n) < MAX_INPUTS for n in numbers):

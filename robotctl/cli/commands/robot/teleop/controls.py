@@ -1,4 +1,4 @@
-"""What the operator wants now, by held keys or a gamepad, asked of the daemon again and again."""
+"""Turn held keys or a gamepad into the wanted motion, and request it again and again."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from robotctl.messages.definition import Definition, parse_definition
 from robotctl.messages.values import decode
 
 REPEAT_S: Final = MAX_SILENCE_S
-"""Without releases, a key that comes again within this time is held; no person types that fast."""
+"""Without releases, a key that repeats within this time [s] is held; nobody types that fast."""
 
 FIRST_REPEAT_S: Final = 0.8
-"""With releases, a key that does not repeat is let go. The longest usual delay is that of X11:
-660 ms; 600 ms with KDE, 500 ms with GNOME and Windows, 250 to 375 ms with macOS."""
+"""With releases, a key that does not repeat within this time [s] is let go. The longest usual delay
+is 660 ms (X11); 600 ms with KDE, 500 ms with GNOME and Windows, 250 to 375 ms with macOS."""
 
 NEXT_REPEAT_S: Final = 0.25
-"""So is one whose repeats stop: they come each 25 to 50 ms, 90 ms with macOS."""
+"""A key whose repeats stop for this time [s] is let go: they come every 25 to 50 ms, macOS 90."""
 
 AFTER_OTHER_S: Final = 3.0
-"""How long a key is held after the release of another: X11, Wayland and macOS repeat neither."""
+"""How long a key is held after another's release [s]: X11, Wayland and macOS then repeat none."""
 
 MAX_AT_ONCE: Final = 8
-"""More keys at once are no hand: the fastest repeat brings 5 in the longest silence."""
+"""More keys at once are pasted: the fastest repeat sends 5 within the longest silence."""
 
 
 class Wish(NamedTuple):
-    """Shares of the speeds that are chosen, -1 to 1: forward, and turning to the left."""
+    """The wanted motion, forward and turning left, each -1 to 1 times the chosen speed."""
 
     forward: float
     left: float
@@ -61,9 +61,9 @@ STOPPING: Final = frozenset(" eq")
 
 
 def typed(keys: list[Key], *, tells_releases: bool) -> list[Key]:
-    """Return the keys without text that no hand has typed, of which those that stop remain.
+    """Return the keys without pasted text; the keys in STOPPING always remain.
 
-    A terminal that tells releases sends no key as text. Elsewhere too much text at once is no hand.
+    A terminal that reports releases sends no key as text. Elsewhere, over MAX_AT_ONCE are pasted.
     """
     if not tells_releases and len(keys) <= MAX_AT_ONCE:
         return keys
@@ -71,25 +71,25 @@ def typed(keys: list[Key], *, tells_releases: bool) -> list[Key]:
 
 
 class Hands(Protocol):
-    """Hands on the keys of a terminal; `problem` says why keys were let go, "" for none."""
+    """The held keys of a terminal; `problem` says why keys were let go, or is ""."""
 
     problem: str
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Read the keys of this moment; return what they ask for, None without any key."""
+        """Process the keys read at `now_s`; return the wish to send, None if there is none."""
 
     def forget(self) -> None:
         """Let go of every key: each must be pressed again."""
 
 
 class HandsWithReleases:
-    """The hands on a terminal that tells releases: a key is held from its press to its release.
+    """The held keys of a terminal that reports releases: each is held from press to release.
 
-    It is let go earlier if it does not repeat: then its release may be lost, with the focus of the
-    window or in a multiplexer. Only the key that was pressed last repeats, so after another key
-    nothing does. Text presses nothing: its release would never come.
+    A key that does not repeat is let go earlier: its release may be lost, as when the window loses
+    the focus or in a multiplexer. Only the key that was pressed last repeats; after its release, no
+    key does. Text does not count as a press: its release would never come.
 
-    Each answer of the terminal asks for the held keys once more. Without any, the robot stops.
+    With each answer of the terminal the wish is sent again. Without answers, the robot stops.
     """
 
     def __init__(self) -> None:
@@ -100,7 +100,7 @@ class HandsWithReleases:
         self._patience_s = 0.0
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the sum of the held keys when it changes and with each answer, else None."""
+        """Return the sum of the held keys if it changed or an answer came, otherwise None."""
         for key in keys:
             if key.name != ANSWER and not key.is_text:
                 self._hear(key, now_s)
@@ -114,7 +114,7 @@ class HandsWithReleases:
         return wish if changes or any(key.name == ANSWER for key in keys) else None
 
     def forget(self) -> None:
-        """Let go of every key; a repeat of one that is still down counts for nothing."""
+        """Let go of every key; repeats of a key that is still down are ignored."""
         self._held.clear()
         self._wish = STAND
 
@@ -133,9 +133,9 @@ class HandsWithReleases:
 
 
 class HandsWithoutReleases:
-    """The hands on a terminal that sends a held key again and again, and no release.
+    """The held keys of a terminal that sends a held key again and again, and no release.
 
-    The first press moves nothing, for it may be the last. After pasted text, all must rest.
+    The first press moves nothing: it may be the only one. After pasted text, keys must rest first.
     """
 
     def __init__(self) -> None:
@@ -145,12 +145,12 @@ class HandsWithoutReleases:
         self._is_forgotten = False
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the wish of a key that has come again; None in each other moment."""
+        """Return the wish of the steering key if it has just repeated, otherwise None."""
         names = [key.name for key in keys if key.name in STEERING]
         is_pasted = len(keys) > MAX_AT_ONCE
         if not (names or is_pasted):
             return None
-        name = names[-1] if names else ""  # keys at once are no repeats: they may have waited
+        name = names[-1] if names else ""  # keys read together are no repeats: they may have waited
         is_soon = now_s - self._last_s <= REPEAT_S
         repeats = name == self._last and is_soon
         self._is_forgotten = is_pasted or (self._is_forgotten and is_soon)
@@ -158,7 +158,7 @@ class HandsWithoutReleases:
         return STEERING[name] if names and repeats and not self._is_forgotten else None
 
     def forget(self) -> None:
-        """Let go; a key that still repeats must rest first."""
+        """Let go; a key that still repeats must rest for REPEAT_S before it counts again."""
         self._is_forgotten = True
 
 
@@ -169,7 +169,7 @@ SILENT_S: Final = 1.0
 
 
 class Controls(NamedTuple):
-    """The numbers of the button that must be held, and of the axes: forward, to the left."""
+    """The indices in Joy of the button that must be held, and of the axes forward and left."""
 
     button: int = 4
     forward_axis: int = 1
@@ -177,9 +177,9 @@ class Controls(NamedTuple):
 
 
 class Gamepad:
-    """The gamepad of a topic. While it sends nothing, the robot stands, as after a release.
+    """A gamepad that publishes on a topic. While it sends nothing, the robot stands.
 
-    While one publisher is heard, those of others on the topic are ignored.
+    While one publisher sends, messages of other publishers on the topic are ignored.
     """
 
     def __init__(self, listener: MessageListener, topic: str, controls: Controls) -> None:
@@ -190,11 +190,11 @@ class Gamepad:
         self._is_forgotten = True
         self._publisher = ""
         self._heard_s = float("-inf")
-        self._is_down = True  # as long as nothing else is known
+        self._is_down = True  # assumed until a message says otherwise
         self._problem = ""
 
     def __str__(self) -> str:
-        """Say what to do, or why nothing moves."""
+        """Return what the operator has to do, or why nothing moves."""
         button = f"button {self._controls.button} of {self._topic}"
         if time.monotonic() - self._heard_s > SILENT_S:
             return f"nothing is heard on {self._topic}: connect the gamepad (see autorepeat_rate)"
@@ -204,7 +204,7 @@ class Gamepad:
         return f"{how} ({self._problem})" if self._problem else how
 
     def fileno(self) -> int:
-        """Return the descriptor that becomes readable when the gamepad says something."""
+        """Return the descriptor that becomes readable when a message arrives."""
         return self._listener.fileno()
 
     def forget(self) -> None:
@@ -212,7 +212,7 @@ class Gamepad:
         self._is_forgotten = True
 
     def take(self) -> Wish | None:
-        """Return what the last message wants, None if none is complete yet."""
+        """Return the wish of the newest message, None if no complete message has arrived."""
         ours = [each for each in self._listener.receive(0.0) if self._is_followed(each)]
         if not ours:
             return None
@@ -222,7 +222,7 @@ class Gamepad:
         return STAND if self._is_forgotten else wish
 
     def _is_followed(self, message: Mapping[str, Any]) -> bool:
-        """Return whether the message is of the gamepad that is followed; follow one if none is."""
+        """Return whether the followed publisher sent the message; if that one is silent, switch."""
         now_s = time.monotonic()
         if message["publisher"] != self._publisher:
             if now_s - self._heard_s <= MAX_SILENCE_S:
@@ -258,7 +258,7 @@ def _share(value: float) -> float:
 
 
 FIRST_SHARE, STEP = 0.5, 1.1
-"""The share of the limits at the start, and the factor of a step of it."""
+"""The share of the speed limits at the start, and the factor by which one step changes it."""
 
 CALL_S = 1.0
 """How long the daemon may take to answer; its robot stands long before."""
@@ -284,11 +284,11 @@ class Speeds:
             raise UsageError(f"--speed {speed_mps:g}", cure)
 
     def scale(self, factor: float) -> None:
-        """Multiply the speeds, within MIN_SPEED_MPS and the limits."""
+        """Multiply the speeds by `factor`, within MIN_SPEED_MPS and the limits."""
         self._share = min(max(self._share * factor, self._least), 1.0)
 
     def velocity(self, wish: Wish) -> tuple[float, float]:
-        """Return what is wanted [m/s, rad/s]; backwards, left and right stay where they are."""
+        """Return the velocity of a wish [m/s, rad/s]; `left` turns left when backing up, too."""
         return (
             wish.forward * self._share * self._linear_mps,
             wish.left * self._share * self._angular_rps,
@@ -302,8 +302,8 @@ class Speeds:
 class Holding:
     """The motion that is held; `message` says why the last one ended or was refused.
 
-    Where `silence_lets_go`, a silence is how the operator ends a motion, and the next wish begins
-    another one. Else it is a mishap, after which the operator must let go first.
+    With `silence_lets_go`, the operator ends a motion by a silence, and the next wish begins
+    another one. Without it, a silence is a fault, after which the operator must let go first.
     """
 
     def __init__(self, client: Client, params: Mapping[str, Any]) -> None:
@@ -321,7 +321,7 @@ class Holding:
         return self._number != 0
 
     def want(self, velocity: tuple[float, float]) -> bool:
-        """Begin or go on; return False where the motion was refused or ended by something else."""
+        """Begin or continue a motion [m/s, rad/s]; return False if it was refused or has ended."""
         now_s = time.monotonic()
         if self.silence_lets_go and now_s - self._sent_s >= MAX_SILENCE_S:
             self._number = 0

@@ -271,7 +271,7 @@ def hz(
 
 
 def statistics(times_ns: Sequence[int]) -> dict[str, Any] | None:
-    """Return rate [Hz] and periods [s] of messages with these times; None of fewer than two.
+    """Return rate [Hz] and periods [s] of messages with these times, None if they span no time.
 
     The periods are the shortest, the longest, and their standard deviation.
     """

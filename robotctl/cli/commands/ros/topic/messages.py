@@ -19,7 +19,7 @@ from robotctl.recording.table.topic_table import choose_topic
 
 
 class RecordedTopic:
-    """A topic of a recording, which `find_recording` finds by its name."""
+    """A topic of the recording that `find_recording` returns for `file`."""
 
     def __init__(self, file: str, topic: str, type_name: str) -> None:
         """Find the topic; a leading / may be left out.
@@ -69,7 +69,7 @@ class Printer:
             raise UsageError(str(error)) from None
 
     def print_json(self, data: bytes, time_ns: int, publish_ns: int) -> None:
-        """Print one line of JSON; `message` or, of a field, `value` is never shortened."""
+        """Print one line of JSON with the `message`, or the `value` of the field, unshortened."""
         key = "value" if self._steps else "message"
         told = {
             "topic": self._topic,

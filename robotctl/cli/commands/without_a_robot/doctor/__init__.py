@@ -51,7 +51,7 @@ def doctor(
 
 
 def _lines(removed: list[str], found: list[Finding]) -> Iterator[str]:
-    """Yield a line for each finding; what is wrong has a second line with its cure."""
+    """Yield a line for each finding, and a second line if it has a cure."""
     width = max((len(each.check) for each in found), default=0)
     order = {Level.OK: 0, Level.WARNING: 1, Level.FAULT: 2}
     if removed:

@@ -33,7 +33,7 @@ from robotctl.ipc.listener import remove_stale
 from robotctl.ipc.method_names import STATUS
 
 DEFINITIONS = {"msg": ("msg", "idl"), "srv": ("srv", "idl"), "action": ("action", "idl")}
-"""The files that define a type, by its kind."""
+"""The suffixes of the files that may define a type, by the kind of the type."""
 
 
 def diagnose(
@@ -55,7 +55,7 @@ def diagnose(
     wrong = [*_killed(), *(_hangs(each) for each in daemons if each.problem)] if usable else []
     ours = next((each for each in daemons if each.robot == robot), None)
     if domain_id is None and (not usable or (ours and ours.problem)):
-        domain_id = requested_domain(None) or 0  # no daemon tells its own
+        domain_id = requested_domain(None) or 0  # no daemon reports its domain
     disk = _disk(ours.status if ours else None)
     found = [*_computer(robot, chosen), *disk, *wrong, *_ros(robot, chosen, domain_id)]
     return [str(path) for path in removed], found
@@ -69,14 +69,14 @@ def _check_socket(robot: str) -> Iterator[Finding]:
 
 
 def _robots() -> Iterator[str]:
-    """Yield the robots that have a socket; other files in the folder are not of robotctl."""
+    """Yield the robots that have a socket; skip sockets whose name is not allowed for a robot."""
     for name in robots.names():
         with suppress(UsageError):
             yield check_robot_name(name)
 
 
 def _daemons() -> list[RobotDaemon]:
-    """Return all daemons; on a busy machine, each gets a second chance to answer."""
+    """Return all daemons; one that does not answer is asked again: the machine may be busy."""
     found = robots.find(_robots())
     answered = [each for each in found if not each.problem]
     return [*answered, *robots.find(each.robot for each in found if each.problem)]
@@ -88,7 +88,7 @@ def _hangs(daemon: RobotDaemon) -> Finding:
 
 
 def _disk(status: Status | None) -> Iterator[Finding]:
-    """Judge the folder in which the daemon records, else the one in which it would."""
+    """Check the disk of the folder in which the daemon records, or in which it would record."""
     file = status["recorder"]["file"] if status else ""
     if file:
         yield from machine.check_disk(Path(file).parent.parent, is_used=True)
@@ -104,17 +104,17 @@ def _killed() -> Iterator[Finding]:
 
 
 def dead_robots() -> list[str]:
-    """Return the robots whose socket is there, and whose lock no daemon holds."""
+    """Return the robots that have a socket, and whose lock no daemon owns."""
     found = []
     for robot in robots.names():
-        with suppress(UsageError):  # the name of no robot
+        with suppress(UsageError):  # not a name of a robot
             if not is_owned(lock_path(robot)):
                 found.append(robot)
     return found
 
 
 def _remove_sockets() -> list[Path]:
-    """Remove the sockets of killed daemons, each while its lock is held, and return them."""
+    """Remove the sockets of killed daemons, each while this process owns its lock; return them."""
     removed = []
     for robot in dead_robots():
         with suppress(AlreadyRunning, UsageError), owned(lock_path(robot), robot):
@@ -178,7 +178,7 @@ def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]
 
 
 def _check_daemons_range(daemons: str) -> Iterator[Finding]:
-    """Compare the daemon's discovery range with that of this shell, and take it from now on."""
+    """Compare the daemon's discovery range with this shell's; use the daemon's from now on."""
     if daemons != discovery_range():
         yield warning(
             "discovery",
@@ -197,7 +197,7 @@ def _topic(view: RosView, name: str, used: set[str]) -> GraphTopic:
 
 
 def _is_installed(type_name: str) -> bool:
-    """Return whether one of the ROS prefixes defines a type; a name like `a/msg/B` alone is one."""
+    """Return whether a ROS prefix defines the type; False for a name not like `a/msg/B`."""
     package, _, rest = type_name.partition("/")
     kind, _, name = rest.rpartition("/")
     folder, _, _ = kind.partition("/")
