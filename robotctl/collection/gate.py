@@ -201,7 +201,7 @@ class GateReport:
 
 
 def cause_of(result: Judgement) -> str:
-    """Return the verdict and its cause, or CHANGED and a cause if only other parameters matter."""
+    """Return `verdict: cause`, with CHANGED as verdict if only other parameters fail the gate."""
     if result.verdict not in FAILED and result.differs:
         failure = None if result.other is None else result.other.failure
         if failure is not None:

@@ -102,7 +102,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Commanded:
-    """What one kernel decided in a drive; the last five fields are None if it did not end."""
+    """What one kernel decided in a drive; the last five fields are None for an unfinished drive."""
 
     modes_s: dict[str, float]
     commanded_m: float
@@ -186,7 +186,7 @@ def change_of(found: Mapping[str, Any]) -> Change:
 
 
 def totals_of(changes: Iterable[Change]) -> Totals:
-    """Return the totals over recordings, each given by its Change."""
+    """Return the sums and maxima over recordings; `changes` holds one Change per recording."""
     all_changes = list(changes)
     drives = [drive for change in all_changes for drive in change.drives]
     before = [each.recorded for each in drives if each.recorded is not None]

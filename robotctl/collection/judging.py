@@ -170,11 +170,12 @@ class Judging:
     def judged(self, path: Path) -> Judged:
         """Return the stored result, or judge the recording and store the result.
 
-        If robotctl itself fails, the verdict is `crashed` and is not stored: the failure may come
-        from what is installed here.
+        If robotctl itself fails, the verdict is `crashed`. It is not stored, because the software
+        installed on this machine may be the cause.
 
         Raises:
-            Refused: This process has another robotctl, or the store cannot be read or written.
+            Refused: This process runs a different robotctl than the gate, or the store cannot be
+                read or written.
         """
         if software_hash() != self.software:
             raise Refused(

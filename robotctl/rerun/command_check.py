@@ -17,7 +17,7 @@ CUT = 3
 
 
 class CommandCheck:
-    """The comparison of commands and decisions by number, which 0.1.0 did not record."""
+    """Checks commands against decisions by number; only counts them if 0.1.0 made the recording."""
 
     def __init__(self, report: Report, clock: ClockChanges) -> None:
         self._report = report

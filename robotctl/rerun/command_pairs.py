@@ -214,7 +214,7 @@ class OtherCommands:
             self._waiting.append((t_ns, numbers))
 
     def settle(self, t_ns: int) -> None:
-        """Count messages as extra that are older than `NEAR_NS`: no other publisher was noticed."""
+        """Count messages that have waited longer than `NEAR_NS` as extra: no known sender."""
         while self._waiting and t_ns - self._waiting[0][0] > NEAR_NS:
             self._note_extra(self._waiting.popleft()[1])
 

@@ -75,7 +75,7 @@ class Comparison:
             )
 
     def same(self, recorded: str, value: object) -> bool:
-        """Return whether the recorded JSON text equals `value` by these rules."""
+        """Return whether the recorded JSON text equals `value` by the rules of this Comparison."""
         if recorded.encode() == _quick_json(value):
             return True
         mine = to_json(value)

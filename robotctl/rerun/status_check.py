@@ -77,7 +77,7 @@ class ShownModes:
         self._t_ns, self._offset_ns = t_ns, wall_ns - t_ns
 
     def change(self, mode: Mode, moments: Moments) -> None:
-        """Note the mode after a step; statuses may show the earlier mode until the step ends."""
+        """Note a new mode; a status may show the old mode or the new one until the step ends."""
         t_ns, begin_ns, end_ns = moments
         if self._spans:
             self._spans[-1].end_ns = t_ns + max(end_ns - begin_ns, 0)

@@ -50,7 +50,7 @@ def write_png(
     frame: Frame = TIME_FRAME,
     fine: float = TIME_FINE,
 ) -> None:
-    """Write figures one below the other, each in `frame` below its title, scaled by `fine`."""
+    """Write a PNG of the figures, stacked, each in `frame` below its title, enlarged by `fine`."""
     from PIL import Image, ImageDraw
 
     step = frame.height + TITLE_HEIGHT

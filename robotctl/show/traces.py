@@ -164,7 +164,7 @@ class Traces:
             self.drives.append(drive)
 
     def want(self, outline: list[Point]) -> None:
-        """Add a wanted path, unless it is empty or impossible, or there is no room."""
+        """Add a wanted path, or count it as left out if it is empty, out of range or too long."""
         has_room = sum(map(len, self.wanted)) + len(outline) <= MAX_WANTED_POINTS
         if outline and has_room and all(is_on_earth(x, y) for x, y in outline):
             self.wanted.append(outline)

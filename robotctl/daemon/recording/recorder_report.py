@@ -121,8 +121,9 @@ class TopicRows:
         self._joined = msgspec.Raw(b"[]")
 
     def encoded(self, topics: Sequence[TopicStats], rates: Mapping[TopicKey, float]) -> msgspec.Raw:
-        """Return the rows as a JSON list; unchanged counts must be the same objects as before.
+        """Return the rows as a JSON list; only the changed rows are encoded again.
 
+        `topics`, its items and `rates` are compared by identity, so each change needs a new object.
         A topic that is missing in `rates` has a rate of 0.
         """
         if topics is self._topics and rates is self._rates:

@@ -72,7 +72,7 @@ class Link:
         return _LINK_DOMAIN + self._fields()
 
     def record(self) -> bytes:
-        """Return the link as a record of a file."""
+        """Return the link encoded as an MCAP record."""
         content = self._fields() + self.signature
         return RECORD_HEAD.pack(LINK_OPCODE, len(content)) + content
 
@@ -120,7 +120,7 @@ class Opening:
         return _OPENING_DOMAIN + _json(values)
 
     def record(self) -> bytes:
-        """Return the opening as a record of a file."""
+        """Return the opening encoded as an MCAP record."""
         content = _json(asdict(self))
         return RECORD_HEAD.pack(OPENING_OPCODE, len(content)) + content
 

@@ -134,8 +134,9 @@ def absent_files(text: str, present: list[Path]) -> list[str]:
 def absent_names(text: str, present: list[Path]) -> list[str]:
     """Return the files that `metadata.yaml` lists and that are not in `present`.
 
-    A file also counts as present in its compressed or decompressed form. `text` must be read before
-    the folder is listed, because a daemon first adds a file and then its name.
+    A file also counts as present in its compressed or decompressed form. `text` is the content of
+    `metadata.yaml`; read it before listing the folder, because a daemon lists a file there only
+    after creating it.
     """
     names = {path.name.removesuffix(SUFFIX) for path in present}
     return [name for name in files_in(text) if name.removesuffix(SUFFIX) not in names]

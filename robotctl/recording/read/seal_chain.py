@@ -133,7 +133,7 @@ class KnownHeads:
             self._robots = sorted(each.name for each in state_folder().iterdir() if each.is_dir())
 
     def of_robot(self, robot: str) -> HeadsList:
-        """Return the list of a robot; it is empty if there is none."""
+        """Return a robot's list of sealed files, an empty one if it is missing or unreadable."""
         if robot not in self._lists:
             try:
                 self._lists[robot] = read_heads(seal_folder(check_robot_name(robot)))

@@ -136,10 +136,10 @@ class Keyring:
             return self._load_or_make()
 
     def open_file(self, file: str) -> SealOfFile:
-        """Make the key of a new file, and overwrite the key of the previous file.
+        """Make a key for a new file, overwriting the previous file's key; return the file's seal.
 
         Raises:
-            OSError, ValueError: The keys cannot be read or written: the file has no seal.
+            OSError, ValueError: The keys cannot be read or written, so the file gets no seal.
         """
         with self._locked():
             stored = self._load_or_make()
