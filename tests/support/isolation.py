@@ -41,8 +41,8 @@ PURE: Final[Collection[str]] = {
 ALLOWED: Final[Mapping[str, str]] = {
     r"environ PYTEST_CURRENT_TEST": "pytest sets it",
     r"cache .*\._provenance:": "what made a recording, once for each folder of a start",
-    r"descriptor \d+: not there -> /tmp/#\d+ \(deleted\)": "objects that the S3 server keeps",
-    r"descriptor \d+: not there -> .*/\.ros/log/": "rcl opens its log at the first message",
+    r"descriptor \d+: .* -> /tmp/#\d+ \(deleted\)": "objects that the S3 server keeps",
+    r"descriptor \d+: .* -> .*/\.ros/log/": "rcl opens its log at the first message",
     r"descriptor \d+: .*socket:": "connections that the library of the stores keeps for a while",
     r"thread .*\(process_request_thread\)": "the other end of those connections",
     r"(thread|child|descriptor|cache) .* -> gone": "it belonged to what a fixture of the run did",
