@@ -244,7 +244,8 @@ def _is_frame(value: object, *, optional: bool) -> bool:
     return isinstance(value, str) and bool(_FRAME.fullmatch(value) or (optional and not value))
 
 
-_log = logging.getLogger(__name__)
+log_warning: Callable[[str], object] = logging.getLogger(__name__).warning
+"""Logs a warning that nobody else is told."""
 
 
 def check_together(kernel: KernelParams) -> None:
@@ -256,11 +257,6 @@ def check_together(kernel: KernelParams) -> None:
     clash = conflict(kernel)
     if clash is not None:
         raise not_allowed(*clash)
-
-
-def log_warning(sentence: str) -> None:
-    """Log a warning; the default for the parameter `warn`."""
-    _log.warning(sentence)
 
 
 def warn_of_retired(key: str, warn: Callable[[str], object], where: str = "") -> bool:

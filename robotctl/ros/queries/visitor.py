@@ -34,7 +34,7 @@ class Visitor(Membership):
         super().__init__(domain_id, f"{LOOK_NODE}{os.getpid()}")
 
     def settle(self) -> None:
-        """Wait until every process in the domain is discovered, until SETTLE_S after joining."""
+        """Wait until every process in the domain is discovered, at most SETTLE_S after joining."""
         self.discover(lambda: False)
 
     def discover(self, is_known: Callable[[], bool], *, expected: bool = False) -> bool:
