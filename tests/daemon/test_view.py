@@ -226,19 +226,22 @@ async def driven_through(client: ViewClient, world: World, command: str) -> None
 
 
 async def driven_until_it_moves(client: ViewClient, world: World) -> None:
-    """Publish a velocity at 40 Hz until the robot moves; let go where the view asks for it.
+    """Publish a velocity at 40 Hz until the robot moves; let go each second, for longer each time.
 
-    On a busy machine this process may be silent for too long.
+    On a busy machine this process may be silent for too long, and the view may read late what was
+    published before the pause.
     """
-    told = len(client.op("status"))
     waiting = asyncio.create_task(
         asyncio.to_thread(until, lambda: world.status()["mode"] == "MOVING")
     )
+    pause_s = LET_GO_S + 0.1
     while not waiting.done():
-        if len(client.op("status")) > told:
-            told = len(client.op("status"))
-            await client.receive_for(LET_GO_S + 0.1)
-        await driven_for(client, 0.1)
+        for _ in range(10):
+            if not waiting.done():
+                await driven_for(client, 0.1)
+        if not waiting.done():
+            await client.receive_for(pause_s)
+            pause_s *= 1.5
     await waiting
 
 
