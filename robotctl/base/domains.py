@@ -24,7 +24,7 @@ _PORT_BASE, _PORTS_PER_DOMAIN = 7400, 250
 """The well-known ports of a domain (DDSI-RTPS 2.5, 9.6.2.3, Well-known Ports)."""
 
 _FIRST_OWN_PORT = 10
-"""The offset of the first participant's ports; each has two, the even port for discovery."""
+"""The offset of the first participant's ports; each participant has two, the even for discovery."""
 
 _RESERVATION = 9
 """The offset of the port that reserves a domain; DDS does not use it."""

@@ -101,8 +101,7 @@ def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[d
 def limit_discovery() -> None:
     """Limit discovery to this machine, unless the user has chosen otherwise.
 
-    ROS_LOCALHOST_ONLY, the variable of Humble, is translated: rcl still follows it, but prints a
-    warning in every process.
+    ROS_LOCALHOST_ONLY, the variable of Humble, is translated, because rcl would warn about it.
     """
     if os.environ.pop("ROS_LOCALHOST_ONLY", "") == "1":
         os.environ[RANGE] = "LOCALHOST"

@@ -104,7 +104,7 @@ class NotSealed(RobotctlError):
 
 
 class AlreadyRunning(RobotctlError):
-    """A start while another process owns the robot's name; the text names it if it is known."""
+    """A start while another process has the robot's lock or socket; its pid is named if known."""
 
     exit_code = 5
     kind = "already_running"
@@ -118,7 +118,7 @@ class UnreadableFile(RobotctlError):
 
 
 class Divergence(RobotctlError):
-    """A re-run that decided differently from the recording, or found a broken promise."""
+    """A re-run that decided differently, or a check that found a broken rule or wrong content."""
 
     exit_code = 7
     kind = "divergence"

@@ -126,10 +126,7 @@ def socket_path(robot: str) -> Path:
 
 
 def lock_path(robot: str) -> Path:
-    """Return the path of the lock file; the process that holds its flock is the robot's daemon.
-
-    The file contains the pid of the owner.
-    """
+    """Return the path of the lock file: the robot's daemon holds its flock, and writes its pid."""
     return runtime_folder() / f"{check_robot_name(robot)}.lock"
 
 
@@ -144,10 +141,7 @@ def log_path(robot: str) -> Path:
 
 
 def latch_path(robot: str) -> Path:
-    """Return the path of the file that latches EMERGENCY_STOP while it exists.
-
-    The file contains the reason.
-    """
+    """Return the path of the file that latches EMERGENCY_STOP; it contains the reason."""
     return robot_state_folder(robot) / "emergency-stop"
 
 

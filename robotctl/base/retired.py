@@ -2,8 +2,7 @@
 
 A retired command or option is refused with that text. A retired configuration key causes one
 warning and is ignored. A retired journal field is ignored if it has its default.
-An entry is kept for one version; an entry about journals is kept forever, because old recordings
-stay readable.
+An entry is kept for one version; one about journals forever, as old recordings stay readable.
 """
 
 from __future__ import annotations

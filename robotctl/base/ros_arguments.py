@@ -94,7 +94,7 @@ class RosArguments:
     """The parsed arguments in their order; `namespace` is None if no argument sets it.
 
     `settings` holds parameters and parameter files. In `settings` and `log_levels`, later items
-    override earlier ones. `node_names` maps a node's usual name to the new one; "" is every node.
+    override earlier ones. `node_names` maps a node's usual name ("": every node) to its new name.
     """
 
     settings: tuple[Assignment | Path, ...] = ()

@@ -16,7 +16,7 @@ from robotctl.base.own_process import open_standard_streams
 def main() -> None:
     """Run the command line of this process, and exit."""
     open_standard_streams()
-    gc.disable()  # imports make no garbage; collecting adds a tenth to their time
+    gc.disable()  # imports make no garbage; collection slows them by a tenth
     sys.exit(run(sys.argv[1:]))
 
 
@@ -24,7 +24,7 @@ def run(arguments: list[str]) -> int:
     """Run one command line, and return the exit code."""
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
-    as_json = _wants_json(arguments)  # before a parser consumes the list
+    as_json = _wants_json(arguments)  # now, because a parser consumes the list
     # Python sets a stream to None if it was closed when the process started.
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
@@ -77,8 +77,8 @@ ENDS_OF_OPTIONS = ("--", "--ros-args")
 def behind_the_command(arguments: list[str]) -> list[str]:
     """Move --robot and --json from before the command to the end of its options.
 
-    `--robot r2 topic list` becomes `topic list --robot r2`. Another option before the command
-    stays where it is, with everything after it.
+    `--robot r2 topic list` becomes `topic list --robot r2`. If any other option stands before the
+    command, nothing is moved.
     """
     at = 0
     while at < len(arguments):

@@ -57,10 +57,10 @@ def set_mode(mode: str, robot: str, as_json: bool, reason: str = "") -> None:
 
 
 def estop(robot: str, as_json: bool, reason: str = "", every: bool = False) -> None:
-    """Latch the emergency stop, of `every` robot of this user or of one.
+    """Latch the emergency stop of `robot`; if `every`, of all robots of this user.
 
     Raises:
-        UsageError: The reason is not allowed; the robot was stopped without it.
+        UsageError: The reason is not allowed; the stop was latched, without a reason.
         RobotctlError: A robot was not stopped.
     """
     if every:
@@ -79,7 +79,7 @@ def estop(robot: str, as_json: bool, reason: str = "", every: bool = False) -> N
 
 
 def _others_than(robot: str) -> dict[str, list[str]]:
-    """Return the names of other robots that move, and of those that do not report a status."""
+    """Return two lists of other robots: those that move, and those that report no status."""
     from robotctl.cli.targets.robots import others_than
 
     found = others_than(robot)
@@ -106,7 +106,7 @@ def _estop_all(as_json: bool, reason: str) -> None:
 
 
 def _stopped(command: str, robot: str, reason: str) -> tuple[ModeAnswer, UsageError | None]:
-    """Stop the robot, even with a wrong reason; return the answer, and that error or None."""
+    """Latch the emergency stop; return the answer, and the error if the reason is not allowed."""
     params, problem = _asked_by_or_why_not(command, reason)
     return call(robot, SET_MODE, {"mode": EMERGENCY_STOP_MODE, **params}), problem
 
@@ -149,7 +149,7 @@ def stop_daemon(robot: str) -> Stopped:
 
 
 def mode_number(text: str) -> int:
-    """Return the number of a mode given by name, in any case, with - or _, or as 0 to 3.
+    """Return the number of a mode; `text` is its name (any case, with - or _) or its number.
 
     Raises:
         UsageError: There is no such mode.

@@ -91,7 +91,7 @@ OTHER_WORDS = {
 
 
 def other_words() -> dict[str, str]:
-    """Return OTHER_WORDS, and the motions of `robotctl drive`."""
+    """Return OTHER_WORDS, and for each motion such as `square`, the command that drives it."""
     from robotctl.cli.commands.robot.drive import MOTIONS
 
     return OTHER_WORDS | {word: f"`robotctl drive {word}`" for word in MOTIONS}
@@ -118,10 +118,12 @@ class LazyGroup(TyperGroup):
                 )
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return the command of that name, or None; an unknown name loads all, for a suggestion.
+        """Return the command of that name, or None if there is none.
+
+        In that case all commands are loaded, so that typer can suggest one of them.
 
         Raises:
-            UsageError: The word is retired, or of ros2 or another tool; the error names ours.
+            UsageError: It is a retired name or one of `other_words`; the error names the right one.
         """
         if cmd_name not in COMMANDS:
             if cmd_name in retired.COMMANDS:

@@ -155,12 +155,12 @@ def _verified_stamps(
 def write_catalogue(
     targets: Iterable[Path], before: str | None, kept: Collection[str], indexes: Sequence[Path]
 ) -> Path:
-    """Write a catalogue of the recordings `kept` from the catalogue `before`, and of `indexes`.
+    """Write a catalogue: the recordings in `indexes`, and from the catalogue `before` the `kept`.
 
-    Returns the first of `targets` that can be written.
+    Write it to the first of `targets` that can be written, and return this path.
 
     Raises:
-        Refused: None of them can be written.
+        Refused: None of the targets can be written.
     """
     parts = []
     if before is not None:
@@ -210,8 +210,7 @@ def catalogue_of(
 ) -> Iterator[Catalogue]:
     """Index the changed recordings of a folder, and yield the folder's catalogue.
 
-    If the folder cannot be written or its disk is full, the catalogue is a temporary file that is
-    removed after the block.
+    If the folder cannot be written or is full, the catalogue is a temporary file for the block.
 
     Raises:
         OSError: The folder cannot be listed.
@@ -270,8 +269,8 @@ def _opened(path: Path, stack: ExitStack) -> str | None:
 def _stamps(folder: Path, known: Stamps) -> tuple[Stamps, list[str]]:
     """Return the stamp of each recording directly below a folder, and sentences on those left out.
 
-    A recording with its `known` stamp is complete. If another one is still being recorded, its
-    stamp covers its closed files only. Links are not followed.
+    If a recording is still being made, its stamp covers only its closed files. One whose stamp is
+    the `known` one is not examined for this: it is complete. Links are not followed.
     """
     stamps: Stamps = {}
     left_out = []

@@ -29,7 +29,7 @@ CONNECT_S: Final = 10.0
 """How long the gate waits for its first connection to the scheduler."""
 
 PATIENCE_S: Final = 60.0
-"""How long the gate waits for a lost scheduler, and for a first worker: a restart may last this."""
+"""How long the gate waits for a lost scheduler or a first worker; a restart may take this long."""
 
 _CHECK_S: Final = 5.0
 """After this time without an answer, the gate checks whether there are still workers."""
@@ -72,7 +72,7 @@ class Cluster:
         """Judge recordings on the workers; a restarted scheduler gets the unfinished ones again.
 
         Raises:
-            Refused: The scheduler or its workers are gone for too long, or a worker has another
+            Refused: The scheduler or all workers are away for too long, or a worker has a different
                 robotctl, or does not see the recordings or the results.
         """
         left = dict.fromkeys(recordings)

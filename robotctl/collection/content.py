@@ -28,10 +28,7 @@ class BeingWritten(UnreadableFile):
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """The content of a recording at one moment.
-
-    `digest` is the SHA-256 over the names and contents of its files.
-    """
+    """The content of a recording at one moment: a SHA-256 over its files' names and contents."""
 
     digest: str
     _marks: tuple[tuple[int, ...], ...]
@@ -41,7 +38,7 @@ class Content:
         """Check that the files have not changed since the content was read.
 
         Raises:
-            OSError: A file is gone or cannot be examined.
+            OSError: A file does not exist any more or cannot be examined.
             UnreadableFile: A file has changed.
         """
         if tuple(_marks(path)) != self._marks:
@@ -86,8 +83,7 @@ def _marks(path: Path) -> Iterator[tuple[int, ...]]:
 def software_hash() -> str:
     """Return the SHA-256 over all modules of robotctl, its version, Python and the C library.
 
-    A check compares numbers exactly only if the recording was made with the same Python and C
-    library.
+    A check compares numbers exactly only if Python and C library are those of the recording.
     """
     package = Path(robotctl.__file__).parent
     digest = hashlib.sha256(f"{robotctl.__version__}\n{MADE_BY}\n".encode())

@@ -1,4 +1,4 @@
-"""DuckDB in memory, closed to the network and to all files but those it is given."""
+"""DuckDB in memory, without access to the network or to files other than those it is given."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def file_of(stream: IO[bytes]) -> str:
 
 
 def _remove_abandoned(target: Path) -> None:
-    """Remove unfinished copies of `target` that killed processes left; if it is a link, it, too."""
+    """Remove unfinished copies of `target` that killed processes left, and `target` if a link."""
     with suppress(OSError):
         if target.is_symlink():
             target.unlink()

@@ -33,7 +33,7 @@ from robotctl.collection.judging import Engine, Judging, ResultStore, judge_here
 MAX_BYTES: Final = 64 << 20
 
 FORMAT: Final = 2
-"""The format of a baseline; older files without it could accept changes that no person had seen."""
+"""The format of a baseline. Files without one are older, and may accept changes nobody has seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,16 +134,15 @@ def _key(recording: str, settings: Mapping[str, str], outcome: str) -> _Key:
 
 
 CHANGED: Final = "changed"
-"""Begins the cause of a recording in which only other parameters change modes or answers."""
+"""The first word of a cause: the recording fails only because of the other parameters."""
 
 
 @dataclass(slots=True)
 class GateReport:
     """The judgement of each recording by its path, in the order in which they were given.
 
-    `stored` counts the results that were in the store before. `lost` are recordings whose process
-    was killed twice, or that cannot be read. `live` are recordings that are still being written:
-    they are not judged.
+    `lost` are the recordings whose process was killed twice, or that cannot be read. `live` are
+    those still being written: they are not judged. `stored` counts the results found in the store.
     """
 
     results: dict[Path, Judgement] = field(default_factory=dict)
@@ -201,7 +200,7 @@ class GateReport:
 
 
 def cause_of(result: Judgement) -> str:
-    """Return `verdict: cause`, with CHANGED as verdict if only other parameters fail the gate."""
+    """Return `verdict: cause`; the verdict is CHANGED if it fails only with other parameters."""
     if result.verdict not in FAILED and result.differs:
         failure = None if result.other is None else result.other.failure
         if failure is not None:

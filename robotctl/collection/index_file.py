@@ -193,17 +193,17 @@ def closed_files(files: Iterable[Path | str]) -> list[Path]:
     """Return the files of a recording that no process is writing, in natural order.
 
     Raises:
-        OSError: One cannot be opened.
+        OSError: A file cannot be opened.
     """
     paths = sorted(map(Path, files), key=natural_order)
     return [each for each in paths if not is_being_written(each)]
 
 
 def stamp_of(files: Iterable[Path | str]) -> str:
-    """Return a hash of the files' names, sizes and mtimes, with LAYOUT in front.
+    """Return the stamp of an index: LAYOUT, then a hash of the files' names, sizes and mtimes.
 
     Raises:
-        OSError: One is gone.
+        OSError: A file does not exist any more.
     """
     stats = ((os.path.basename(each), os.lstat(each)) for each in files)
     listed = sorted((name, stat.st_size, stat.st_mtime_ns) for name, stat in stats)

@@ -56,7 +56,7 @@ VELOCITY = "velocity"
 STOPS = (Mode.ERROR, Mode.EMERGENCY_STOP)
 
 _DIGEST = "digest"
-"""The key of the hash over all modules in the software record."""
+"""In the software record, the key of the hash over all modules of robotctl."""
 
 
 def rows_of(
@@ -120,19 +120,19 @@ def _recorded_events(info: RecordingInfo) -> Iterator[EventRow]:
 
 
 class _History:
-    """Reads the journal once; a kernel repeats its decisions to get pose and error."""
+    """Reads the journal once; a kernel repeats the decisions, which gives pose and error."""
 
     def __init__(self, recording: Recording, info: RecordingInfo) -> None:
         self._recording = recording
         self._robot = info.metadata.get(INFO_RECORD, {}).get("robot", "")
         self._offset_ns = 0
-        """Added to a steady time, gives the time since the epoch."""
+        """The time since the epoch at steady time 0 [ns]."""
 
         self._kernel: Kernel | None = None
         self._mode: Mode | None = None
         self._asked: dict[int, DriveRequested | ModeRequested] = {}
         self._drives: dict[int, DriveRow] = {}
-        """By the id of the drive's request, in the order of `DriveRow.drive`."""
+        """The row of each drive by the id of its request, in the order of `DriveRow.drive`."""
 
         self._present: int | None = None
         self._sampled_ns = 0

@@ -47,7 +47,7 @@ class Typed(Generic[Kind]):
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """A number under the recorded parameters, and under the other ones (`what_if`)."""
+    """A number with the recorded parameters, and with the other parameters (`what_if`)."""
 
     recorded: float
     what_if: float
@@ -82,7 +82,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class OtherAnswer:
-    """A request that gets another answer."""
+    """A request that gets a different answer with the other parameters."""
 
     after_s: float
     request_id: int
@@ -122,7 +122,7 @@ class Commanded:
 
 @dataclass(frozen=True, slots=True)
 class DriveChange:
-    """A drive under both sets of parameters; a side is None if the drive did not begin there."""
+    """A drive by the `recorded` parameters and by others (`what_if`), None if it did not begin."""
 
     drive: int
     request_id: int
@@ -133,7 +133,7 @@ class DriveChange:
 
     @property
     def ends_otherwise(self) -> bool:
-        """Whether only one side begins it, or completion, cause or mode at its end differ."""
+        """Whether it begins on one side only, or its ends differ in completion, cause or mode."""
         mine, theirs = self.recorded, self.what_if
         return mine is None or theirs is None or mine.end != theirs.end
 
@@ -227,7 +227,8 @@ def outcome_of(
 ) -> str:
     """Return the SHA-256 over a verdict, all findings of the check, and what settings change.
 
-    It does not depend on the recording's folder, nor on the version that finds the same.
+    It does not depend on the recording's folder. Two versions of robotctl that find the same give
+    the same hash.
     """
     found = None if report is None else report.divergence
     parts = {
@@ -259,9 +260,9 @@ def _missing(report: Report) -> list[str]:
 VerdictName = Literal["diverged", "broken", "crashed", "incomplete", "unfit", "unreadable", "same"]
 """The verdicts of `replay --check` and three more, the most severe first.
 
-In the gate a recording is `diverged` whatever version recorded it. `crashed`: robotctl itself fails
-on it. `unfit`: its parameters conflict with the other ones. `unreadable`: the check, or the run
-with other parameters, cannot read it.
+In the gate a recording may be `diverged` whatever version recorded it. `crashed`: robotctl itself
+fails on it. `unfit`: its parameters conflict with the other parameters to be tried. `unreadable`:
+the check, or the run with the other parameters, cannot read it.
 """
 
 VERDICTS: Final[tuple[VerdictName, ...]] = VerdictName.__args__  # type: ignore[attr-defined]
@@ -278,10 +279,11 @@ _NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 class Judgement:
     """What the gate knows of one recording.
 
-    `recording` is the SHA-256 of its files and `software` that of robotctl. `says` is the first
-    finding as a sentence, and `cause` the same without its numbers; both are "" if nothing is
-    wrong. `outcome` is the SHA-256 over all findings. `other` is what other parameters change, None
-    if none were given.
+    - `recording`: the SHA-256 of its files. `software`: the SHA-256 of robotctl.
+    - `says`: the first finding as a sentence, "" if nothing is wrong.
+    - `cause`: the same sentence without its numbers.
+    - `outcome`: the SHA-256 over all findings.
+    - `other`: what other parameters change, None if none were given.
     """
 
     recording: str
@@ -315,7 +317,7 @@ def judge(path: Path, settings: Mapping[str, str], content: Content | None = Non
 
     Raises:
         OSError: A file cannot be read.
-        UnreadableFile: There are no files, a part cannot be read, or a process changes them.
+        UnreadableFile: There are no files, a part of one cannot be read, or a file changes.
     """
     content = content or read_content(path)
     with noted_read_failures() as failures:

@@ -200,7 +200,7 @@ class Judging:
         return Judged(self.store.put(found))
 
     def stored(self, path: Path) -> Judged | None:
-        """Return the stored result or why the recording cannot be read, None without a result.
+        """Return the stored result, or why the recording cannot be read, or None if none is stored.
 
         Raises:
             Refused: The store cannot be read.

@@ -1,7 +1,7 @@
 """What `sync` copies: the recordings of a folder, or those below a URL.
 
-Recordings of other recorders are copied, too; only robotctl's own may be removed. Each file that
-cannot be copied is reported.
+Recordings of other recorders are copied, too, but never removed. Each file that cannot be copied is
+reported.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ REPLACED: Final = (METADATA_FILE, INDEX_FILE)
 """Files that are generated from the data; a newer one replaces an older copy."""
 
 YOUNG_NS: Final = 60 * NS_PER_S
-"""Other recorders hold no lock: a file without an end is finished if unchanged for this time."""
+"""Other recorders hold no lock: a file without end counts as finished if this long unchanged."""
 
 OF_THE_SYSTEM: Final = "lost+found"
 """A folder at the top of many disks that only root can read; it is no recording."""
@@ -49,7 +49,7 @@ _PLAIN: Final = re.compile(r"[A-Za-z0-9_+=@-][A-Za-z0-9_.+=@-]*")
 _RENAME: Final = "rename it: letters, digits and _ . + = @ - only"
 
 _DEPTH: Final = 3
-"""The parts of the longest key, RECORDING/clips/FILE."""
+"""The number of parts of the longest key, RECORDING/clips/FILE."""
 
 Pace = Callable[[int], None]
 """Called with a number of bytes before they are sent or read back, and with 0 between local reads.
@@ -94,7 +94,7 @@ class LocalFile:
 
         Raises:
             UnreadableFile: The file cannot be read.
-            FileChanged: The content does not have this hash; raised after the last piece.
+            FileChanged: The content does not have the hash `sha256`; raised after the last piece.
         """
         digest = hashlib.sha256()
         with open_regular_file(self.path) as file:
@@ -127,7 +127,7 @@ class StoredFile:
         """Return the file with the hash and mtime from the object's metadata, if they are there.
 
         Raises:
-            StoreError: The store fails, or the object is gone.
+            StoreError: The store fails, or the object does not exist any more.
         """
         return StoredFile(self.key, self.store, self.store.head(self.found.key))
 
@@ -136,11 +136,11 @@ class StoredFile:
         return self.found.sha256 or hash_in(self.found.key)
 
     def content(self, sha256: str) -> Iterator[bytes]:
-        """Yield the content in pieces.
+        """Yield the content in pieces; if `sha256` is "", the content is not checked.
 
         Raises:
             StoreError: The store fails, or the object changes.
-            WrongContent: The hash is another one, known after the last piece; "" is not checked.
+            WrongContent: The content does not have the hash `sha256`; raised after the last piece.
         """
         digest = hashlib.sha256()
         for begin in range(0, self.size_bytes, STORED_PIECE_BYTES):
@@ -197,8 +197,8 @@ def open_regular_file(path: Path) -> Iterator[FileIO]:
 def stored_recordings(place: str) -> list[OfferedRecording]:
     """Return the recordings below a URL, or in a folder in the layout RECORDING/SHA256/FILE.
 
-    `place` is a folder of recordings, one recording, or one MCAP file. If several objects have one
-    name, the newest counts.
+    `place` is a folder of recordings, one recording, or one MCAP file. If several objects are
+    copies of the same file, the newest counts.
 
     Raises:
         StoreError: The store cannot be listed, or there is no such file.

@@ -68,7 +68,7 @@ class Synced:
 
     problems: list[str] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
-    """A sentence for each file whose object in the store has other content."""
+    """A sentence for each file whose object in the store does not have the same content."""
 
     @property
     def copied_bytes(self) -> int:
@@ -231,9 +231,9 @@ def _is_replaced(key: str) -> bool:
 
 
 def _has_as_new(there: Sequence[StoredObject], here: LocalFile | StoredFile) -> bool:
-    """Return whether one of the objects has the size of the file, and is not older.
+    """Return whether one of the objects has the size of the file, and is not older than the file.
 
-    A listing has the time of storing; only the stamp has the time at which the file was written.
+    A listed file in a store has the time of its storing; its stamp has the time of its writing.
     """
     same = [each for each in there if each.size_bytes == here.size_bytes]
     if isinstance(here, StoredFile) and any(each.modified_ns < here.modified_ns for each in same):
@@ -316,7 +316,7 @@ def _read_back(
 
     Raises:
         StoreError: The store fails.
-        UnreadableFile: It is not there, or the file cannot be read.
+        UnreadableFile: The object is not there, or the file cannot be read.
         WrongContent: The store has other content.
     """
     if not found:

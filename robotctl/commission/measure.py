@@ -23,7 +23,7 @@ _EVENTS = (OdomReceived.__name__, DriveRequested.__name__)
 
 
 class TrialSample(NamedTuple):
-    """A sample of odometry: its arrival (steady time), pose, and delay from stamp to arrival."""
+    """A sample of odometry: steady time of arrival, pose, and age of its stamp on arrival."""
 
     t_s: float
     pose: Pose
@@ -31,7 +31,7 @@ class TrialSample(NamedTuple):
 
 
 class TrialCommand(NamedTuple):
-    """A command that was sent, at a steady time."""
+    """A velocity command, and the steady time at which it was sent."""
 
     t_s: float
     linear_mps: float
@@ -54,15 +54,15 @@ class Motion:
 
     @property
     def wanted(self) -> float:
-        """The requested speed [m/s], or of a turn its rate [rad/s]."""
+        """The requested speed [m/s]; for a turn, the requested rate [rad/s]."""
         return self.held.angular_rps if self.is_turn else self.held.linear_mps
 
     def sent(self) -> list[tuple[float, float]]:
-        """Return time and speed of each command, or of a turn time and turn rate."""
+        """Return time [s] and speed [m/s] of each command; for a turn, time and rate [rad/s]."""
         return [(c.t_s, c.angular_rps if self.is_turn else c.linear_mps) for c in self.commands]
 
     def way(self) -> list[tuple[float, float]]:
-        """Return time and distance [m] (turn: angle [rad]) from the first sample to each sample."""
+        """Return each sample's time [s] and its way from the first sample: [m], in a turn [rad]."""
         begin = self.samples[0].pose if self.samples else ORIGIN
         if not self.is_turn:
             return [(each.t_s, begin.express(each.pose).x) for each in self.samples]
@@ -82,7 +82,7 @@ class Trial:
     motions: list[Motion] = field(default_factory=list)
 
     def begin(self, held: Held, t_s: float) -> None:
-        """Begin the next motion; its first sample is the last one before, at standstill."""
+        """Begin the next motion; its first sample is the newest so far, from before it moves."""
         self.motions.append(Motion(held, t_s, samples=self.samples[-1:]))
 
     def sample(self, sample: TrialSample) -> None:
@@ -92,16 +92,16 @@ class Trial:
             self.motions[-1].samples.append(sample)
 
     def command(self, command: TrialCommand) -> None:
-        """Add a command that was sent."""
+        """Add a command that was sent, unless no motion has begun."""
         if self.motions:
             self.motions[-1].commands.append(command)
 
 
 def read_trial(path: Path) -> Trial:
-    """Return the odometry and the motions of a recording.
+    """Return the odometry and the motions in the journal of a recording.
 
     Raises:
-        UnreadableFile: A part of it cannot be read.
+        UnreadableFile: A part of the recording cannot be read.
     """
     trial = Trial()
     with Recording(path) as recording:
@@ -131,21 +131,21 @@ def _refuse(missing: str) -> None:
 
 
 STEADY_S = 0.8
-"""The last part of a motion before its last command; the base has reached its speed by then."""
+"""The base counts as steady in this time before the last command at the wanted speed."""
 
 STANDS_S = 0.4
-"""The last part of a motion's odometry, in which the base must stand."""
+"""How long the base must stand at the end of a motion's odometry."""
 
 MOVES_SHARE = 0.2
-"""A base moves if its speed is more than this share of the command."""
+"""A base moves if its speed is at least this share of the commanded one."""
 
 NEAR_S = 0.02
-"""A base has stopped once it is closer to its final position than it drives in this time."""
+"""A base stands once its distance to the final position is less than its way in this time."""
 
 MIN_SAMPLES = 3
 
 CLOCKS_DIFFER_S = 1.0
-"""An odometry delay above this, or below zero, counts as the difference of two clocks."""
+"""An odometry delay above this, or below zero, counts as the offset between two clocks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,33 +161,33 @@ class Turned:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """The properties of a base: distances [m] and times, measured by odometry.
-
-    `odometry_delay_s` is the median time from stamp to arrival; if the clocks differ, it is None
-    and `clock_offset_s` is that time. `command_delay_s` is how far the measured motion lags behind
-    the command: all delays and the lag of the base. `stopping_m` and `stopping_s` are from the zero
-    command to the standstill. `base_timeout_s` is how long the base moves on without a command,
-    None if it was still moving after `quiet_s`. `turn` is None if the base cannot turn on the spot,
-    like a car.
-    """
+    """The properties of a base, measured by odometry."""
 
     odometry_hz: float
     odometry_gap_s: float
+    """The longest time between two samples of odometry."""
     odometry_delay_s: float | None
+    """The median time from stamp to arrival, None if the clocks of base and daemon differ."""
     clock_offset_s: float
+    """The median time from stamp to arrival if the clocks differ, else 0."""
     commanded_mps: float
     reached_mps: float
     command_delay_s: float
+    """How far the measured motion lags behind the command: all delays, and the lag of the base."""
     stopping_m: float
+    """The way from the zero command to the standstill."""
     stopping_s: float
+    """The time from the zero command to the standstill."""
     base_timeout_s: float | None
+    """How long the base moves on without a command, None if it still moved after `quiet_s`."""
     quiet_s: float
     turn: Turned | None
+    """None if the base cannot turn on the spot, like a car."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """The distance of a base at constant speed [m/s or rad/s]: speed * (t - since)."""
+    """A motion at constant speed [m/s or rad/s]: at time t, the way is speed * (t - since)."""
 
     speed: float
     since_s: float
@@ -197,10 +197,10 @@ class _Line:
 
 
 def measured(trial: Trial) -> Measured:
-    """Measure a base from three motions, ended by zero, by silence, and (a turn) by zero.
+    """Measure a base from two straight motions, stopped by zero and by silence, then a turn.
 
     Raises:
-        Refused: There are other motions, too few samples, or the base did not move or stop.
+        Refused: There are other motions or too few samples, or the base did not move or stop.
     """
     kinds = [(motion.is_turn, motion.held.quiet_s > 0.0) for motion in trial.motions]
     if kinds != [(False, False), (False, True), (True, False)]:
@@ -231,7 +231,7 @@ def _turned(motion: Motion) -> Turned | None:
     """Return the properties of a turn, None if the base did not turn.
 
     Raises:
-        Refused: There are too few samples, or the base did not stop or turned the other way.
+        Refused: There are too few samples, or the base turned the other way or did not stop.
     """
     line = _line(motion)
     if line.speed <= -MOVES_SHARE * motion.wanted:
@@ -247,17 +247,17 @@ def _turned(motion: Motion) -> Turned | None:
 
 
 def _last_s(motion: Motion) -> float:
-    """Return the time of the last command with the wanted velocity."""
+    """Return the time [s] of the last command with the wanted velocity."""
     return max((t_s for t_s, value in motion.sent() if value == motion.wanted), default=0.0)
 
 
 def _delay_s(motion: Motion, line: _Line) -> float:
-    """Return how far the motion lags behind the command."""
+    """Return how far [s] the motion lags behind its commands."""
     return max(line.since_s - _commanded_since_s(motion), 0.0)
 
 
 def _commanded_since_s(motion: Motion) -> float:
-    """Return when a step command would have to begin to cover as much distance as the ramp."""
+    """Return when [s] a step command would have begun to cover the same way as the ramp."""
     last_s = _last_s(motion)
     sent = [(t_s, value) for t_s, value in motion.sent() if t_s <= last_s]
     driven = sum(value * (after_s - t_s) for (t_s, value), (after_s, _) in pairwise(sent))
@@ -265,7 +265,7 @@ def _commanded_since_s(motion: Motion) -> float:
 
 
 def _moving_line(motion: Motion) -> _Line:
-    """Return the line through the steady part.
+    """Return the line through the samples of the steady part, as `_line` does.
 
     Raises:
         Refused: The base did not move, or there are too few samples.
@@ -284,7 +284,7 @@ def _moves(motion: Motion, line: _Line) -> bool:
 
 
 def _line(motion: Motion) -> _Line:
-    """Return the line through the steady part.
+    """Return the line through the samples of the steady part, the last STEADY_S of driving.
 
     Raises:
         Refused: There are too few samples.
@@ -298,7 +298,7 @@ def _line(motion: Motion) -> _Line:
 
 
 def _rest(motion: Motion, from_s: float, until_s: float) -> tuple[float, bool]:
-    """Return the mean position of the base in a period, and whether the base stood."""
+    """Return the mean position of the base in a period, and whether the base stood in it."""
     xs = [x for t_s, x in motion.way() if from_s <= t_s <= until_s]
     if len(xs) < MIN_SAMPLES - 1:
         raise Refused("odometry ended before the base stood")
@@ -307,10 +307,10 @@ def _rest(motion: Motion, from_s: float, until_s: float) -> tuple[float, bool]:
 
 
 def _stop(motion: Motion, line: _Line) -> tuple[float, float]:
-    """Return distance (or angle) and time from the first zero command to the standstill.
+    """Return the way ([m], in a turn [rad]) and time [s] from the first zero to the standstill.
 
     Raises:
-        Refused: The base did not stand in the end, or odometry ended before.
+        Refused: The base did not stand at the end, or odometry ended before it stood.
     """
     last_s, way = _last_s(motion), motion.way()
     zero_s = min((t_s for t_s, _ in motion.sent() if t_s > last_s), default=last_s)
@@ -324,7 +324,7 @@ def _stop(motion: Motion, line: _Line) -> tuple[float, float]:
 
 
 def _timeout_s(motion: Motion, stopping_m: float) -> float | None:
-    """Return how long the base kept its speed after the last command, None if it did not stop."""
+    """Return how long [s] the base drove on after the last command, None if it did not stop."""
     last_s, line = _last_s(motion), _moving_line(motion)
     end_s = last_s + motion.held.quiet_s
     rest_m, stands = _rest(motion, end_s - STANDS_S, end_s)

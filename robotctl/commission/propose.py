@@ -12,7 +12,7 @@ from robotctl.commission.measure import Measured, Turned
 from robotctl.kernel.params import KernelParams
 
 STEERED_DELAY_S: Final = 0.2
-"""The largest delay at which the default gains are proposed; beyond it, smaller ones are."""
+"""Up to this delay, the default gains are proposed, and beyond it smaller ones."""
 
 STOP_WITHIN_M: Final = 0.3
 """The distance within which the base stops from the proposed speed."""
@@ -35,7 +35,7 @@ class Proposal:
 
 
 def proposals(base: Measured, present: KernelParams) -> list[Proposal]:
-    """Return the proposed values for this base, within the ranges that their keys allow."""
+    """Return the proposed values for this base, each in the range that its key allows."""
     follow_s = base.command_delay_s
     lag_s = _rounded(min(max(follow_s - (base.odometry_delay_s or 0.0), 0.0), 0.5))
     steer_s = max(follow_s, base.turn.command_delay_s if base.turn else 0.0)
@@ -74,7 +74,7 @@ def proposals(base: Measured, present: KernelParams) -> list[Proposal]:
 
 
 def configuration(settings: Mapping[str, object], proposed: list[Proposal]) -> dict[str, object]:
-    """Return `settings`, overridden by the proposed values."""
+    """Return `settings` with the proposed values in place of their own."""
     return {**settings, **{each.key: each.value for each in proposed}}
 
 
@@ -110,7 +110,7 @@ def _speed_mps(base: Measured, present: KernelParams) -> float:
 
 
 def _stopping_within(way: float, reaction_s: float, braking: float) -> float:
-    """Return the speed v with v * reaction + v^2 / (2 * braking) = way."""
+    """Return the speed v with a stopping way of v * reaction_s + v^2 / (2 * braking) = way."""
     return braking * (sqrt(reaction_s**2 + 2.0 * way / braking) - reaction_s)
 
 
@@ -145,7 +145,7 @@ def measured_lines(base: Measured) -> Iterator[str]:
 
 
 def warnings(base: Measured) -> Iterator[str]:
-    """Yield a sentence for each property that is a danger, or makes a figure doubtful."""
+    """Yield a sentence for each property that is dangerous, or makes a measured value doubtful."""
     if base.base_timeout_s is None:
         yield (
             f"the base went on for {base.quiet_s:g} s without a command: if robotctl is killed, "

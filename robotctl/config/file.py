@@ -28,11 +28,11 @@ from robotctl.config.settings import (
 )
 
 MAX_FILE_BYTES = 1_000_000
-"""The largest file that is read."""
+"""The size of the largest file that is read."""
 
 
 def load(path: Path, warn: Callable[[str], object] = log_warning) -> Config:
-    """Return the configuration in the file `path`; call `warn` for a retired key, and ignore it.
+    """Return the configuration in the file `path`; a retired key is ignored after a call of `warn`.
 
     Raises:
         ConfigError: The file cannot be read, or a key or value is not allowed.
@@ -53,7 +53,7 @@ def load(path: Path, warn: Callable[[str], object] = log_warning) -> Config:
 
 
 def read_settings(path: Path) -> list[tuple[str, object]]:
-    """Return the dotted keys of a file with their values, unchecked and in the file's order.
+    """Return each dotted key of a file with its value, unchecked and in the file's order.
 
     Raises:
         ConfigError: The file cannot be read, or has a key twice.
@@ -68,7 +68,7 @@ def read_settings(path: Path) -> list[tuple[str, object]]:
 
 
 def file_error(path: Path, key: str, error: ConfigError) -> ConfigError:
-    """Return `error` with the path of the file and, if found, the line that names `key`."""
+    """Return `error` with the path of the file and, if found, the number of the line with `key`."""
     line = _line_of(path, key)
     where = f"{path}: " if line is None else f"{path}: line {line}: "
     return ConfigError(f"{where}{error.cause}", error.cure)
@@ -97,7 +97,7 @@ def read_yaml(path: Path) -> Any:
     import yaml  # here: the import lasts 15 ms, and most daemons have no configuration file
 
     class Loader(yaml.SafeLoader):
-        """A loader that refuses aliases and duplicate keys: PyYAML would keep the last value."""
+        """Refuses aliases and duplicate keys; PyYAML would keep the last value of such a key."""
 
         def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
             if self.check_event(yaml.AliasEvent):
@@ -130,7 +130,7 @@ def _text(path: Path) -> bytes:
 
 
 def _line_of(path: Path, key: str) -> int | None:
-    """Return the last line of a YAML file that names the dotted `key`, None if it is not found."""
+    """Return the number of the last line that sets the dotted `key`, None if it is not found."""
     import yaml
 
     def lines(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, int]]:
@@ -147,7 +147,7 @@ def _line_of(path: Path, key: str) -> int | None:
 
 
 def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:
-    """Return the settings of a file, those below `ros__parameters` for a ROS parameter file."""
+    """Return the settings of a file; in a ROS parameter file, they are below `ros__parameters`."""
     if content is None:
         return {}
     if not isinstance(content, dict):
@@ -162,7 +162,7 @@ def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:
 def flatten(
     settings: Mapping[Any, Any], path: Path, prefix: str = ""
 ) -> Iterator[tuple[str, object]]:
-    """Yield each setting as a dotted key and its value; for RATE_KEYS the value is a mapping."""
+    """Yield each setting as a dotted key and its value; the value of RATE_KEYS may be a mapping."""
     for name, value in settings.items():
         key = f"{prefix}{name}"
         if isinstance(value, dict) and key not in RATE_KEYS:

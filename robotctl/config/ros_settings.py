@@ -35,7 +35,7 @@ PREFIXES: Final = {
     SIMULATED_ROBOT: ("sim.",),
     MODE_SERVICE: ("",),
 }
-"""The prefixes of the keys that each node declares; the first node with a match has the key."""
+"""The prefixes of the keys that each node declares; the first node that matches has the key."""
 
 NODES: Final = tuple(PREFIXES)
 """The nodes that have parameters."""
@@ -50,7 +50,7 @@ _PARAMETERS = "ros__parameters"
 
 
 class NodeParameter(NamedTuple):
-    """A key and its value in a file, with the name or pattern of the nodes that they are for."""
+    """A parameter in a file: the name or pattern of the nodes that it is for, its key and value."""
 
     node: str
     key: str
@@ -88,8 +88,8 @@ def _sections(content: Mapping[Any, Any], path: Path, node: str) -> Iterator[Nod
 def is_for(pattern: str, node: str) -> bool:
     """Return whether the name or pattern in a file matches the node with the full name `node`.
 
-    `*` stands for one part of a name and `**` for any number of parts; a name without
-    a slash or a `*` matches the node in every namespace.
+    `*` stands for one part of a name, `**` for any number of parts. A name without a slash and
+    without `*` matches the node of this name in every namespace.
     """
     if "/" not in pattern and "*" not in pattern:
         return pattern == node.rpartition("/")[2]
@@ -105,7 +105,7 @@ def check_parameter_files(words: Sequence[str], node: str) -> None:
     """Check that each `--params-file` of a command line has a parameter for the node.
 
     Raises:
-        ConfigError: A file cannot be read, or is for other nodes only.
+        ConfigError: A file cannot be read, or has parameters for other nodes only.
     """
     _, ros_words = ros_arguments.split(words)
     for option, value in pairwise(ros_words):
@@ -122,7 +122,7 @@ USE_SIM_TIME: Final = "use_sim_time"
 
 @dataclass(frozen=True, slots=True)
 class RosSettings:
-    """The configuration, the remaps that do not concern its topics, and `use_sim_time`."""
+    """The configuration with its topics remapped, the remaps left for rcl, and `use_sim_time`."""
 
     config: Config
     remaps: tuple[Remap, ...]
@@ -137,10 +137,10 @@ def apply_arguments(
 ) -> RosSettings:
     """Return the configuration changed by the arguments, for nodes in `namespace`.
 
-    For a retired key, `warn` is called; the key is ignored.
+    A retired key is ignored, after a call of `warn` with a sentence.
 
     Raises:
-        ConfigError: A key, a value, or a file is wrong, or is for other nodes.
+        ConfigError: A key, a value or a file is wrong, or is meant for another node.
         UsageError: An argument names a node that the daemon does not have.
     """
     use_sim_time = False
@@ -158,7 +158,7 @@ def apply_arguments(
 
 
 def _given_values(given: RosArguments, namespace: str) -> dict[str, object]:
-    """Return the parameters of the arguments and their files; a later value wins."""
+    """Return the parameters of the arguments and their files; of two values, the later counts."""
     for node in given.node_names:
         _check_node(node, f"{node}:__node" if node else "__node")
     names = {node: f"{namespace}/{given.node_names.get(node, node)}" for node in NODES}
@@ -166,7 +166,7 @@ def _given_values(given: RosArguments, namespace: str) -> dict[str, object]:
 
 
 def _settings(setting: Assignment | Path, names: dict[str, str]) -> Iterator[tuple[str, object]]:
-    """Yield the keys and values that a `-p` or a file sets."""
+    """Yield each key and value that a `-p` or a file sets; `names` has our nodes' full names."""
     if isinstance(setting, Assignment):
         if setting.node:
             _check_node(setting.node, f"-p {setting.node}:{setting.key}")
@@ -208,7 +208,7 @@ def _check_owner(node: str, key: str) -> None:
 def _with_topics(
     config: Config, remaps: tuple[Remap, ...], namespace: str
 ) -> tuple[Config, tuple[Remap, ...]]:
-    """Return the configuration with its topics remapped, and the other rules, which are for rcl."""
+    """Return the configuration with its topics remapped, and the remaps that are left for rcl."""
 
     def full(name: str) -> str:
         return name if name.startswith("/") else f"{namespace}/{name}"

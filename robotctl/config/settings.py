@@ -27,22 +27,17 @@ from robotctl.sim.robot import SimParams
 class RecordingParams:
     """What is recorded, and how long recordings are kept.
 
-    `compression` is zstd, lz4 or none. The oldest recordings that are not kept are removed until at
-    most `max_total_gb` are left and none is older than `max_age_days`; 0 means no limit. A topic is
-    recorded if a pattern of `include` matches it, or `include` is empty, and no pattern of
-    `exclude` matches it. `throttle` and `expected_rates` give rates [1/s] to patterns, each as
-    PATTERN=RATE; the first pattern that matches counts. A clip is saved around each emergency stop
-    and error, from `clip_before_s` before it to `clip_after_s` after it; with `clip_before_s` 0 no
-    clips are saved. `group_readable` lets the group read the recordings, otherwise only their owner
-    may. `seal` signs them with a key of the robot; `publish_heads` publishes the seal's newest head
-    on a topic, and `head_command` is run with each new head as an argument.
+    A topic is recorded if `include` is empty or has a pattern that matches it, unless a pattern of
+    `exclude` matches it, too. A clip is cut around each emergency stop and each error.
     """
 
     compression: Compression = setting(Compression.ZSTD, "compression of the chunks", Change.START)
     max_total_gb: float = bounded(20.0, 0.0, 1e6, "GB", "size of all recordings that are kept")
+    """Beyond it, the oldest recordings are removed, except those marked to be kept; 0: no limit."""
     max_age_days: float = bounded(
         30.0, 0.0, 1e5, "days", "age of the oldest recording that is kept"
     )
+    """Older recordings are removed, except those marked to be kept; 0: no limit."""
     include: tuple[str, ...] = setting((), "topics that are recorded", Change.START)
     exclude: tuple[str, ...] = setting((), "topics that are not recorded", Change.START)
     clip_before_s: float = bounded(
@@ -52,6 +47,7 @@ class RecordingParams:
     throttle: tuple[str, ...] = setting(
         (), "messages a second that are recorded at most, by topic", Change.START, rates=True
     )
+    """Texts PATTERN=RATE, as in `expected_rates`; the first pattern that matches a topic counts."""
     expected_rates: tuple[str, ...] = setting(
         (),
         "messages a second that are expected, by topic; 0: no expectation",
@@ -68,6 +64,7 @@ class RecordingParams:
     )
     index: bool = setting(True, "index a closed recording; needs robotctl[parquet]")
     group_readable: bool = setting(False, "the group may read (0640, 0750)", Change.START)
+    """If this is not set, only the owner of a recording may read it."""
     foxglove_events: bool = setting(
         False, "changes of the mode and marks are recorded as events of Foxglove", Change.START
     )
@@ -100,13 +97,7 @@ class SocketParams:
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """Every setting. In a file, the kernel's parameters have no prefix.
-
-    `fifo_priority` is the SCHED_FIFO priority of the loop's thread, from 1 (low) to 99; 0 leaves
-    the scheduling as it is. `on_recorder_failure` is stop or warn: whether the robot must stop
-    when recording fails. `on_topic_trouble` is warn or refuse: whether a topic of another node that
-    is silent, slow or fast prevents the start of a motion.
-    """
+    """Every setting. In a file, the kernel's parameters have no prefix."""
 
     kernel: KernelParams = field(default_factory=KernelParams)
     sim: SimParams = field(default_factory=SimParams)
@@ -116,16 +107,19 @@ class Config:
     fifo_priority: int = bounded(
         0, 0, 99, about="SCHED_FIFO priority of the loop's thread", change=Change.START
     )
+    """From 1 (low) to 99; 0 leaves the scheduling as it is."""
     autostart: bool = setting(True, "mode_service configures and activates itself", Change.START)
     on_recorder_failure: str = setting(
         "stop", "what a failed recorder does", choices=("stop", "warn")
     )
+    """Whether the robot must stop when recording fails, or only a warning is given."""
     on_topic_trouble: str = setting(
         "warn",
         "what a topic that is silent, slow or fast does to the start of a motion",
         Change.START,
         choices=("warn", "refuse"),
     )
+    """Whether such a topic, if it is of another node, causes a warning or refuses the start."""
 
 
 _TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -134,7 +128,7 @@ _PATTERN = re.compile(r"(?:type:|(?=[/*?\[]))[A-Za-z0-9_/*?!\[\]-]{1,300}")
 MAX_RATE_HZ = 1e5
 RATES_HELP = 'use topics, globs or types with rates, such as {"/camera/*": 5}'
 MAX_GROUP_NAME = 256
-"""A limit that no group name in group(5) or a directory service reaches."""
+"""Limit on the length of a group's name; no name in group(5) or a directory service is longer."""
 
 PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/msg/Image)"
 
@@ -203,7 +197,7 @@ def _checked_patterns(key: str, value: object) -> tuple[str, ...]:
 
 
 def _checked_rates(key: str, value: object) -> tuple[str, ...]:
-    """Return rates by topic as PATTERN=RATE; a file may give them as a mapping."""
+    """Return checked rates by topic as PATTERN=RATE; in a file, `value` may be a mapping."""
     if isinstance(value, dict):
         value = [f"{pattern}={rate}" for pattern, rate in value.items()]
     if not isinstance(value, list):
@@ -245,7 +239,7 @@ def _is_frame(value: object, *, optional: bool) -> bool:
 
 
 log_warning: Callable[[str], object] = logging.getLogger(__name__).warning
-"""Logs a warning that nobody else is told."""
+"""The default for `warn` parameters: the warning only goes to the log."""
 
 
 def check_together(kernel: KernelParams) -> None:
@@ -260,9 +254,9 @@ def check_together(kernel: KernelParams) -> None:
 
 
 def warn_of_retired(key: str, warn: Callable[[str], object], where: str = "") -> bool:
-    """Return whether `key` is retired; if so, call `warn` with a sentence on what replaces it.
+    """Return whether `key` is retired; if so, call `warn` with a sentence about its replacement.
 
-    `where` is the beginning of the warning.
+    The sentence begins with `where`.
     """
     instead = retired.CONFIG_KEYS.get(key)
     if instead is not None:
@@ -288,7 +282,7 @@ def with_setting(config: Config, key: str, value: object) -> Config:
 
 
 def check_all(config: Config) -> None:
-    """Check every value of a configuration that was not read by `load`.
+    """Check every value of a configuration that a program made, and `load` has not checked.
 
     Raises:
         ConfigError: A value is not allowed.
@@ -328,7 +322,7 @@ def as_in_file(value: Any) -> object:
 
 
 def keyed_leaves(config: Config) -> Iterator[tuple[str, Leaf]]:
-    """Yield each parameter with its dotted key; those of the kernel have no prefix."""
+    """Yield each dotted key with its parameter; keys of the kernel's parameters have no prefix."""
     for leaf in leaves(config):
         yield ".".join(leaf.path[1:] if leaf.path[0] == "kernel" else leaf.path), leaf
 
@@ -336,7 +330,7 @@ def keyed_leaves(config: Config) -> Iterator[tuple[str, Leaf]]:
 RATE_KEYS = frozenset(
     key for key, leaf in keyed_leaves(Config()) if leaf.declared.metadata.get("rates")
 )
-"""The keys whose value may be a mapping of topics to rates."""
+"""The keys whose value in a file may be a mapping from topics to rates."""
 
 
 @cache
@@ -373,7 +367,7 @@ _KINDS = {bool: Kind.BOOLEAN, int: Kind.INTEGER, float: Kind.NUMBER, str: Kind.T
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """One parameter; `range` holds the allowed numbers, None where there is no limit."""
+    """Describes one parameter; `range` is that of the allowed numbers, None if there is none."""
 
     key: str
     kind: Kind
@@ -405,7 +399,7 @@ def declarations() -> Mapping[str, Declaration]:
 
 
 def _allowed(value: object, metadata: Mapping[str, Any]) -> str:
-    """Return the allowed values in words."""
+    """Return in words which values are allowed."""
     limits = metadata.get("range")
     if limits is not None:
         return f"{limits.low:g} to {limits.high:g} {limits.unit}".rstrip()

@@ -1,4 +1,4 @@
-"""The composition root: the steps of every daemon from start to end (driver or observer)."""
+"""The composition root: the steps of a daemon, driver or observer, from its start to its end."""
 
 from __future__ import annotations
 
@@ -86,13 +86,13 @@ LOOK_S: Final = 0.05
 
 
 async def refuse_same_names(host: Host) -> None:
-    """Wait until the other nodes of the domain are discovered; refuse a second mode service.
+    """Wait until the other nodes of the domain are discovered; refuse a second `mode_service`.
 
-    Two of them would serve the same requests and command the same robot. The check runs before this
-    daemon has a publisher that could disturb the other one.
+    Two daemons with this node would serve the same requests and command the same robot. The check
+    runs before this daemon has a publisher that could disturb the other daemon.
 
     Raises:
-        Refused: Another daemon has nodes of the same names, and the options do not allow it.
+        Refused: Another daemon has nodes of the same names, and `--allow-same-names` is not set.
     """
     options = host.options
     if host.alone or options.allow_same_names:
@@ -124,7 +124,7 @@ async def refuse_same_names(host: Host) -> None:
 
 
 OF_ONE_START: Final = ("directory", "git.directory", "user")
-"""Values that describe one start; they are not part of the software's identity."""
+"""Keys of `provenance` that describe one start, and not the software."""
 
 
 def open_decision_log(options: DaemonOptions, config: Config) -> DecisionLog:
@@ -135,7 +135,7 @@ def open_decision_log(options: DaemonOptions, config: Config) -> DecisionLog:
 def _note_start(
     log: DecisionLog, options: DaemonOptions, config: Config, recorder: FlightRecorder
 ) -> None:
-    """Log who started the daemon, and software and configuration if they have changed."""
+    """Log who started the daemon, then the software and the configuration if they have changed."""
     known = provenance()
     log.add(
         DecisionKind.START,
@@ -155,7 +155,7 @@ def _note_start(
 async def noted(
     log: DecisionLog, options: DaemonOptions, config: Config, recorder: FlightRecorder
 ) -> AsyncIterator[None]:
-    """Log the start and the end of the block; the end waits for the disk, for END_S at most."""
+    """Log START before the block and END after it; then wait for the disk, for END_S at most."""
     _note_start(log, options, config, recorder)
     recorder.tidier.on_removed = lambda path: log.add(DecisionKind.REMOVED, file=path)
     failure: dict[str, str] = {}

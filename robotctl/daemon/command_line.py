@@ -19,7 +19,7 @@ from robotctl.kernel.patterns import PatternKind
 
 @dataclass(frozen=True, slots=True)
 class DaemonOptions:
-    """The options of a start; if `sim` is None, simulate unless odometry has a publisher."""
+    """The options of a start; with `sim` None, simulate if the odometry topic has no publisher."""
 
     robot: str
     config: Path | None
@@ -35,7 +35,7 @@ class DaemonOptions:
     """`include` and `exclude` are topic patterns, added to those of the configuration."""
 
     ros_namespace: str | None = None
-    """A namespace other than the one that the robot's name gives."""
+    """The value of `--namespace`; if None, `--ros-args` or else the robot's name gives one."""
 
     allow_same_names: bool = False
     """Start although another daemon runs whose nodes have the same names."""
@@ -48,7 +48,7 @@ class DaemonOptions:
 
     @property
     def log_levels(self) -> tuple[LogLevel, ...]:
-        """The levels of loggers; a later one wins."""
+        """The levels of `--log-level`, then of `--ros-args`; a logger's last one counts."""
         return (*self.log_level, *self.ros.log_levels)
 
     @property
@@ -60,7 +60,7 @@ class DaemonOptions:
         return namespace_of(self.robot)
 
     def applied_to(self, config: Config, warn: Callable[[str], object]) -> RosSettings:
-        """Return `config` with the changes of the command line, and the settings for ROS.
+        """Return `config` changed by the command line, with the settings that are for ROS.
 
         `warn` is called with a sentence for each retired key.
 
@@ -76,7 +76,7 @@ class DaemonOptions:
 
 
 def parse(arguments: list[str]) -> DaemonOptions:
-    """Return the options.
+    """Return the options that the arguments of the command line give.
 
     Raises:
         UsageError: A name or number is not allowed.
@@ -141,7 +141,7 @@ def _patterns(option: str, given: list[str]) -> tuple[str, ...]:
 
 
 def parse_ready_fd(arguments: list[str]) -> int | None:
-    """Return the descriptor for the start report or None, even if other options are wrong."""
+    """Return the value of `--ready-fd`, or None; errors in other options are ignored here."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--ready-fd", type=int)
     others, _ = ros_arguments.split(arguments)

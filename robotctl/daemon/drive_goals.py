@@ -18,7 +18,7 @@ MAX_SHOWN = 40
 
 
 class RequestedDrive:
-    """The drive that a goal asks for, from its request to its end."""
+    """A drive that a goal has requested: its reply, its progress and its end."""
 
     def __init__(self, control: Control, driving: DrivingMethods, event: DriveRequested) -> None:
         self._control = control
@@ -61,7 +61,7 @@ class DriveGoals:
         """Request the drive of a goal at once.
 
         Raises:
-            ValueError: The goal has no laps, an unknown pattern or a speed above the limit.
+            ValueError: The goal has 0 laps, an unknown pattern, or a speed above the limit.
         """
         if goal.laps == 0:
             raise ValueError(f"0 laps: a goal ends by itself: use 1 to {MAX_LAPS}")

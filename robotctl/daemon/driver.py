@@ -100,7 +100,7 @@ subscriber of the command. Discovery by Fast DDS takes up to 2.6 s; a robot may 
 
 @dataclass(slots=True)
 class Driver:
-    """A daemon that drives a robot, with the parts that `build` creates and connects."""
+    """Drives a robot and records, with the parts that `build` creates and connects."""
 
     host: Host
     command: CommandType
@@ -137,7 +137,7 @@ class Driver:
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
         """Run every task until the daemon is stopped."""
         self._journal_snapshot()
-        # Without a last snapshot, a check could not tell whether the last entries are there.
+        # Without a last snapshot, a check could not detect that the last entries are missing.
         self.host.session.last.callback(self._journal_snapshot)
         sim = self.host.options.sim
         if sim is None:
@@ -207,10 +207,10 @@ class Driver:
 
 
 def build(host: Host, command: CommandType) -> Driver:
-    """Create kernel, ROS roles and recorder, and connect them.
+    """Create the kernel, the ROS nodes and the recorder, and connect them.
 
-    Each part is created after the parts that it uses. Control and recorder also use parts that are
-    created later: these are assigned as attributes, before the first event arrives.
+    Each part is created after the parts that it uses. Control and recorder also use later parts:
+    these become their attributes before the first event arrives.
     """
     session, params, robot = host.session, host.config.kernel, host.options.robot
     say = partial(_sentence, robot=robot)

@@ -1,4 +1,4 @@
-"""The input (Host) and interface (DaemonKind) of both kinds of daemon, and their diagnostics."""
+"""What both kinds of daemon share: their input (Host), interface (DaemonKind) and diagnostics."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Ready = Callable[[StartSummary], None]
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """The options, session and other objects that a daemon is created with."""
+    """The options, the ROS session and the other objects from which a daemon is built."""
 
     options: DaemonOptions
     config: Config
@@ -40,7 +40,7 @@ class Host:
 
     supervisor: Supervisor
     discovered_by_s: float
-    """The steady time [s] at which a start no longer waits for discovery."""
+    """The steady time [s] until which a start waits for the discovery of other nodes at most."""
 
     stop: asyncio.Event
     """Set to end the daemon."""
@@ -49,7 +49,7 @@ class Host:
     decisions: DecisionLog
 
     warnings: list[PartWarning]
-    """Functions that are called at each `status`; a part of the daemon appends its function."""
+    """Functions that return a warning for `status`; each part of the daemon appends its own."""
 
 
 class DaemonKind(Protocol):
@@ -64,7 +64,7 @@ class DaemonKind(Protocol):
         """Run every task until the daemon is stopped."""
 
     def mode(self) -> str:
-        """Return the mode of the daemon as one word."""
+        """Return the robot's mode, or that the daemon only observes, as one word."""
 
     async def stop_robot(self) -> None:
         """Stop the robot at once: the daemon is about to fail."""
@@ -87,7 +87,7 @@ MAX_WARNINGS: Final = 100
 
 
 class Diagnostics:
-    """Samples the recorder's rates and publishes the diagnoses of recorder and daemon at 1 Hz."""
+    """Samples the recorder's rates and publishes its diagnosis and the daemon's, once a second."""
 
     def __init__(
         self, session: Session, robot: str, recorder: RecorderReport, warnings: Warnings

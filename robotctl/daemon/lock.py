@@ -22,7 +22,7 @@ def owned(path: Path, robot: str) -> Iterator[None]:
     """Own the robot's lock within the block.
 
     Raises:
-        AlreadyRunning: Another daemon owns it; the message names its pid.
+        AlreadyRunning: Another daemon owns it; the message has the pid of that daemon.
     """
     make_private(path.parent)
     fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -46,7 +46,7 @@ def owned(path: Path, robot: str) -> Iterator[None]:
 
 
 def is_owned(path: Path) -> bool:
-    """Return whether a daemon owns the lock; True if we may not open another user's lock file."""
+    """Return whether a daemon owns the lock; True if another user's lock file cannot be opened."""
     try:
         fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     except PermissionError:

@@ -1,4 +1,4 @@
-"""The daemon that only records while any other stack drives: no commands, no simulation."""
+"""The daemon that only records, while other software drives: no commands, no simulation."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _log = logging.getLogger(__name__)
 
 
 class Observer:
-    """A daemon that connects only the recorder and the control socket."""
+    """Records, and serves the control socket; it creates no kernel and no robot."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -53,7 +53,7 @@ class Observer:
         host.supervisor.report_to(self._note)
 
     def methods(self) -> Mapping[str, Method[Any]]:
-        """Return the methods of the control socket; methods about driving are refused."""
+        """Return the methods of the control socket; some, such as `drive`, refuse each call."""
         return {
             **common_methods(self._status, self._host.stop),
             **recording_methods(self.recorder, self._host.options.robot),
@@ -81,7 +81,7 @@ class Observer:
             _log.info("stopping")
 
     def mode(self) -> str:
-        """Return that the daemon only observes."""
+        """Return "observing", as there is no robot with a mode."""
         return "observing"
 
     async def stop_robot(self) -> None:

@@ -25,14 +25,14 @@ START_CURE = "stop the daemon, and start it with --config, or with --ros-args -p
 
 
 class Setting(NamedTuple):
-    """A new value for a key, in the form that a configuration file uses."""
+    """A key and its new value, in the form that a configuration file uses."""
 
     key: str
     value: object
 
 
 class Parameters:
-    """The present configuration: the kernel owns its parameters, this object owns all others."""
+    """Owns the present configuration, except for the kernel's parameters, which the kernel owns."""
 
     def __init__(
         self, config: Config, control: Control, on_change: Callable[[Config], None]
@@ -50,7 +50,7 @@ class Parameters:
         return replace(self._config, kernel=self._control.params)
 
     def parsed(self, key: str, text: str) -> Setting:
-        """Return the setting of `key` to the value that `text` represents.
+        """Return `key` with the value that `text` stands for, as on a command line.
 
         Raises:
             ConfigError: There is no such key, or the value is not allowed.
@@ -62,7 +62,7 @@ class Parameters:
 
         Raises:
             ConfigError: There is no such key, or a value is not allowed.
-            Refused: A parameter changes at a start only.
+            Refused: One of the parameters can change only at a start.
         """
         events, config = [], self.config
         for key, value in settings:
@@ -118,7 +118,7 @@ def listed(config: Config) -> list[ParameterAnswer]:
 
 
 def serve_parameters(session: Session, parameters: Parameters, robot: str) -> None:
-    """Add its parameters and parameter services to each visible node; cures name `robot`."""
+    """Give each visible node its parameters and their services; cures in errors name `robot`."""
 
     def ask(settings: Sequence[tuple[str, Any]], source: str) -> str:
         try:
@@ -145,9 +145,9 @@ def serve_parameters(session: Session, parameters: Parameters, robot: str) -> No
 
 
 def _served_by(key: str, nodes: Container[str]) -> str:
-    """Return the node that declares a key: its usual node if that runs, else `mode_service`.
+    """Return the node that declares a key: `node_of(key)` if it is in `nodes`, else `mode_service`.
 
-    If no robot is simulated, no node declares the keys of the simulated robot.
+    The exception: `mode_service` never declares the keys of the simulated robot.
     """
     node = node_of(key)
     return node if node in nodes or node == SIMULATED_ROBOT else MODE_SERVICE

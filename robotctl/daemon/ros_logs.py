@@ -57,14 +57,14 @@ def serve_logger_levels(session: Session, levels: LoggerLevels) -> None:
 
 
 def apply_levels(levels: LoggerLevels, given: tuple[LogLevel, ...]) -> None:
-    """Set the levels of a command line, also those of rcl's loggers."""
+    """Set the levels that a command line gives, for Python's loggers and for those of rcl."""
     for each in given:
         _set_native(each)
     levels.apply(given)
 
 
 def _set_native(level: LogLevel) -> str:
-    """Set the level of a named logger of rcl; return why it was refused, or "".
+    """Set the level of a logger of rcl, if `level` names one; return why it was refused, or "".
 
     rcl's default level is never changed: at DEBUG, rcl writes two lines for each message.
     """

@@ -19,14 +19,14 @@ _US_PER_S = NS_PER_S // 1000
 
 
 class ServiceManager:
-    """The socket of the service manager; nothing is sent if there is none.
+    """Sends reports to the socket of the service manager, or does nothing if there is none.
 
     The socket is opened once, so that later reports need no free descriptor. A report that cannot
     be sent is dropped, as sd_notify(3) recommends.
     """
 
     def __init__(self) -> None:
-        """Open the socket; remove its variables, so that no child process reports as well."""
+        """Open the socket; delete its environment variables, so that no child process reports."""
         address = os.environ.pop(SOCKET_VARIABLE, "")
         watchdog = os.environ.pop(WATCHDOG_VARIABLE, "")
         self._period_s = STATUS_PERIOD_S
@@ -39,7 +39,7 @@ class ServiceManager:
                 self._socket.connect(address.replace("@", "\0", 1))
 
     def ready(self) -> None:
-        """Report that the start is over."""
+        """Report that the daemon is ready."""
         self._tell("READY=1")
 
     def stopping(self) -> None:
@@ -53,7 +53,7 @@ class ServiceManager:
             self._socket = None
 
     async def run(self, status: Callable[[], str]) -> None:
-        """Send the watchdog's keep-alive, and the status when it changes, until cancelled."""
+        """Send systemd's watchdog a keep-alive, and the status when it changes, until cancelled."""
         if self._socket is None:
             return
         told = ""

@@ -1,4 +1,4 @@
-"""The end of a daemon: stop the robot, and record its last command."""
+"""The end of a daemon: stop the robot, and wait until the last command is recorded."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 _log = logging.getLogger(__name__)
 
 RAMP_DOWN_S = 3.0
-"""How long the ramp may take before the command is cut to zero."""
+"""How long the ramp may take before zero is commanded at once."""
 
 LAST_ZERO_S = 1.0
-"""How long the last zero is retried; then the robot's command timeout has stopped the robot."""
+"""How long the last zero is retried; by then the robot's command timeout has stopped it."""
 
 
 _ENDING = "the daemon is stopping"
@@ -34,10 +34,10 @@ async def stand_still(
     ramp_down_s: float = RAMP_DOWN_S,
     now_ns: Callable[[], int] = time.monotonic_ns,
 ) -> None:
-    """Ramp down, or cut the command if that takes too long; then send one more zero.
+    """Ramp down, or command zero at once if that takes too long; then send one more zero.
 
-    From now on the kernel starts no motion. `published()` returns the number of commands sent: a
-    last zero that fails, from lack of memory or in the middleware, is repeated for LAST_ZERO_S.
+    From now on the kernel starts no motion. `published()` returns the number of commands sent: if
+    it does not grow, from lack of memory or in the middleware, zero is retried for LAST_ZERO_S.
     """
     control.dispatch(FaultReported(now_ns(), Cause.DAEMON_ENDS, _ENDING))
     for mode in (Mode.IDLE, Mode.ERROR):
@@ -60,7 +60,7 @@ async def stand_still(
 def send_zero(control: Control, velocity: VelocityPublisher) -> None:
     """Send a zero now: by the kernel if the robot stands and the kernel works, otherwise directly.
 
-    A fault in the journal marks the end of the daemon for later checks.
+    First report DAEMON_ENDS to the kernel: this fault in the journal shows later checks the end.
     """
     sent = velocity.published
     with suppress(Exception):  # the kernel may be what has failed
@@ -75,12 +75,12 @@ DRAIN_S = 3.0
 """How long a stop waits until the recorder has received the last command."""
 
 ACKNOWLEDGED_S = 1.0
-"""How long a stop waits until the robot has acknowledged the last zero. A publisher that is
-destroyed earlier discards it (Fast DDS); later, the command timeout has stopped the robot."""
+"""How long a stop waits until the robot has acknowledged the last zero: Fast DDS discards it if the
+publisher is destroyed before. After this time, the command timeout has stopped the robot."""
 
 
 class LastZero:
-    """Waits until the last command and the last status message have arrived.
+    """Waits until the last command and the last robot status have arrived.
 
     `received()` returns how many messages of each topic the recorder has received.
     """
@@ -96,7 +96,7 @@ class LastZero:
         self._received = received
 
     async def arrived(self) -> None:
-        """Wait for the recorder, then for the robot; warn if the robot does not acknowledge."""
+        """Wait until both are recorded, then until the robot acknowledges; warn if it does not."""
         await until(self._is_recorded, DRAIN_S)
         if not await until(self._velocity.is_acknowledged, ACKNOWLEDGED_S):
             _log.warning(

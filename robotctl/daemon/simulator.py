@@ -1,4 +1,4 @@
-"""The simulated robot, in a daemon or in its own process, which outlives a crashed daemon."""
+"""Runs the simulated robot in a daemon, or in a process of its own that outlives the daemon."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ async def simulate(
     at_end: ExitStack,
     only_if_missing: bool = False,
 ) -> None:
-    """Run the robot until a signal ends it; the exit of `at_end` leaves the ROS domain.
+    """Run the robot in this process until a signal ends it; the exit of `at_end` leaves the domain.
 
-    With `only_if_missing`, return if another node publishes the odometry topic already.
+    With `only_if_missing`, return without a robot if another node publishes the odometry topic.
     """
     stop = end_signals()
     topics = config.kernel
@@ -67,7 +67,7 @@ def simulated_robot(session: Session, config: Config, command_type: CommandType)
 def recorded_robot(
     session: Session, config: Config, command_type: CommandType, tap: Tap
 ) -> SimulatedRobot:
-    """Return the robot of a daemon; first, the daemon's recorder subscribes to its topics."""
+    """Return a daemon's robot, after subscribing the daemon's recorder to the robot's topics."""
     topics = config.kernel
     tap.subscribe_own(odometry_topic(topics.odometry.topic))
     if topics.battery.topic:
@@ -76,7 +76,7 @@ def recorded_robot(
 
 
 async def _has_odometry(session: Session, topic: str, stop: asyncio.Event) -> bool:
-    """Wait up to DISCOVERY_S; return whether odometry is published or `stop` is set."""
+    """Return whether `topic` gets a publisher, or `stop` is set, within DISCOVERY_S."""
     node = session.node("simulated_robot_wanted")
     name = session.resolve(topic)
     await until(lambda: node.count_publishers(name) > 0 or stop.is_set(), DISCOVERY_S)

@@ -28,7 +28,7 @@ _STDOUT = 1
 
 
 class StartReport:
-    """A report to the process that starts the daemon: on `ready_fd`, or on stdout and stderr."""
+    """Reports to the process that starts the daemon: on `ready_fd`, or on stdout and stderr."""
 
     def __init__(self, ready_fd: int | None) -> None:
         self._ready_fd = ready_fd
@@ -37,9 +37,9 @@ class StartReport:
             os.set_inheritable(ready_fd, False)
 
     def send(self, report: Mapping[str, Any]) -> None:
-        """Send the report. A daemon in the background sends only its first report.
+        """Send a report; on `ready_fd`, send only the first one.
 
-        If it is ready but the process that started it is gone, it ends itself with SIGTERM.
+        The daemon ends itself with SIGTERM if it is ready, but the reader of the report is gone.
         """
         line = f"{json.dumps(report)}\n".encode()
         if not self._in_background:  # stdout may block: the loop must not wait
@@ -70,7 +70,7 @@ class StartReport:
 
 
 def _write(descriptor: int, line: bytes) -> bool:
-    """Write the line; return whether its reader still exists."""
+    """Write the line; return whether it was written: if not, its reader no longer exists."""
     try:
         os.write(descriptor, line)
     except OSError as error:
@@ -88,7 +88,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
-    """Run a daemon; the callbacks of `at_end` run after everything else, even after the log."""
+    """Run a daemon; the caller closes `at_end` after everything else, even after the log."""
     report = StartReport(command_line.parse_ready_fd(arguments))
     try:
         allow_many_files()

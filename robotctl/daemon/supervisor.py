@@ -1,4 +1,4 @@
-"""Reports failures in the daemon to the kernel, which answers with zero and ERROR."""
+"""Reports failures in the daemon to the kernel, which then commands zero in mode ERROR."""
 
 from __future__ import annotations
 
@@ -21,18 +21,17 @@ MAX_DETAIL = 1000
 """Limit on a fault's text in journal and status [characters]; the log has the full text."""
 
 RESERVE_BYTES = 16 * 1024 * 1024
-"""Released when memory runs out, so that the daemon can stop the robot and end.
-
-Its pages are never touched: it takes only address space."""
+"""Size of a reserve that is released when memory runs out, so that the daemon can stop the robot
+and end. Its pages are never touched: it needs only address space."""
 
 OUT_OF_MEMORY = "out of memory: the robot was stopped, and the daemon ends"
 
 Work = Callable[[], Coroutine[Any, Any, None]]
-"""Returns the coroutine of a task; called for each start of the task."""
+"""Returns a new coroutine of a task; called each time that the task is started."""
 
 
 class Supervisor:
-    """The runner of all tasks, which handles the exceptions that no other code handles.
+    """Runs all tasks, and handles the exceptions that no other code handles.
 
     A failed task is started again, so that status, stop and zeros stay available. Its fault lasts
     until the daemon is restarted. When memory runs out, the robot is stopped and the daemon ends.
@@ -57,7 +56,7 @@ class Supervisor:
         self._dispatch = dispatch
 
     async def run(self, name: str, work: Work) -> None:
-        """Run a task until it returns or is cancelled."""
+        """Run a task until it returns or is cancelled; after a failure, run it again."""
         while True:
             try:
                 return await work()

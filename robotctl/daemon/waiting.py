@@ -13,7 +13,7 @@ DISCOVERY_S = 4.0
 
 
 async def until(condition: Callable[[], bool], deadline_s: float) -> bool:
-    """Wait until the condition holds or the deadline is over; return whether it holds."""
+    """Wait until the condition holds, for `deadline_s` seconds at most; return whether it holds."""
     end = time.monotonic() + deadline_s
     while not condition():
         if time.monotonic() > end:

@@ -1,4 +1,4 @@
-"""The report of `robotctl evidence`: identity, changes, interventions, stops, and their proof."""
+"""The report of `robotctl evidence`: software, configuration, changes, interventions and stops."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from typing import Any, Final
 from robotctl.decisions.journal import DecisionKind, Entry
 
 STANDING: Final = ("ERROR", "EMERGENCY_STOP")
-"""The modes that are stops."""
+"""The modes that count as stops."""
 
 ENDED: Final = "in order"
 KILLED: Final = "killed, or the power was cut"
 RUNS: Final = "it runs"
-"""Values of `ended` of a daemon; a daemon that failed has the text of its failure instead."""
+"""These are the values of a daemon's `ended`, unless it failed: then the error is the value."""
 
 
 @dataclass(slots=True)
 class Evidence:
     """What happened to one robot; each item is an object of `evidence --json`.
 
-    `software` and `configuration` are those of the last start. The items of the lists have
-    `time_ns` since the epoch, and the `recording` of the daemon, "" if there is none.
+    `software` and `configuration` are those of the last start. Each item of a list has `time_ns`
+    since the epoch, and the `recording` that its daemon made, "" if there is none.
     """
 
     software: Mapping[str, Any] = field(default_factory=dict)
@@ -38,12 +38,12 @@ class Evidence:
     unwritten: list[dict[str, Any]] = field(default_factory=list)
 
     def recordings(self) -> list[str]:
-        """Return the recordings of the daemons in chronological order, each once."""
+        """Return the recordings that the daemons made, in chronological order, each once."""
         return list(dict.fromkeys(each["recording"] for each in self.daemons if each["recording"]))
 
 
 def collect(entries: Sequence[Entry], since_ns: int = 0) -> Evidence:
-    """Return the evidence since `since_ns`, with the software and configuration of the last start.
+    """Return what happened since `since_ns`, with software and configuration of the last start.
 
     A daemon that started before `since_ns` is included unless it ended before. If the last daemon
     has no END entry, it counts as running: the entries cannot show whether it was killed.
@@ -80,7 +80,7 @@ class _Collector:
                 place.append(self._item(entry, entry.values))
 
     def finish(self) -> Evidence:
-        """Return the report without the daemons that ended before `since_ns`."""
+        """Return the report, after removing the daemons that ended before `since_ns`."""
         self._found.daemons = [
             each
             for each in self._found.daemons

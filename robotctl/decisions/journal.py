@@ -23,26 +23,26 @@ MAX_LINE_BYTES: Final = 32_768
 """Limit on the length of an entry; readers reject a longer line."""
 
 MAX_TEXT: Final = 500
-"""Limit on the characters of a text, such as a reason; longer texts are cut."""
+"""Limit on the characters of a text in an entry, such as a reason; longer texts are cut."""
 
 _HASH_CHARACTERS: Final = 16
 _RESERVED: Final = ("time_ns", "kind", "prev")
 
 
 class DecisionKind(StrEnum):
-    """The event that an entry describes, and the values of the entry."""
+    """What an entry is about; the docstring of each kind names the values of such an entry."""
 
     START = "start"
-    """A daemon began: `by`, `version`, `software` (digest), `recording`, `observe`, `config`."""
+    """A daemon started: `by`, `version`, `software` (digest), `recording`, `observe`, `config`."""
 
     END = "end"
-    """The daemon ended; `failure` is the error, if any. A kill or a power cut leaves no END."""
+    """The daemon ended: `failure`, if there was an error. A kill or a power cut leaves no END."""
 
     SOFTWARE = "software"
-    """Versions and content hash, if one of them differs from the last entry of this kind."""
+    """Versions and digest; written if one of them differs from the last entry of this kind."""
 
     CONFIGURATION = "configuration"
-    """All settings, if one of them differs from the last entry of this kind."""
+    """All settings; written if one of them differs from the last entry of this kind."""
 
     MODE = "mode"
     """The mode changed: `from`, `to`, `reason`, `cause`; `latched` or `released` for a stop."""
@@ -60,7 +60,7 @@ class DecisionKind(StrEnum):
     """Retention removed a file of a recording: `file`."""
 
     MORE = "more"
-    """`counts` of entries by kind that were not written, from `first_ns` to `last_ns`."""
+    """Entries were not written: `counts` by kind, in the time from `first_ns` to `last_ns`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +75,14 @@ class Entry:
     values: Mapping[str, Any]
 
     def line(self, prev: str) -> bytes:
-        """Return the line without its newline; `prev` is the hash of the line before it."""
+        """Return the entry as a line without newline; `prev` is the hash of the line before it."""
         head = {"time_ns": self.time_ns, "kind": self.kind, "prev": prev}
         values = {key: _bounded(value) for key, value in self.values.items()}
         return json.dumps({**head, **values, **head}, separators=(",", ":")).encode()
 
 
 def hash_of(line: bytes) -> str:
-    """Return the hash of a line, which the next line has as its `prev`."""
+    """Return the hash of a line; the next line of the log has this hash as its `prev`."""
     return hashlib.sha256(line).hexdigest()[:_HASH_CHARACTERS]
 
 
@@ -115,7 +115,7 @@ FILE_BYTES: Final = 1_000_000
 """When a file has grown to this size, the next file is begun."""
 
 MAX_FILE_BYTES: Final = 2 * FILE_BYTES
-"""Readers read no more than this of a file; robotctl does not write larger ones."""
+"""Readers read no more than this of a file; robotctl does not write larger files."""
 
 YEAR_S: Final = 365.25 * DAY_S
 """The unit of `decisions.keep_years` in seconds."""
@@ -132,7 +132,7 @@ def log_folder(robot: str) -> Path:
 
 
 def files_of(folder: Path) -> list[Path]:
-    """Return the files of the log in their order; none if there is no such folder."""
+    """Return the files of the log, the oldest first; none if there is no such folder."""
     with suppress(OSError):
         return sorted(path for path in folder.iterdir() if _NAME.fullmatch(path.name))
     return []
@@ -179,9 +179,10 @@ def open_last(folder: Path) -> int:
 
 
 def remove_oldest(folder: Path, keep_s: float, now_s: float) -> Path | None:
-    """Remove the oldest file if it was last written more than `keep_s` seconds ago; return it.
+    """Remove and return the oldest file if it was last written more than `keep_s` seconds ago.
 
-    One at a time, and never the last two: a clock that is years ahead must not remove a log.
+    With `keep_s` 0 nothing is removed. One call removes one file, but never one of the last
+    KEPT_FILES: a clock that is years ahead must not remove a log.
 
     Raises:
         OSError: It cannot be removed.
@@ -203,14 +204,16 @@ def _next(path: Path) -> Path:
 
 @dataclass(slots=True)
 class LogContent:
-    """The content of a log. `broken`: changed or missing entries; `notes`: e.g. torn lines."""
+    """The content of a log, and what a check of its hash chain found."""
 
     files: list[Path] = field(default_factory=list)
     entries: list[Entry] = field(default_factory=list)
     broken: list[str] = field(default_factory=list)
+    """Sentences about entries that were changed, removed or added."""
     notes: list[str] = field(default_factory=list)
+    """Sentences about what is no manipulation: torn lines, and files removed by robotctl."""
     heads: set[str] = field(default_factory=set)
-    """The hash of each entry, and the `prev` of the first entry."""
+    """The hash of each entry, and that of the line before the first entry."""
 
     @property
     def begins_later(self) -> bool:
@@ -219,10 +222,10 @@ class LogContent:
 
 
 def read_log(folder: Path) -> LogContent:
-    """Return all entries of the log in `folder`, in the order in which they were written.
+    """Return the content of the log in `folder`, with entries in the order of writing.
 
-    A line that a kill or a full disk tore causes a note. Entries that were removed from the end are
-    not detected here: compare `heads` with the hashes in recordings (`head_of`).
+    A line that was torn by a kill or a full disk causes a note. Entries that were removed from the
+    end are not detected here: compare `heads` with the hashes in recordings (`head_of`).
     """
     log = LogContent(files_of(folder))
     prev: str | None = None
@@ -250,7 +253,7 @@ def read_log(folder: Path) -> LogContent:
 
 
 def _note_begin(log: LogContent, told: str) -> None:
-    """Note in `log` if entries are missing before the first one; `told` is the `prev` of that one.
+    """Note in `log` if entries before its first one are missing; `told` is the first one's `prev`.
 
     `remove_oldest` removes only whole files, the oldest first, and keeps the last KEPT_FILES.
     """
@@ -264,7 +267,7 @@ def _note_begin(log: LogContent, told: str) -> None:
 def head_of(folder: Path) -> str:
     """Return the hash of the last entry of the log in `folder`, "" if there is none.
 
-    Recordings store it: this shows later whether entries were removed from the end.
+    Recordings store this hash: it shows later whether entries were removed from the end.
     """
     for path in reversed(files_of(folder)):
         with suppress(OSError):

@@ -28,10 +28,10 @@ from robotctl.decisions.journal import (
 from robotctl.kernel.units import DAY_S, NS_PER_S
 
 DAY_BYTES: Final = 130_000
-"""Limit a day, about 500 entries; with RESERVE_BYTES it amounts to 50 MB a year."""
+"""Limit on the bytes written in a day: about 500 entries; with RESERVE_BYTES, 50 MB a year."""
 
 RESERVE_BYTES: Final = 6_900
-"""Bytes a day for the entries that count what was not written."""
+"""Bytes a day beyond DAY_BYTES, for the MORE entries with the counts of what was not written."""
 
 RESERVED: Final[dict[str, float]] = {
     DecisionKind.REQUEST: 0.5,
@@ -40,14 +40,14 @@ RESERVED: Final[dict[str, float]] = {
     DecisionKind.START: 0.25,
     DecisionKind.END: 0.25,
 }
-"""The share of DAY_BYTES that entries of a kind must leave free for others: a flood of requests, or
-a daemon that crashes and restarts each second, must not crowd out the stops."""
+"""The share of DAY_BYTES that entries of a kind must leave free for other kinds: a flood of
+requests, or a daemon that crashes and restarts each second, must not crowd out the stops."""
 
 
 class Budget:
-    """The bytes that may be written now; they grow at a constant rate, up to DAY_BYTES.
+    """Limits how many bytes are written: the budget grows at a constant rate, up to DAY_BYTES.
 
-    Entries that do not fit are counted by kind; one entry (MORE) contains the counts.
+    It also counts by kind the entries that are not written; an entry MORE contains these counts.
     """
 
     def __init__(self, now_s: Callable[[], float]) -> None:
@@ -59,7 +59,7 @@ class Budget:
         self._first_ns = self._last_ns = 0
 
     def grants(self, entry: Entry, size: int) -> bool:
-        """Reserve `size` bytes for an entry, or return False: the caller must then `fold` it."""
+        """Reserve `size` bytes for an entry; return False if too few are left: then `fold` it."""
         now_s = self._now_s()
         grown = self._left + (now_s - self._at_s) * DAY_BYTES / DAY_S
         self._left, self._at_s = min(grown, DAY_BYTES), now_s
@@ -69,14 +69,14 @@ class Budget:
         return True
 
     def fold(self, entry: Entry, number: int = 1) -> None:
-        """Count `number` entries of this kind that are not written."""
+        """Count `number` entries of the kind of `entry` that are not written."""
         if not self._folded:
             self._first_ns = entry.time_ns
         self._folded[entry.kind] += number
         self._last_ns = entry.time_ns
 
     def begin(self, used: int) -> None:
-        """Start with the bytes of one day less `used`, which were written already."""
+        """Start with the budget of one day, less the `used` bytes that were written already."""
         self._left = max(DAY_BYTES - used, 0.0)
 
     @property
@@ -98,13 +98,13 @@ class Budget:
 _log = logging.getLogger(__name__)
 
 MAX_WAITING: Final = 1000
-"""Limit on entries that wait for a disk that hangs or is full; further ones are only counted."""
+"""Limit on entries that wait while the disk hangs or is full; further ones are only counted."""
 
 RETRY_S: Final = 5.0
 """Pause before a failed write is tried again."""
 
 UNQUEUED: Final = "unqueued"
-"""The kind under which entries are counted that did not fit into the queue."""
+"""Entries that did not fit into the queue are counted under this kind."""
 
 COUNTS_PERIOD_S: Final = 3600.0
 """The counts of unwritten entries are written at most once in this time."""
@@ -114,7 +114,7 @@ END_S: Final = 2.0
 
 
 class DecisionLog:
-    """The log of one robot. `add` may be called from any thread, and does not block."""
+    """Writes the log of one robot. `add` may be called from any thread, and does not block."""
 
     def __init__(
         self,
@@ -139,7 +139,7 @@ class DecisionLog:
         # A daemon thread: a disk that hangs must not delay the end of the process.
         self._thread = threading.Thread(target=self._run, name="decisions", daemon=True)
         self._unqueued = 0
-        """The number of entries that did not fit; changed by the threads that call `add`."""
+        """How many entries did not fit into the queue; changed by the threads that call `add`."""
         self._unqueued_told = 0
         self._waiting: list[Entry] = []
         self._ending = False
@@ -155,7 +155,7 @@ class DecisionLog:
         self.add_values(kind, values)
 
     def add_values(self, kind: DecisionKind, values: Mapping[str, Any]) -> None:
-        """Queue an entry with the present time; its keys may be any text.
+        """Queue an entry with the present time; the keys of `values` may be any text.
 
         A SOFTWARE or CONFIGURATION entry is written only if it differs from the last of its kind.
         """
@@ -170,7 +170,7 @@ class DecisionLog:
                 self._problem = str(error)
 
     def warning(self) -> str:
-        """Return a sentence if decisions are not written, else ""."""
+        """Return a sentence if decisions cannot be written now, else ""."""
         if not self._problem:
             return ""
         return (
@@ -198,7 +198,7 @@ class DecisionLog:
                 return
 
     def _turn(self) -> None:
-        """Wait for entries, and write them and the counts that are due."""
+        """Wait for entries and write them; also write the counts if they are due."""
         self._take()
         if self._descriptor < 0:
             self._open()
@@ -234,7 +234,7 @@ class DecisionLog:
             self._ending = True
 
     def _open(self) -> None:
-        """Open the last file; read the hash of its last entry, and the bytes of the last 24 h."""
+        """Open the last file; read the last entry's hash and the bytes written in the last 24 h."""
         now_s = self._now_ns() / NS_PER_S
         remove_oldest(self._folder, self._keep_s, now_s)
         self._descriptor = open_last(self._folder)
@@ -251,7 +251,10 @@ class DecisionLog:
         self._budget.begin(used)
 
     def _write(self, entry: Entry) -> None:
-        """Write one entry unless it repeats the last one; count it if it exceeds the budget."""
+        """Write an entry, or only count it if it exceeds the budget.
+
+        A SOFTWARE or CONFIGURATION entry that `_is_known` is left out.
+        """
         if entry.kind in (DecisionKind.SOFTWARE, DecisionKind.CONFIGURATION) and self._is_known(
             entry
         ):
@@ -274,7 +277,7 @@ class DecisionLog:
         self._size += len(data)
 
     def _is_known(self, entry: Entry) -> bool:
-        """Return whether the last entry of this kind has the same values."""
+        """Return whether the last written entry of the same kind has the same values."""
         marker = f'"kind":"{entry.kind}"'.encode()
         same = parse(entry.line(""))[0].values
         for path in reversed(files_of(self._folder)):

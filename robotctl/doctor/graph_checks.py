@@ -1,4 +1,4 @@
-"""Checks of the ROS graph: the topics of velocity command and odometry, and message types."""
+"""Checks of the ROS graph: the topics of command and odometry, and the types of all topics."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ _UNMATCHED: Final = (
     ("reliability", "best_effort", "reliable"),
     ("durability", "volatile", "transient_local"),
 )
-"""QoS policy, the value that a publisher offers, and the requested value that does not match."""
+"""A QoS policy, an offered value, and the requested value that such a publisher does not match."""
 
 MAX_NAMED: Final = 5
 
 MAX_ENDPOINTS: Final = 200
-"""Limit on the endpoints that are compared in pairs; a process may announce any number."""
+"""Limit on the endpoints that are compared in pairs: a process may announce any number."""
 
 
 def check_command(topic: GraphTopic, *, has_odometry: bool) -> Iterator[Finding]:
-    """Check the command topic; with `has_odometry`, a robot exists and should subscribe."""
+    """Check the command topic; if `has_odometry`, there is a robot that should subscribe to it."""
     yield from _check_topic("command", topic, COMMAND_TYPES)
     listeners = [each for each in topic["subscriptions"] if "/_" not in each["node"]]  # not hidden
     if has_odometry and not listeners:
@@ -45,7 +45,7 @@ def check_command(topic: GraphTopic, *, has_odometry: bool) -> Iterator[Finding]
 
 
 def check_odometry(topic: GraphTopic) -> Iterator[Finding]:
-    """Check the odometry topic."""
+    """Check the odometry topic: its types, its QoS, and that it has one publisher."""
     yield from _check_topic("odometry", topic, ODOMETRY_TYPES)
     if len(topic["publishers"]) > 1:
         yield fault(

@@ -2,7 +2,7 @@
 
 A Fast DDS process locks the file `NAME_el` while it uses the shared memory `NAME`. Linux releases
 the lock when the process ends, so a free lock proves that the owner is dead. Memory that another
-process still maps is kept all the same: that process may wait for messages there.
+process still maps is kept nevertheless: that process may wait for messages there.
 """
 
 from __future__ import annotations
@@ -76,16 +76,16 @@ def fault(check: str, text: str, cure: str) -> Finding:
 
 
 SCARCE_BYTES: Final = 2_000_000_000
-"""The recorder warns when less is free (`warn_free_bytes`)."""
+"""With less free space, the recorder warns (its option `warn_free_bytes`)."""
 
 FULL_BYTES: Final = 500_000_000
-"""The recorder does not begin when less is free (`stop_free_bytes`)."""
+"""With less free space, the recorder does not start (its option `stop_free_bytes`)."""
 
 BUILT_S: Final = 1_735_689_600.0
-"""2025-01-01: a clock before that was never set."""
+"""2025-01-01 [s since the epoch]: a clock that is before this was never set."""
 
 AHEAD_S: Final = 60.0
-"""A file that is newer than the clock by more than this shows that the clock was set back."""
+"""If a file is newer than the clock by more than this, the clock was set back."""
 
 
 def check_disk(folder: Path, *, is_used: bool = False) -> Iterator[Finding]:
@@ -114,7 +114,7 @@ def check_disk(folder: Path, *, is_used: bool = False) -> Iterator[Finding]:
 
 
 def check_clock(now_s: float, state: Path) -> Iterator[Finding]:
-    """Check that the clock was set, and that it is not behind the newest file in `state`."""
+    """Check that the clock was set, and is not behind the newest file in the folder `state`."""
     check = "clock"
     try:
         newest = max((entry.stat().st_mtime for entry in os.scandir(state)), default=0.0)
@@ -207,7 +207,7 @@ def _existing(path: Path) -> Path:
 
 
 PINNED = re.compile(r"([A-Za-z0-9._-]+)(?:\[[^]]*\])?==([^; ]+)")
-"""A requirement of exactly one version."""
+"""Matches a requirement of exactly one version; its groups are name and version."""
 
 WHEELS_FOR = "x86_64"
 """The architecture for which there are ROS wheels; on others, ROS comes from a workspace."""
@@ -268,11 +268,11 @@ def check_shell(environment: Mapping[str, str], prefix: Path) -> Iterator[Findin
 
 
 def check_two_rclpys(folders: Iterable[str]) -> Iterator[Finding]:
-    """Warn if more than one of `folders`, which Python searches for modules, holds an rclpy."""
+    """Warn if more than one of `folders`, where Python searches for modules, contains an rclpy."""
     found = {
         (Path(folder) / "rclpy").resolve()
         for folder in folders
-        if os.path.isfile(os.path.join(folder, "rclpy", "__init__.py"))  # False if not permitted
+        if os.path.isfile(os.path.join(folder, "rclpy", "__init__.py"))  # False if we may not look
     }
     if len(found) > 1:
         yield warning(
@@ -295,10 +295,10 @@ def check_pip(prefix: Path, base_prefix: Path, standard_library: Path) -> Iterat
 SHARED_MEMORY: Final = Path("/dev/shm")
 
 SETTLED_S: Final = 10.0
-"""Younger files are left alone: their process may not have locked them yet."""
+"""Files younger than this are kept: their process may not have locked them yet."""
 
 SCARCE_SHARED_BYTES: Final = 16 << 20
-"""A Fast DDS participant uses 0.6 MB; a participant that sends images uses more."""
+"""Least free shared memory: a Fast DDS participant uses 0.6 MB, and more if it sends images."""
 
 _LOCKED = re.compile(r"fastrtps_(?:[0-9a-f]{16}|port\d+)_el")
 
@@ -375,7 +375,7 @@ def _is_free(path: Path) -> bool:
 
 
 def _mapped(folder: Path) -> set[str]:
-    """Return the names of files in `folder` that a process maps or has open, as /proc shows."""
+    """Return the names of the files in `folder` that a process maps or has open, as /proc shows."""
     found: set[str] = set()
     for process in Path("/proc").iterdir():
         if not process.name.isdecimal():
@@ -396,7 +396,7 @@ PROFILES: Final = "FASTRTPS_DEFAULT_PROFILES_FILE"
 """The variable that names the profiles file for Fast DDS 2, the version in the wheels."""
 
 LOCALHOST_ONLY: Final = "ROS_LOCALHOST_ONLY"
-"""The variable of ROS Humble; its value 1 overrules the variable RANGE."""
+"""A variable of ROS Humble; its value 1 overrules the variable that RANGE names."""
 
 MAX_PROFILES_BYTES: Final = 1_000_000
 """Limit on the size of a profiles file; no person writes a larger one."""
@@ -416,7 +416,7 @@ def check_middleware(environment: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def check_range(environment: Mapping[str, str]) -> Iterator[Finding]:
-    """Warn if the discovery range hides more processes than the user may expect."""
+    """Warn if the discovery range is invalid, overruled or OFF, and so may hide other processes."""
     check, cure = "discovery", f"export {RANGE}=SUBNET, or LOCALHOST for this machine only"
     given = environment.get(RANGE, "")
     if environment.get(LOCALHOST_ONLY) == "1" and given not in ("", "LOCALHOST"):

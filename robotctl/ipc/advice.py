@@ -80,11 +80,11 @@ def condition_of(cause: Cause) -> str:
 _COMMAND = re.compile(
     r"\brobotctl (logs|reset|set-mode idle|start|status|stop)\b(?! \(uid | --robot )"
 )
-"""A command without `--robot`; text before ` (uid` is the name of a requester, not a command."""
+"""Matches a command without `--robot`, but not a requester's name, after which ` (uid` stands."""
 
 
 class Advice(NamedTuple):
-    """What is wrong, and what to do about it; `cure` is "" if there is no remedy."""
+    """`cause` says what is wrong, `cure` what to do about it, or "" if there is no remedy."""
 
     cause: str
     cure: str
@@ -102,7 +102,7 @@ def advice(text: str, remedies: Iterable[Remedy], robot: str) -> Advice:
 
 
 def for_robot(text: str, robot: str) -> str:
-    """Return `text` with `--robot NAME` after each command, unless it is the default robot."""
+    """Return `text` with `--robot NAME` after each command; unchanged for the default robot."""
     return _COMMAND.sub(lambda match: command_for(robot, match[1]), text)
 
 

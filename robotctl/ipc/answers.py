@@ -19,11 +19,11 @@ class DriveFacts(TypedDict):
     distance_m: float
     duration_s: float
     cross_track_m: float | None
-    """This and the other errors are None if there is no path to measure against."""
+    """This and the other errors are None if the drive has no path to measure against."""
     cross_track_rms_m: float | None
     cross_track_max_m: float | None
     true_cross_track_rms_m: float | None
-    """`true_*` is measured with the true pose of a simulated robot; None for a real robot."""
+    """`true_*` fields are measured with a simulated robot's true pose; None for a real robot."""
     true_cross_track_max_m: float | None
     true_heading_rms_rad: float | None
     true_heading_max_rad: float | None
@@ -31,7 +31,7 @@ class DriveFacts(TypedDict):
     heading_rms_rad: float | None
     heading_max_rad: float | None
     closure_m: float | None
-    """At the end of the last complete lap; None before the first is complete."""
+    """How far the last complete lap ended from the path's end; None before the first lap's end."""
 
 
 class DrivenPath(TypedDict):
@@ -42,16 +42,16 @@ class DrivenPath(TypedDict):
 
 
 class ModeAnswer(TypedDict):
-    """The answer of `set_mode`, `reset`, `end_drive`, and of `drive` without `wait`."""
+    """The answer of `set_mode`, `reset` and `end_drive`, and the base of other answers."""
 
     message: str
     mode: str
 
 
 class DriveAnswer(ModeAnswer, total=False):
-    """The answer of `drive`; with `wait` it has the figures of the drive, otherwise none of them.
+    """The answer of `drive`, `drive_path` and `drive_velocity`.
 
-    See `kernel.types.DriveReport` and `DriveFacts`; None stands for an unknown value.
+    With `wait` it also has the figures of the drive, as in `DriveFacts`; None: unknown.
     """
 
     laps: int
@@ -70,9 +70,10 @@ class DriveAnswer(ModeAnswer, total=False):
 
 
 class HoldAnswer(ModeAnswer):
-    """The answer of `hold`: `hold` is its number, or 0 if it has ended; `message` says why."""
+    """The answer of `hold`; `message` is the reason for the mode, also if the motion has ended."""
 
     hold: int
+    """The number of the held motion, for the next request; 0: the motion has ended."""
 
 
 class Hello(TypedDict):
@@ -122,7 +123,7 @@ class RobotFacts(TypedDict):
 
 
 class CountsAnswer(TypedDict):
-    """Message counts of a topic or of all topics; `lost` and `throttled` ones were not received."""
+    """Message counts of one or all topics; `lost` and `throttled` do not count as received."""
 
     written: int
     queued: int
@@ -221,7 +222,7 @@ class Stopped(TypedDict):
 
 
 class LeaseAnswer(TypedDict):
-    """The answer of `lease_release`, and of `lease_take` once the lease has ended."""
+    """The answer of `lease_release`, and of `lease_take`, which is answered when the lease ends."""
 
     message: str
 
@@ -319,7 +320,7 @@ class NameAndTypes(TypedDict):
 
 
 class Graph(TypedDict):
-    """The names that the daemon sees on ROS; `left_out` is the number of names beyond the limit."""
+    """The names that the daemon sees on ROS; `left_out` counts those omitted above a limit."""
 
     topics: list[NameAndTypes]
     services: list[NameAndTypes]
@@ -328,9 +329,9 @@ class Graph(TypedDict):
 
 
 class GraphEndpoint(TypedDict):
-    """A publisher or a subscription; `node` is "" while it is unknown.
+    """A publisher or a subscription; `node` is "" while its node is unknown.
 
-    `qos` has reliability, durability, history and depth; DDS does not announce "unknown" values.
+    `qos` has reliability, durability, history and depth, "unknown" if DDS does not announce it.
     """
 
     node: str

@@ -34,7 +34,7 @@ from robotctl.ipc.protocol import (
 )
 
 CALL_DEADLINE_S = 12.0
-"""Longer than the server's deadline of a call, so that its reply about a timeout still arrives."""
+"""Longer than the server's deadline for a call, so that its timeout error still arrives."""
 
 LIVENESS_S = 5.0
 """The period with which a call without a deadline checks that the daemon still replies."""
@@ -47,7 +47,7 @@ A = TypeVar("A")
 
 
 class NoAnswer(NoDaemon):
-    """A daemon that runs but did not reply; it may or may not carry out the request."""
+    """A running daemon did not reply; it may or may not carry out the request."""
 
 
 @overload
@@ -81,7 +81,7 @@ def call(
 class Client:
     """A connection to the daemon of `robot`.
 
-    The `with` statement opens it. After a call has raised NoDaemon, it cannot be used again.
+    The `with` statement connects. After a call has raised NoDaemon, open a new client.
 
     Raises:
         NoDaemon: The socket does not exist, or no process listens on it.
@@ -161,7 +161,8 @@ class Client:
     ) -> object:
         """Call `method` in the daemon and return its result.
 
-        If `deadline_s` is None, wait as long as the daemon replies to hello on other connections.
+        If `deadline_s` is None, wait without limit, but check every LIVENESS_S, by a hello on
+        another connection, that the daemon still replies.
 
         Raises:
             NoAnswer: The daemon did not answer in time, or closed the connection.
@@ -247,7 +248,7 @@ class Client:
         return line
 
     def _check_alive(self) -> None:
-        """Raise NoDaemon, TimeoutError or ConnectionError unless a new hello is answered."""
+        """Raise NoDaemon, TimeoutError or ConnectionError if hello on a new connection fails."""
         with Client(self._robot) as other:
             other._write(encode_request(_HELLO_ID, "hello", {"protocol": PROTOCOL_VERSION}))
             other._greet(time.monotonic() + LIVENESS_S)

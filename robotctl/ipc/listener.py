@@ -1,4 +1,4 @@
-"""The listening socket: open to its owner or a group; its file is created again if removed."""
+"""The listening socket, to which its owner or a group may connect; it is reopened if lost."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def socket_group(name: str) -> SocketGroup | None:
 
 
 def open_folder(path: Path, group: SocketGroup | None) -> None:
-    """Give the group access to the folder of the socket `path`; if None, only the owner.
+    """Give `group`, or only the owner if it is None, access to the folder of the socket `path`.
 
-    A folder that another robot of this user shares with a group stays accessible to that group.
+    If another robot of this user shares the folder with a group, that group keeps its access.
 
     Raises:
         UsageError: The folder is shared with another group, or this group cannot reach it.
@@ -146,7 +146,7 @@ def _has(sock: socket.socket, events: int) -> bool:
 _log = logging.getLogger(__name__)
 
 BACKLOG = 1024
-"""The number of clients that may wait to be accepted: the largest burst that must not fail.
+"""How many clients may wait to be accepted; a burst of this size must not fail.
 
 With a full backlog, asyncio's connect returns a socket that is not connected."""
 
@@ -158,7 +158,7 @@ _RETRY_ACCEPT_S = 0.1
 
 
 class Listener:
-    """A listening socket at `path`; `close` removes the file unless it was replaced."""
+    """A socket that listens at `path`, and accepts clients even if no descriptor is free."""
 
     def __init__(self, path: Path, group: SocketGroup | None = None) -> None:
         self._path = path
@@ -166,7 +166,7 @@ class Listener:
         self._id = (0, 0)
         self._sock: socket.socket
         self._spare: int | None = None
-        """A reserved descriptor, closed if no other is free: the next client may stop the robot."""
+        """A reserved descriptor, closed if no other is free: a request to stop must get in."""
 
     def open(self) -> None:
         """Bind and listen; from now on clients can connect.
@@ -208,8 +208,8 @@ class Listener:
     async def accept(self, make_room: Callable[[], bool]) -> socket.socket:
         """Wait for the next client and return its socket.
 
-        If the process has no free descriptor, close the reserved one. If that is used up, call
-        `make_room`, which closes a connection and returns True, or returns False; then try again
+        If the process has no free descriptor, close the reserved one. If that is closed already,
+        call `make_room`, which closes a connection if it can and returns whether it did. Try again
         until a descriptor is free.
         """
         self._keep_spare()
@@ -238,7 +238,7 @@ class Listener:
             await asyncio.sleep(LOOK_S)
 
     async def reopen(self, on_failure: Callable[[str], None]) -> None:
-        """Retry `open` until it succeeds; call `on_failure` with each new reason of a failure."""
+        """Retry `open` until it succeeds; call `on_failure` each time the reason changes."""
         self._sock.close()
         said = ""
         while True:

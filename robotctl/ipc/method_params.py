@@ -60,7 +60,7 @@ class HelloParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SetModeParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `set_mode`, with the uint8 of SetMode.srv; the handler checks the mode."""
+    """The parameters of `set_mode`. `mode` may be any uint8: the handler refuses unknown modes."""
 
     mode: Annotated[int, Meta(ge=0, le=255)]
     source: Source
@@ -118,9 +118,9 @@ class SimFaultParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `drive`: a pattern, and its size unless the default size is wanted.
+    """The parameters of `drive`: a pattern and how to drive it; None stands for a default.
 
-    The default speed comes from the configuration, whose speed limit may be below MAX_SPEED_MPS.
+    The configuration has the default speed, and a speed limit, which may be below MAX_SPEED_MPS.
     """
 
     pattern: PatternKind
@@ -142,7 +142,7 @@ class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DrivePathParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `drive_path`: waypoints [m] in `frame`. The default speed is configured."""
+    """The parameters of `drive_path`: waypoints (x, y) [m] in `frame`. See `DriveParams`."""
 
     points: Annotated[list[tuple[float, float]], Meta(min_length=2, max_length=MAX_POINTS)]
     source: Source
@@ -174,12 +174,13 @@ class DriveVelocityParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class HoldParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `hold`: a velocity. `hold` is 0 to begin, then the number in the answer."""
+    """The parameters of `hold`, which drives at a velocity while the client repeats the request."""
 
     linear_mps: Annotated[float, Meta(ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS)]
     angular_rps: Annotated[float, Meta(ge=-MAX_TURNING_RPS, le=MAX_TURNING_RPS)]
     source: Source
     hold: Annotated[int, Meta(ge=0)] = 0
+    """0 begins a motion; the number in the answer, sent again, keeps that motion going."""
     reason: Reason = ""
     lease: Token | None = None
 
@@ -206,7 +207,7 @@ class LeaseReleaseParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LeaseStatusParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `lease_status`, which compares a given token with that of the lease."""
+    """The parameters of `lease_status`, which says whether `token` is that of the lease."""
 
     token: Token | None = None
 
@@ -218,7 +219,7 @@ def decode(given: dict[str, Any], kind: type[P]) -> P:
     """Return the parameters as an object of `kind`.
 
     Raises:
-        UsageError: A parameter is unknown, missing or not allowed; the text names it.
+        UsageError: A parameter is unknown, missing or not allowed; the message names it.
     """
     try:
         return msgspec.convert(given, type=kind)

@@ -32,7 +32,7 @@ MAX_RESPONSE_BYTES = 8 * 1024 * 1024
 """Enough for an answer of `path`: the points of one hour at 50 Hz with 40 bytes each."""
 
 MAX_DEPTH = 16
-"""The limit of nesting, since the decoder recurses; the deepest message, `path`, has 4 levels."""
+"""Limit on nested brackets, since the decoder recurses; the answer of `path` has the most: 4."""
 
 MAX_ID_LENGTH = 64
 MAX_ID = 2**53
@@ -70,7 +70,7 @@ class Code(IntEnum):
 
 
 class ProtocolError(RobotctlError):
-    """The peer sent a line that is not a message; `request_id` is None if it has no valid id."""
+    """A line of the peer is not a message; `request_id` is None if the line has no valid id."""
 
     def __init__(self, code: Code, text: str, request_id: int | str | None = None) -> None:
         super().__init__(text)
@@ -206,7 +206,7 @@ def parse_response(line: bytes) -> Result | Failure:
 
 
 def is_emergency_stop(request: Request) -> bool:
-    """Return whether a request is accepted even before hello and above the limit of clients."""
+    """Return whether this is an emergency stop: allowed before hello and above the client limit."""
     mode = request.params.get("mode")
     return request.method == "set_mode" and type(mode) is int and mode == EMERGENCY_STOP_MODE
 
@@ -249,7 +249,7 @@ _STRING_OR_BRACKET = re.compile(rb'"(?:[^"\\]|\\.)*+"?|[\[{]|[\]}]', re.DOTALL)
 
 
 def _check_depth(line: bytes) -> None:
-    """Refuse deep nesting before the decoder recurses into it."""
+    """Raise ProtocolError for a line nested deeper than MAX_DEPTH, before it is decoded."""
     if line.count(b"[") + line.count(b"{") <= MAX_DEPTH:
         return
     depth = 0
@@ -264,7 +264,7 @@ def _check_depth(line: bytes) -> None:
 
 
 def _refuse_lone_surrogates(message: object) -> None:
-    """Refuse half a surrogate pair, which is not a character and cannot be encoded as UTF-8."""
+    """Raise UnicodeEncodeError if a text has half a surrogate pair, which is not a character."""
     json.dumps(message, ensure_ascii=False).encode()
 
 
@@ -301,7 +301,7 @@ _GROUPS_BYTES: Final = 1024
 
 
 class Peer(NamedTuple):
-    """The struct ucred of unix(7); `pid` is 0 for a process in another pid namespace."""
+    """A process (struct ucred of unix(7)); `pid` is 0 if it is in another pid namespace."""
 
     pid: int
     uid: int
@@ -309,13 +309,13 @@ class Peer(NamedTuple):
 
 
 def peer_of(sock: socket.socket) -> Peer:
-    """Return the process that called connect or listen at the other end of a socket."""
+    """Return the process at the other end of a socket, as it was when it connected or listened."""
     raw = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _UCRED.size)
     return Peer(*_UCRED.unpack(raw))
 
 
 def groups_of(sock: socket.socket) -> frozenset[int]:
-    """Return the groups of the process at the other end; of more than 256, only the primary one."""
+    """Return the gids of the process at the other end; if more than 256, only the primary one."""
     primary = peer_of(sock).gid
     try:
         raw = sock.getsockopt(socket.SOL_SOCKET, SO_PEERGROUPS, _GROUPS_BYTES)

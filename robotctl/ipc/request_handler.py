@@ -35,19 +35,19 @@ class ClientLimits:
     """Limits on the connections, and on the time for each request and reply."""
 
     clients: int = 64
-    """The maximum number of connections; a further one gets the error that the daemon is busy."""
+    """The number of connections with full service; further ones get the error "busy"."""
     overflow: int = 256
-    """The maximum number of connections above `clients`; each may send one emergency stop.
+    """The maximum number of connections beyond `clients`; each may send one emergency stop.
 
-    If there are more, the daemon closes the oldest idle one. Together with `clients` this is well
-    below 1,024 open files, the usual limit of a process.
+    To accept one more, the daemon closes the oldest idle one of them. `clients` + `overflow` is
+    well below 1,024 open files, the usual limit of a process.
     """
     request_s: float = 10.0
-    """Time to receive a complete request, from the start of the connection or the last reply."""
+    """Time from the connection's start, or the last reply, until a whole request is received."""
     overflow_request_s: float = 1.0
-    """`request_s` for a connection above `clients`."""
+    """The same for a connection beyond `clients`."""
     write_s: float = 5.0
-    """Time to send a reply, which the client must read."""
+    """Time to send a reply; a client that does not read it in time is disconnected."""
     hangup_poll_s: float = 0.1
     """The period of the check that the client of a call without deadline is still connected."""
 
@@ -60,13 +60,13 @@ class DeadlineMissed(TimeoutError):
 
 
 class Deadline:
-    """A deadline that is set again for each `with` block. Blocks must neither nest nor overlap.
+    """Limits the time of each of its `with` blocks, which must neither nest nor overlap.
 
         with deadline.within(10.0):
             await work()
 
-    Like `asyncio.timeout` it cancels the task, and then raises DeadlineMissed (a TimeoutError). It
-    reuses one timer, because a new timer for each block would take a tenth of the time of `status`.
+    At the deadline the task is cancelled, as by `asyncio.timeout`, and the block raises
+    DeadlineMissed. One timer is reused: new ones would take a tenth of the time of `status`.
     """
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class Deadline:
         """Fires at `_due_s` or earlier; if earlier, `_look` sets it again."""
 
     def within(self, limit_s: float | None) -> Self:
-        """Set the deadline of the `with` block [s from now]; None: no deadline."""
+        """Set the deadline of the `with` block to `limit_s` seconds from now (None: none)."""
         loop, self._task = asyncio.get_running_loop(), asyncio.current_task()
         assert self._task is not None
         self._cancelling = self._task.cancelling()
@@ -89,7 +89,7 @@ class Deadline:
         return self
 
     def miss(self) -> None:
-        """Cancel the work as at its deadline."""
+        """Miss the deadline now: cancel the work in the `with` block."""
         assert self._task is not None
         self._is_missed = True
         self._task.cancel()
@@ -175,7 +175,7 @@ class RequestHandler:
         *,
         over_cap: bool,
     ) -> None:
-        """With `over_cap`, accept only hello and an emergency stop; `sock` shows a disconnect."""
+        """With `over_cap`, accept only hello and an emergency stop. Nothing is read from `sock`."""
         self._deadline = deadline
         self._sock = sock
         self._methods = methods
@@ -249,7 +249,7 @@ class RequestHandler:
         }
 
     def _vouched(self, params: P) -> P:
-        """Return `params`; if another user is connected, append the uid from Linux to `source`."""
+        """Return `params`; if another user is connected, append that user's uid to `source`."""
         guest, source = guest_of(self._sock), getattr(params, "source", None)
         if guest is None or source is None:
             return params
@@ -265,10 +265,10 @@ class RequestHandler:
 
     @contextmanager
     def _until_hangup(self) -> Iterator[None]:
-        """Miss the deadline when the client disconnects.
+        """Within the `with` block, miss the deadline when the client disconnects.
 
-        The end of the client's stream does not show that: the client may have closed only its
-        sending half. So the state of the socket is polled.
+        The end of the client's stream does not show a disconnect: the client may have closed only
+        its sending half. So the state of the socket is polled.
         """
         loop, period_s = asyncio.get_running_loop(), self._limits.hangup_poll_s
         timer: asyncio.TimerHandle
@@ -314,7 +314,7 @@ def _decode(request: Request, kind: type[P]) -> P:
 
 
 def _encode_result(request_id: int | str, result: object) -> bytearray:
-    """Encode one reply line; NaN and infinity, the unknown values of ROS, become null."""
+    """Encode one reply line; NaN and infinity, which stand for unknown values, become null."""
     line = bytearray()
     _encoder.encode_into({"jsonrpc": "2.0", "id": request_id, "result": result}, line)
     line += b"\n"
@@ -330,6 +330,6 @@ def _internal_error(request: Request) -> bytes:
 
 
 def _being_cancelled() -> bool:
-    """Return whether a CancelledError is for this task, and not a bug of the handler."""
+    """Return whether this task is being cancelled; if not, a handler raised CancelledError."""
     task = asyncio.current_task()
     return task is not None and task.cancelling() > 0

@@ -1,4 +1,4 @@
-"""The control socket of a daemon: accepts clients with permission, up to a limit."""
+"""The control socket of a daemon: accepts permitted clients up to a limit, and answers them."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ from robotctl.ipc.request_handler import (
 
 
 class Connection:
-    """One client's connection; it ends at a disconnect, a missed deadline or an overlong line.
+    """Serves one client until a disconnect, a missed deadline or an overlong line.
 
-    With `over_cap` (too many clients), it ends after two lines: hello and an emergency stop.
+    With `over_cap` (too many clients) it serves only two lines: hello and an emergency stop.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Connection:
         return self._is_listening and not is_readable(self._sock)
 
     def dismiss(self) -> None:
-        """Send an idle client, without waiting, the error that the daemon is busy."""
+        """Send the error that the daemon is busy, without waiting; the caller closes the socket."""
         self._say_last(None, Code.BUSY, self._handler.busy())
 
     async def run(self) -> None:
@@ -85,7 +85,7 @@ class Connection:
                 lines_left -= 1
 
     async def refuse(self, code: Code, error: RobotctlError) -> None:
-        """Send the error because of which this connection is closed."""
+        """Send the error for which the caller closes this connection."""
         await self._send(encode_failure(None, code, error))
 
     async def _answer(self, line: bytes) -> bytes | bytearray:
@@ -125,7 +125,7 @@ class Connection:
     async def _receive(self) -> bytes:
         """Read like `loop.sock_recv`, but leave the data in the socket if the read is cancelled.
 
-        Other tasks run first, even if there are data already.
+        Other tasks get a turn first, even if data have arrived already.
         """
         while True:
             self._is_listening = True
@@ -150,13 +150,13 @@ class Connection:
 _log = logging.getLogger(__name__)
 
 _FULL_POLL_S = 0.005
-"""The period with which a new connection retries while no other one can be closed."""
+"""How often [s] to look for a connection to close, while a new client waits for its place."""
 
 
 class ControlServer:
-    """The server of the control socket: listens in the `with` block, answers while `serve` runs.
+    """Listens at the control socket in the `with` block; answers clients while `serve` runs.
 
-    It replaces the socket of a dead daemon at `path`. The caller must own the robot's lock.
+    It replaces the socket file of a dead daemon at `path`. The caller must own the robot's lock.
 
         with ControlServer(path, methods, identity) as server:
             tasks.create_task(server.serve())
@@ -172,7 +172,7 @@ class ControlServer:
         limits: ClientLimits = DEFAULT_LIMITS,
         on_unreachable: Callable[[str], None] = lambda problem: None,
     ) -> None:
-        """`on_unreachable` gets the problem when no client can connect, and "" when one can."""
+        """Call `on_unreachable(problem)` if clients cannot connect; with "" once they can again."""
         self._path = path
         self._group = group
         self._listener = Listener(path, group)
@@ -208,7 +208,7 @@ class ControlServer:
                 self._on_unreachable("")
 
     def warning(self) -> str:
-        """Return a sentence if the socket was ever lost, or ""."""
+        """Return a sentence on how often the socket was lost, or "" if it never was."""
         if not self._lost:
             return ""
         times = "once" if self._lost == 1 else f"{self._lost} times"

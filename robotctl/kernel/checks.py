@@ -14,11 +14,11 @@ from robotctl.kernel.types.events import LifecycleState
 from robotctl.kernel.units import NS_PER_S
 
 FOREIGN_COMMAND_S = 1.0
-"""How long one command of another node prevents motion; the node may send them only rarely."""
+"""For how long one command of another node prevents motion, as that node may send rarely."""
 
 
 def _age_s(then_ns: int, t_ns: int) -> float:
-    """Return the time between `then_ns` and `t_ns` [s]: a time in the future is stale, too."""
+    """Return the time from `then_ns` to `t_ns` [s], without its sign: the future is stale, too."""
     return abs(t_ns - then_ns) / NS_PER_S
 
 
@@ -162,7 +162,7 @@ def foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def foreign_command(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if another node can send (ignored with YIELD) or just sent a command."""
+    """Return a sentence if another node just sent a command or, except with YIELD, could do so."""
     if health.foreign_publishers and params.command.foreign is not Foreign.YIELD:
         names = ", ".join(health.foreign_publishers)
         verb = "publishes" if len(health.foreign_publishers) == 1 else "publish"

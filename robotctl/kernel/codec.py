@@ -1,7 +1,6 @@
 """Writes kernel values as JSON and reads them back bit for bit; the journal uses this format.
 
-A float is written as its repr, which reads back to the same bits. JSON has no nan and no inf, so
-they are written as strings.
+A float is written as its repr, which reads back to the same bits; nan and inf become strings.
 """
 
 from __future__ import annotations
@@ -157,8 +156,7 @@ def finite_or_none(value: float) -> float | None:
 class Proof:
     """What was sent and written before a snapshot; a check compares it to find what is missing.
 
-    `commands` is the number of velocity commands that were sent, `journal_crc` the CRC-32 of all
-    serialized journal entries.
+    `commands` counts the velocity commands, `journal_crc` is the CRC-32 of the serialized entries.
     """
 
     commands: int

@@ -60,7 +60,7 @@ class Held:
         return ""
 
     def begun(self, t_ns: int) -> Held:
-        """Return the velocity for a motion that begins at `t_ns`: hold-to-run counts from then."""
+        """Return this velocity for a motion that begins at `t_ns`; hold-to-run counts from then."""
         return replace(self, heard_t_ns=t_ns) if self.is_held_to_run else self
 
     @property
@@ -88,12 +88,13 @@ class Held:
 class Course:
     """How a drive differs from a plain pattern.
 
-    `corner_m` is the radius of the corners of a rounded square; on waypoints it is how far before
-    a corner the robot leaves the straight line, 0 to stop and turn at each point. `angle_rad` is
-    the angle of a turn or an arc, to the left if positive. `reverse` drives rear first, `open_loop`
-    without feedback from odometry. `waypoints` [m] in `frame` replace the pattern: in reverse a
-    pattern lies behind the robot, but waypoints stay where they are. A `held` velocity replaces
-    both.
+    - `corner_m`: the radius of the corners of a rounded square. On waypoints, how far before a
+      corner the robot leaves the straight line; 0 to stop and turn at each point.
+    - `angle_rad`: the angle of a turn or an arc, to the left if positive.
+    - `reverse`: drive rear first. A pattern then lies behind the robot; waypoints do not move.
+    - `open_loop`: drive without feedback from odometry.
+    - `waypoints`, in `frame` [m]: drive through them instead of a pattern.
+    - `held`: command this velocity instead of following a pattern or waypoints.
     """
 
     corner_m: float = 0.1

@@ -33,10 +33,13 @@ stop, the distance from the reference to the lead, and the speed of the referenc
 class Progress:
     """How far the reference has come: `laps` complete laps, then `segment` segments, then `length`.
 
-    `length` and `ahead` are in m, in rad in a turn; `speed` and `accel` of the reference are per
-    second. `settling_s` is how long the reference has waited at a stop. `closure_m` is how far the
-    robot was from the end of the path when the last lap ended, NaN before that. The lead is `ahead`
-    of the reference, at `lead_speed`; `rates` are the lead's speeds in the last ticks.
+    Lengths are in m, in a turn in rad; speeds are per second.
+
+    - `speed`, `accel`: those of the reference.
+    - `ahead`, `lead_speed`: how far the lead is ahead of the reference, and its speed.
+    - `rates`: the speeds of the lead in the last ticks.
+    - `settling_s`: how long the reference has waited at a stop.
+    - `closure_m`: how far the robot was from the path's end when the last lap ended, or NaN.
     """
 
     laps: int = 0
@@ -131,9 +134,9 @@ _TURNED = Pose(0.0, 0.0, pi)
 class Score:
     """How well the robot followed so far: sums and maxima over the odometry samples.
 
-    `error_m` is the distance of the last sample from the reference. It is inf if larger than the
-    path's `reach_m`, or if a turn is not followed (`LOST_RAD`): a robot that stands still is never
-    far from the reference of a small circle, so a fixed limit alone would not notice it.
+    `error_m` is the distance of the last sample from the reference. It is inf if it is larger than
+    the path's `reach_m`, or if a turn is not followed (`LOST_RAD`). Without this, a robot that
+    stands still would go unnoticed on a small circle, whose reference never gets far from it.
     """
 
     samples: int = 0
@@ -226,10 +229,7 @@ class Drive:
         return self._at(begun(speed_mps, ticks, dt_s, legs, turns=turns))
 
     def advance(self, dt_s: float, pose: Pose, limits: VelocityLimits, ticks: int) -> Drive:
-        """Return the drive after `dt_s` seconds, with the robot at `pose`.
-
-        An acceleration builds up over `ticks` ticks.
-        """
+        """Return the drive after `dt_s`, at `pose`; accelerations build up over `ticks` ticks."""
         if dt_s <= 0.0:
             return self
         if self.course.held is not None:

@@ -73,7 +73,7 @@ from robotctl.kernel.types.events import (
 from robotctl.kernel.units import NS_PER_S
 
 SILENT_AFTER_NS = NS_PER_S
-"""How long zeros are sent in IDLE before no command is sent, with `command.when_idle: silent`."""
+"""With `command.when_idle: silent`, for how long zeros are sent in IDLE before sending stops."""
 
 MAX_WAITING = 64
 """The largest number of requests that wait for the end of a ramp; further ones are refused."""
@@ -91,8 +91,7 @@ VALID_MODES = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
 class Kernel:
     """The kernel: each step decides on one event, and replaces `state` as a whole.
 
-    Each request gets exactly one reply. Every change of the mode goes through `_stand`, except the
-    start of a motion.
+    Each request gets exactly one reply. Only `_stand` and the start of a motion change the mode.
     """
 
     def __init__(self, params: KernelParams, state: State | None = None) -> None:
@@ -177,7 +176,7 @@ class Kernel:
     # Health
 
     def _learn(self, t_ns: int, **changes: object) -> None:
-        """Change fields of the health, and raise at once a fault that follows from them."""
+        """Change fields of the health; if a fault follows from them, raise it at once."""
         self._notice_gap(t_ns)
         self.state = changed(self.state, health=changed(self.state.health, **changes))
         self._raise_fault(t_ns)
@@ -185,7 +184,7 @@ class Kernel:
     def _notice_gap(self, t_ns: int) -> None:
         """Record a gap between ticks before anything else is checked.
 
-        Data that became stale during the gap follows from it, and must not be named as the cause.
+        Data that became stale during the gap is its consequence and must not be named as cause.
         """
         gap_s, health = self._tick_gap_s(t_ns), self.state.health
         late_s = gap_s if abs(gap_s) > self.params.max_tick_gap_s else 0.0
@@ -241,7 +240,7 @@ class Kernel:
         return 0.0 if tick_t_ns is None else (t_ns - tick_t_ns) / NS_PER_S
 
     def _step_s(self, t_ns: int) -> float:
-        """Return the time in which a command may change: since the last tick, at most 2 periods."""
+        """Return the time for which a command may change: since the last tick, <= 2 periods [s]."""
         return min(max(self._tick_gap_s(t_ns), 0.0), 2.0 / self.params.rate_hz)
 
     def _rise_ticks(self) -> int:
@@ -249,7 +248,7 @@ class Kernel:
         return round(self.params.limits.accel_rise_s * self.params.rate_hz) or 1
 
     def _is_silent(self, t_ns: int) -> bool:
-        """Update `state.silent` and return it: whether `when_idle: silent` stops the zeros now."""
+        """Update and return `state.silent`: whether `when_idle: silent` stops the zeros now."""
         state = self.state
         if self.params.command.when_idle is WhenIdle.ZEROS:
             return False
@@ -353,7 +352,7 @@ class Kernel:
                 self._stay(request_id, trigger)
 
     def _may_not_move(self, event: ModeRequested | DriveRequested) -> bool:
-        """Refuse a motion that the host or the lease forbids; return whether it was refused."""
+        """Refuse a request from another host, or against a lease; return whether it was refused."""
         if event.remote and not self.params.remote_motion:
             refusal = f"{event.source} was called from another host, or may have been"
             self._refuse(event.request_id, refusal, (Remedy.ASK_HERE,))
@@ -647,7 +646,7 @@ class Kernel:
 
 
 def _told(what: str, event: ModeRequested | ResetRequested | DriveRequested) -> str:
-    """Return the text of who asked for it, and why."""
+    """Return the text of who requested `what`, and why."""
     by = f"{what} by {event.source}"
     return f"{by}: {event.reason}" if event.reason else by
 

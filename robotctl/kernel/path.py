@@ -154,7 +154,7 @@ class Arc:
 
 
 NEAR_M = 0.05
-"""How far behind the reference the path is searched for its nearest point."""
+"""How far behind the reference the path is searched for the point nearest to the robot [m]."""
 
 OUTLINE_PIECES = 180
 """The number of poses along all curves of an outline together."""
@@ -164,9 +164,8 @@ OUTLINE_PIECES = 180
 class Path:
     """The segments of one lap; each segment begins where the previous one ends.
 
-    `reach_m` is the size of the path: a robot that is further from its reference than this does not
-    follow it. A path is `closed` if it ends at the pose where it begins. The path of a held
-    velocity has no segments.
+    `reach_m` is the size of the path: a robot further from its reference does not follow the path.
+    A `closed` path ends at the pose where it begins. A held velocity has a path without segments.
     """
 
     segments: tuple[Segment, ...]
@@ -190,7 +189,7 @@ class Path:
         return nearest_m
 
     def _distance_to_sides(self, point: Pose, index: int) -> float:
-        """Return the distance to the nearer neighbour of the turn `index`, or to its place [m]."""
+        """Return the distance to the nearer segment next to the turn `index`, else to its place."""
         before, after = self._neighbour(index, -1), self._neighbour(index, 1)
         distances_m = [] if before is None else [before.distance_to(point, before.length)]
         if after is not None:

@@ -114,10 +114,10 @@ def figure_eight_parts(whole: FigureEight) -> tuple[FigureEightPart, ...]:
 
 
 START_M, START_RAD = 0.02, 0.02
-"""A path that begins nearer than this begins at the robot; tracking corrects the difference."""
+"""A path that would begin nearer to the robot begins at the robot: tracking corrects the rest."""
 
 MIN_RADIUS_M, GENTLE_RAD = 0.02, 0.35
-"""A corner whose radius would be smaller and whose angle is larger is a turn on the spot."""
+"""A corner of a smaller radius and a larger angle than these becomes a turn on the spot."""
 
 STRAIGHT_RAD = 1e-6
 
@@ -313,7 +313,7 @@ def _open(segment: Segment, reach_m: float) -> Path:
 class Shape:
     """The properties of one kind of pattern: the name of its size, a default size, its path.
 
-    A lap of a `closed` shape ends where it begins; of another shape one lap is driven by default.
+    If `closed` is set, a lap ends where it begins; otherwise one lap is driven by default.
     `has_corner` and `has_angle` say whether `corner_m` and `angle_rad` of a `Course` apply.
     """
 

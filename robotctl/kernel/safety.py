@@ -22,9 +22,9 @@ from robotctl.kernel.types import Cause
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A cause, the mode `action` that it leads to from `raised_in`, and what the operator can do.
+    """A cause, and the mode `action` that it leads to from the modes in `raised_in`.
 
-    The rule applies unless `check` returns ""; the cause has cleared when `clear_check` does.
+    The rule applies unless `check` returns ""; the cause has cleared when `clear_check` returns "".
     """
 
     cause: Cause
@@ -205,14 +205,14 @@ def _rules_in(rules: Iterable[Rule]) -> tuple[tuple[Rule, ...], ...]:
 
 _RULES_IN = _rules_in(RULES)
 _MEASURED_IN = _rules_in(rule for rule in RULES if rule not in _REPORTED)
-"""The rules that can apply while nothing is reported."""
+"""The rules that can apply while the daemon reports no failure."""
 
 _FEWEST_IN = _rules_in(
     rule
     for rule in RULES
     if rule not in _REPORTED and rule.check.__module__ != input_checks.__name__
 )
-"""The rules that can apply if there are also no safety inputs and scans, as on most robots."""
+"""Those of `_MEASURED_IN` that can apply without safety inputs and scans, as on most robots."""
 
 
 def raised(mode: Mode, health: Health, params: KernelParams, t_ns: int) -> Finding | None:

@@ -5,8 +5,7 @@ The first limits the speed by the curvature; the second, backwards, to what the 
 brake from; the third, forwards while it drives, to what it can have reached (`drive.py`).
 
 A path depends on pattern and course, a plan on path, speed and limits. A drive asks for both
-several times a tick, always with the same objects: so the last results are cached by identity, and
-no waypoints are hashed.
+several times a tick with the same objects, so the last results are cached by their identity.
 """
 
 from __future__ import annotations

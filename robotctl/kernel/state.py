@@ -34,8 +34,8 @@ class SecondOdometry:
 class OdometrySources:
     """The publishers of odometry. The robot follows one at a time; `followed` is its number.
 
-    `names` pairs the numbers of the last publishers found with node names, `frames` with frames.
-    `dropped` counts the samples that were not used: those of other publishers, and impossible ones.
+    `names` has the number and the node name of each of the last publishers found, `frames` the
+    number and the frame. `dropped` counts the samples that were not used.
     """
 
     followed: int = 0
@@ -54,9 +54,8 @@ class CommandTopic:
     """Other nodes on the velocity command topic.
 
     `foreign_t_ns` and `foreign_by` are the time and the publisher of another node's last command,
-    None and "" if there was none. `listeners` counts the subscriptions to `type_name`, the type
-    that robotctl sends; it is None before discovery. `other_types` are the types of the other
-    subscriptions.
+    None and "" if there was none. `listeners` counts the subscriptions with the type that robotctl
+    sends (`type_name`), None before discovery; `other_types` are the types of all others.
     """
 
     foreign_t_ns: int | None = None
@@ -94,12 +93,14 @@ class Scan:
 class Health:
     """What the kernel knows about everything that motion depends on.
 
-    The odometry fields describe the followed publisher. `odometry` is its last usable sample, and
-    `odometry_t_ns` the time of its last sample that was usable and new. `odometry_stamp_ns` and
-    `odometry_fault` ("": none) are from its last sample, usable or not. `reported` holds the faults
-    that the daemon reported and has not cleared. If `battery_in_percent`, a full battery reports
-    100. `inputs` holds the last reading of each `SafetyInput` in their order, () before the first.
-    `fence_origin` is the pose at the first start of a motion. `lifecycle` is that of mode_service.
+    - `odometry`: the last usable sample of the followed publisher.
+    - `odometry_t_ns`: when its last sample that was both usable and new was received.
+    - `odometry_stamp_ns`, `odometry_fault` ("": none): from its last sample, usable or not.
+    - `reported`: the faults that the daemon reported and has not cleared.
+    - `battery_in_percent`: whether a full battery reports 100 instead of 1.
+    - `inputs`: the last reading of each `SafetyInput`, in their order; () before the first.
+    - `fence_origin`: the pose of the robot at the start of the first motion.
+    - `lifecycle`: the state of the node `mode_service`.
     """
 
     odometry: Odometry | None = None
@@ -128,7 +129,7 @@ UNKNOWN = Health()
 
 @dataclass(frozen=True, slots=True)
 class Guarded:
-    """A guarded motion: the velocity last wanted, and its time, None before the first one."""
+    """A guarded motion: the last velocity wanted and its time `t_ns`, None before the first one."""
 
     twist: Twist = ZERO
     t_ns: int | None = None
@@ -145,12 +146,14 @@ class Guarded:
 class State:
     """The whole memory of the kernel: state, parameters and events determine every later effect.
 
-    `reason` says why the mode changed last; `cause` is why the mode is ERROR or EMERGENCY_STOP.
-    `stop_reason` is why the robot ramps down, and `waiting` are the ids of the requests for IDLE
-    that are answered at the end of the ramp. `tick_t_ns` is the time of the last tick. With
-    `when_idle: silent`, `idle_t_ns` is the time of the first tick in IDLE; while `silent`, no
-    command is sent. `lease` names the only client that may start motion, None if every client may.
-    `guarded` is set in a motion that another node steers.
+    - `reason`: why the mode changed last. `cause`: why it is ERROR or EMERGENCY_STOP.
+    - `stop_reason`: why the robot ramps down.
+    - `waiting`: the ids of the requests for IDLE that are answered at the end of the ramp.
+    - `tick_t_ns`: when the last tick was.
+    - `idle_t_ns`: when the first tick in IDLE was; only with `when_idle: silent`.
+    - `silent`: whether no command is sent now, because of `when_idle: silent`.
+    - `lease`: the only client that may start motion, None if every client may.
+    - `guarded`: set in a motion that another node steers.
     """
 
     mode: Mode = Mode.IDLE

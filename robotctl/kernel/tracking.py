@@ -2,8 +2,7 @@
 
 The law is Samson's (1993), as written by Klancar and Skrjanc (2005), eq. 11. Unlike the law of
 Kanayama (1990), it also corrects the heading while the reference turns on the spot. The curvature
-is fed forward at the commanded speed, not at the speed of the reference, so that a robot that
-catches up stays on the path.
+is fed forward at the commanded speed, so that a robot that catches up stays on the path.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Reads CDR, the serialized form of ROS messages, without ROS; names types of common use."""
+"""A reader of CDR, the serialized form of ROS messages, without ROS; the names of common types."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class CdrReader:
 
 @lru_cache(maxsize=1024)
 def _aligned(order: str, codes: str, phase: int) -> struct.Struct:
-    """Return the layout of numbers that begin `phase` bytes after a multiple of 8."""
+    """Return the layout, with padding, of numbers from `phase` bytes after a multiple of 8 on."""
     layout, position = [order], phase
     for code in codes:
         size = struct.calcsize(f"<{code}")

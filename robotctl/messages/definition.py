@@ -1,4 +1,4 @@
-"""The definition of a ROS type: its fields, read from its text in ros2msg, and its RIHS01 hash."""
+"""The definition of a ROS type: its fields, as its ros2msg text gives them, and its RIHS01 hash."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ class FieldShape(Enum):
 class Field:
     """A field: its name, its type (a built-in one, or `pkg/T`) and how many values it has.
 
-    `length` is the length of an array or the bound of a sequence, None if it is unbounded.
-    `text_bound` is the bound of a string.
+    `length` is the length of an array or the bound of a sequence, None for an unbounded sequence
+    or a single value. `text_bound` is the bound of a string, None if it is unbounded.
     """
 
     name: str
@@ -86,7 +86,7 @@ class Definition:
 
     @property
     def fields(self) -> tuple[Field, ...]:
-        """The fields of the type itself."""
+        """The fields of the type `root`."""
         return self.types[self.root]
 
 
@@ -102,7 +102,7 @@ def short_type(type_name: str) -> str:
 
 
 def parse_definition(type_name: str, text: str) -> Definition:
-    """Read a type and its dependencies.
+    """Return the fields of a type and of the types that it needs, from its ros2msg text.
 
     Raises:
         UnreadableType: A line is no field, a type is missing, or a type contains itself.
@@ -119,7 +119,7 @@ def parse_definition(type_name: str, text: str) -> Definition:
 
 
 def needed_types(owner: str, text: str) -> list[str]:
-    """Return the types, as `pkg/T`, in the text of the type `owner` without its dependencies.
+    """Return the message types, as `pkg/T`, that `text` names: the .msg text of `owner` alone.
 
     Raises:
         UnreadableType: A line is no field.
@@ -155,7 +155,10 @@ def _fields(owner: str, text: str) -> tuple[Field, ...]:
 def _check(
     types: Mapping[str, tuple[Field, ...]], name: str, around: tuple[str, ...], good: set[str]
 ) -> None:
-    """Check that `name` needs only known types, and not itself; add the checked types to `good`."""
+    """Check that `types` has all types that `name` needs, and that none needs itself.
+
+    `around` are the types that contain `name`; the types that passed are added to `good`.
+    """
     if name in around or len(around) > _MAX_DEPTH:
         raise UnreadableType(f"{name} contains itself")
     for field in types[name]:
@@ -191,7 +194,7 @@ _ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
 """Offsets that are added to a type's number, as in type_description_interfaces/msg/FieldType."""
 
 _EMPTY: Final = (Field("structure_needs_at_least_one_member", "uint8"),)
-"""The fields of a type without fields."""
+"""ROS gives this field to a type that has none."""
 
 
 def rihs01_hash(type_name: str, definition: Definition) -> str:

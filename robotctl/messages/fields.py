@@ -35,7 +35,7 @@ def parse_path(definition: Definition, path: str) -> Steps:
     """Return the names and indexes that lead to a field of the type.
 
     Raises:
-        WrongValue: The path has another form, or leads to no field of the type.
+        WrongValue: The path is malformed, or leads to no field of the type.
     """
     steps: list[str | int] = []
     type_name = definition.root
@@ -132,7 +132,7 @@ def _leaves(
 
 
 def _types_with_leaves(definition: Definition) -> Set[str]:
-    """Return the types with at least one leaf, so that 2^64 empty messages are not searched."""
+    """Return the types with a leaf. A search skips the others, which may be nested 2^64 times."""
     useful: set[str] = set()
     before = -1
     while len(useful) > before:
@@ -164,7 +164,7 @@ class ColumnKind(Enum):
     TEXT = "text"
     BYTES = "bytes"
     LIST = "list"
-    """Numbers or texts."""
+    """A list of numbers or texts."""
 
     NESTED = "nested"
     """A list of messages, each a dict."""
@@ -172,7 +172,7 @@ class ColumnKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column: the path of its field, and what its values are; `type_name` is that of one item."""
+    """A column: `name` is the path of its field, `type_name` the type of a value, or of an item."""
 
     name: str
     kind: ColumnKind
@@ -180,7 +180,7 @@ class Column:
 
 
 _Step = str | Callable[[CdrReader], Any]
-"""Codes of numbers, each with a column; or a function that reads the value of one column."""
+"""The `struct` codes of several columns, or a function that reads the value of one column."""
 
 
 class FlatDecoder:

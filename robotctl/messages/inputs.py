@@ -1,7 +1,7 @@
 """Reads a robot's inputs from messages: battery, scan, buttons, gamepad, bumper, tilt, diagnoses.
 
-A reader returns the value of a serialized message as `SafetyInput` defines it, NaN if the message
-is unreadable, and the sender's text or "".
+A reader gets a serialized message and returns two values: the number that `SafetyInput` defines,
+NaN if the message is unreadable, and the sender's text or "".
 """
 
 from __future__ import annotations
@@ -100,7 +100,11 @@ UNIT_TOLERANCE = 0.1
 
 
 def reader_of(kind: SafetyInput, *, button: int, robot: str) -> Reader:
-    """Return the reader of an input: JOY reads `button`; DIAGNOSTICS skips those of `robot`."""
+    """Return the reader of an input.
+
+    That of JOY reads the button with the number `button`; that of DIAGNOSTICS ignores the diagnoses
+    that `robot` itself sends.
+    """
     readers: dict[SafetyInput, Reader] = {
         SafetyInput.ESTOP: _bool,
         SafetyInput.JOY: partial(_button, button),
@@ -126,7 +130,7 @@ def _bool(data: bytes) -> tuple[float, str]:
 
 
 def _button(number: int, data: bytes) -> tuple[float, str]:
-    """Return whether the button is pressed; a gamepad without it is unreadable."""
+    """Return 1 if button `number` is pressed, else 0. Without such a button, raise IndexError."""
     message = CdrReader(data)
     _skip_header(message)
     message.take("f", *message.take("I"))
@@ -136,7 +140,8 @@ def _button(number: int, data: bytes) -> tuple[float, str]:
 def _tilt(data: bytes) -> tuple[float, str]:
     """Return the angle between the upward axes of robot and world (REP-103), rounded to 0.01 rad.
 
-    A covariance that begins with -1 says that there is no orientation (sensor_msgs/Imu).
+    Return NaN if the quaternion is not of length 1, or if the covariance begins with -1, which
+    means that there is no orientation (sensor_msgs/Imu).
     """
     message = CdrReader(data)
     _skip_header(message)
@@ -188,7 +193,7 @@ class Diagnoses:
         self._levels: dict[str, tuple[float, str]] = {}
 
     def worst(self, data: bytes) -> tuple[float, str]:
-        """Read a DiagnosticArray; return the worst level of all, and its name and text.
+        """Store the levels of a DiagnosticArray; return the worst stored one, with name and text.
 
         Raises:
             struct.error: The message is unreadable; the levels stay as they were.

@@ -1,6 +1,7 @@
 """Converts any message to plain values and back by its definition; checks values from users.
 
-A message becomes a dict, an array or sequence a list, or `bytes` if it is of bytes and not empty.
+A message becomes a dict, an array or sequence becomes a list. An array or sequence of bytes becomes
+`bytes` if it is not empty.
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ def _read_item(definition: Definition, type_name: str, reader: CdrReader) -> Any
 
 
 class _Writer:
-    """The bytes written so far; alignment counts from the end of the header."""
+    """Collects a message in CDR; alignment counts from the end of the encapsulation."""
 
     def __init__(self) -> None:
         self.data = bytearray(ENCAPSULATION)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 NODE_NAME = "robotctl_replay"
 
 SWITCH_INTERVAL_S = 1e-4
-"""The longest time that the player's thread waits for the GIL, normally 5 ms."""
+"""The longest time that the player's thread waits for the GIL [s]; Python's default is 5 ms."""
 
 
 def main(arguments: list[str]) -> int:

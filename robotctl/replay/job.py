@@ -22,13 +22,16 @@ _TOPIC_NAME = re.compile(r"/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*", re.ASCII)
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What to play, and how. With `rate` None, play as fast as subscribers accept the messages.
+    """What to play, and how.
 
-    Play from `start_offset_s` after the first message, for `duration_s` (both recorded time).
-    `delay_s` is real time. Without `topics` and `regex`, all topics are played, otherwise those
-    that one of the two selects, and in both cases none in `exclude`. Nothing is sent before there
-    are `wait_for` subscriptions, summed over all topics. `original_names` allows the recorded names
-    in a domain with a daemon; `changed_types` allows topics whose installed type differs.
+    - `rate`: recorded seconds per second; None: as fast as subscribers accept the messages.
+    - `topics`, `regex`: play the topics that either selects, or every topic if both are empty.
+    - `exclude`: never play these topics.
+    - `start_offset_s`, `duration_s`: play this part; recorded time, from the first message on.
+    - `delay_s`: wait this long before the first message; real time.
+    - `wait_for`: send nothing before there are so many subscriptions, summed over all topics.
+    - `original_names`: play under the recorded names, even in a domain with a daemon.
+    - `changed_types`: also play topics whose recorded type differs from the installed one.
     """
 
     file: Path

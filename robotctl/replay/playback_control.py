@@ -24,9 +24,10 @@ RATES: Final = tuple(
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """Maps recorded time to steady time: `at_ns` is due at `moment_ns`, later times at `rate`.
+    """Maps recorded time to steady time: `at_ns` (recorded) is due at `moment_ns` (steady).
 
-    If `rate` is None, everything is due at once. While `paused`, nothing is due.
+    From there on, `rate` seconds of the recording are due per second, or all at once if it is None.
+    While `paused`, nothing is due.
     """
 
     moment_ns: int
@@ -86,9 +87,9 @@ class PlaybackControl:
         return self._schedule
 
     def begin(self, moment_ns: int) -> None:
-        """Start playback from recorded time 0 at steady time `moment_ns`, or when a pause ends.
+        """Make recorded time 0 due at the steady time `moment_ns`; in a pause, when it ends.
 
-        Schedule positions from before this call are discarded, because nothing was played.
+        Nothing was played before this call, so the position of the schedule is discarded.
         """
         with self._changing:
             self._schedule = replace(self._schedule, moment_ns=moment_ns, at_ns=0)

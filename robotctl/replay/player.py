@@ -17,7 +17,7 @@ from robotctl.replay.playback_control import PlaybackControl, Schedule
 from robotctl.replay.timeline import Entry
 
 SPIN_NS: Final = 40_000
-"""The last part of a wait, which polls the clock: the scheduler may wake a thread this late."""
+"""The last part of a wait polls the clock, as the scheduler may wake a thread up to this late."""
 
 _PR_SET_TIMERSLACK: Final = 29
 _NO_SLACK_NS: Final = 1
@@ -123,7 +123,7 @@ def _highest(step: int) -> int:
 
 
 Send = Callable[[bytes], bool | None]
-"""Sends a serialized message. False: it was not accepted; None: it had nothing to send."""
+"""Sends a serialized message; returns whether it was accepted, None if nothing was to be sent."""
 
 LEAD_NS: Final = 5_000_000
 """Time from the start of playback to the first message, so that the first is on time as well."""
@@ -181,7 +181,7 @@ class Player:
         """Recorded time of the last message that was sent."""
 
         self.late_ns = 0
-        """Lateness of the last message that had a due time."""
+        """How late the last message was sent that had a due time [ns]."""
 
         self._batches = batches
         self._clock = clock
@@ -212,7 +212,7 @@ class Player:
                 self.position_ns = at_ns
 
     def _wait_for(self, at_ns: int) -> int | None:
-        """Wait until the message is due; return that time, or None if stopped, stepped or `max`."""
+        """Wait until the message is due; return that time, None at rate `max`, a step or a stop."""
         clock, control = self._clock, self.control
         while not self._stopped:
             schedule = control.schedule

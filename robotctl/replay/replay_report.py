@@ -54,7 +54,7 @@ class ReplayReport:
 
 
 BEHIND_S = 0.05
-"""A shorter delay does not count as behind: it is not visible, and may be made up."""
+"""A shorter delay [s] does not count as behind: nobody sees it, and the player may catch up."""
 
 
 def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:

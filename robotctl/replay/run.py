@@ -129,7 +129,7 @@ PRIORITY: Final = 1
 """The lowest priority of SCHED_FIFO, used if permitted; it is enough to wake up in time."""
 
 OVERLOADED_S: Final = 1.0
-"""A player that is behind schedule for this long loses its real-time priority: it never sleeps."""
+"""A player behind schedule never sleeps: after this time [s] it loses its real-time priority."""
 
 
 class Replay:

@@ -66,9 +66,10 @@ def recorded(
     *,
     loop: bool,
 ) -> Iterator[Entry]:
-    """Return the entries of a recording; `topics` maps the topics to play to their types.
+    """Return the messages of a span to send, those latched at its start first.
 
-    `latched` is the maximum number of latched messages by topic.
+    `topics` has the type of each topic to play; messages of another type are left out. `latched`
+    has, for each latched topic, how many of its messages from before the span are sent at most.
     """
 
     def typed(messages: Iterable[Message]) -> Iterable[Message]:

@@ -87,8 +87,9 @@ class FileGroup(NamedTuple):
 def file_groups(path: Path) -> list[FileGroup]:
     """Return the files of `path` grouped by recording; the group named like `path` comes first.
 
-    A file joins a group of its robot if its first journal entry has a higher `seq` than theirs, or
-    if it has no journal. Unreadable files join the first group, whose check reports the reason.
+    A file joins a group of the same robot if it has no journal, or if its first journal entry has a
+    higher `seq` than the first entries of the group's files. Unreadable files join the first group,
+    whose check reports why they cannot be read.
 
     Raises:
         UnreadableFile: `path` is not a recording.
@@ -139,9 +140,9 @@ Readers = Mapping[str, Callable[[Message], None]]
 
 
 class CheckReading:
-    """One pass over a recording.
+    """Reads a recording once, in file order, and groups its journal into steps.
 
-    `end_ns` is the steady time of the last entry that was read; `chain` covers all entries so far.
+    `end_ns` is the steady time of the last entry read so far, `chain` the CRC of all of them.
     """
 
     def __init__(
@@ -163,9 +164,10 @@ class CheckReading:
         """The step that is being read: more effects may follow."""
 
     def items(self, topic: str, readers: Readers) -> Iterator[tuple[Item, LogTimes]]:
-        """Yield each item of the journal `topic`, with the log times of the last two events so far.
+        """Yield each step, snapshot and gap of the journal on `topic`, with two log times [ns].
 
-        Call the handler in `readers` for each message of another topic as it is read.
+        The times are those of the last two events or snapshots read so far. For each message of
+        another topic, call its handler in `readers` as it is read.
 
         Raises:
             UnreadableFile: The journal cannot be read.
@@ -234,8 +236,8 @@ def check_recording(
     """Check one recording, a file or a folder, and return the report.
 
     A file that cannot be read is named in the report. Every byte is read if `all_bytes` is set, or
-    if the recording is small. With `source`, one MCAP file is read from there, no more of it than
-    the check needs, and `path` is only its name.
+    if the recording is small. If `source` is given, it is the content of one MCAP file, of which
+    only what the check needs is read; `path` is then only the name for the report.
     """
     report = Report(path)
     began = time.perf_counter()
@@ -265,7 +267,7 @@ def check_recording(
 
 
 class _Check:
-    """One pass over the messages of a recording, in file order."""
+    """Re-runs and compares each item of one recording, in file order, and fills the report."""
 
     def __init__(self, recording: Recording, report: Report, on_progress: Progress) -> None:
         self._recording = recording
@@ -278,7 +280,7 @@ class _Check:
         report.robot = self._info.metadata.get(INFO_RECORD, {}).get("robot", "")
         report.version = _version(self._info)
         self._log_ns = (0, 0)
-        """When the last two events before the present item were recorded, since the epoch [ns]."""
+        """The two log times that `CheckReading.items` yielded with the current item."""
 
     def run(self) -> None:
         """Fill the report.

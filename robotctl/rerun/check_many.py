@@ -101,10 +101,7 @@ class _Worker:
                 self._child.kill()
 
     def close(self) -> int:
-        """Kill the process, wait for its end and return its exit code.
-
-        No other thread may be reading from it.
-        """
+        """Kill the process, from which no other thread may be reading; return its exit code."""
         with self._lock:
             child, self._child = self._child, None
             return 0 if child is None else child.close()

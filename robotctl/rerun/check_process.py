@@ -1,7 +1,7 @@
 """`python -m robotctl.rerun.check_process --report-fd N`: checks the recordings named on stdin.
 
-Each line is JSON: {"path", "all_bytes"} on stdin; then {"progress"} lines and one {"report"} line
-on descriptor N. The process ends when stdin is closed, so it does not outlive its parent.
+For each line {"path", "all_bytes"} on stdin, it writes {"progress"} lines and one {"report"} line,
+as JSON, to descriptor N. It ends when stdin is closed, so it does not outlive its parent.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def main() -> None:
     """Check recordings until stdin is closed.
 
     Raises:
-        BrokenPipeError: The process that asked for them has ended.
+        BrokenPipeError: The process that reads the reports has ended.
     """
     descriptor = report_fd(sys.argv)
     for line in sys.stdin:

@@ -35,9 +35,9 @@ def rounded(text: str) -> str:
 class Divergence:
     """The first place where a new kernel decided differently.
 
-    `recorded` and `decided` are texts `Name {json}`, "" where one is missing, and `event` is what
-    both kernels decided on. `seq` and `t_ns` are those of the recorded entry, `before` is the state
-    of the new kernel before the event, and `differences` names the fields.
+    `seq` and `t_ns` (steady) are those of the recorded entry. Both kernels decided on `event`, with
+    the effects `recorded` and `decided`, "" if missing; all three are texts `Name {json}`. `before`
+    is the state of the new kernel before the event; `differences` describes each differing field.
     """
 
     seq: int
@@ -83,18 +83,20 @@ class Verdict(StrEnum):
 
 @dataclass(slots=True)
 class Report:
-    """The check of one recording.
+    """The result of checking one recording.
 
-    `version` and `made_by` describe the recording, "" if unknown. `missing` lists what could not be
-    checked, and `notes` how the rest was compared. `seal` says who signed it, "" if no one did.
-    `begin_ns` (steady) and `begin_log_ns` (since the epoch) are the same moment. `divergence` is
-    the first difference, also for a recording of another version.
+    The first journal entry was made at `begin_ns` (steady) and recorded at `begin_log_ns` (since
+    the epoch). `events`, `effects` and `commands` are the numbers that were read.
     """
 
     path: Path
     robot: str = ""
     version: str = ""
+    """The version of robotctl that made the recording, "" if unknown."""
+
     made_by: str = ""
+    """The Python and libc that made the recording, "" if unknown."""
+
     bitwise: bool = True
     events: int = 0
     effects: int = 0
@@ -104,6 +106,8 @@ class Report:
     begin_ns: int = 0
     begin_log_ns: int = 0
     divergence: Divergence | None = None
+    """The first difference, even in a recording of another version; None if there is none."""
+
     divergences: int = 0
     """The number of divergences that were found: at most one between two snapshots."""
 
@@ -113,13 +117,17 @@ class Report:
     violations: list[Violation] = field(default_factory=list)
     violation_count: int = 0
     missing: list[str] = field(default_factory=list)
+    """What could not be checked, in sentences; `notes` says how the rest was compared."""
+
     notes: list[str] = field(default_factory=list)
     seal: str = ""
+    """Who signed the recording, and whether the seal is unbroken; "" if it is not signed."""
+
     has_other_format: bool = False
     """Whether the journal has other fields than those of the version that the recording names."""
 
     has_gaps: bool = field(default=False, init=False)
-    """Whether something is missing that may explain a difference."""
+    """Whether a part of the recording is missing whose absence may explain a difference."""
 
     _other_rules: bool = field(default=False, init=False)
 
@@ -148,9 +156,9 @@ class Report:
         self.divergences_crc = crc32(rounded(found.sentence()).encode(), self.divergences_crc)
 
     def miss(self, sentence: str, *, is_outside: bool = False) -> None:
-        """Add a sentence about what could not be checked.
+        """Add a sentence about something that could not be checked.
 
-        If it `is_outside` of the checked part, it cannot explain a difference there.
+        If that lies outside of the checked part (`is_outside`), it explains no difference there.
         """
         note_missing(self.missing, sentence)
         self.has_gaps |= not is_outside

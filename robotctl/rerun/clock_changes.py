@@ -11,7 +11,7 @@ CLOCK_NS = NS_PER_S // 4
 """If the offset between the clocks changes by more, the clock was set or the loop stalled."""
 
 EXCUSES_NS = 2 * NS_PER_S
-"""Wall-clock times this near to such a change are not compared."""
+"""Wall-clock times are not compared if such a change is at most this far from them."""
 
 
 class _ClockStep(NamedTuple):
@@ -22,11 +22,11 @@ class _ClockStep(NamedTuple):
 
 
 class ClockChanges:
-    """The changes of the wall clock against the steady clock of the journal."""
+    """Finds the changes of the wall clock against the steady clock of the journal."""
 
     def __init__(self) -> None:
         self.offset_ns: int | None = None
-        """Wall clock - steady clock at the last moment."""
+        """Wall clock - steady clock at the last `look`."""
 
         self._begun_ns: int | None = None
         """Wall clock - steady clock at the first snapshot."""
@@ -43,7 +43,7 @@ class ClockChanges:
 
     @property
     def set_by_ns(self) -> list[int]:
-        """Each change of the clock [ns], without a change at the first moment."""
+        """By how much the clock was set each time [ns], except before the first `look`."""
         return [change.by_ns for change in self._set if change.moment > 1]
 
     @property
@@ -64,7 +64,7 @@ class ClockChanges:
             self._begun_ns = wall_ns - steady_ns
 
     def look(self, steady_ns: int, wall_ns: int) -> None:
-        """Compare both clocks at one moment."""
+        """Note a change if the offset between the clocks has changed since the last `look`."""
         offset_ns = wall_ns - steady_ns
         before_ns, self.offset_ns = self.offset_ns, offset_ns
         self._moments += 1
@@ -89,16 +89,16 @@ class ClockChanges:
             self._set.append(_ClockStep(self._moments, by_ns))
 
     def is_near(self, steady_ns: int) -> bool:
-        """Return whether the offset between the clocks changed near this time."""
+        """Return whether the offset between the clocks changed within EXCUSES_NS of this time."""
         return any(abs(steady_ns - at_ns) <= EXCUSES_NS for at_ns in self._changed_ns)
 
 
 RECENT_NS: Final = 2 * NS_PER_S
-"""Stalls that ended this shortly before the end may have delayed the last messages."""
+"""A stall that ended at most this long before the journal did may have delayed its last inputs."""
 
 
 class RecordedStalls:
-    """The stalls of the control loop."""
+    """Collects the stalls of the control loop; `longest_ns` is the duration of the longest."""
 
     def __init__(self) -> None:
         self.longest_ns = 0
@@ -113,6 +113,6 @@ class RecordedStalls:
             self._ends.append((event.t_ns, stalled_ns))
 
     def recent_ns(self, end_ns: int) -> int:
-        """Return the duration of stalls that ended shortly before `end_ns`, at most RECENT_NS."""
+        """Return how long the stalls lasted that ended just before `end_ns`, at most RECENT_NS."""
         recent = (stalled_ns for t_ns, stalled_ns in self._ends if t_ns > end_ns - RECENT_NS)
         return min(sum(recent), RECENT_NS)

@@ -13,11 +13,11 @@ from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.recording_ends import Ending
 
 CUT = 3
-"""The number of commands at the end of a clip whose decisions may come after the end."""
+"""This many of the last commands in a clip may have been decided after the end of its journal."""
 
 
 class CommandCheck:
-    """Checks commands against decisions by number; only counts them if 0.1.0 made the recording."""
+    """Compares commands with decisions by number; in a recording of 0.1.0, only counts commands."""
 
     def __init__(self, report: Report, clock: ClockChanges) -> None:
         self._report = report
@@ -44,7 +44,7 @@ class CommandCheck:
         self._pairs.stop()
 
     def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Compare the commands of a step; `moments` is when its event was handled."""
+        """Compare the commands of a step; `moments` is when it began and ended."""
         if self._by_number:
             self._clock.look(event.t_ns, moments[1])
             self._pairs.step(event, effects, moments)

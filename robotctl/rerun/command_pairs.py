@@ -1,12 +1,12 @@
 """Pairs each recorded velocity command with its decision in the journal, by number and value.
 
-Each decided command got the next sequence number of our publisher; the journal counts the zeros
-that the watchdog sent between them. So the journal says which numbers carry which velocities. A
-message with another number or velocity comes from another publisher, or was not decided.
+Each decided command got the next sequence number of our publisher. So did each zero that the
+watchdog sent in between; the journal has their count. So it is known which number carries which
+velocity. A message with another number or velocity is another publisher's, or was not decided.
 
-A watchdog sends zeros while the control loop stalls; the journal counts them after the stall. A
-daemon that fails sends its last zeros without a decision. A recording may end before its journal
-mentions either.
+The watchdog sends its zeros while the control loop stalls; the journal has their count after the
+stall. A daemon that fails sends its last zeros without a decision. If the recording ends too early,
+its journal explains neither these zeros nor those of the watchdog.
 """
 
 from __future__ import annotations
@@ -86,32 +86,32 @@ LATE_NS = NS_PER_S // 2
 """How long before or after its step a command may be sent."""
 
 MAX_LATE = 20_000
-"""Only this many late commands are kept, the newest ones."""
+"""Of the commands sent outside of their step, only this many are kept, the newest ones."""
 
 
 class CommandCounts:
-    """The counts of the comparison, and the first and newest number paired since `begin_again`."""
+    """Counts paired and missing commands; knows the first and newest number since `begin_again`."""
 
     def __init__(self) -> None:
         self.paired = 0
         self.undecided = 0
-        """The number of commands at the end whose decisions may come after the journal's end."""
+        """The number of messages that may have been decided after the journal's end."""
 
         self.missing = 0
-        """The number of decided commands without a message, before the last one with a message."""
+        """The number of decided commands without a message, between others that have one."""
 
         self.missing_example = ""
         self.before_first = 0
-        """The number of decided commands before the first one with a message."""
+        """The number of decided commands without a message, before the first one with a message."""
 
         self.late: deque[tuple[int, str]] = deque(maxlen=MAX_LATE)
         """The newest commands sent outside of their step: steady time [ns], and a description."""
 
         self.out_of_order = 0
-        """The number of paired commands after one with a higher number."""
+        """The number of paired commands that came after one with a higher number."""
 
         self.resumed = 0
-        """How often the number of commands in a snapshot differed from the decisions before it."""
+        """How often a snapshot's count of commands was not that of the decisions before it."""
 
         self.unsent = False
         """Whether the journal reports that a command could not be sent."""
@@ -121,11 +121,11 @@ class CommandCounts:
 
     @property
     def has_begun(self) -> bool:
-        """Whether a command was paired since the count began."""
+        """Whether a command was paired since `begin_again`."""
         return self._first is not None
 
     def begin_again(self) -> None:
-        """Forget which numbers were paired: earlier ones say nothing about later ones."""
+        """Forget which numbers were paired, because later commands may be numbered differently."""
         self._first = None
 
     def is_passed(self, number: int) -> bool:
@@ -163,22 +163,23 @@ def follows(number: int, other: int) -> bool:
 
 
 NEAR_NS = 5 * NS_PER_S
-"""A command this shortly before or after another publisher was noticed may be from that one."""
+"""A command may be another publisher's if one was noticed at most this long before or after it."""
 
 
 class OtherCommands:
-    """Counts commands without a decision: `foreign` while another publisher was there, or `extra`.
+    """Counts the commands without a decision.
 
-    Times are those of the journal (steady, in nanoseconds).
+    Those sent while another publisher was there are `foreign`, all others are `extra`. All times
+    are those of the journal: steady [ns].
     """
 
     def __init__(self) -> None:
         self.extra = 0
-        """The number of messages without a known sender."""
+        """The number of messages near which no other publisher was noticed."""
 
         self.extra_example = ""
         self.foreign = 0
-        """The number of messages of other publishers."""
+        """The number of messages that another publisher may have sent."""
 
         self.foreign_example = ""
         self.after_end = 0
@@ -206,7 +207,7 @@ class OtherCommands:
         self._publish = others
 
     def doubt(self, t_ns: int, numbers: bytes) -> None:
-        """Count a command without a decision as foreign, or keep it as one to be counted later."""
+        """Count an undecided command as foreign if another publisher was noticed, else later."""
         heard = self._publish or (self._heard_ns is not None and t_ns - self._heard_ns <= NEAR_NS)
         if heard:
             self._note_foreign(numbers)
@@ -214,12 +215,12 @@ class OtherCommands:
             self._waiting.append((t_ns, numbers))
 
     def settle(self, t_ns: int) -> None:
-        """Count messages that have waited longer than `NEAR_NS` as extra: no known sender."""
+        """Count the messages that have waited longer than NEAR_NS at `t_ns` as extra."""
         while self._waiting and t_ns - self._waiting[0][0] > NEAR_NS:
             self._note_extra(self._waiting.popleft()[1])
 
     def end(self, end_ns: float) -> None:
-        """Count what still waits: messages before `end_ns` as extra, others as after the end."""
+        """Count the waiting messages: those before `end_ns` as extra, others as `after_end`."""
         for t_ns, numbers in self._waiting:
             if t_ns < end_ns:
                 self._note_extra(numbers)
@@ -256,7 +257,7 @@ class RecentCommands:
         self._commands.append((number, numbers))
 
     def withheld(self, count: int) -> list[int]:
-        """Return the numbers of the last commands, back to the `count`-th one that was not zero."""
+        """Return the numbers of the last commands, as many as include `count` that were not 0."""
         held: list[int] = []
         for number, numbers in reversed(self._commands):
             if count <= 0:
@@ -277,14 +278,14 @@ ZERO_PERIOD_NS: Final = NS_PER_S // 25
 """A lower bound of the time between two zeros of the watchdog, which sends one every 50 ms."""
 
 STALL_NS: Final = 10 * NS_PER_S
-"""The longest stall that may last until the end of the recording."""
+"""A stall that lasts until the end of the recording explains zeros for at most this long."""
 
 JOURNAL_LAG_NS: Final = NS_PER_S
 """How far a journal that a recorder only receives may lag behind the commands."""
 
 
 class Early(NamedTuple):
-    """A message read before its decision: its six numbers, publish time and journal time [ns]."""
+    """A message read before its decision; `t_ns` is the steady time of the event read before it."""
 
     numbers: bytes
     publish_ns: int
@@ -292,10 +293,11 @@ class Early(NamedTuple):
 
 
 class UndecidedEnd(NamedTuple):
-    """The end of a journal: the number of its last command, and when it ends [ns since the epoch].
+    """The end of a journal, which explains some messages whose decision is not in it.
 
-    The decisions of the next `cut` commands may come after the end. `is_own`: the recorder itself
-    wrote the journal. `is_closed`: the recording was closed.
+    `number` is that of the last command in the journal, `log_ns` is when the journal ends [ns since
+    the epoch]. Up to `cut` later commands may have been decided after its end. `is_own` says that
+    the recorder itself wrote the journal, `is_closed` that the recording was closed.
     """
 
     number: int
@@ -305,14 +307,14 @@ class UndecidedEnd(NamedTuple):
     is_closed: bool
 
     def unexplained(self, early: Mapping[int, Sequence[Early]]) -> Iterator[Early]:
-        """Yield the messages that the end does not explain; it explains at most one per number."""
+        """Yield the messages that the end does not explain; it explains one message per number."""
         for sequence, messages in early.items():
             later = (sequence - self.number) & MAX_SEQUENCE
             explained = next((each for each in messages if self._explains(each, later)), None)
             yield from _without(messages, explained)
 
     def _explains(self, message: Early, later: int) -> bool:
-        """Return whether the end explains a message `later` numbers after the last command."""
+        """Return whether the end explains a message with the number `self.number` + `later`."""
         if later <= self.cut:
             return True
         after_ns = message.publish_ns - self.log_ns
@@ -331,30 +333,30 @@ MAX_WAITING = 20_000
 """The number of commands, decided or sent, that may wait for their counterpart."""
 
 TAIL_NS = 2 * NS_PER_S
-"""A decision this shortly before the journal's end may lack its message, still under way."""
+"""The message of a decision made at most this long before the journal's end may be under way."""
 
 Decided = tuple[bytes, Moments]
-"""The six numbers of a decided command, and the step that decided it."""
+"""The six numbers of a decided command, and when the step that decided it began and ended."""
 
 SEND_FAILED = f"{PublishTwist.__name__} failed"
 """The detail of the fault for a command that could not be sent contains this text."""
 
 
 class CommandPairs:
-    """The comparison of decided and sent commands, from the first snapshot with a proof on."""
+    """Compares the decided with the sent commands, from the first snapshot with a proof on."""
 
     def __init__(self) -> None:
         self.others = OtherCommands()
         self.counts = CommandCounts()
         self.is_counting = False
         self._has_ended = False
-        """Whether the last snapshot counts zeros that a daemon sends only when it ends."""
+        """Whether the last snapshot counts zeros without decision: the daemon must have ended."""
 
         self._number = 0
-        """The number of the last command that the journal has or counts."""
+        """The number of the last command that was decided in the journal or is in its counts."""
 
         self._base = 0
-        """The number of commands before the first decision that is counted."""
+        """The number of the last command before counting began; 0 if there was none."""
 
         self._t_ns = self._log_ns = 0
         """When the last event was handled, on the steady clock and since the epoch."""
@@ -364,7 +366,7 @@ class CommandPairs:
         """Messages before their decision, by number. Two publishers may use one number."""
 
         self._instead: dict[int, tuple[bytes, int]] = {}
-        """Zeros sent instead of another command, by number: the next event may report a stall."""
+        """Zeros sent in place of decided commands, by number; a stall may still explain them."""
 
         self._recent = RecentCommands()
 
@@ -480,7 +482,7 @@ class CommandPairs:
         self._doubt_all(each for each in early if each is not own)
 
     def _stall(self, event: LoopStalled, moments: Moments) -> None:
-        """Expect the zeros of the watchdog, and zeros in place of the withheld commands."""
+        """Expect the zeros that the watchdog sent, and zeros in place of the withheld commands."""
         steady_ns, begin_ns, end_ns = moments
         began_ns = max(begin_ns - round(event.stalled_s * NS_PER_S), 1) if begin_ns else 0
         during = steady_ns, began_ns, end_ns
@@ -496,7 +498,7 @@ class CommandPairs:
             self._decide(STILL, during)
 
     def _settle(self) -> None:
-        """Count zeros that no stall explains, and messages that waited too long for a publisher."""
+        """Count the zeros that no stall explains, and the messages without another publisher."""
         if self._instead:
             for numbers, _ in self._instead.values():
                 self.others.doubt(self._t_ns, numbers)
@@ -504,11 +506,10 @@ class CommandPairs:
         self.others.settle(self._t_ns)
 
     def end(self, cut: int = 0, *, is_own: bool = True, is_closed: bool = True) -> tuple[int, int]:
-        """Count what still waits; return how many old and recent decisions have no message.
+        """Count what still waits; return how many last decisions, old and recent, have no message.
 
-        Old decisions were made more than TAIL_NS before the journal's end. Up to `cut` messages may
-        belong to decisions after the end. A journal that the recorder did not write itself may end
-        before the recording.
+        Old decisions were made more than TAIL_NS before the journal's end. The arguments are those
+        of `UndecidedEnd`: with `is_own` False, the recording may continue after the journal's end.
         """
         end = UndecidedEnd(self._number, self._log_ns, cut, is_own, is_closed)
         unexplained = [*end.unexplained(self._early)]

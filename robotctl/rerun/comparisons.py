@@ -71,15 +71,15 @@ class MeasurementOrder:
 
 
 WINDOW_NS: Final = NS_PER_S
-"""Even a busy loop handles one tick on time within this period."""
+"""In any period of this length, even a busy loop handles at least one tick on time."""
 
 LATE_NS: Final = NS_PER_S // 200
 LATE_PERIODS: Final = 0.75
-"""Ticks are missing if the lateness stays higher by more than the larger of these two limits."""
+"""Ticks are missing if lateness stays higher by more than LATE_NS and by this many periods."""
 
 
 class _Window(NamedTuple):
-    """The smallest lateness in a part of the journal, which begins with the tick in entry `seq`."""
+    """A part of the journal: its first tick (entry `seq`, at `t_ns`) and its smallest lateness."""
 
     late_ns: int
     seq: int
@@ -95,7 +95,7 @@ class MissingTicks(NamedTuple):
 
 
 class TickSchedule:
-    """The lateness of the ticks, from a snapshot on.
+    """Finds missing ticks by the lateness of the others, from a snapshot on.
 
     The control loop ticks at multiples of the period, each time a little late, and counts the ticks
     that it missed. So the lateness often returns to its minimum. After a tick that was removed from
@@ -110,7 +110,7 @@ class TickSchedule:
         self._windows: list[_Window] = []
 
     def begin(self, rate_hz: float) -> None:
-        """Note the rate of the ticks; it never changes in a recording."""
+        """Note the rate of the ticks, which never changes in a recording."""
         self._period_ns = round(NS_PER_S / rate_hz)
 
     def step(self, event: Event, seq: int) -> None:
@@ -146,7 +146,7 @@ class TickSchedule:
 
 
 class Comparisons:
-    """The invariants, and the comparisons of commands, inputs, services and statuses."""
+    """Checks the invariants, and compares commands, inputs, services and statuses."""
 
     def __init__(self, report: Report, info: RecordingInfo, journal_topic: str) -> None:
         self._report = report

@@ -23,17 +23,17 @@ from robotctl.rerun.journal_steps import Gap, in_sequence
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 
 SPACING_M = 0.03
-"""Places closer together than this are one: a robot that stops may roll a little too far."""
+"""Poses closer together than this are one place: a stopping robot may roll a little too far."""
 
 TOLERANCE_M = 0.005
 """How far a place may be from the path between the waypoints."""
 
 
 def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> tuple[Point, ...]:
-    """Return waypoints of the last motion in a recording, or of all odometry without a journal.
+    """Return waypoints of the last motion in a recording, () if the robot did not drive.
 
-    They are () if its robot did not drive. `on_missing` gets a sentence about each part of the
-    recording that cannot be read: a later motion may be missing.
+    In a recording without a journal they are those of all odometry. `on_missing` gets a sentence
+    about each part of the recording that cannot be read: it may have contained a later motion.
 
     Raises:
         UnreadableFile: The recording cannot be read, or a part of the motion is missing.
@@ -88,7 +88,7 @@ def simplified(points: Sequence[Point], tolerance_m: float) -> tuple[Point, ...]
 
 
 def _distance(point: Point, begin: Point, end: Point) -> float:
-    """Return the distance of a point from the line segment between two others."""
+    """Return the distance [m] of `point` from the line segment from `begin` to `end`."""
     dx, dy = end[0] - begin[0], end[1] - begin[1]
     px, py = point[0] - begin[0], point[1] - begin[1]
     square = dx * dx + dy * dy
@@ -106,7 +106,7 @@ def _spaced(poses: Sequence[Pose]) -> list[Point]:
 
 @dataclass(slots=True)
 class _Motion:
-    """The poses while the robot is MOVING, and whether its start and its end are recorded."""
+    """The poses of a motion (the robot is MOVING), and whether its start and end are recorded."""
 
     poses: list[Pose] = field(default_factory=list)
     begins: bool = False

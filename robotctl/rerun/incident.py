@@ -22,7 +22,7 @@ from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import decide, read_effect, read_event, read_snapshot
 
 MAX_MESSAGES_AFTER = 2000
-"""The number of messages after a stop in which the first zero command is searched."""
+"""The first zero command is searched only in this many messages after the stop."""
 
 
 class IncidentKind(StrEnum):
@@ -44,9 +44,9 @@ class IncidentKind(StrEnum):
 class Incident:
     """A step of the kernel that stopped the robot or refused a request; for a KILL the last step.
 
-    Times are steady ns, except `log_ns` (of the event) and `zero_ns` (of the first zero command
-    after it), which are since the epoch. None means that the recording does not hold the value.
-    `before` and `after` are the states of the kernel around the step.
+    Times are steady [ns], except `log_ns` (when the event was recorded) and `zero_ns` (the first
+    zero command after it), which are since the epoch. None means that a value is not recorded.
+    `before` and `after` are the states of the kernel before and after the step.
     """
 
     kind: IncidentKind
@@ -70,7 +70,7 @@ class Incident:
 
 @dataclass(frozen=True, slots=True)
 class Searched:
-    """The incident that was found, None if there is none, and what could not be read."""
+    """The result of a search: the incident, None if there is none, and what could not be read."""
 
     incident: Incident | None
     missing: list[str]
@@ -184,7 +184,7 @@ class _Search:
 
 
 def _telling(step: Step) -> list[Effect]:
-    """Return the effects that can make a step an incident."""
+    """Return the mode changes and replies of a step: they tell whether it is an incident."""
     names = (ModeChanged.__name__, Reply.__name__)
     return [read_effect(entry) for entry in step.effects if entry.name in names]
 
@@ -212,7 +212,7 @@ class _Context:
         self._messages_after = 0
 
     def fill(self) -> None:
-        """Fill in the state, the ramp and the first zero, as far as the journal holds them."""
+        """Fill in the states, the parameters, the ramp and the first zero, as far as recorded."""
         incident = self._incident
         kernel: Kernel | None = None
         for item in steps(self._entries()):

@@ -42,7 +42,7 @@ from robotctl.rerun.recording_ends import Ending, JournalEnd
 class InputKind(NamedTuple):
     """A kind of input, such as odometry: its name for people and the class of its events.
 
-    `source` returns which publisher an event is from, `value` what was measured.
+    Called with such an event, `source` returns its publisher, and `value` what was measured.
     """
 
     name: str
@@ -69,7 +69,7 @@ _OFF = Use.OFF.value
 
 
 class InputCheck:
-    """The comparison of the inputs of one topic, from the first snapshot with a proof on."""
+    """Compares the inputs and messages of one topic, from the first snapshot with a proof on."""
 
     def __init__(
         self,
@@ -81,8 +81,8 @@ class InputCheck:
         *,
         is_always_heard: bool = True,
     ) -> None:
-        """`read(data)` returns the value of a message. Unless `is_always_heard`, messages become
-        inputs in some modes only.
+        """`read(data)` returns the value of a message. If `is_always_heard` is False, messages
+        become inputs only in some modes of the robot.
         """
         self.topic = topic.name
         self._is_left_out = topic.is_left_out
@@ -99,7 +99,7 @@ class InputCheck:
         self._pairs = InputPairs()
 
     def message(self, message: Message) -> None:
-        """Read a message; skip a repeat of a latched message, as at the begin of a file."""
+        """Pair a message; skip the repeat of a latched message, with which a file may begin."""
         if self._is_latched and self._repeats.observe(message):
             return
         if self.is_on:
@@ -165,7 +165,7 @@ def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> Rec
 
 
 class RecordedInputs:
-    """The checks of all inputs that are compared."""
+    """Runs the check of each kind of input that is compared."""
 
     def __init__(self, *checks: InputCheck) -> None:
         self._all = checks

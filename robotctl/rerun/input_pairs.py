@@ -1,7 +1,7 @@
 """Pairs each input that the kernel received with the recorded message, and says what differs.
 
-The last messages may have been under way when the recording ended. The control loop receives inputs
-with best effort, so earlier ones may be lost; then other messages of this input are lost, too.
+The last messages may have been under way when the recording ended. Any message may be lost on the
+way to the control loop (best effort), but hardly the last ones if no earlier one was.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ PATIENCE_NS = 30 * NS_PER_S
 """How long an input waits for its message, on the steady clock of the journal."""
 
 EDGE_NS = NS_PER_S // 2
-"""Inputs this close to the end of a journal may lack a message, which was still under way.
+"""The message of an input at most this long before the end of a journal may be under way.
 
-The messages of the first inputs of a file may be in the file before, because the recorder
-receives a message earlier than the control loop does.
+Likewise, the messages of the first inputs of a file may be in the file before: the recorder
+may receive a message earlier than the control loop does.
 """
 
 UNFOUND_NS = 2 * NS_PER_S
@@ -49,7 +49,7 @@ class Sent(NamedTuple):
 
 
 class InputPairs:
-    """The comparison of the inputs of one topic with its messages."""
+    """Compares the inputs of one topic with its messages, and counts the differences."""
 
     def __init__(self) -> None:
         self.paired = 0
@@ -64,7 +64,7 @@ class InputPairs:
         """How many of `before_first` were sent before the recorder can have found the publisher."""
 
         self.at_begin = 0
-        """The number of inputs near the begin without a message, before the first one with one."""
+        """How many inputs of the first EDGE_NS came before the first one that has a message."""
 
         self.differing = 0
         """The number of inputs whose message holds another value."""
@@ -74,7 +74,7 @@ class InputPairs:
         """The number of messages between paired ones that never became an input."""
 
         self.repeated = 0
-        """The number of messages whose number is not above that of the message before them."""
+        """The number of messages whose number is not higher than that of the message before."""
 
         self._inputs: dict[int, list[Input]] = {}
         self._messages: dict[int, list[Sent]] = {}
@@ -173,7 +173,7 @@ class InputPairs:
     def end(self, t_ns: int, stalled_ns: int = 0) -> int:
         """Count what waits at the end `t_ns`; return how many of the last inputs lack a message.
 
-        Stalls of `stalled_ns` delayed the last messages.
+        Stalls of `stalled_ns` in total may have delayed the last messages.
         """
         near = 0
         newest = max(self._messages, default=0) if self.has_one_publisher else 0
@@ -236,20 +236,20 @@ AFTER_NS: Final = 2 * NS_PER_S
 """How long after the last journal entry a message may be recorded."""
 
 FEW: Final = 10
-"""This many messages may always be under way, in addition to those that BURST allows."""
+"""At the end, this many messages may always be under way, in addition to what BURST allows."""
 
 BURST: Final = 10.0
-"""The messages under way may be this multiple of those expected at the mean rate."""
+"""At the end, this multiple of the messages expected at the mean rate may be under way."""
 
 LOST: Final = 2
-"""The number of messages in a row that may be lost if no others are lost."""
+"""This many last messages may be lost, even if no earlier message was."""
 
 
 class UnheardEnd(NamedTuple):
-    """The messages recorded at `log_ns`, after the last one that became an input.
+    """The messages of an input, recorded at `log_ns`, after the last message that became an event.
 
     The journal ends at `end_ns`; all times are since the epoch. Messages come at `rate_hz` and may
-    be under way for `window_ns`. Up to `lost` earlier ones may have been lost.
+    be under way for `window_ns`. Of those recorded before this window, up to `lost` may be lost.
     """
 
     log_ns: Collection[int]
@@ -260,7 +260,7 @@ class UnheardEnd(NamedTuple):
 
     @property
     def earlier(self) -> int:
-        """The number of messages recorded too early to be under way at the end."""
+        """How many messages were recorded too long (`window_ns`) before the end to be under way."""
         return sum(each < self.end_ns - self.window_ns for each in self.log_ns)
 
     def difference(self) -> str:
@@ -284,9 +284,9 @@ def report_inputs(
     *,
     is_left_out: bool,
 ) -> None:
-    """Report values that differ, and missing and repeated messages, of the input `name`.
+    """Report differing values, missing messages and repeated messages of the input `name`.
 
-    Call `pairs.end` before. `is_left_out` says that the configuration leaves the topic out.
+    Call `pairs.end` first. `is_left_out` says that the recorder was configured to omit the topic.
     """
     if pairs.differing:
         text = f"{pairs.differing} messages are not what the control loop received as"
@@ -349,7 +349,7 @@ def report_last(
     """Report messages after the last input that cannot all have been under way.
 
     The control loop may have been `waited_ns` late. If `is_rare` is set, most messages never become
-    an input. Return how many messages may have been lost.
+    an input. Return how many messages may have been lost, 0 if this function reported them.
     """
     if not (pairs.paired and pairs.has_one_publisher and ending.is_own) or moment.clock_changed:
         return 0

@@ -63,7 +63,7 @@ class Violation:
 
 
 class Invariants:
-    """Checks a journal step by step, from a snapshot on, and collects the `violations`."""
+    """Checks the steps of a journal, from a snapshot on, and collects the `violations`."""
 
     def __init__(self) -> None:
         self.violations: list[Violation] = []

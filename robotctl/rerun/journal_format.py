@@ -17,7 +17,7 @@ MAX_FORMS = 4096
 MAX_FORM_BYTES = 1000
 """A form is the text of an entry without its digits; each form is parsed only once.
 
-The limits bound the memory: a request may hold any text.
+Both limits bound the memory of the stored forms: a request may contain any text.
 """
 
 _READERS = {
@@ -52,7 +52,7 @@ def without_retired_fields(entry: JournalEntry) -> JournalEntry:
 
 
 class Vocabulary:
-    """The forms of entries whose fields are all known."""
+    """Finds unknown fields in entries; parses only the first of all entries with the same form."""
 
     def __init__(self) -> None:
         self._known: set[tuple[str, bytes]] = set()
@@ -89,7 +89,7 @@ def _added(path: str, theirs: Any, ours: Any) -> Iterator[str]:
 
 
 class JournalFormat:
-    """The comparison of the fields of a journal with those of this version."""
+    """Compares the fields of a journal with those of this version."""
 
     def __init__(self, report: Report) -> None:
         self._report = report

@@ -12,8 +12,7 @@ from robotctl.recording.format.journal import EntryKind, JournalEntry
 MAX_DISORDER = 4096
 """How many entries are held back to put them in the order of their `seq`.
 
-Our files are in order; in a file that another program sorted by time, entries are out of order
-around a change of the clock.
+Our files are in order; those that another program sorted by time are not if the clock was set.
 """
 
 
@@ -26,7 +25,7 @@ class Gap:
 
 
 class EntryOrder:
-    """The entries that are held back, and the number of the next one."""
+    """Holds back each entry until all entries with a lower `seq` have come, and orders them."""
 
     __slots__ = ("_accepted", "_first", "_following", "_held")
 
@@ -93,7 +92,7 @@ class Step:
     event: JournalEntry
     effects: list[JournalEntry] = field(default_factory=list)
     cut: bool = False
-    """Whether the journal ends after it, so that effects may be missing."""
+    """Whether the journal ends or has a gap after it, so that effects may be missing."""
 
 
 Item = Step | JournalEntry | Gap
@@ -101,10 +100,7 @@ Item = Step | JournalEntry | Gap
 
 
 def steps(entries: Iterable[JournalEntry]) -> Iterator[Item]:
-    """Yield the steps, the snapshots (as entries) and the gaps of a journal.
-
-    Effects whose event is missing are skipped.
-    """
+    """Yield the steps, snapshots (as entries) and gaps of a journal; skip effects without event."""
     step: Step | None = None
     for entry in in_sequence(entries):
         if isinstance(entry, Gap):

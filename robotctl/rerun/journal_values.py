@@ -36,15 +36,15 @@ _QUICK_EVENTS, _QUICK_EFFECTS = (
 )
 
 _NOT_QUICK = (msgspec.DecodeError, RecursionError)
-"""What a decoder also raises for nan and inf, which are strings in the journal."""
+"""What a fast decoder raises; also for nan and inf, which are strings in the journal."""
 
 KERNEL_FAILURES = (
     *(AssertionError, ArithmeticError, AttributeError, LookupError),
     *(NameError, RuntimeError, TypeError, ValueError),
 )
-"""What a kernel raises in a state that no kernel reaches by itself, or with a bug.
+"""What a kernel raises if it has a bug, or if its state was changed in the file.
 
-`MemoryError` and `OSError` tell nothing about the kernel.
+`MemoryError` and `OSError` are left out: they do not come from the kernel or its state.
 """
 
 

@@ -35,15 +35,18 @@ MAX_TEXT: Final = 100_000
 
 
 class RecordedFilter:
-    """The patterns in the metadata of a recording, for the robot with this journal."""
+    """Tells which topics the recorder left out, by the patterns in the recording's metadata.
+
+    The odometry topic of the journal's robot counts as recorded in any case.
+    """
 
     def __init__(self, info: RecordingInfo, journal_topic: str) -> None:
-        # The others that are always recorded are compared with the journal in any case.
+        # Other topics that the recorder never leaves out are compared with the journal anyway.
         always = [full_name(info, journal_topic, "odometry.topic", "odom")]
         self._filter = TopicFilter(_patterns(info, "include"), _patterns(info, "exclude"), always)
 
     def leaves_out(self, topic: str, *types: str) -> bool:
-        """Return whether the filter leaves out a topic that has one of these types."""
+        """Return whether the recorder left out the topic, if it has one of these types."""
         return not all(self._filter.records(topic, each) for each in types)
 
 
@@ -61,7 +64,7 @@ def _patterns(info: RecordingInfo, key: str) -> list[str]:
 class InputTopic(NamedTuple):
     """A topic: its full name, None if it is not recorded, and its recorded type.
 
-    `is_left_out` tells whether the configuration leaves it out.
+    `is_left_out` says that it is not recorded because the recorder was configured to omit it.
     """
 
     name: str | None = None
@@ -70,7 +73,7 @@ class InputTopic(NamedTuple):
 
 
 class InputTopics:
-    """The topics of the robot with this journal."""
+    """Looks up topics of the robot that made the journal."""
 
     def __init__(self, info: RecordingInfo, journal_topic: str) -> None:
         self._info = info
@@ -78,7 +81,7 @@ class InputTopics:
         self._filter = RecordedFilter(info, journal_topic)
 
     def of(self, parameter: str, default: str, *types: str) -> InputTopic:
-        """Return the topic that a parameter names, which has one of these types."""
+        """Return the topic that a parameter names, if it is recorded with one of these types."""
         name = full_name(self._info, self._journal_topic, parameter, default)
         for topic in self._info.topics:
             if topic.name == name and topic.type_name in types:
@@ -87,10 +90,11 @@ class InputTopics:
 
 
 class RepeatedLatched:
-    """Counts the messages of a topic that repeat the one before them.
+    """Counts the messages of a latched topic that repeat the message before them.
 
-    A file begins with a repeat and a snapshot, so even joined files have no more repeats than
-    snapshots. A journal that was received has other snapshots: there, the number of files counts.
+    Each file begins with one such repeat and a snapshot, so that no more repeats than snapshots are
+    allowed, even in joined files. A journal that was received has its snapshots elsewhere: there,
+    as many repeats as files are allowed.
     """
 
     def __init__(self, info: RecordingInfo) -> None:
@@ -116,5 +120,5 @@ class RepeatedLatched:
 
     @property
     def excess(self) -> int:
-        """The number of repeats that the beginnings of files do not explain."""
+        """The number of repeats beyond one for the beginning of each file."""
         return max(self._count - max(self._files, self._snapshots), 0)

@@ -40,10 +40,10 @@ def parse_settings(texts: Iterable[str]) -> Settings:
 
 
 def check_scope(settings: Settings, *, closed_loop: bool) -> None:
-    """Check that every key changes something.
+    """Check that every key changes the decisions or, with `closed_loop`, the simulated robot.
 
     Raises:
-        UsageError: No decision depends on a key.
+        UsageError: A key changes neither.
     """
     for key in settings:
         section = key.partition(".")[0]

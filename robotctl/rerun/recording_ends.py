@@ -26,14 +26,14 @@ from robotctl.rerun.invariants import Invariants, unbalanced
 from robotctl.rerun.journal_values import read_snapshot
 
 IN_SOURCE = "a clip does not tell what was lost, its source does"
-"""Why a clip may lack something."""
+"""Why the losses of a clip are not known."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """The end of a recording, for one of its topics.
+    """How a recording ends, for one of its topics.
 
-    `ledger` holds the counts of the topic, None if the recording was not closed.
+    `ledger` holds the topic's counts of messages, None if the recording was not closed.
     """
 
     ledger: Mapping[str, int] | None
@@ -67,9 +67,10 @@ class Ending:
 
 
 class JournalEnd(NamedTuple):
-    """When the journal ends, steady and since the epoch, and how long the loop stalled before.
+    """When the journal ends: `t_ns` is steady, `log_ns` since the epoch.
 
-    `clock_changed` says whether the two clocks ever moved against each other.
+    `stalled_ns` is how long the control loop stalled shortly before that. `clock_changed` says
+    whether the wall clock ever changed against the steady clock.
     """
 
     t_ns: int
@@ -79,7 +80,7 @@ class JournalEnd(NamedTuple):
 
 
 OBSERVING: Final = "observing"
-"""The mode of a recorder that drives nothing. It may observe a robot with its own name."""
+"""The mode of a recorder that drives no robot. The robot it observes may have the same name."""
 
 NOT_COMPARED: Final = (
     "the journal was received from the robot: not compared are parameters, statuses, calls, and "
@@ -88,8 +89,10 @@ NOT_COMPARED: Final = (
 
 
 class JournalOrigin:
-    """Who wrote the journal. In one that the recorder wrote itself, log times are publish times; a
-    recorder that only observes writes none.
+    """Whether the recorder wrote the journal itself, or received it from a robot.
+
+    It wrote it if the first entry has equal log and publish times, or if the journal's topic is the
+    recording robot's own. An observing recorder writes none, so there the topic proves nothing.
     """
 
     def __init__(self, info: RecordingInfo, topic: str) -> None:
@@ -99,7 +102,7 @@ class JournalOrigin:
         self._has_own_name = topic == own_journal_topic(info)
         self._observes = self._noted.get("mode") == OBSERVING
         self._was_received: bool | None = None
-        """Whether the first entry was received, None before it is read."""
+        """Whether the log and publish times of the first entry differ, None before it is read."""
 
     @property
     def is_own(self) -> bool:
@@ -182,7 +185,7 @@ SINGLE_FILE: Final = "the journal goes on after this file, or was cut off: check
 
 
 class RecordingEnds:
-    """The numbers of the first and the last journal entry, and the ledger of the last file."""
+    """Checks the first and last entries of the journal, and the loss ledger of the last file."""
 
     def __init__(
         self, recording: Recording, info: RecordingInfo, report: Report, origin: JournalOrigin
@@ -200,11 +203,11 @@ class RecordingEnds:
         self._ledger: Mapping[str, Mapping[str, int]] | None = None
         last = natural_order(recording.open_files[-1].path)
         self._goes_on = any(natural_order(Path(name)) > last for name in recording.lost_files)
-        """Whether a later file is missing, or the end is cut off."""
+        """Whether the recording continues after the last file that could be read."""
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is a folder, and the last file is there."""
+        """Whether the recording is a folder, and its last file is there."""
         return self._recording.path.is_dir() and not self._goes_on
 
     def entry(self, seq: int) -> None:
@@ -226,7 +229,7 @@ class RecordingEnds:
             report.miss(sentence, is_outside=True)
 
     def snapshot(self, entry: JournalEntry, snapshot: Snapshot) -> int:
-        """Note a snapshot; return the `seq` of the one before, 0 if that is unknown or unproved."""
+        """Note a snapshot; return the `seq` of the one before it, 0 if that one has no proof."""
         before = max(self._last_snapshot, 0)
         self._last_snapshot = entry.seq if snapshot.proof is not None else -1
         reported = snapshot.state.health.reported
@@ -234,9 +237,9 @@ class RecordingEnds:
         return before
 
     def check(self, events_before_snapshot: int, invariants: Invariants) -> None:
-        """Check who wrote the journal, how it begins and ends, and the ledger of the last file.
+        """Check who wrote the journal, how it begins and ends, the types, and the loss ledger.
 
-        There is no ledger if the recording was not closed.
+        The ledger is in the last file, unless the recording was not closed.
         """
         ledger = read_ledger(self._recording.metadata_of_file(-1))
         self.origin.check(self._report)

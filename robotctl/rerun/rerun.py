@@ -41,7 +41,7 @@ DECISION_NAMES = frozenset(kind.__name__ for kind in get_args(Decision))
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The rules of comparison for a recording; a `version` of "" is unknown."""
+    """Compares recorded with new decisions, bit for bit if `version` and `made_by` are our own."""
 
     version: str = __version__
     made_by: str = MADE_BY
@@ -62,7 +62,7 @@ class Comparison:
         return self.same_version and self.same_platform
 
     def notes(self) -> Iterator[str]:
-        """Say what is not compared exactly and why, one sentence each."""
+        """Yield a sentence for each reason why something is not compared exactly."""
         if not self.same_version:
             yield (
                 f"made by robotctl {self.version or '(unknown version)'}, this is {__version__}: "
@@ -117,7 +117,7 @@ class Comparison:
 
 
 class Decided(NamedTuple):
-    """The result of one step; `effects` is None without a kernel and after a divergence."""
+    """The result of one step; without a kernel, or if it diverged, `effects` is None."""
 
     event: Event
     effects: tuple[Effect, ...] | None = None
@@ -127,7 +127,7 @@ class Decided(NamedTuple):
 class Rerun:
     """A new kernel that decides on the recorded events from the first snapshot on.
 
-    After a divergence and after `stop` it waits for the next snapshot; `kernel` is None meanwhile.
+    After a divergence or `stop` it waits for the next snapshot; until then `kernel` is None.
     """
 
     def __init__(self, comparison: Comparison) -> None:
@@ -231,8 +231,7 @@ class Rerun:
 def first_divergence(entries: Iterable[JournalEntry]) -> Divergence | None:
     """Return the first divergence of a new kernel from the journal, None if there is none.
 
-    Entries before the first snapshot are skipped. Effects of the last event may be missing, as
-    after a kill.
+    Entries before the first snapshot are skipped. The last event may lack effects, as after a kill.
 
     Raises:
         UnreadableFile: Entries are missing or are not of this version.

@@ -60,9 +60,11 @@ _RESULTS = frozenset(kind.__name__ for kind in (DriveEnded, Reply))
 
 @dataclass(slots=True)
 class Run:
-    """The requests of a run, those that were refused, and the results of its drives, by request id.
+    """The requests of a run and what came of them, recorded or simulated.
 
-    Requests without an id get a negative one. `start` is the first odometry and battery level.
+    `refused` has the text of each refusal, `drives` the figures of each drive that ended; both are
+    by request id. Requests without an id get a negative one. `start` is the first odometry and
+    battery level.
     """
 
     begin_ns: int = 0
@@ -103,7 +105,7 @@ class Run:
             self.requests[event.request_id] = event
 
     def effect(self, effect: Effect, t_ns: int) -> None:
-        """Note a refusal or the end of a drive; one from before the recording has no duration."""
+        """Note a refusal or a drive's end; its duration is None if its request is not recorded."""
         if isinstance(effect, Reply) and not effect.ok and effect.request_id in self.requests:
             self.refused[effect.request_id] = effect.message
         elif isinstance(effect, DriveEnded):
@@ -145,7 +147,7 @@ MAX_SPAN_NS = 7 * round(DAY_S) * NS_PER_S
 """The longest recording that is simulated."""
 
 LONGEST = 10
-"""A drive that continues at the end is simulated for at most this many times the recording."""
+"""The simulation may take at most this many times as long as the recording, to end a drive."""
 
 
 def resimulate(
@@ -230,7 +232,7 @@ def _simulate(
 ) -> Run:
     """Repeat the requests with a simulated robot until the recording and the drive have ended.
 
-    Left out are the other nodes of the recording, and the requests that were refused in it.
+    Other nodes are not simulated, and requests that were refused in the recording not repeated.
     """
     alone = replace(state.health, foreign_publishers=(), command_topic=CommandTopic())
     kernel = Kernel(config.kernel, replace(state, health=alone))

@@ -1,8 +1,8 @@
 """Checks the safety inputs in a journal against the recorded messages.
 
-The control loop forwards each changed value, and an unchanged one only from time to time: most
-of many equal messages never become events. It receives inputs with best effort, so some may be
-lost, but not all over a longer time.
+The control loop forwards a value to the kernel if it has changed, and otherwise only from time to
+time: of many equal messages, most never become inputs. Some messages may be lost on the way (best
+effort), but not all of them over a longer time.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from robotctl.rerun.own_topics import InputTopic, InputTopics, RepeatedLatched
 from robotctl.rerun.recording_ends import Ending, JournalEnd
 
 PATIENCE_NS = NS_PER_S // 2
-"""How long messages may go unheard; a stall of the control loop adds its time."""
+"""It is no fault if no message becomes an input for this long, plus the control loop's stalls."""
 
 GAP_NS = NS_PER_S // 10
-"""A gap between two messages counts as at most this: a longer gap holds no message to miss."""
+"""The time between two messages counts as at most this, since nothing can be missed in a gap."""
 
 BEGIN_NS = 3 * NS_PER_S
-"""How long messages may go unheard at the beginning, before the control loop is connected."""
+"""Like PATIENCE_NS, but at the beginning, when the control loop may not be connected yet."""
 
 MAX_WAITING = 100_000
-"""The number of messages, and of inputs, that may wait; older ones are not compared."""
+"""The number of messages, and of inputs, that may wait to be compared; the oldest are dropped."""
 
 
 class ShownValue(NamedTuple):
-    """A message: its number, its value as text (nan differs from itself), when it was recorded."""
+    """A message: its number, its value as text (a nan is not equal to itself), and its log time."""
 
     sequence: int
     value: str
@@ -52,10 +52,10 @@ class ShownValue(NamedTuple):
 
 
 class UnheardChange:
-    """Finds messages of one publisher that should have become inputs of the journal."""
+    """Finds messages of one publisher that should have become inputs in the journal and did not."""
 
     def __init__(self, repeat_ns: int) -> None:
-        """`repeat_ns`: after this time an equal value becomes an event, too."""
+        """`repeat_ns`: after this time [ns] an unchanged value becomes an input again."""
         self.example = ""
         """The first messages that should have become inputs and did not, "" if there are none."""
 
@@ -63,7 +63,7 @@ class UnheardChange:
         self._waiting: deque[ShownValue] = deque(maxlen=MAX_WAITING)
         self._heard: set[int] = set()
         self._last: ShownValue | None = None
-        """The last message that became an input; the first of all messages until one did."""
+        """The last message that became an input; before there is one, the first of all messages."""
 
         self._is_begin = True
         self._since: ShownValue | None = None
@@ -74,7 +74,7 @@ class UnheardChange:
         self._waiting.append(shown)
 
     def heard(self, sequence: int) -> None:
-        """Note the number of the message that an input of the journal came from."""
+        """Note that the message with this number became an input in the journal."""
         self._heard.add(sequence)
 
     def forget(self) -> None:
@@ -85,7 +85,7 @@ class UnheardChange:
         self._is_begin = True
 
     def settle(self, stall_ns: int) -> None:
-        """Judge the messages up to the last that became an input, after stalls of `stall_ns`."""
+        """Judge the messages up to the last input; a stall of `stall_ns` may have delayed some."""
         newest = max(self._heard, default=0)
         while self._waiting and self._waiting[0].sequence <= newest:
             self._take(self._waiting.popleft(), stall_ns)
@@ -127,7 +127,7 @@ NAMES: Final = {
 
 
 class SafetyInputCheck:
-    """The comparison of one safety input, from the first snapshot with a proof on."""
+    """Compares one safety input with its messages, from the first snapshot with a proof on."""
 
     def __init__(
         self, report: Report, info: RecordingInfo, kind: SafetyInput, topic: InputTopic
@@ -212,7 +212,7 @@ class SafetyInputCheck:
 
 
 class SafetyInputChecks:
-    """The checks of all safety inputs that the configuration uses."""
+    """Runs the checks of all safety inputs that the configuration uses."""
 
     def __init__(
         self, report: Report, info: RecordingInfo, journal_topic: str, stalls: RecordedStalls

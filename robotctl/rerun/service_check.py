@@ -114,20 +114,20 @@ MAX_CALLS: Final = 100_000
 """The number of calls of a service that are compared."""
 
 MAX_AHEAD: Final = 1_000
-"""How many of the next requests are searched for a call; skipped ones have no recorded call."""
+"""The request of a call is searched among this many next ones; skipped ones have no call."""
 
 ANSWER_NS: Final = NS_PER_S
-"""A request this shortly before the end may lack its response, which waits for the disk."""
+"""A request at most this long before the end may lack its response, which waits for the disk."""
 
 MANY_IN_WORK: Final = 128
-"""A call is refused as busy only if more calls are open: robotctl accepts 256 at a time."""
+"""A refusal as busy is believed only if more calls than this were open (robotctl accepts 256)."""
 
 _BUSY = re.compile(r"busy: \d+ requests wait for their reply; try again")
 
 
 @dataclass(slots=True)
 class Asked:
-    """A request in the journal: `seq` of its entry, mode, when it was handled, and its reply."""
+    """A request in the journal: its entry's `seq`, the requested mode, its times, its reply."""
 
     seq: int
     requested: int
@@ -160,10 +160,10 @@ class Call:
 
 
 class ServicePairs:
-    """The calls of one service and its requests in the journal."""
+    """Pairs the recorded calls of one service with its requests in the journal."""
 
     def __init__(self, source: str, open_calls: dict[tuple[bytes, int], Call]) -> None:
-        """`source` is how the journal names the service; `open_calls` are those of all services."""
+        """`source` is the service's name in the journal; all services share one `open_calls`."""
         self.source = source
         self.calls: list[Call] = []
         self.asked: list[Asked] = []
@@ -253,14 +253,14 @@ def _fits(asked: Asked, call: Call, clock: ClockChanges) -> bool:
 
 
 MAX_UNDER_WAY: Final = 1_000
-"""How many calls may be recorded whose requests the end of the journal lacks."""
+"""At the end, at most this many recorded calls may have no request in the journal."""
 
 END_NS = 2 * NS_PER_S
-"""A request this shortly before the end may lack its call, which was under way."""
+"""The call of a request at most this long before the end may be missing: it was under way."""
 
 
 class ServiceChecks:
-    """The checks of all services that request a mode, from the first snapshot with a proof on."""
+    """Checks all services that request a mode, from the first snapshot with a proof on."""
 
     def __init__(
         self, report: Report, info: RecordingInfo, journal_topic: str, clock: ClockChanges
@@ -316,7 +316,7 @@ class ServiceChecks:
 
 
 class _ServiceCheck:
-    """The comparison of one service."""
+    """Compares the calls of one service with the journal."""
 
     def __init__(
         self,
@@ -352,7 +352,7 @@ class _ServiceCheck:
         self._unreadable = 0
 
     def begin(self, log_ns: int) -> None:
-        """Compare from this time on [ns since the epoch]."""
+        """Compare from the time `log_ns` on [ns since the epoch]."""
         self._open_calls.clear()
         self.pairs = ServicePairs(self._source, self._open_calls)
         self._begin_ns = log_ns
@@ -433,7 +433,7 @@ class _ServiceCheck:
             ending.accuse(report, invariants, text)
 
     def _is_first(self, asked: Asked) -> bool:
-        """Return whether the call of a request may be in an earlier file."""
+        """Return whether a request came so early that its call may be in an earlier file."""
         return asked.moments[1] <= (self._begin_ns or 0) + LATE_NS
 
     def _tell_answers(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:

@@ -14,7 +14,7 @@ MAX_ENTRIES = 512
 
 
 class JournalChain:
-    """The CRC of all entries, continued from a snapshot and compared at the next one."""
+    """Computes the CRC of the entries after a snapshot, and compares it at the next snapshot."""
 
     def __init__(self) -> None:
         self._seq = -1
@@ -44,7 +44,7 @@ class JournalChain:
     def is_whole(self, entry: JournalEntry, proof: Proof | None) -> bool:
         """Return whether the CRC of the entries before a snapshot is that of its proof.
 
-        True if it is not known: without a proof, at the beginning and after a gap.
+        Return True if one of the two is unknown: without a proof, at the beginning, after a gap.
         """
         if proof is None:
             return True

@@ -29,12 +29,12 @@ NEAR_NS: Final = NS_PER_S
 """The mode of a status must be in the journal within this time of the status."""
 
 MAX_WAITING: Final = 10_000
-"""The number of statuses that wait for the journal, and of modes that are kept."""
+"""How many statuses may wait for later journal entries, and how many modes are kept."""
 
 
 @dataclass(slots=True)
 class _ModeSpan:
-    """The period in which the journal has a mode, by the steady clock [ns]."""
+    """A period in which the robot had a mode according to the journal; steady times [ns]."""
 
     mode: int
     begin_ns: int
@@ -42,10 +42,10 @@ class _ModeSpan:
 
 
 class ShownModes:
-    """The comparison of the statuses with the modes of the journal, from a snapshot on.
+    """Compares the modes in the statuses with those in the journal, from a snapshot on.
 
-    `wrong` counts the statuses whose mode the journal did not have within NEAR_NS, except around a
-    change of the clock.
+    `wrong` counts the statuses with a mode that the robot did not have within NEAR_NS of them,
+    according to the journal. Statuses near a change of the clock are not counted.
     """
 
     def __init__(self, clock: ClockChanges) -> None:
@@ -54,7 +54,7 @@ class ShownModes:
         self._clock = clock
         self._spans: deque[_ModeSpan] = deque(maxlen=MAX_WAITING)
         self._statuses: deque[tuple[int, int, int]] = deque(maxlen=MAX_WAITING)
-        """Mode and steady time of each status, and the time of the event before it in the file."""
+        """Mode and steady time of each status, and steady time of the event read before it."""
 
         self._t_ns = self._offset_ns = self._begin_ns = 0
 
@@ -67,7 +67,7 @@ class ShownModes:
         self._judge(t_ns - EXCUSES_NS)
 
     def status(self, mode: int, publish_ns: int) -> None:
-        """Compare a status, which was sent at `publish_ns` since the epoch."""
+        """Keep a status, sent at `publish_ns` since the epoch, until it can be compared."""
         steady_ns = publish_ns - self._offset_ns
         if self._spans and steady_ns >= self._begin_ns:
             self._statuses.append((mode, steady_ns, self._t_ns))
@@ -89,7 +89,7 @@ class ShownModes:
         self._statuses.clear()
 
     def end(self) -> None:
-        """Compare the statuses that still wait."""
+        """Compare the statuses that still wait, because the journal ends."""
         self._judge(inf)
 
     def _judge(self, until_ns: float) -> None:
@@ -111,7 +111,7 @@ class ShownModes:
 
 
 class StatusCheck:
-    """The comparison of the statuses with the modes of the journal, from its first snapshot on."""
+    """Compares the statuses with the modes in the journal, from its first snapshot on."""
 
     def __init__(
         self, report: Report, info: RecordingInfo, journal_topic: str, clock: ClockChanges
@@ -136,9 +136,10 @@ class StatusCheck:
         self._begin_ns = 0
 
     def message(self, message: Message) -> None:
-        """Read a status; the last one is repeated at the beginning of each file and clip.
+        """Check a status; skip the repeat of the last one, with which each file and clip begins.
 
-        If the recorder lags, the repeated status is sent after the file begins, and comes again.
+        If the recorder lags, this repeat may come before its original: then its log time, that of
+        the file's beginning, is before its publish time.
         """
         if message.log_ns < message.publish_ns:
             self._repeats.count()
@@ -173,7 +174,7 @@ class StatusCheck:
         self._modes.snapshot(snapshot.state.mode, t_ns, log_ns)
 
     def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Compare the modes after an event from now on."""
+        """Note the time of an event, and the new mode if it changed the mode."""
         self._modes.step(event.t_ns, moments[1])
         for effect in effects:
             if isinstance(effect, ModeChanged):

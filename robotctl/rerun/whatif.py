@@ -70,7 +70,7 @@ class DriveCommands:
 
 
 class DrivesOfKernel:
-    """The drives of one kernel by the ids of the requests that began them."""
+    """Collects the drives of one kernel, by the id of the request that began each."""
 
     def __init__(self) -> None:
         self.drives: dict[int, DriveCommands] = {}

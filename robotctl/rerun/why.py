@@ -149,7 +149,7 @@ def _known(incident: Incident) -> str:
     if health.odometry is None:
         facts.append("no odometry yet")
     else:
-        # It may have come while a late tick was due.
+        # Odometry may be newer than a late tick.
         age_ns = max(incident.t_ns - health.odometry_t_ns, 0)
         facts.append(f"odometry {span(age_ns)} old")
     if incident.params.battery.topic:

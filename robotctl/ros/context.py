@@ -16,12 +16,12 @@ BAD_ARGUMENTS = (
     *(_rclpy.RCLError, _rclpy.RCLInvalidROSArgsError, _rclpy.UnknownROSArgsError),
     *(NameValidationException, ParameterException),
 )
-"""What rclpy raises for wrong `--ros-args`."""
+"""The exceptions that rclpy raises for wrong `--ros-args`."""
 
 
 _NO_LOG_FILE: Final = ("--ros-args", "--disable-external-lib-logs")
-"""robotctl does not log through rcl: rcl would create an empty file in the user's home at every
-command, and fail if the home is not writable."""
+"""Switches off rcl's log file, in which robotctl logs nothing. Otherwise each command would create
+an empty one in the user's home, and fail if the home is not writable."""
 
 END_S: Final = 5.0
 """How long the middleware may take to leave a domain. During discovery, Fast DDS 2.14 may deadlock
@@ -29,7 +29,7 @@ in `DomainParticipant::set_listener` on its own lock, with the GIL held."""
 
 
 def open_context(domain_id: int, remaps: Iterable[str] = ()) -> Context:
-    """Open a context in this domain, without signal handlers; the command line is ignored.
+    """Open a context in ROS domain `domain_id`, without signal handlers; ignore the command line.
 
     `remaps` are rules FROM:=TO for the names of topics and services.
     """
@@ -42,9 +42,9 @@ def open_context(domain_id: int, remaps: Iterable[str] = ()) -> Context:
 def close_context(
     context: Context, nodes: Iterable[Node], before: Iterable[Callable[[], object]] = ()
 ) -> None:
-    """Call the functions of `before`, destroy the nodes and leave the domain.
+    """Call the functions of `before`, then destroy the nodes and leave the domain.
 
-    Call it as the last step of a process. If it takes more than END_S, the process prints the
+    Call this as the last step of a process. If it takes more than END_S, the process prints the
     stacks of its threads on stderr and ends with exit code 1.
     """
     with ExitStack() as leaving:

@@ -1,4 +1,4 @@
-"""An rclpy context and its executor for an `async with` block, without signal handlers."""
+"""Opens an rclpy context with an executor for the daemon's nodes, without signal handlers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from robotctl.ros.context import close_context, open_context
 from robotctl.ros.executor import AsyncioExecutor, ExceptionHandler
 
 RECORDER_NODE = "_recorder"
-"""The name of the node whose subscriptions only record and watch. ROS tools hide such names."""
+"""The name of the hidden node, whose subscriptions only record and watch. ROS tools do not show
+names that begin with `_`."""
 
 SERVICE_EVENTS = "/_service_event"
 """Suffix of the introspection topic of a service, on which its calls are published."""
@@ -23,10 +24,12 @@ SERVICE_EVENTS = "/_service_event"
 
 @dataclass(frozen=True, slots=True)
 class Naming:
-    """Remap rules FROM:=TO for topics and services; `nodes` maps usual node names to new ones."""
+    """New names for topics, services and nodes."""
 
     remaps: tuple[str, ...] = ()
+    """Rules FROM:=TO for topics and services."""
     nodes: Mapping[str, str] = field(default_factory=dict)
+    """A node's usual name -> its new name."""
 
 
 N = TypeVar("N", bound=Node)
@@ -44,7 +47,7 @@ class Session:
         naming: Naming,
         use_sim_time: bool,
     ) -> None:
-        """Append each node that the session creates to `nodes`."""
+        """Create nodes in `namespace`, and append each to `nodes`."""
         self._context = context
         self._executor = executor
         self._namespace = namespace
@@ -67,8 +70,8 @@ class Session:
     def resolve(self, topic: str, role: str = "") -> str:
         """Return the full name of a topic after remapping; `topic` may be relative.
 
-        `role` is the usual name of the topic's node, because a rule may apply to one node only; the
-        node need not exist yet. A service's introspection topic is renamed with the service.
+        `role` is the usual name of the node that uses the topic, which need not exist yet: a rule
+        may apply to one node only. The introspection topic of a service is remapped as the service.
         """
         service = topic.removesuffix(SERVICE_EVENTS)
         name = self._remapped(service, self._node_names.get(role, role))
@@ -88,7 +91,7 @@ class Session:
         return full(topic)
 
     def logger_name(self, node_name: str) -> str:
-        """Return the ROS name of a node's logger; `node_name` is the node's usual name."""
+        """Return the name that a node's logger has on ROS; `node_name` is the node's usual name."""
         full = f"{self._namespace}/{self._node_names.get(node_name, node_name)}"
         return full.strip("/").replace("/", ".")
 
@@ -112,7 +115,7 @@ class Session:
         return self.node_of(Node, name)
 
     def node_of(self, kind: type[N], name: str) -> N:
-        """Create a node of this class, as `node` does."""
+        """Create a node of class `kind`, as `node` does."""
         node = kind(
             self._node_names.get(name, name),
             context=self._context,
@@ -147,9 +150,8 @@ async def ros_session(
 ) -> AsyncIterator[Session]:
     """Open a context in ROS domain `domain_id`; no callback runs after the block.
 
-    The context itself stays until `at_end` is closed, which must be the last thing that the
-    process does (see `close_context`). `fifo_priority` requests SCHED_FIFO (1..99) for the loop's
-    thread.
+    The context is closed only with `at_end`, which must be the last step of the process (see
+    `close_context`). `fifo_priority` requests SCHED_FIFO (1..99) for the loop's thread.
     """
     nodes: list[Node] = []
     context = open_context(domain_id, naming.remaps)

@@ -109,7 +109,7 @@ def time_figure(
     least_span: float = 0.0,
     from_zero: bool = False,
 ) -> Figure:
-    """Return a figure over time; its y axis spans at least `least_span`, from 0 if `from_zero`."""
+    """Return a figure over time; the y axis spans `least_span` or more, from 0 if `from_zero`."""
     drawn = tuple(line for line in lines if line.runs)
     values = [value for line in drawn for run in line.runs for _, value in run] or [0.0]
     low, high = 0.0 if from_zero else min(values), max(values)
@@ -153,7 +153,7 @@ class Stroke:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A text at an axis, vertically centred at `y`; centred at `x`, or ending there if `is_end`."""
+    """A text, vertically centred at `y`. It is centred at `x`; if `is_end`, it ends at `x`."""
 
     text: str
     x: float
@@ -170,7 +170,7 @@ def laid_out(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
     for tick in y.ticks(8 if figure.is_ground else 4):
         at, text = y.at(tick), f"{tick:.12g}"
         yield Stroke([[(frame.left, at), (frame.right, at)]], "grid")
-        end = max(frame.left - 6, len(text) * DIGIT_PX)  # moved right if there is no room
+        end = max(frame.left - 6, len(text) * DIGIT_PX)  # further right if a long number needs it
         yield Label(text, end, at, "value", is_end=True)
     yield from x_ticks(figure, frame)
     if figure.is_ground:

@@ -171,7 +171,7 @@ def provenance_table(recorded: Recorded) -> Markup:
 
 
 def parameters_table(recorded: Recorded) -> Markup | None:
-    """Return the table of the parameters at the begin of the last file, None if not known."""
+    """Return a table of the parameters at the start of the last file, None if it lists none."""
     told = recorded.info.metadata.get(INFO_RECORD, {})
     rows = [
         (key.removeprefix(PARAMETER_PREFIX), value)

@@ -32,18 +32,18 @@ CHARACTER_PX: Final = 7.2
 """The approximate width of a character in a plot."""
 
 NUMBER_PX: Final = 15.0
-"""The least distance between the numbers of two moments."""
+"""The least distance between the numbers of two moments; a number without this room is left out."""
 
 LEAST_SPEED, LEAST_ERROR_M = 0.05, 0.01
 LEAST_BATTERY_PERCENT, LEAST_LATE_MS = 2.0, 2.0
-"""The least span of the values of each plot, so that noise is drawn small."""
+"""The y axis of a plot spans at least this, so that small noise does not fill the plot."""
 
 MAX_PLACES: Final = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class TimePlot:
-    """A plot over time; each of `series` has its name in the legend and its kind of line."""
+    """A plot over time. `series` has the values, name in the legend and kind of each line."""
 
     title: str
     unit: str
@@ -85,7 +85,7 @@ def plots_of(traces: Traces) -> list[TimePlot]:
 
 
 def time_plots(traces: Traces) -> Iterator[Markup]:
-    """Yield the band of modes and moments, then each plot over time with its caption."""
+    """Yield a band of modes and moments, then a captioned picture of each plot that has values."""
     if traces.modes or traces.moments:
         yield _mode_band(traces)
     for number, plot in enumerate(plots_of(traces), 1):
@@ -186,7 +186,7 @@ def _path_frame(figure: Figure) -> Frame:
 def _marks(
     places: Sequence[DrivenPlace], moments: Sequence[TracedMoment], x: Axis, y: Axis
 ) -> Iterator[Markup]:
-    """Yield marks for each moment, the begin, the end, and the place of the cursor."""
+    """Yield marks on the path: for each moment, for the path's two ends, and for the cursor."""
     if not places:
         return
     for number, moment in enumerate(moments, 1):
@@ -206,7 +206,7 @@ def _marks(
 
 
 def _mode_band(traces: Traces) -> Markup:
-    """Return the modes over time, and a mark with the number of each moment above them."""
+    """Return a band of the modes over time; above it, each moment has a mark with its number."""
     frame = BAND_FRAME
     figure = time_figure("Mode, and what happened", (), traces.duration_s)
     time, _ = figure.axes(frame)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
 TIME_FINE: Final = 2.0
-"""Pixels of the file per pixel of a figure over time."""
+"""Pixels of the file per pixel of the frame of a figure over time."""
 
 PATH_FRAME: Final = Frame(500, 500 - TITLE_HEIGHT, 50, 450, 28, 428)
 PATH_FINE: Final = 1.6
@@ -50,7 +50,10 @@ def write_png(
     frame: Frame = TIME_FRAME,
     fine: float = TIME_FINE,
 ) -> None:
-    """Write a PNG of the figures, stacked, each in `frame` below its title, enlarged by `fine`."""
+    """Write a PNG of the figures, one below the other, each below its title.
+
+    A figure is laid out in `frame`; the file has `fine` times as many pixels in each direction.
+    """
     from PIL import Image, ImageDraw
 
     step = frame.height + TITLE_HEIGHT
@@ -64,7 +67,7 @@ def write_png(
 
 
 class _Pen:
-    """Draws in the pixels of a frame whose title begins at `top`."""
+    """Draws one figure in coordinates of its frame; the title begins at `top`."""
 
     def __init__(self, draw: ImageDraw, scale: float, top: float) -> None:
         self._draw = draw

@@ -33,7 +33,7 @@ MAX_VALUE: Final = 1e15
 """Larger values are no measurement; they are left out and counted in `Series.odd`."""
 
 Sample = tuple[float, float]
-"""A time and a value."""
+"""A time [s] and a value."""
 
 
 class SeriesColumn(NamedTuple):
@@ -48,7 +48,7 @@ class SeriesColumn(NamedTuple):
 
 
 class Series:
-    """Values between the times 0 and `duration_s`; the memory does not depend on their number.
+    """Values at times from 0 to `duration_s`; memory use does not depend on how many there are.
 
     `count` is the number of values, and `odd` how many were not finite or too large.
     """
@@ -105,7 +105,7 @@ class Series:
 
 
 def _points(column: SeriesColumn) -> Sequence[Sample]:
-    """Return at most four points that look like all values of a column."""
+    """Return at most four points, which in a plot look like all values of the column."""
     if column.begin_s == column.end_s:
         return [(column.begin_s, column.first)]
     middle_s = (column.begin_s + column.end_s) / 2.0
@@ -118,7 +118,7 @@ def _points(column: SeriesColumn) -> Sequence[Sample]:
 
 
 MAX_PLACES: Final = 3000
-"""If there are more, every second place is removed, and the spacing doubles."""
+"""If a path gets more places, every second one is removed, and the spacing doubles."""
 
 SPACING_M: Final = 0.002
 MAX_COORDINATE_M: Final = 1e6
@@ -168,7 +168,7 @@ class ThinnedPath:
 MAX_SEARCHED: Final = 5000
 """Limit on the leaf fields of a type that are searched."""
 MAX_LISTS: Final = 24
-"""Limit on the sequences of messages that are searched: each costs a look at all types."""
+"""Limit on the sequences of messages that are searched: each search looks at all types."""
 MAX_NAMED: Final = 24
 """Limit on the fields that an error names."""
 MAX_FIELDS: Final = 8
@@ -200,10 +200,10 @@ class _Wanted:
 
 
 def number_fields(topic: TopicInfo, paths: Sequence[str]) -> list[tuple[str, Steps]]:
-    """Return path and steps of each number at `paths`; a message stands for all its numbers.
+    """Return path and steps of each number at `paths`; the path of a message gives all its numbers.
 
     Raises:
-        UsageError: A path leads to no number, there is no path, or there are too many numbers.
+        UsageError: A path leads to no number, no path is given, or there are too many numbers.
         UnreadableFile: The recording does not describe the type.
     """
     definition = _definition(topic)
@@ -289,7 +289,10 @@ def _numbers_at(definition: Definition, path: str) -> dict[str, Steps]:
 
 
 def _listed(definition: Definition, steps: Steps) -> tuple[str, Steps]:
-    """Return type and steps of the last message along `steps` that is an item of a sequence."""
+    """Return type and steps of the last message along `steps` that is an item of a sequence.
+
+    Without such a message, return the topic's type and no steps.
+    """
     found: tuple[str, Steps] = definition.root, ()
     fields = definition.types[definition.root]
     field = fields[0]
@@ -303,7 +306,10 @@ def _listed(definition: Definition, steps: Steps) -> tuple[str, Steps]:
 
 
 def _with_lists(definition: Definition, leaves: Iterable[LeafField]) -> Iterable[LeafField]:
-    """Return at most MAX_SEARCHED leaves, including those of the first message of each sequence."""
+    """Return the leaves; each sequence of messages is followed by the leaves of its first item.
+
+    This is done for the first MAX_LISTS sequences. At most MAX_SEARCHED leaves are returned.
+    """
     room = iter(range(MAX_LISTS))
 
     def walk(leaves: Iterable[LeafField]) -> Iterator[LeafField]:
@@ -316,7 +322,7 @@ def _with_lists(definition: Definition, leaves: Iterable[LeafField]) -> Iterable
 
 
 def _names(leaves: Iterable[LeafField]) -> list[str]:
-    """Return the paths of the leaves that are numbers; a list of numbers gives its first item."""
+    """Return the path of each number among the leaves; of a list of numbers, that of its first."""
     return [
         f"{leaf.path}[0]" if leaf.is_number_list else leaf.path
         for leaf in leaves

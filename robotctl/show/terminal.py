@@ -19,7 +19,7 @@ _BITS: Final = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 
 _WANTED: Final = "wanted"
 _WANTED_EVERY: Final = 3
-"""A wanted path is dotted, so that it differs from the driven one without colour."""
+"""One in three dots of a wanted path is set, so that it differs from the driven one."""
 
 _DRIVEN_COLOUR, _WANTED_COLOUR, _VALUE_COLOUR = "\x1b[32m", "\x1b[34m", "\x1b[36m"
 _PLAIN: Final = "\x1b[0m"
@@ -35,7 +35,7 @@ class _Canvas:
         self._cells: dict[_Cell, int] = {}
 
     def line(self, points: Sequence[_Dot], every: int = 1) -> set[_Cell]:
-        """Set one in `every` dots on the lines between the points; return the cells of these."""
+        """Set one in `every` dots on the lines between the points; return these dots' cells."""
         cells = set()
         for index, (x, y) in enumerate(_dots(points)):
             if index % every == 0:

@@ -56,7 +56,7 @@ MAX_SPANS: Final = 150
 MAX_MOMENTS: Final = 100
 MAX_DRIVES: Final = 50
 MAX_WANTED_POINTS: Final = 8_000
-"""Limits on what is kept; `Traces.left_out` counts the rest."""
+"""Limits on the modes, moments and drives that are kept, and on the points of all wanted paths."""
 
 RATE_COLUMNS: Final = 60
 """Columns of the small picture of a topic's rate."""
@@ -66,7 +66,7 @@ Point = tuple[float, float]
 
 @dataclass(slots=True)
 class ModeSpan:
-    """A time in one mode, and why it began."""
+    """A time span in one mode; `reason` is why the mode began."""
 
     begin_s: float
     end_s: float
@@ -76,7 +76,7 @@ class ModeSpan:
 
 @dataclass(frozen=True, slots=True)
 class TracedMoment:
-    """Something that happened: when, its kind in a word, and a description."""
+    """Something that happened during the recording: when, its kind in a word, and a description."""
 
     t_s: float
     kind: str
@@ -85,7 +85,7 @@ class TracedMoment:
 
 @dataclass(frozen=True, slots=True)
 class EndedDrive:
-    """A drive that ended: when, why, and its report."""
+    """A drive that ended: when, why, and the report of what was measured."""
 
     t_s: float
     reason: str
@@ -93,7 +93,7 @@ class EndedDrive:
 
 
 class Rates:
-    """Message counts of each topic in RATE_COLUMNS parts of the recording, and longest pauses."""
+    """Per topic: message counts in RATE_COLUMNS parts of the recording, and longest pause [s]."""
 
     def __init__(self, duration_s: float) -> None:
         self.counts: dict[str, list[int]] = {}
@@ -123,7 +123,7 @@ class Traces:
     moments: list[TracedMoment] = field(default_factory=list)
     drives: list[EndedDrive] = field(default_factory=list)
     left_out: int = 0
-    """The modes, moments, drives and wanted paths that are not kept."""
+    """How many modes, moments, drives and wanted paths the limits have left out."""
 
     commanded_linear: Series = field(init=False)
     commanded_angular: Series = field(init=False)
@@ -145,7 +145,7 @@ class Traces:
         self.rates = Rates(self.duration_s)
 
     def enter_mode(self, t_s: float, mode: str, reason: str) -> None:
-        """Begin a mode, and end the one before; the same mode and reason just continue."""
+        """End the previous mode, and begin a new one; the same mode and reason continue the old."""
         if self.modes:
             self.modes[-1].end_s = t_s
             if self.modes[-1].mode == mode and self.modes[-1].reason == reason:
@@ -194,8 +194,8 @@ MS_PER_NS: Final = 1e-6
 class JournalTraces:
     """Fills traces from the entries of a journal, in their order.
 
-    Commands, modes and ends of drives are the recorded ones. A kernel repeats the decisions, since
-    only it knows the wanted path; after missing entries, the next snapshot replaces the kernel.
+    Commands, modes and ends of drives are as recorded. Only a kernel knows the wanted path, so one
+    repeats the decisions. After missing entries, the next snapshot replaces it by a new one.
     """
 
     def __init__(self, traces: Traces) -> None:
@@ -264,7 +264,7 @@ class JournalTraces:
             self._traces.lateness.add(t_s, (event.t_ns - due_ns) * MS_PER_NS)
 
     def _follow_safely(self, pose: Pose, t_s: float) -> None:
-        """Call `_follow`, guarded: the kernel's state comes from a file, and may be impossible."""
+        """Call `_follow`; raise UnreadableFile if the recorded kernel has an impossible state."""
         try:
             self._follow(pose, t_s)
         except KERNEL_FAILURES as error:
@@ -286,7 +286,7 @@ class JournalTraces:
             self._traces.want([(place.x, place.y) for place in outline])
 
     def _measured(self, ended: DriveEnded) -> DriveReport:
-        """Return the report of a drive, without errors if the drive has no path."""
+        """Return a drive's report, without cross-track and heading errors if it had no path."""
         followed = self._outlined is not None and self._outlined[0] == ended.request_id
         known = followed or self._kernel is None
         return ended.report if known else ended.report.without_errors()
@@ -316,12 +316,12 @@ class JournalTraces:
 BATTERY: Final = "sensor_msgs/msg/BatteryState"
 
 Taker = Callable[[Traces, float, bytes], None]
-"""Adds a message to traces, with its time and its bytes."""
+"""A function that adds a message to traces, given its time [s] and its bytes."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicTraces:
-    """The function that adds the messages of a drawn topic, by topic and type."""
+    """Fills traces from the messages of the drawn topics; `takers` has a function for each."""
 
     takers: dict[tuple[str, str], Taker]
 
@@ -338,7 +338,7 @@ class TopicTraces:
 
 
 def topic_traces(topics: Sequence[TopicInfo]) -> TopicTraces:
-    """Choose the topics to draw: odometry, command and battery, each with the most messages."""
+    """Choose the topics to draw: of each kind, such as odometry, the one with most messages."""
     takers: dict[tuple[str, str], Taker] = {}
     kinds: tuple[dict[str, Taker], ...] = (
         {ODOMETRY: _take_odometry},
@@ -384,20 +384,19 @@ def _take_battery(traces: Traces, t_s: float, data: bytes) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A recording as its report shows it.
-
-    `drawn` are the topics that were drawn if there is no journal. `missing` has a sentence for each
-    part that could not be read. `is_live` means that the recording is being written, `is_cut_off`
-    that robotctl never closed it.
-    """
+    """A recording as its report shows it."""
 
     info: RecordingInfo
     traces: Traces
     has_journal: bool
     drawn: tuple[str, ...]
+    """The topics that were drawn; empty if the recording has a journal, which is drawn instead."""
     missing: tuple[str, ...]
+    """A sentence for each part that could not be read."""
     is_live: bool
+    """Whether the recording is being written."""
     is_cut_off: bool
+    """Whether robotctl wrote the recording, and did not close it."""
 
 
 def read_recorded(
@@ -418,7 +417,7 @@ def read_recorded(
         traces = Traces(info.duration_s)
         journal, others = journal_topic(info), topic_traces(info.topics)
         for event in info.events:
-            if journal is None or event.kind is EventKind.MARK:  # the journal has the others
+            if journal is None or event.kind is EventKind.MARK:  # the journal has all but marks
                 t_s = (event.log_ns - info.start_ns) / NS_PER_S
                 traces.happened(t_s, event.kind.value, event.text)
         from_journal, decoder = JournalTraces(traces), EntryDecoder(recording)
@@ -447,14 +446,13 @@ def read_recorded(
 
 @dataclass(frozen=True, slots=True)
 class KeyFigure:
-    """A key figure: its key in `--json`, its name, its value (None: not known), format and unit.
-
-    `figures_of` replaces values that are not finite by None: a recording may hold any number.
-    """
+    """A number that sums up a recording, such as its duration."""
 
     key: str
+    """The key of the figure in `--json`."""
     name: str
     value: float | None
+    """None if the value is not known; `figures_of` replaces infinity and NaN by None, too."""
     form: str
     unit: str
 
@@ -503,7 +501,7 @@ def _distance(traces: Traces) -> float | None:
 
 
 def _cross_track(traces: Traces) -> tuple[float | None, float | None]:
-    """Return the RMS error of all drives, weighted by their duration, and the largest error."""
+    """Return two cross-track errors [m]: RMS of all drives, weighted by duration, and largest."""
     reports = [
         report
         for report in (drive.report for drive in traces.drives)

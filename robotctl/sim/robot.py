@@ -12,28 +12,27 @@ from robotctl.kernel.ranges import Change, bounded, setting
 from robotctl.kernel.types import ZERO, Twist
 
 JUMP_M = 1.0
-"""How far the reported pose jumps along x; it jumps back at the end of the fault."""
+"""How far the reported pose jumps along x in an ODOM_JUMP; at the end, it jumps back."""
 
 BROWNOUT_LEVEL = 0.1
-"""The highest reported level while the supply is too weak."""
+"""The highest battery level that is reported during a BROWNOUT."""
 
 MAX_FAULT_S = 60.0
 
 
 class SimFault(Enum):
-    """What can go wrong with the simulated robot.
-
-    ODOM_LOST: it publishes no odometry. ODOM_JUMP: its reported pose jumps by `JUMP_M`. SLIP: it
-    does not move, though the wheels turn. HANG: it ignores commands and publishes nothing, and its
-    drives keep the last command until the command timeout. BROWNOUT: its drives have no power, and
-    the reported battery level is at most `BROWNOUT_LEVEL`.
-    """
+    """What can go wrong with the simulated robot."""
 
     ODOM_LOST = "odom-lost"
+    """The robot publishes no odometry."""
     ODOM_JUMP = "odom-jump"
+    """The reported pose jumps by `JUMP_M` until the fault ends."""
     SLIP = "slip"
+    """The robot does not move, though its wheels turn."""
     HANG = "hang"
+    """The robot publishes nothing and ignores commands; after `command_timeout_s` it stops."""
     BROWNOUT = "brownout"
+    """The drives have no power, and the reported battery level is at most `BROWNOUT_LEVEL`."""
 
 
 class Faults:
@@ -47,7 +46,7 @@ class Faults:
         return bool(left_s) and fault in left_s  # nearly always none: no member is hashed then
 
     def begin(self, fault: SimFault, for_s: float) -> None:
-        """Begin a fault for `for_s` seconds; for an active fault, set the time left."""
+        """Begin a fault for `for_s` seconds; an active fault now ends in `for_s` seconds."""
         self._left_s[fault] = for_s
 
     def advance(self, dt_s: float) -> None:
@@ -57,7 +56,7 @@ class Faults:
         }
 
     def reported_pose(self, pose: Pose) -> Pose:
-        """Return the pose that the robot reports if its odometry is `pose`."""
+        """Return the pose that the robot reports if its odometry has computed `pose`."""
         if SimFault.ODOM_JUMP in self:
             return Pose(pose.x + JUMP_M, pose.y, pose.theta)
         return pose
@@ -71,9 +70,9 @@ class Faults:
 class SimParams:
     """How the simulated robot differs from a perfect one.
 
-    Actuation errors lie between command and wheels, so odometry measures them. Odometry errors lie
-    between wheels and report, so only a comparison with the true pose shows them. Each noise is
-    the standard deviation of the two factors.
+    Actuation errors change the motion, so odometry measures them. Odometry errors change only what
+    is reported, so only a comparison with the true pose shows them. Each noise is the standard
+    deviation of a random factor around 1, which multiplies the linear and the angular factor.
     """
 
     lag_s: float = bounded(0.08, 0.0, 2.0, "s", "time constant of the drives", Change.START)
@@ -109,9 +108,9 @@ class SimParams:
 class Robot:
     """A robot that follows commands as well as its parameters allow.
 
-    `truth` is its true pose and `odometry` the pose that it reports; both begin at the origin.
-    `measured` is the velocity that it reports, and `battery` its level, 0 to 1. `faults` are its
-    active faults.
+    `truth` is its true pose, `odometry` the pose by its odometry; both begin at the origin.
+    `measured` is the velocity by its odometry, `battery` its battery level from 0 to 1, and
+    `faults` has its active faults.
     """
 
     def __init__(self, params: SimParams) -> None:
@@ -138,7 +137,7 @@ class Robot:
         )
 
     def command(self, twist: Twist) -> None:
-        """Follow `twist` until the next command or the command timeout."""
+        """Follow `twist` until the next command or the command timeout; ignore it during a HANG."""
         if SimFault.HANG in self.faults:
             return
         finite = isfinite(twist.linear) and isfinite(twist.angular)

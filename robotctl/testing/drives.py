@@ -39,7 +39,7 @@ from robotctl.rerun.closed_loop import closed_loop
 from robotctl.rerun.journal_values import read_effect
 
 START_NS = 1_700_000_000_000_000_000
-"""Added to the steady times of a journal, gives the log times [ns since the epoch]."""
+"""Log times [ns since the epoch] are the steady times of the journal plus this."""
 
 GID = b"publisher-number"
 """The gid of the publisher of all recorded messages."""
@@ -86,7 +86,7 @@ MAX_QUEUED = 20_000
 """The number of messages that may be queued; the recorder would drop more."""
 
 Written = JournalEntry | Twist | bytes
-"""A journal entry, a published command, or serialized odometry."""
+"""One item to record: a journal entry, a published command, or serialized odometry."""
 
 
 def drive_requested(after_s: float = 0.1, laps: int = 0) -> DriveRequested:
@@ -107,7 +107,7 @@ def drive(
     """Return what a daemon writes and publishes while a simulated robot drives.
 
     `requests` may be any events. The events in `then` follow after the simulation has ended.
-    If not `closed`, the daemon was killed, and wrote no last snapshot.
+    If `closed` is False, the last snapshot is missing, as after the kill of a daemon.
     """
     config = config or Config()
     asked = [drive_requested()] if requests is None else requests

@@ -91,7 +91,10 @@ class HearingKernel(Kernel):
         self._safety_counts = Counter[SafetyInput]()
 
     def step(self, event: Event) -> tuple[Effect, ...]:
-        """Serialize an input, read odometry, battery and scans from the bytes, and decide."""
+        """Serialize and number the message of an input, then decide.
+
+        It decides on odometry, battery and scans as read from the message, on others as given.
+        """
         if isinstance(event, OdomReceived):
             self._odometry_count += 1
             sample = event.odometry

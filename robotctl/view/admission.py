@@ -38,7 +38,7 @@ class Admission:
     def __init__(self, token: str, origins: Iterable[str] = (), host: str = "localhost") -> None:
         """Admit requests with this token from KNOWN_ORIGINS and `origins`, or without an Origin.
 
-        `host` is a further name of this computer that a Host header may have.
+        `host` is one more name that a Host header may have.
         """
         self._token = token.encode()
         self._own_names = {"localhost", socket.gethostname().lower(), host.lower()}
@@ -59,7 +59,7 @@ class Admission:
         return ""
 
     def _is_own_host(self, header: str) -> bool:
-        """Return whether a Host header has an IP address, or a name of this computer."""
+        """Return whether a Host header names this computer, or is an IP address."""
         try:
             host = urlsplit(f"//{header}").hostname
         except ValueError:

@@ -52,7 +52,7 @@ def server_info(name: str, session_id: str, capabilities: Iterable[str]) -> str:
         "op": "serverInfo",
         "name": name,
         "capabilities": list(capabilities),
-        "supportedEncodings": ["json"],  # of what a viewer publishes
+        "supportedEncodings": ["json"],  # for messages that a viewer publishes
         "metadata": {"ROS_DISTRO": "jazzy"},
         "sessionId": session_id,
     }
@@ -81,7 +81,7 @@ def unadvertise(channel_ids: Iterable[int]) -> str:
 
 
 def status(level: StatusLevel, message: str, id: str = "") -> str:  # noqa: A002 - the field's name
-    """Return a status message; it replaces the one with the same `id`, unless that is ""."""
+    """Return a status message; with an `id`, it replaces an earlier one with the same `id`."""
     said: dict[str, Any] = {"op": "status", "level": level.value, "message": message}
     return json.dumps(said | ({"id": id} if id else {}))
 
@@ -144,21 +144,21 @@ class WrongRequest(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Subscribe:
-    """Send the messages of channels: subscription id -> channel id."""
+    """A request to send the messages of `channels` (subscription id -> channel id)."""
 
     channels: dict[int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Unsubscribe:
-    """Send no more messages for these subscription ids."""
+    """A request to send no more messages for these subscription ids."""
 
     subscriptions: list[int]
 
 
 @dataclass(frozen=True, slots=True)
 class ServiceCall:
-    """Call a service that takes no parameters."""
+    """A request to call a service, which has no parameters."""
 
     service_id: int
     call_id: int
@@ -166,7 +166,7 @@ class ServiceCall:
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """A channel on which the client will publish; the client chose its id."""
+    """A channel on which a client will publish; the client chooses `id`."""
 
     id: int
     topic: str
@@ -176,21 +176,21 @@ class Offer:
 
 @dataclass(frozen=True, slots=True)
 class ClientOffers:
-    """The client will publish on these channels."""
+    """A notice that the client will publish on these channels."""
 
     offers: list[Offer]
 
 
 @dataclass(frozen=True, slots=True)
 class ClientWithdrawal:
-    """The client will no longer publish on these channels."""
+    """A notice that the client will no longer publish on the channels with these ids."""
 
     ids: list[int]
 
 
 @dataclass(frozen=True, slots=True)
 class ClientMessage:
-    """A message on a channel of the client."""
+    """A message of the client on a channel that it offers; `id` is the channel's."""
 
     id: int
     data: bytes

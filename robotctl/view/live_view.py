@@ -11,7 +11,7 @@ from robotctl.view.foxglove import StatusLevel
 from robotctl.view.server import ViewServer
 
 _NODE: Final = "_view"
-"""ROS tools hide names that begin with an underscore."""
+"""The node's name; ROS tools hide names that begin with an underscore."""
 
 
 class LiveView:
@@ -44,7 +44,7 @@ class LiveView:
         self._server.withdraw(channel_id)
 
     def unusable(self, topic: str, problem: str) -> None:
-        """Show why a topic is not offered."""
+        """Show viewers why a topic is not offered; if `problem` is "", remove that note."""
         if problem:
             self._server.note(topic, StatusLevel.WARNING, problem)
         else:
@@ -53,7 +53,7 @@ class LiveView:
     # From the server
 
     def _subscribed(self, channel_id: int) -> None:
-        """Subscribe, even if others watch the topic: a new viewer needs its latched messages."""
+        """Subscribe to the topic again for a new viewer, which needs the latched messages."""
         self._tap.want(self._topics[channel_id], partial(self._forward, channel_id))
 
     def _unwatched(self, channel_id: int) -> None:

@@ -107,7 +107,11 @@ class RemoteControl:
             raise WrongRequest(f"this view takes {TWIST} in JSON, and moves the robot by it")
 
     def _take_velocity(self, viewer: Viewer, message: ClientMessage) -> None:
-        """Note the wanted velocity; if several wait, the newest is sent."""
+        """Note the velocity that a viewer wants; `_drive` sends the newest one.
+
+        Raises:
+            WrongRequest: Another viewer drives, or the message is no velocity.
+        """
         velocity = velocity_of(message.data)
         if self._driver is None:
             self._driver = viewer
@@ -137,13 +141,13 @@ class RemoteControl:
         except RobotctlError as error:
             text = f"{error} (let go, then hold again)"
             viewer.tell(status(StatusLevel.WARNING, text, "drive"))
-            while await self._has_wish(LET_GO_S):  # the operator has not let go
+            while await self._has_wish(LET_GO_S):  # the operator still sends velocities
                 self._wish = None
         finally:
             self._driver = None
 
     async def _has_wish(self, silence_s: float) -> bool:
-        """Wait at most `silence_s` for a wanted velocity; return whether there is one."""
+        """Wait at most `silence_s` [s] for a wanted velocity; return whether there is one."""
         with suppress(TimeoutError):
             async with asyncio.timeout(silence_s):
                 await self._wished.wait()

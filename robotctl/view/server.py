@@ -41,7 +41,7 @@ DEFAULT_PORT: Final = 8765
 """The default port of Foxglove."""
 
 _Address = tuple[socket.AddressFamily, tuple[Any, ...]]
-"""Family, and an address for `bind`, whose port is replaced."""
+"""The family and the address of a socket; `_listening` replaces the port in the address."""
 
 
 def listening_socket(host: str, port: int | None) -> socket.socket:
@@ -69,7 +69,7 @@ def listening_socket(host: str, port: int | None) -> socket.socket:
 
 
 def _address_of(host: str) -> _Address:
-    """Return family and address of a host.
+    """Return family and address of a socket that listens on `host`.
 
     Raises:
         Refused: The host has no address.
@@ -142,14 +142,15 @@ class OfferedChannels:
             del viewer.subscriptions[subscription]
 
     def subscribers(self, channel_id: int) -> Mapping[Viewer, int] | None:
-        """Return the subscribers of a channel with their subscription ids, None without any."""
+        """Return the subscription id of each viewer of a channel, None if it has no viewer."""
         return self._subscribers.get(channel_id)
 
     def subscribe(self, viewer: Viewer, subscription: int, channel_id: int) -> bool:
         """Begin a subscription, and return whether the channel is still offered.
 
         Raises:
-            WrongRequest: The id is in use, or the viewer has the channel or too many already.
+            WrongRequest: The viewer uses the subscription id or watches the channel already, or has
+                MAX_SUBSCRIPTIONS.
         """
         if channel_id not in self._channels:
             return False
@@ -163,7 +164,7 @@ class OfferedChannels:
         return True
 
     def unsubscribe(self, viewer: Viewer, subscription: int) -> int | None:
-        """End a subscription; return its channel if it has no subscriber left, otherwise None."""
+        """End a subscription; return the channel's id if that was its last one, otherwise None."""
         channel_id = viewer.subscriptions.pop(subscription, None)
         if channel_id is None:
             return None
@@ -176,7 +177,7 @@ class OfferedChannels:
 
 
 MAX_VIEWERS: Final = 128
-"""Limit on viewers; further ones are closed with TRY_LATER."""
+"""Limit on viewers; the connections of further ones are closed with the code TRY_LATER."""
 
 MAX_CONNECTIONS: Final = 2 * MAX_VIEWERS
 """Limit on connections; further ones are closed at once, without reading from them."""
@@ -227,10 +228,10 @@ class ViewServer:
 
         self.on_call: Callable[[Viewer, ServiceCall], None] | None = None
         self.on_offer: Callable[[Offer], None] | None = None
-        """Called with a channel that a viewer offers; WrongRequest refuses it."""
+        """Called with a channel that a viewer offers; may refuse it by raising WrongRequest."""
 
         self.on_message: Callable[[Viewer, ClientMessage], None] | None = None
-        """Called with a message on a channel that was not refused."""
+        """Called with a message of a viewer on a channel that it offers."""
 
     # The life of the server
 
@@ -308,13 +309,13 @@ class ViewServer:
     # From the connections
 
     def connected(self, viewer: Viewer) -> None:
-        """Accept a connection before its handshake, or end it beyond MAX_CONNECTIONS."""
+        """Register a connection before its handshake; end it if there are over MAX_CONNECTIONS."""
         self._connections.add(viewer)
         if len(self._connections) > MAX_CONNECTIONS:
             viewer.abort()
 
     def admit(self, viewer: Viewer) -> None:
-        """Send a new viewer the greeting, offers and notes; refuse it beyond MAX_VIEWERS."""
+        """Send a new viewer greeting, offers and notes; if there are MAX_VIEWERS, refuse it."""
         if len(self._viewers) >= MAX_VIEWERS:
             viewer.close(TRY_LATER, f"{MAX_VIEWERS} viewers are connected already")
             return
@@ -386,7 +387,7 @@ class ViewServer:
 
 
 def _tell_dropped(viewer: Viewer) -> None:
-    """Tell a viewer how many messages were dropped, if that is new and no other status waits."""
+    """Tell a viewer how many messages were dropped, if more were, and no control frame waits."""
     dropped = viewer.outbox.dropped
     if dropped != viewer.told_dropped and not viewer.outbox.waits_for_control:
         viewer.told_dropped = dropped

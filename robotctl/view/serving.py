@@ -22,11 +22,11 @@ from robotctl.view.view_job import ViewJob
 _OUT_OF_DESCRIPTORS: Final = frozenset({errno.EMFILE, errno.ENFILE})
 
 SAID_AGAIN_S: Final = 60.0
-"""A lasting lack of descriptors is reported once in this time; asyncio retries each second."""
+"""The least time between lines about a lack of descriptors; asyncio reports one each second."""
 
 
 class LoopFailures:
-    """The exception handler of the loop. New viewers wait while no descriptor is free."""
+    """Handles exceptions of the loop. While no descriptor is free, new viewers have to wait."""
 
     def __init__(self) -> None:
         self._said_s = -SAID_AGAIN_S
@@ -56,7 +56,7 @@ _WILDCARDS: Final = ("0.0.0.0", "::")
 
 
 async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
-    """Serve a view until something ends it; `at_end` collects what must be closed last.
+    """Serve a view until something ends it; the caller closes what `at_end` has collected.
 
     Raises:
         RobotctlError: The view cannot be served; the text says why.
@@ -66,7 +66,7 @@ async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
 
 
 class Serving:
-    """Serves one job."""
+    """Serves the view that a job describes, and reports its address and its end."""
 
     def __init__(self, job: ViewJob, report: Report) -> None:
         self._job = job

@@ -35,15 +35,15 @@ MAX_MESSAGES: Final = 1024
 """Limit on the messages in each of the two queues, for small and for large ones."""
 
 MAX_BYTES: Final = 256 << 10
-"""Limit on the bytes in each queue: 100 stalled viewers need 50 MB. One larger message may wait
-alone. Viewers of the same topics share these bytes, and need hardly more than one viewer."""
+"""Limit on the bytes in each of the two queues, so that 100 stalled viewers need 50 MB; viewers of
+the same topics share the bytes. A message larger than this may wait if no other one does."""
 
 MAX_CONTROL_BYTES: Final = 16 << 20
-"""Limit on the bytes of offers, states and answers, which are never dropped. One larger offer may
-wait alone: an offer of 5,000 topics of nav_msgs/msg/Odometry has 19 MB."""
+"""Limit on the bytes of waiting offers, states and answers, which are never dropped. A larger offer
+may wait if nothing else does: one of 5,000 topics of nav_msgs/msg/Odometry has 19 MB."""
 
 PIECE_BYTES: Final = 1 << 16
-"""Bytes handed to the transport at once: it copies what the socket does not accept."""
+"""How many bytes the transport gets at once: it copies those that the socket does not accept."""
 
 TEXT: Final = 0x81
 BINARY: Final = 0x82
@@ -64,7 +64,7 @@ class OverfullOutbox(Exception):
 
 
 class Outbox:
-    """Frames to send: first offers, states and answers, then messages, then large messages."""
+    """Queues frames: offers, states and answers are sent first, then messages, then large ones."""
 
     def __init__(self) -> None:
         self._control: deque[bytes] = deque()
@@ -165,7 +165,7 @@ TRY_LATER: Final = 1013
 """The close code for a viewer beyond MAX_VIEWERS (RFC 6455, IANA registry)."""
 
 _LOGGER: Final = logging.getLogger("robotctl.view.websocket")
-_LOGGER.disabled = True  # any stranger could fill the terminal with its warnings
+_LOGGER.disabled = True  # or any client could fill the terminal with warnings
 
 
 class ViewerHost(Protocol):
@@ -192,7 +192,7 @@ class ViewerHost(Protocol):
 
 
 class Viewer(asyncio.Protocol):
-    """A connection from its first byte to its last."""
+    """A connection: answers its handshake, passes requests to the server, and sends what waits."""
 
     def __init__(self, host: ViewerHost, admission: Admission) -> None:
         self.outbox = Outbox()
@@ -200,7 +200,7 @@ class Viewer(asyncio.Protocol):
         """Subscription id -> channel id."""
 
         self.offers: set[int] = set()
-        """The channels that the viewer publishes on, by its own ids."""
+        """The ids that the viewer chose for the channels on which it publishes."""
 
         self.told_dropped = 0
         """The number of dropped messages that was last sent to the viewer."""
@@ -227,7 +227,7 @@ class Viewer(asyncio.Protocol):
 
     @property
     def is_stalled(self) -> bool:
-        """Whether its socket is full and accepts no data now."""
+        """Whether the socket is full, and accepts no data now."""
         return self._full
 
     # From the loop
@@ -252,7 +252,7 @@ class Viewer(asyncio.Protocol):
         self.since_s = time.monotonic()
 
     def resume_writing(self) -> None:
-        """Schedule `flush`: closing the transport within this call would end it twice."""
+        """Schedule `flush`: if it closed the transport within this call, that would end twice."""
         self._full = False
         asyncio.get_running_loop().call_soon(self.flush)
 
@@ -362,7 +362,7 @@ class Viewer(asyncio.Protocol):
                 self._ends = True
             elif not self.admitted:
                 self._transport.write(data)
-            else:  # never into the middle of a frame
+            else:  # queued: a frame may be partly sent
                 try:
                     self.outbox.put_control(data)
                 except OverfullOutbox:

@@ -95,7 +95,7 @@ class Child:
             os.kill(self.pid, number)
 
     def wait(self, seconds: float) -> int | None:
-        """Wait up to `seconds` for the exit code (negative: a signal); None: it still runs."""
+        """Wait up to `seconds`; return the exit code, negative for a signal, None if it runs on."""
         until = time.monotonic() + seconds
         while self._exit_code is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)

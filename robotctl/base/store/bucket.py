@@ -204,7 +204,7 @@ class RemoteStore:
         """Store an object unless the key is in use; return whether it was stored.
 
         For an object larger than PART_BYTES this is not atomic, because stores have no conditional
-        multipart upload: if another process stores the same key meanwhile, one is overwritten.
+        multipart upload: if another process stores the same key meanwhile, one object is lost.
         """
         begin, rest = _beginning(parts)
         if len(begin) <= PART_BYTES:

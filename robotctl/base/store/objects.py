@@ -36,7 +36,7 @@ class StoreFailed(StoreError):
 
 
 class BrokenAnswer(StoreFailed):
-    """An answer that ended early."""
+    """An answer of a server that ended before its last byte."""
 
 
 def changed(where: str) -> ObjectChanged:
@@ -82,7 +82,7 @@ def check_key(key: str) -> None:
     """Check that `key` is a printable relative path such as `a/b.mcap`, without `.` and `..`.
 
     Raises:
-        StoreError: It is not, or it is too long for a store.
+        StoreError: `key` is no such path, or it is too long for a store.
     """
     harmless = key.isprintable() and len(key.encode(errors="replace")) <= _MAX_KEY_BYTES
     if not harmless or any(part in ("", ".", "..") for part in key.split("/")):

@@ -54,7 +54,7 @@ def not_here(url: str) -> UsageError:
 
 
 class RemoteFile(PosixPath):
-    """The path of an MCAP file at a URL. A change after the first request raises an error."""
+    """The path of an MCAP file at a URL. Reads fail if the file changes after the first request."""
 
     _found: StoredObject | None = None
     _reader: RangeReader | None = None

@@ -27,7 +27,7 @@ _HASH: Final = re.compile(r"[0-9a-f]{64}")
 _HASH_FOLDER: Final = re.compile(r"(?<![^/])[0-9a-f]{64}/")
 
 _LOOKED_AT: Final = 3
-"""The number of subfolders to check; in a folder of copies, checking one is enough."""
+"""How many subfolders are searched for copies, in case the first ones contain other files."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
-"""End a drive when the command that waits for it ends, and hold the robot's lease meanwhile.
+"""End a drive when the command that waits for it ends; hold the robot's lease.
 
-The command ends by Ctrl-C, by a signal, or when the reader of its output has gone.
+The command ends by Ctrl-C, by a signal, or when the reader of its stdout closes the pipe.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ CLOSING_SIGNALS: Final = (signal.SIGHUP, signal.SIGTERM)
 """The signals of a terminal that closes and of a session that ends."""
 
 POLL_S: Final = 0.05
-"""How often the end of the drive is checked."""
+"""The period of the checks while waiting for the end of a drive, or for a lease [s]."""
 
 REPORT_DEADLINE_S: Final = 2.0
-"""How long the daemon may take to report a drive after its end."""
+"""How long the daemon may take to report a drive after its end [s]."""
 
 _STDOUT: Final = 1
 
@@ -56,12 +56,12 @@ def wait_while_stdout_open(driving: Background[DriveAnswer], at_most_s: float = 
 
 
 def stop_drive(robot: str, driving: Background[DriveAnswer]) -> Interrupted:
-    """Ramp the robot down, or stop it at once at a second Ctrl-C, and return the error to raise.
+    """Ramp the robot down, and return the error to raise; Ctrl-C during the ramp stops at once.
 
-    A terminal that closes sends several signals, so only Ctrl-C counts as the second one.
+    Other signals are ignored during the ramp, because a terminal that closes sends several.
 
     Raises:
-        RobotctlError: The robot could not be stopped this way.
+        RobotctlError: The daemon could not be reached, or refused to stop the robot.
     """
     try:
         with ignoring(CLOSING_SIGNALS):

@@ -100,7 +100,7 @@ def launch(
         RobotctlError: The daemon did not start; the error has its reason and exit code.
     """
     log = _log_of(options.robot)
-    # A separate name, until it is clear that no other daemon writes to the robot's log.
+    # A name of its own, until it is clear that no other daemon writes to the robot's log.
     own_log = log.with_name(f"{log.name}.{os.getpid()}")
     # A Ctrl-C between the start of the child and the `try` would leave the child behind.
     unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPTIONS)
@@ -123,11 +123,11 @@ def launch(
         _end(daemon, patiently=False)
         own_log.unlink(missing_ok=True)
         raise
-    is_running = is_owned(lock_path(options.robot))  # then `log` is that daemon's
+    is_running = is_owned(lock_path(options.robot))  # then `log` belongs to the other daemon
     kept = log.with_name(f"{log.name}.failed") if is_running else log
     see = str(kept) if is_running else command_for(options.robot, "logs")
     failure = _failure(ended, said, own_log, see)
-    if isinstance(failure, AlreadyRunning | UsageError):  # its log holds nothing but this error
+    if isinstance(failure, AlreadyRunning | UsageError):  # own_log has only this error
         own_log.unlink(missing_ok=True)
     elif is_running:
         own_log.replace(kept)
@@ -169,7 +169,7 @@ def _said_when_ready(daemon: Child) -> dict[str, Any]:
 
 
 def _failure(ended: str, said: dict[str, Any], log: Path, see: str) -> RobotctlError:
-    """Return why the daemon did not start: by its report, or by the last line of its log."""
+    """Return the error in the daemon's report `said`, or else one with the last line of its log."""
     if "error" in said:
         exit_code = said.get("exit_code", RobotctlError.exit_code)
         return error_for_exit_code(exit_code, str(said["error"]), said)
@@ -181,7 +181,7 @@ def _failure(ended: str, said: dict[str, Any], log: Path, see: str) -> RobotctlE
 
 
 def _end(daemon: Child, *, patiently: bool) -> str:
-    """End the daemon, and return how it ended; `patiently` first waits for it to exit."""
+    """End the daemon, and return how it ended; if `patiently`, first give it time to exit."""
     if not (patiently and daemon.wait(END_DEADLINE_S) is not None):
         daemon.kill(signal.SIGTERM)
     exit_code = daemon.close(END_DEADLINE_S)
@@ -200,7 +200,9 @@ END_S: Final = 10.0
 
 
 def live_target(robot: str) -> LiveTarget:
-    """Return a robot's running daemon and its domain; use its discovery range if none is set here.
+    """Return a robot's running daemon and its domain.
+
+    If this shell sets no discovery range, the daemon's is used from now on.
 
     Raises:
         NoDaemon: No daemon runs.
@@ -288,7 +290,11 @@ def ready_lines(job: ViewJob, ready: dict[str, Any]) -> Iterator[str]:
 
 
 def reports_of(child: Child, seconds: float | None = None) -> Iterator[dict[str, Any]]:
-    """Yield the process's reports until it ends; raise the error that a report contains."""
+    """Yield the process's reports until it ends; wait for each at most `seconds`, if given.
+
+    Raises:
+        RobotctlError: A report contains this error, or no report came in time.
+    """
     while True:
         try:
             reports = child.receive(seconds)

@@ -174,7 +174,9 @@ def robot_of(recording: Path) -> str | None:
 
 
 def noted_folders(robot: str | None) -> Iterator[Path]:
-    """Yield the folder of `robot`'s last daemon; if `robot` is None, of each robot's, latest first.
+    """Yield the recordings folder that the last daemon of `robot` noted.
+
+    If `robot` is None, yield that of each robot; the one noted last comes first.
 
     Raises:
         UsageError: Another user could have changed a note that names one of them.
@@ -204,11 +206,11 @@ MAX_RECORDINGS = 20
 """How many recordings are searched; reading a journal takes seconds per recorded hour."""
 
 COMMIT_DEADLINE_S = 8.0
-"""Longer than the daemon's own deadline, so that its answer names what was not written."""
+"""Timeout of a commit: longer than the daemon's own, whose answer names what was not written."""
 
 
 def committed_recording(robot: str, missing: list[str]) -> Path | None:
-    """Make the robot's daemon commit its recording, and return the folder; None if that failed.
+    """Make the robot's daemon commit its recording; return the folder, or None on failure.
 
     A sentence about messages that the daemon did not write is added to `missing`.
     """
@@ -221,7 +223,10 @@ def committed_recording(robot: str, missing: list[str]) -> Path | None:
 
 
 def with_earlier(newest: Path) -> list[Path]:
-    """Return a recording and its robot's earlier ones there, newest first; up to MAX_RECORDINGS."""
+    """Return `newest`, then earlier recordings of its robot in the same folder, newest first.
+
+    The list has at most MAX_RECORDINGS.
+    """
     paths = recordings_of(robot_of(newest), newest.parent)
     if newest not in paths:
         return [newest]

@@ -37,7 +37,7 @@ class RobotDaemon(NamedTuple):
 
 
 def names() -> list[str]:
-    """Return the robots that have a socket, also one that a killed daemon has left.
+    """Return the robots that have a socket, even if it was left by a killed daemon.
 
     Raises:
         Refused: The runtime folder belongs to another user.
@@ -87,7 +87,7 @@ class StoppedRobot(TypedDict):
 
 
 def stop_all(params: dict[str, str]) -> tuple[list[StoppedRobot], RobotctlError | None]:
-    """Latch the emergency stop of all robots in parallel; return the results, the first failure.
+    """Latch the emergency stop of all robots in parallel; return results and first failure.
 
     Raises:
         NoDaemon: There is no daemon.

@@ -35,7 +35,7 @@ machine starts it slowly."""
 
 @dataclass(frozen=True, slots=True)
 class RosView:
-    """The view of one ROS domain; with `through_daemon` a daemon of `robot` answers.
+    """Answers a command's questions about one ROS domain.
 
     Relative names are resolved in the robot's `namespace`, which is "" for none.
     """
@@ -44,6 +44,7 @@ class RosView:
     namespace: str
     domain_id: int
     through_daemon: bool
+    """Whether the robot's daemon answers about the graph; otherwise a new process does."""
 
     def names(self) -> Graph:
         """Return all names of topics, services and nodes."""
@@ -89,7 +90,7 @@ class RosView:
         """Subscribe to a topic; without `data`, only the times and sizes of its messages are sent.
 
         Raises:
-            UsageError: The topic is unknown, or has several types and none is chosen.
+            UsageError: There is no such topic, or it has several types and `type_name` is "".
         """
         expected = False
         if self.through_daemon and not type_name:  # the daemon knows at once what does not exist
@@ -192,7 +193,9 @@ class MessageListener:
 
 
 def ros_view(robot: str, domain_id: int | None) -> RosView:
-    """Return the view of `domain_id`; if None, of the daemon's domain, else of ROS_DOMAIN_ID or 0.
+    """Return the view of `domain_id`.
+
+    If it is None, the domain is the daemon's; without a daemon it is ROS_DOMAIN_ID, or else 0.
 
     Raises:
         UsageError: The number is not a ROS domain.

@@ -77,7 +77,10 @@ class Keyboard:
         return os.read(self._file, 64).decode(errors="ignore") if self._file in ready else ""
 
     def has_ended(self, ready: Sequence[object]) -> bool:
-        """Return whether the terminal has ended: call it with `ready` if `read` returned no key."""
+        """Return whether the terminal has ended. Call it if `read` returned no key.
+
+        `ready` are the `sources` that were readable before that call of `read`.
+        """
         return self._saved is not None and self._file in ready and self._stop_asked not in ready
 
     def flush(self) -> None:
@@ -120,11 +123,11 @@ class Keyboard:
 
 
 MAX_SEQUENCE: Final = 40
-"""The end of an escape sequence is not awaited if it is longer than this [characters]."""
+"""An unfinished escape sequence that is longer than this [characters] is dropped."""
 
 MAX_STRING: Final = 4096
 MAX_STRING_S: Final = 0.1
-"""A longer or slower text is no string of the terminal: Alt-] may have been pressed."""
+"""Limits on an OSC or DCS string [characters, s]; beyond them, a key such as Alt-] was pressed."""
 
 ANSWER: Final = "answer"
 """The name of the key that stands for an answer to `CSI ? u`."""
@@ -137,7 +140,7 @@ _PASTE, _PASTE_END = "\x1b[200~", "\x1b[201~"
 _ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
 _CONTROL_BIT = 4
 _SURROGATES_AND_ABOVE = 0xD800
-"""No key that is used here has a code this high."""
+"""Keys with this code or a higher one are ignored: none of them is used here."""
 
 
 class KeyEvent(Enum):
@@ -209,7 +212,7 @@ class KeyParser:
 
 
 def _key(private: str, numbers: str, is_single_shift: str, final: str) -> Iterator[Key]:
-    """Yield the key of a sequence, nothing for one that is no key."""
+    """Yield the key that an escape sequence with these parts stands for, if it stands for one."""
     codes = [part.split(":") for part in numbers.split(";")]
     modifiers, event = 1, KeyEvent.PRESSED
     if len(codes) > 1:
@@ -244,17 +247,17 @@ _END: Final = b"\x1b[<u"
 
 _MARK_PASTES: Final = b"\x1b[?2004h"
 _MARK_NO_PASTES: Final = b"\x1b[?2004l"
-"""A terminal that cannot mark pastes ignores both."""
+"""Switch the marks of pastes on and off; a terminal without such marks ignores both."""
 
 _IS_KNOWN: Final = re.compile(rb"\x1b\[\?\d+u")
 _IS_ANSWERED: Final = re.compile(rb"\x1b\[\?[\d;]*c")
 
 
 class ReleaseEvents:
-    """A context in which the terminal reports key releases, if it can: then `told` is true.
+    """A context in which the terminal reports key releases, if it can; `told` says whether it can.
 
-    It also marks what is pasted, if it can. Keys must arrive one by one (`Keyboard`). `suspend` and
-    `resume` enclose the time in which another program uses the terminal.
+    A terminal that can mark pasted text does that, too. Keys must arrive one by one (`Keyboard`).
+    `suspend` and `resume` enclose the time in which another program uses the terminal.
     """
 
     def __init__(self, keys_from: int, drawn_on: int) -> None:
@@ -301,7 +304,7 @@ class ReleaseEvents:
 
 
 ASK_EACH_S: Final = 0.025
-"""The period of questions [s]: a fifth of the longest silence that teleop may have."""
+"""The least time between questions [s]: a fifth of the longest silence that teleop may have."""
 
 _ASK_FLAGS: Final = b"\x1b[?u"
 """Asks for the keyboard flags: only a terminal that can report releases answers."""

@@ -98,7 +98,7 @@ def print_answer(
 
 
 Progress = Callable[[int, int], None]
-"""A function that is called with how much is done, and the total."""
+"""A function that is called as work proceeds, with the amount done and the total amount."""
 
 REDRAW_S: Final = 0.1
 """The shortest time between two drawings of the bar [s]."""
@@ -119,7 +119,7 @@ def progress_bar(label: str, *, quiet: bool) -> Iterator[Progress]:
         TaskProgressColumn(),
         TimeRemainingColumn(),
     )
-    # It has no thread: it is drawn when the work calls `draw`.
+    # No thread refreshes the bar: it is drawn when the work calls `draw`.
     with Bar(*columns, transient=True, auto_refresh=False) as bar:
         task = bar.add_task(label, total=None)
         drawn_s = 0.0

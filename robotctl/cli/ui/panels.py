@@ -37,13 +37,13 @@ _MAX_TOPICS = 12
 _BESIDE_WIDTH = 38
 _NAME_WIDTH_BESIDE = 18
 _MAX_TOPICS_BESIDE = 8
-"""The numbers of topics keep the view within a terminal of 24 lines."""
+"""The limits on the topics shown, alone and beside a map, so that 24 lines hold the view."""
 
 
 def live_view(status: Status, beside: RenderableType | None = None) -> RenderableType:
     """Return mode, pose, speed, battery, recorder and topics in one panel.
 
-    `beside` is drawn to the left of the topics, of which fewer are shown then.
+    If `beside` is given, it is drawn to the left of the topics, and fewer topics are shown.
     """
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="dim")
@@ -117,7 +117,7 @@ class History:
         self.errors: deque[float] = deque(maxlen=HISTORY)
 
     def add(self, status: Mapping[str, Any]) -> None:
-        """Add the speed and the error of a status; if it has no error, drop the earlier errors."""
+        """Add speed and cross-track error of a status; if it has no error, drop earlier ones."""
         self.speeds.append(_finite((status.get("velocity") or {}).get("linear")))
         error_m = (status.get("drive") or {}).get("cross_track_m")
         if error_m is None:

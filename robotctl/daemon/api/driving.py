@@ -58,7 +58,7 @@ def shape_size_m(params: DriveParams) -> float | None:
     """Return the requested size [m], or None if none was requested.
 
     Raises:
-        UsageError: A size was given that the pattern does not have.
+        UsageError: The pattern does not have this size, as a circle has no side.
     """
     kind = params.pattern
     wanted = SHAPES[kind].size_name
@@ -78,7 +78,7 @@ def shape_course(params: DriveParams) -> Course:
     """Return the course of a pattern.
 
     Raises:
-        UsageError: A corner radius or an angle was given that the pattern does not have.
+        UsageError: A corner radius or an angle was given, but the pattern has none.
     """
     shape, name = SHAPES[params.pattern], params.pattern.value
     if params.corner_m is not None and not shape.has_corner:
@@ -145,7 +145,9 @@ class DrivingMethods:
         size_m: float | None = None,
         speed_mps: float | None = None,
     ) -> Pattern:
-        """Return a pattern; None means the configured value, or else the default size of the shape.
+        """Return a pattern; an argument that is None gets its configured value.
+
+        If the shape is not the configured one, a missing size gets the default of the shape.
 
         Raises:
             UsageError: The speed is above the configured limit.
@@ -163,7 +165,7 @@ class DrivingMethods:
         )
 
     async def begin(self, kind: PatternKind, source: str) -> Reply:
-        """Request a drive of a pattern, until stopped (of one lap if open); return the reply."""
+        """Request one lap of an open pattern, or endless laps of a closed one; return the reply."""
         request_id, pattern = self._control.new_request_id(), self.pattern(kind)
         laps = default_laps(kind, wait=False)
         return await self._control.request(

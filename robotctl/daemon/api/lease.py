@@ -1,4 +1,4 @@
-"""The methods for `hold` and for the lease, whose holder alone may start and steer motion."""
+"""The methods for `hold` and the lease: only the holder of the lease may start and steer motion."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from robotctl.kernel.types.events import LeaseLost, LeaseRequested
 
 
 class HoldMethods:
-    """The handler of `hold`; the client calls it repeatedly, because silence ends the motion."""
+    """The handler of `hold`, which a client must call repeatedly: silence ends the motion."""
 
     def __init__(
         self,
@@ -77,18 +77,18 @@ class HoldMethods:
 
 
 NOBODY = 0
-"""The number of a client without an identity."""
+"""The client number of each request without the token of the present lease."""
 
 LISTEN_S = 0.25
 """The period of the check whether the holder of the lease has called `lease_keep`."""
 
 SILENT_PERIODS = 4
-"""The lease ends after this many periods without a call: its holder may be frozen."""
+"""The lease ends after this many periods of LISTEN_S without a `lease_keep` of its holder."""
 
 
 @dataclass(slots=True)
 class _Holder:
-    """A client that requested the lease; `ended` is set to a sentence at its release."""
+    """A client that requested the lease; the result of `ended` is the reason of the release."""
 
     client: int
     token: str
@@ -97,10 +97,10 @@ class _Holder:
 
 
 class LeaseMethods:
-    """The handlers; the lease ends at the latest when the connection of `lease_take` closes.
+    """The handlers of the lease, which ends when the connection of `lease_take` closes.
 
-    The holder also calls `lease_keep` on a second connection, at least once in `listen_s`: a frozen
-    process keeps its connections open, but makes no calls.
+    It ends earlier if `lease_keep` is not called in SILENT_PERIODS periods of `listen_s` seconds: a
+    frozen process keeps its connection open, but makes no calls.
     """
 
     def __init__(
@@ -151,10 +151,10 @@ class LeaseMethods:
         raise Refused(f"{params.source} lost the lease: {how}", "take it again")
 
     async def _until_silent(self, holder: _Holder) -> None:
-        """Wait until the holder makes no call for SILENT_PERIODS, or the lease is released.
+        """Wait until the lease is released, or SILENT_PERIODS periods pass without a `lease_keep`.
 
-        It counts periods, not time: calls that arrive while the loop is stalled count in the next
-        period.
+        It counts periods, not seconds: while the loop is stalled, no period ends, and the calls
+        that arrive then count in the next one.
         """
         silent = 0
         while silent < SILENT_PERIODS and not holder.ended.done():

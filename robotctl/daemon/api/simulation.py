@@ -19,7 +19,7 @@ from robotctl.sim.robot import SimFault
 POLL_S = 0.001
 
 AFTER_S = 1.0
-"""How long after the end of a fault the robot may still stop because of it."""
+"""How long `sim_fault` waits after the end of a fault to see whether the robot stops."""
 
 
 class Simulated(Protocol):

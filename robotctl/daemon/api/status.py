@@ -56,17 +56,17 @@ def graph_methods(tap: Tap) -> dict[str, Method[Any]]:
 
 
 class RobotView(Protocol):
-    """The source of the robot's part of the status."""
+    """Makes the robot's part of the status, in a driver or an observer."""
 
     def facts(self) -> RobotFacts:
         """Return the robot's part of the status."""
 
     def remedies(self) -> tuple[Remedy, ...]:
-        """Return what the operator can do about the mode."""
+        """Return what the operator can do to leave the present mode."""
 
 
 class StatusSource:
-    """The source of the status; `scheduling` is the Linux scheduling of the loop's thread."""
+    """Makes the status from its parts; `scheduling` is how Linux schedules the loop's thread."""
 
     def __init__(
         self,
@@ -111,7 +111,7 @@ class StatusSource:
         }
 
     def summary(self, notes: list[str]) -> StartSummary:
-        """Return the report of a ready daemon for the process that started it."""
+        """Return what a daemon that is ready reports to the process that started it."""
         status = self.status(self.stats())
         return {
             "ready": True,
@@ -129,7 +129,7 @@ class StatusSource:
 
 
 def common_methods(status: StatusSource, stop: asyncio.Event) -> dict[str, Method[Any]]:
-    """Return the methods `status`, and `stop`, which sets the event `stop`."""
+    """Return the methods `status` and `stop`; the method `stop` sets the event `stop`."""
 
     async def get_status(_: NoParams) -> Status:
         stats = status.stats()

@@ -53,10 +53,10 @@ _CHECKS = tuple(
 
 
 class Warnings:
-    """The source of the warnings of a daemon; the cures in them name `robot`.
+    """Collects the warnings of a daemon; the commands in their cures name `robot`.
 
-    `control` is None for a daemon that only records. `faults` are the faults that such a daemon has
-    noted; each function in `parts` is called for its warning.
+    `control` is None for a daemon that only records, which passes its own `faults` instead. Each
+    function in `parts` returns the warning of one part of the daemon.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Warnings:
         self._wider_discovery = wider_discovery()
 
     def now(self, stats: RecorderStats) -> list[str]:
-        """Return all warnings, one sentence each; `stats` are those of the recorder."""
+        """Return all warnings, one sentence each; `stats` are the recorder's counts."""
         return [for_robot(warning, self._robot) for warning in self._all(stats)]
 
     def of_recording(self, stats: RecorderStats) -> list[str]:
@@ -93,7 +93,7 @@ class Warnings:
 
 
 def of_recording(recorder: FlightRecorder, stats: RecorderStats) -> Iterator[str]:
-    """Yield the warnings about messages that are not recorded, with the cause."""
+    """Yield the warnings of the recorder: most are about messages that it could not record."""
     yield from (text for text in (stats.failure, stats.warning) if text)
     if stats.no_memory:
         yield f"{stats.no_memory} messages {NO_MEMORY}"
@@ -130,7 +130,7 @@ def of_robot(control: Control) -> Iterator[str]:
 
 
 def _recent(health: Health, now_ns: int) -> Iterator[str]:
-    """Yield problems of the last RECENT_S that are over."""
+    """Yield the problems that are over, but occurred in the last RECENT_S."""
     stalls, topic = health.stalls, health.command_topic
     age_s = (now_ns - stalls.last_t_ns) / NS_PER_S
     if stalls.count and age_s <= RECENT_S:

@@ -21,13 +21,13 @@ from robotctl.ros.executor import Ticker
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 
 LINE_BYTES: Final = 128
-"""Bytes to read of `schedstat`, more than its one line of three numbers."""
+"""How many bytes of `schedstat` are read: its one line of three numbers is shorter."""
 
 _PRESSURE = "/proc/pressure/cpu"
 
 
 class ProcessorWait:
-    """The time for which the thread that creates this object has waited for a CPU.
+    """Measures how long the thread that creates this object has waited for a CPU.
 
     Any thread may read it. The file is opened only once: later there may be no free descriptor.
     """
@@ -47,7 +47,7 @@ class ProcessorWait:
             self._account = None
 
     def waited_ns(self) -> int:
-        """Return the total time that the thread has waited to run; 0 if unknown."""
+        """Return the total time [ns] for which the thread has waited for a CPU; 0 if unknown."""
         if self._account is None:
             return 0
         return int(os.pread(self._account, LINE_BYTES, 0).split()[1])
@@ -67,7 +67,7 @@ STALL_S = 0.1
 """The loop has stalled after this time without a tick, or STALL_TICKS if that is longer."""
 
 CONFIRM_S = 0.02
-"""No stall if a tick comes within this further time: a process that was paused catches up."""
+"""A tick in this time after the limit prevents a stall: a process that was paused catches up."""
 
 STALL_TICKS = 2.5
 """The loop has stalled after this many tick periods, or STALL_S if that is longer."""
@@ -76,10 +76,10 @@ ZERO_PERIOD_S = 0.05
 """Period of the zeros while the loop is stalled."""
 
 SHOWN_FRAMES = 3
-"""How many of the innermost calls the report of a stall names."""
+"""How many calls the report of a stall names, from the innermost outwards."""
 
 BUSY_SHARE = 0.5
-"""If the thread waited for a CPU for more than this share of the time, the machine is blamed."""
+"""The machine is busy if the thread waits for a CPU for more than this share of the time."""
 
 ACCOUNT_PERIOD_NS = 100_000_000
 """Period of reading the CPU wait; reading it at each tick took 3 % of the loop's time."""
@@ -99,7 +99,7 @@ class Gate(Protocol):
 
 
 class Watchdog:
-    """A thread that watches the ticks, from the first `ping` to the end of the `with` block.
+    """Watches the ticks in a thread, from the first `ping` to the end of the `with` block.
 
     When the ticks stop, the thread closes the gate and sends zeros until the loop calls `take`.
     Until the first zero is sent, it opens no file, imports no module, logs nothing, and acquires
@@ -114,17 +114,17 @@ class Watchdog:
         now_ns: Callable[[], int] = time.monotonic_ns,
         ended: threading.Event | None = None,
     ) -> None:
-        """`ended` is set at the end of the block; the thread waits only by `ended.wait`."""
+        """`ended` is set at the end of the block. The thread sleeps only in `ended.wait`."""
         self._limit_ns = round(max(STALL_S, STALL_TICKS / rate_hz) * NS_PER_S)
         self._gate = gate
         self._now_ns = now_ns
         self._last_ns = 0
         """The time of the last tick."""
         self._stalled_ns = 0
-        """The time of the last tick before the stall; a tick that stalls still sets `_last_ns`."""
+        """`_last_ns` when the stall was detected; the late tick then changes `_last_ns`."""
         self._account_ns = 0
         self._waited_ns = 0
-        """How long the loop's thread had waited for a processor at `_account_ns`."""
+        """How long [ns] the loop's thread had waited for a CPU until the time `_account_ns`."""
         self._holding = False
         self._where = ""
         self._unsent = 0
@@ -152,9 +152,9 @@ class Watchdog:
             self._thread.start()
 
     def take(self) -> LoopStalled | FaultReported | None:
-        """Open the gate after a stall; return an event that the kernel must handle first, or None.
+        """Open the gate after a stall; return the event of a stall or a watchdog failure, or None.
 
-        Each stall and each failure of the watchdog is returned once. Called in the loop's thread.
+        The kernel must handle this event first. Each is returned once. Called in the loop's thread.
         """
         if self._holding:
             return self._end_stall()
@@ -237,10 +237,10 @@ def where(frame: FrameType | None) -> str:
 _log = logging.getLogger(__name__)
 
 LOOKS_ENOUGH_HZ: Final = 50.0
-"""From this control rate on, it is enough to look at foreign commands once in each tick."""
+"""From this control rate on, it is enough to handle foreign commands once in each tick."""
 
 COMMAND_LATENCY_S: Final = 0.01
-"""How long foreign commands are collected before a look, if the control rate is lower."""
+"""At a lower control rate, foreign commands are handled within this time."""
 
 
 class ControlLoop:
@@ -249,7 +249,7 @@ class ControlLoop:
     def __init__(
         self, rate_hz: float, control: Control, watchdog: Watchdog, velocity: VelocityPublisher
     ) -> None:
-        """Also check the publishers of all commands on the topic of `velocity`."""
+        """Subscribe to the topic of `velocity`, to find commands of other publishers on it."""
         self._rate_hz = rate_hz
         self._control = control
         self._watchdog = watchdog
@@ -264,7 +264,7 @@ class ControlLoop:
         )
 
     async def run(self, look_at_odometry: Callable[[], None]) -> None:
-        """Dispatch a tick to the kernel in each period, until cancelled."""
+        """Look for commands and odometry, then dispatch a tick, in each period until cancelled."""
 
         def decide(tick: LoopTick) -> None:
             self.look_at_commands()
@@ -276,7 +276,7 @@ class ControlLoop:
 
 
 def urgent_event(watchdog: Watchdog) -> LoopStalled | FaultReported | None:
-    """Return the watchdog's event (a stall, or its failure) or None, and log a stall."""
+    """Return the event of `Watchdog.take`, or None; log a stall."""
     event = watchdog.take()
     if isinstance(event, LoopStalled):
         _log.warning("the loop stalled for %.2f s: %s", event.stalled_s, event.detail)

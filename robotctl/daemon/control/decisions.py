@@ -1,4 +1,4 @@
-"""Adds requests and decisions of the kernel to the journal that is kept for years."""
+"""Adds requests and decisions of the kernel to the journal of decisions, kept for years."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ class Decisions:
         self._log = log
         self._show = show
         self._open: dict[int, tuple[Request, int]] = {}
-        """The unanswered requests by id, each with `_changes` at its arrival."""
+        """The unanswered requests by id, each with the value of `_changes` when it arrived."""
         self._changes = 0
         self._latch: dict[str, bool] = {}
-        """Values about the latch for the next entry of a mode change."""
+        """`latched` or `released`, to be added to the next entry of a mode change."""
 
     def asked(self, request: Request) -> None:
         """Note a request before the kernel decides on it."""
         self._open[request.request_id] = request, self._changes
 
     def decided(self, effect: Effect) -> None:
-        """Log an effect if it matters; the caller may omit velocity commands."""
+        """Log an effect; the caller may leave out velocity commands, which are never logged."""
         match effect:
             case LatchEmergencyStop():
                 self._latch = {"latched": True}
@@ -72,7 +72,7 @@ class Decisions:
             case Reply():
                 self._answered(effect)
             case PublishTwist():
-                pass  # recorded, and too many to keep
+                pass  # these are in the recording, and too many for the journal
             case _:
                 assert_never(effect)
 

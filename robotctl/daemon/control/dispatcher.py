@@ -35,9 +35,9 @@ class Journal:
     def __init__(
         self, write: Callable[[bytes, int], None], commands: Callable[[], int] = lambda: 0
     ) -> None:
-        """`write(serialized, seq)` is called for each entry.
+        """`write(serialized, seq)` is called for each entry; `seq` counts them from 0.
 
-        `commands()` returns for how many published commands the journal accounts so far.
+        `commands()` returns how many of the published commands are in the journal already.
         """
         self._write = write
         self._commands = commands
@@ -67,7 +67,7 @@ class Journal:
 
 @dataclass(frozen=True, slots=True)
 class UnsavedReply(Reply):
-    """The reply to a stop that happened but could not be saved: a restart would forget it."""
+    """The reply to a stop that happened but could not be saved: a restart would not know of it."""
 
 
 def granted(reply: Reply, robot: str) -> ModeAnswer:
@@ -88,7 +88,7 @@ T = TypeVar("T", Reply, DriveEnded)
 
 
 class PendingRequests:
-    """Futures of replies and of ends of drives, by request id; for the loop's thread only."""
+    """The futures of replies and of ends of drives, by request id; for the loop's thread only."""
 
     def __init__(self) -> None:
         self._last_id = 0
@@ -150,7 +150,7 @@ def _settle(waiting: dict[int, asyncio.Future[T]], result: T) -> None:
 
 
 SNAPSHOT_PERIOD_NS = 10 * NS_PER_S
-"""The period of snapshots: no more than this must be re-run to know the state at any time."""
+"""The period of snapshots: to know the state at any time, a re-run covers at most this time."""
 
 
 class Control:

@@ -50,8 +50,8 @@ class Effects:
     ) -> None:
         """`decided(effect)` is called for each effect except velocity commands.
 
-        `measured(ended)` returns `ended`, without the errors if none were measured. After it,
-        `true_errors(request_id)` returns the errors of a simulated robot by its true pose, or None.
+        When a drive ends, `measured(ended)` returns it, without its errors if none was measured.
+        Then `true_errors(request_id)` returns a simulated robot's errors by its true pose, or None.
         """
         self._measured = measured
         self._true_errors = true_errors
@@ -65,7 +65,7 @@ class Effects:
         self._decided = decided
 
     def carry_out(self, effect: Effect) -> None:
-        """Carry out an effect, or start to; a reply waits until the latch has saved its changes."""
+        """Carry out an effect, or begin to save the latch; a reply waits until that is saved."""
         if isinstance(effect, PublishTwist):
             self._publish_twist(effect.twist)
             return

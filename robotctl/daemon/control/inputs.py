@@ -37,18 +37,17 @@ from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 
 REPEAT_NS = 200_000_000
-"""The minimum time between two events about one publisher while the robot does not move.
-
-A flood of commands must not fill the journal."""
+"""The minimum time between two events about one publisher while the robot does not move: a flood of
+commands must not fill the journal."""
 
 MAX_TOLD = 16
-"""Limit on the publishers with an event within `REPEAT_NS` while the robot does not move."""
+"""Limit on the publishers that cause an event in `REPEAT_NS` while the robot does not move."""
 
 NAMELESS = "a publisher that is gone, or has no name yet,"
 
 
 class ForeignCommands:
-    """Checks the publisher of each command; a command of another publisher becomes an event.
+    """Checks the publisher of each command: a command that is not ours becomes an event.
 
     `name_of(gid)` returns the name of the node with this publisher, "" if unknown. While `moves()`
     returns true, each such command is an event: the first one ends the motion. Otherwise, each
@@ -92,16 +91,13 @@ class ForeignCommands:
 PUBLISHER_POLL_S = 0.2
 
 LOOKS_PER_INSPECTION = 5
-"""In every fifth look, subscriptions are inspected even if their number is the same."""
+"""Each fifth look inspects the subscriptions, even if their number is the same as before."""
 
 
 async def has_odometry_publisher(
     odometry: OdomSubscriber, stop: asyncio.Event, until_s: float
 ) -> bool:
-    """Wait for a publisher of odometry until the steady time `until_s` [s] or until `stop`.
-
-    Return whether there is one.
-    """
+    """Return whether odometry gets a publisher before the steady time `until_s` [s] or `stop`."""
     remaining_s = until_s - time.monotonic()
     await until(lambda: odometry.count_publishers() > 0 or stop.is_set(), remaining_s)
     return odometry.count_publishers() > 0
@@ -112,9 +108,9 @@ async def watch_graph(
     odometry: OdomSubscriber,
     dispatch: Callable[[Event], None],
 ) -> None:
-    """Dispatch changes of the command's other publishers and of its subscribers, until cancelled.
+    """Dispatch an event when other publishers or the subscribers of the command topic change.
 
-    Also find the names of the publishers of odometry.
+    Also find the names of the publishers of odometry. Runs until cancelled.
     """
     publishers: tuple[str, ...] = ()
     listeners: tuple[int, tuple[str, ...], str] | None = None
@@ -155,7 +151,7 @@ class Inputs:
             self._robot_report.drove_to(odometry.pose)
 
     def odometry_source(self, source: int, gid: str, name: str, frame: str) -> None:
-        """Handle a new publisher of odometry, or a known one whose `frame` has changed."""
+        """Handle a new publisher of odometry, or an earlier one whose `frame` has changed."""
         self._control.dispatch(OdometrySourceFound(time.monotonic_ns(), source, gid, name, frame))
 
     def battery(self, level: float, publisher: str, sequence: int) -> None:
@@ -170,7 +166,7 @@ class Inputs:
         self._control.dispatch(SafetyInputReceived(now, kind, value, detail, publisher, sequence))
 
     def scan(self, sectors: tuple[float, ...], publisher: str, sequence: int) -> None:
-        """Handle a laser scan: the nearest ranges by direction, () if it is unreadable."""
+        """Handle a laser scan: the nearest range [m] in each sector, () if it is unreadable."""
         self._control.dispatch(ScanReceived(time.monotonic_ns(), sectors, publisher, sequence))
 
     def guarded_command(self, twist: Twist, publisher: str, sequence: int) -> None:

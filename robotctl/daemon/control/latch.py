@@ -101,7 +101,7 @@ def _read_text(path: Path) -> str:
 _log = logging.getLogger(__name__)
 
 RETRY_S = 1.0
-"""Pause before a failed change is tried again."""
+"""Pause before a change that failed is tried again."""
 
 DISK_S = 2.0
 """How long a reply waits for a disk that hangs; the robot has already stopped by then."""
@@ -129,10 +129,10 @@ class _Waiter:
 
 
 class Latch:
-    """The latch of one robot, used in the loop's thread.
+    """The latch of one robot; its methods are called in the loop's thread.
 
-    A thread carries out one change at a time; if several changes arrive meanwhile, it carries out
-    only the last of them.
+    Its own thread carries out one change at a time. Of the changes that arrive meanwhile, it
+    carries out only the last.
     """
 
     def __init__(self, path: Path) -> None:
@@ -141,7 +141,7 @@ class Latch:
         self._change: _Change | None = None
         """The last change that was requested."""
         self._settled = 0
-        """The number of the last change that was carried out or failed."""
+        """The number of the last change that has been carried out or has failed."""
         self._busy_since: float | None = None
         self._problem = ""
         self._waiters: list[_Waiter] = []
@@ -237,7 +237,7 @@ class Latch:
     def _overdue(self, change: _Change) -> str:
         return f"{change.fault}: the disk of {self._path} has not answered for {DISK_S:g} s"
 
-    # In the thread
+    # In the latch's own thread
 
     def _serve(self) -> None:
         while (change := self._work.get()) is not None:

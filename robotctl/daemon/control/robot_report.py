@@ -29,7 +29,7 @@ from robotctl.ros.nodes.publishers import CommandLock
 class TrueErrors(NamedTuple):
     """The errors of a drive by the true pose; `kernel.types.DriveReport` has those by odometry.
 
-    `closure_m` is NaN before a lap is complete.
+    `closure_m` is NaN until a lap is complete.
     """
 
     cross_track_rms_m: float
@@ -40,9 +40,9 @@ class TrueErrors(NamedTuple):
 
 
 class GroundTruth:
-    """The true errors of the present or last drive; there are none unless `truth()` returns a pose.
+    """Computes the true errors of the present or last drive, if `truth()` returns the true pose.
 
-    True and measured pose count as equal at the drive's first sample: earlier drift is no error.
+    At a drive's first sample, true and measured pose count as equal: earlier drift is no error.
     """
 
     def __init__(self) -> None:
@@ -72,9 +72,9 @@ class GroundTruth:
             self._closure_m = end.distance(pose)
 
     def end(self, ended: DriveEnded) -> None:
-        """Update the closure from the true pose at the end of a drive.
+        """Set the true closure if the last lap ended together with the drive.
 
-        The last lap may end together with the drive, and then `follow` is not called after it.
+        `follow` is not called after such a lap, so it has not measured the closure.
         """
         true, drive = self.truth(), self._drive
         if true is None or drive is None or drive.request_id != ended.request_id:
@@ -115,7 +115,7 @@ _EXPECTED = (
     Cause.INPUT_LOST,
     Cause.SCAN_LOST,
 )
-"""Causes that refuse a drive until the robot and its inputs are discovered."""
+"""Causes of refusals that are usual until the robot and its inputs are discovered."""
 
 
 def is_connected(control: Control) -> bool:
@@ -140,7 +140,7 @@ class RobotReport:
         self._measured_id: int | None = None
 
     def drove_to(self, pose: Pose) -> None:
-        """Add a pose to the driven path of the present drive."""
+        """Score a measured pose of the present drive, and add it to the driven path."""
         drive = self._control.state.drive
         assert drive is not None
         self.ground_truth.follow(drive, pose)
@@ -156,21 +156,21 @@ class RobotReport:
                 del self._driven[1::2]
 
     def drive_ended(self, ended: DriveEnded) -> DriveEnded:
-        """Note the end of a drive, and return it without errors if none was measured."""
+        """Note the end of a drive; return `ended`, without its errors if no error was measured."""
         self.ground_truth.end(ended)
         if ended.request_id == self._measured_id:
             return ended
         return replace(ended, report=ended.report.without_errors())
 
     def path(self) -> DrivenPath:
-        """Return the wanted and the driven path of the present or last drive [m, odom frame]."""
+        """Return the reference and the driven path of the present or last drive [m, odom frame]."""
         return {
             "reference": [[pose.x, pose.y] for pose in self._wanted],
             "driven": [[pose.x, pose.y] for pose in self._driven],
         }
 
     def missing(self) -> list[str]:
-        """Return sentences about topics that the configuration needs and that are not found yet."""
+        """Return a sentence for each topic that the configuration needs but that is missing."""
         health, now = self._control.state.health, time.monotonic_ns()
         found = (RULE_OF[cause].check(health, self._control.params, now) for cause in _EXPECTED)
         missing = [text for text in found if text]
@@ -219,7 +219,7 @@ class RobotReport:
         return {"passed": passed, "conditions": conditions}
 
     def remedies(self) -> tuple[Remedy, ...]:
-        """Return what the operator can do about the mode."""
+        """Return what the operator can do to leave the present mode."""
         return remedies_for(self._control.state.cause)
 
 
@@ -255,7 +255,7 @@ SHOW_PERIOD_S = 1.0
 
 
 class ShownStatus:
-    """Publishes mode, battery level and freshness of odometry, and the lock of the command."""
+    """Publishes the robot status, and the lock that blocks velocity commands of other nodes."""
 
     def __init__(self, modes: ModeService, control: Control, lock: CommandLock) -> None:
         self._lock = lock
@@ -263,7 +263,7 @@ class ShownStatus:
         self._control = control
 
     def show(self, mode: Mode) -> None:
-        """Publish status and lock with this mode now."""
+        """Publish mode, battery level, whether odometry is fresh, and the lock, now."""
         self._lock.show(mode)
         level = self._control.state.health.battery_level
         level = level if is_level(level) else nan

@@ -13,7 +13,7 @@ PACKAGE: Final = "robotctl"
 """The parent of the loggers of all our modules."""
 
 MAX_NAMES: Final = 200
-"""Limit on the loggers that get a level: Python keeps each, and any ROS node may name new ones."""
+"""Limit on the loggers that get a level: any ROS node may name new ones, and Python keeps all."""
 
 MAX_NAME_LENGTH: Final = 256
 
@@ -22,12 +22,12 @@ _log.setLevel(logging.INFO)  # changes are logged even if all loggers are set hi
 
 
 class LoggerLevels:
-    """The levels of Python's loggers; `own` is the ROS name of the loggers of our modules."""
+    """Gets and sets levels of Python's loggers; `own` is the ROS name of robotctl's own loggers."""
 
     def __init__(self, own: str) -> None:
         self.own = own
         self.named: set[str] = set()
-        """The names that got a level."""
+        """The ROS names of the loggers that got a level from `set`."""
 
     def name_of(self, logger: str) -> str:
         """Return the ROS name of a Python logger."""
@@ -54,7 +54,7 @@ class LoggerLevels:
     def set(self, name: str, level: int, source: str) -> None:
         """Set a level that `refusal` allows, and log the change and its source.
 
-        To unset the level of the root logger, whose name is "", sets INFO, as in rcutils.
+        For the root logger, whose name is "", the level UNSET means INFO, as in rcutils.
         """
         before = self.get(name)
         if name == "" and level == UNSET:

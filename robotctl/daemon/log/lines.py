@@ -58,16 +58,16 @@ class _Burst:
 
 
 class Repeats:
-    """A filter for repeated records. Equal records have the same logger, level, text, exception.
+    """Leaves out the equal warnings and errors of a burst (WINDOW_S) after the first WRITTEN.
 
-    Records below the level of a warning are always written.
+    Equal records have the same logger, level, text and exception. Lower levels always pass.
     """
 
     def __init__(self) -> None:
         self._bursts: dict[tuple[str, int, str, str], _Burst] = {}
 
     def admit(self, record: logging.LogRecord) -> Iterator[logging.LogRecord]:
-        """Yield the records to write now: notes about finished bursts, then the record itself."""
+        """Yield what to write now: notes about finished bursts, then `record` unless left out."""
         yield from self._over(record.created)
         if record.levelno < logging.WARNING:
             yield record
@@ -101,7 +101,7 @@ class Repeats:
 
 
 def _note(burst: _Burst) -> Iterator[logging.LogRecord]:
-    """Yield a note with the number of lines left out, if there were any."""
+    """Yield a note about how many lines of the burst were left out, if any."""
     left_out = burst.count - WRITTEN
     if left_out > 0:
         record = burst.record
@@ -110,7 +110,7 @@ def _note(burst: _Burst) -> Iterator[logging.LogRecord]:
 
 
 class LineHandler(QueueHandler):
-    """A handler that queues lines without blocking; it only counts repeated and lost lines."""
+    """Queues lines without blocking; lines that repeat too often or do not fit are only counted."""
 
     def __init__(self, lines: Any = None) -> None:
         super().__init__(lines)
@@ -136,11 +136,11 @@ class LineHandler(QueueHandler):
 
 
 class _StderrListener(QueueListener):
-    """The thread that writes lines from a pipe, the queue, to stderr; no write to the pipe blocks.
+    """Writes the queued lines to stderr in a thread; the queue is a pipe, non-blocking for writers.
 
     If stderr is a terminal, a pipe or a socket, the output of C and C++ libraries goes through the
-    pipe as well. They write directly to a regular file, so that the last message of an abort is
-    kept.
+    queue as well. If it is a regular file, they write to it directly, so that the last message
+    before an abort is kept.
     """
 
     def __init__(self) -> None:
@@ -158,7 +158,7 @@ class _StderrListener(QueueListener):
         super().__init__(no_queue)
 
     def dequeue(self, block: bool) -> Any:
-        """Return data from the pipe; after the last data, return None, which ends the thread."""
+        """Return data from the pipe; at its end, write the last data and return None."""
         data = os.read(self._reading, _READ_BYTES)
         if not (self._is_ending and _END in data):
             return data
@@ -180,7 +180,7 @@ class _StderrListener(QueueListener):
                 return
 
     def stop(self) -> None:
-        """Write the rest; drop what cannot be written in time, and everything after it."""
+        """Write the rest for FLUSH_S at most; drop what is left then, and all later output."""
         self._is_ending = True
         with suppress(BlockingIOError):
             os.write(self.writing, _END)  # fd 2 keeps the pipe open, so there is no end of file
@@ -196,7 +196,7 @@ class _StderrListener(QueueListener):
 
 
 class _StderrHandler(LineHandler):
-    """Writes lines into the pipe of a listener, each after a note about missing lines, if any."""
+    """Writes lines to a listener's pipe; after lost lines, a note with their number comes first."""
 
     def __init__(self, listener: _StderrListener, line: str) -> None:
         super().__init__()

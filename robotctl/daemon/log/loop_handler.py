@@ -24,7 +24,7 @@ Publish = Callable[[logging.LogRecord, str], None]
 
 
 class LoopHandler(LineHandler):
-    """A handler that queues records from any thread without blocking; the loop publishes them.
+    """Queues records from any thread without blocking; the loop publishes them.
 
     Lines that do not fit or cannot be published are counted, and a later line reports the count.
     Records that are logged by the publishing itself are ignored: each would cause another one.
@@ -37,7 +37,7 @@ class LoopHandler(LineHandler):
         self._loop = loop
         self._publish = publish
         self._failed = 0
-        """Lines that could not be published; counted in the loop."""
+        """The number of lines that could not be published; counted in the loop's thread."""
         self._told = 0
         self._is_called = False
         self._publishing_thread: int | None = None
@@ -66,7 +66,7 @@ class LoopHandler(LineHandler):
             self._loop.call_soon_threadsafe(self._turn)
 
     def close(self) -> None:
-        """Publish the waiting lines; called in the loop."""
+        """Publish the lines that wait; called in the loop's thread."""
         super().close()
         while self._waiting:
             self._publish_some()

@@ -32,14 +32,14 @@ class ClipLimits:
 
     waiting: int = 8
     clips: int = 100
-    """Clips in one run of the daemon: a thousand stops must not fill the disk."""
+    """Limit on the clips of one run of the daemon: a thousand stops must not fill the disk."""
 
     cut_s: float = 20.0
     end_s: float = 10.0
-    """Limit for all clips that are still to be cut when the daemon ends."""
+    """Limit on the time for all clips that are still to be cut when the daemon ends."""
 
     patience_s: float = PATIENCE_S
-    """Added to the deadline of each clip: its process waits for the recorder's commit."""
+    """Added to the time limit of each clip, because its process waits for the recorder's commit."""
 
 
 DEFAULT_LIMITS = ClipLimits()
@@ -72,7 +72,7 @@ class BlackBox:
         self._now_ns = now_ns
         self._sleep = sleep
         self.params = params
-        """The lengths of the clips."""
+        """These have the lengths of the clips: `clip_before_s` and `clip_after_s`."""
 
         self._recording = recording
         self._waiting: deque[RecordedEvent] = deque()

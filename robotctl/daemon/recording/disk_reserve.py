@@ -21,7 +21,7 @@ STEP: Final = 0.1
 """One more topic is stopped each time that a further tenth of the reserve is used."""
 
 REOPEN: Final = 1.1
-"""Topics are recorded again when this many times the reserve is free."""
+"""Topics are recorded again when the free space is at least this many times the reserve."""
 
 MAX_NAMED: Final = 10
 
@@ -29,7 +29,7 @@ MAX_NAMED: Final = 10
 class DiskReserve:
     """Stops recording topics, the heaviest first, while less than `least_bytes` are free.
 
-    `gates` are the gates of the topics that no check needs. For the loop's thread.
+    `gates` has the gates of each topic that may be stopped. For the loop's thread.
     """
 
     def __init__(self, least_bytes: int, gates: Mapping[str, Sequence[MessageGate]]) -> None:
@@ -58,7 +58,7 @@ class DiskReserve:
             await asyncio.sleep(LOOK_S)
 
     def look(self, free_bytes: int, sizes: Mapping[str, int]) -> None:
-        """Stop or reopen topics; `sizes` are the bytes received so far, by topic."""
+        """Stop a topic, or record all again; `sizes` has the bytes received so far by topic."""
         self._free_bytes = free_bytes
         grown = {topic: size - self._sizes.get(topic, 0) for topic, size in sizes.items()}
         self._sizes = sizes

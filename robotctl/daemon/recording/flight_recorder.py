@@ -53,7 +53,7 @@ _log = logging.getLogger(__name__)
 
 
 class FlightRecorder:
-    """Recorder and tap: they record own topics at once, others while the tasks of `work` run.
+    """Records own topics from its creation, and other topics while the tasks of `work` run.
 
     The topic filter cannot exclude command, odometry, robot status and journal.
     """
@@ -77,7 +77,7 @@ class FlightRecorder:
         """Called in the loop when recording has failed, if `on_recorder_failure` is "stop"."""
 
         self.on_file: Callable[[], None] = lambda: None
-        """Called in the loop at each split: the next file needs a journal snapshot for a re-run."""
+        """Called in the loop at each split: a re-run of the next file needs a journal snapshot."""
 
         self._closing = False
         self._must_record = config.on_recorder_failure == "stop"
@@ -138,7 +138,7 @@ class FlightRecorder:
         self._config = config
 
     def work(self) -> dict[str, Work]:
-        """Return the tasks of the recorder, which the daemon must run, by name."""
+        """Return by name the tasks of the recorder; the daemon must run them."""
         return {
             "recorder": self.tap.run,
             "black box": self._black_box.run,
@@ -150,7 +150,7 @@ class FlightRecorder:
         }
 
     def open_journal(self, publisher: JournalPublisher) -> Callable[[bytes, int], None]:
-        """Return a function that records and publishes a serialized entry; `seq` is its number."""
+        """Return `write(serialized, seq)`, which records and publishes the entry number `seq`."""
         write = self.tap.reserve(publishers.JOURNAL_TOPIC)
 
         def write_entry(serialized: bytes, seq: int) -> None:
@@ -227,7 +227,7 @@ class FlightRecorder:
         await asyncio.to_thread(rmtree, stats.file.parent, ignore_errors=True)
 
     def problems(self) -> list[str]:
-        """Return warnings about topics, the disk, other recordings, seal heads and the index."""
+        """Return warnings about topics, disk, removal and repair of files, seal heads and index."""
         return [
             *self.tap.unrecorded.warnings(),
             *self.tap.mismatches.warnings(),

@@ -1,4 +1,4 @@
-"""Sends the newest head of the seal to a topic and to a program, which can keep it elsewhere."""
+"""Sends each head of the seal to a topic and to a program, so that it can be kept elsewhere."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class RobotSealer:
     """
 
     def __init__(self, robot: str, on_head: Callable[[Head], None] = lambda head: None) -> None:
-        """`on_head` is called in the recorder's thread with each head that is kept."""
+        """`on_head` is called in the recorder's thread with each head that was saved."""
         self._robot = robot
         self._on_head = on_head
         self._keyring: Keyring | None = None
@@ -52,14 +52,14 @@ _log = logging.getLogger(__name__)
 
 COMMAND_TIMEOUT_S = 60.0
 LAST_TIMEOUT_S = 2.0
-"""How long the program may take for the last head, which delays the end of the daemon."""
+"""How long the program may take for the last head: the end of the daemon waits for it."""
 
 
 class HeadForwarder:
     """Publishes each head, and runs a program with it. For the loop's thread.
 
-    The program gets the head (hex) and the name of the file as its last arguments. One runs at a
-    time; of the heads that arrive meanwhile, only the newest is used.
+    The last arguments of the program are the head (hex) and the file's name. One runs at a time: of
+    the heads that arrive meanwhile, only the newest gets a run.
     """
 
     def __init__(self, command: str, publish: Callable[[str], None] | None) -> None:
@@ -83,7 +83,7 @@ class HeadForwarder:
         """Why the last run of the program failed, or ""."""
 
     def take(self, head: Head) -> None:
-        """Publish a head, and schedule the program."""
+        """Publish a head, and schedule a run of the program with it."""
         if self._publish is not None:
             self._publish(head.digest)
         if self._command:
@@ -97,7 +97,7 @@ class HeadForwarder:
             await self._forward(COMMAND_TIMEOUT_S)
 
     async def finish(self) -> None:
-        """Run the program for the last head, if it still waits."""
+        """Run the program for the last head, unless it has run for that already."""
         await self._forward(LAST_TIMEOUT_S)
 
     async def _forward(self, timeout_s: float) -> None:

@@ -27,21 +27,21 @@ NOT_INSTALLED: Final = (
 def has_grown(files: int, indexed: int) -> bool:
     """Return whether there are at least 1.5 times as many files as at the last indexing.
 
-    Then all indexing of one recording costs about three times its last run, at any length.
+    With this factor, all runs for one recording together cost about three times the last run.
     """
     return 2 * files >= 3 * indexed
 
 
 class Indexer:
-    """Starts a process of the lowest priority that writes the index of the present recording.
+    """Starts processes of the lowest priority that write the index of the present recording.
 
-    One process runs at a time. The last one indexes the closed recording; the daemon does not wait
-    for its end. For the loop's thread, which it does not block: it looks at files and starts
-    processes in other threads.
+    One runs at a time. The last one indexes the closed recording, and the daemon does not wait for
+    its end. For the loop's thread, which is not blocked: other threads look at files and start the
+    processes.
     """
 
     def __init__(self, recording: Path, log: Path, *, enabled: bool) -> None:
-        """`recording` is the folder; the last process writes its output to `log`, if it exists."""
+        """The last process writes its output to the file `log` if it exists, else to nowhere."""
         self._recording = recording
         self._command = job_command(INDEX, {"recording": str(recording)})
         self._log = log
@@ -60,12 +60,12 @@ class Indexer:
         return f"indexing failed {times}: {self._last_failure}"
 
     def file_finished(self) -> None:
-        """Note that a file of the recording is closed, and that the next one is begun."""
+        """Note that a file of the recording is closed and the next one has begun."""
         self._closed_files += 1
         self._file_closed.set()
 
     async def run(self) -> None:
-        """Index the closed files when their number `has_grown`, until cancelled."""
+        """Index the closed files each time that their number `has_grown`, until cancelled."""
         indexed = 0
         while True:
             await self._file_closed.wait()
@@ -89,7 +89,7 @@ class Indexer:
         self._failures += 1
         self._last_failure = failure
 
-    # In a thread
+    # Not in the loop's thread
 
     def _start_last(self) -> None:
         if not self._is_wanted():
@@ -111,7 +111,7 @@ class Indexer:
 
 
 def _size(recording: Path) -> int:
-    """Return the bytes of the files of a recording, 0 if its folder is gone."""
+    """Return the bytes of the files of a recording, 0 if they cannot be read."""
     try:
         return sum(file.stat().st_size for file in recording.glob("*.mcap"))
     except OSError:

@@ -1,4 +1,4 @@
-"""The versions of the software that makes a recording: metadata of each file."""
+"""The versions of the software that makes a recording; they are metadata of each file."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ WHEELS: Final = {
     "isal": "isal",
     "numpy": "numpy",
 }
-"""The distribution (wheel) of each library. For rclpy, the version of the ROS wheel is right: the
-metadata of the package inside names the version before the last patch."""
+"""The wheel whose version is recorded for each library. For rclpy, it is the ROS wheel, because the
+metadata of the package inside still names the version before the last patch."""
 
 _REVISION = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")
 
@@ -53,7 +53,7 @@ def provenance() -> dict[str, str]:
 
 @cache
 def _provenance(directory: Path | None) -> Mapping[str, str]:
-    """Return the values of `provenance`, read once: files of a running daemon may be replaced."""
+    """Return the values of `provenance`, read only once: an update may replace the files later."""
     known = {
         "robotctl": robotctl.__version__,
         "python": platform.python_version(),
@@ -103,7 +103,7 @@ def revision(folder: Path) -> str:
 
 
 def _values(git: Path, name: str) -> Iterator[str]:
-    """Yield the values of the reference `name` in git's files; the first commit hash counts."""
+    """Yield each value of the reference `name` in git's files; the first that is a hash counts."""
     common = git / "commondir"
     for place in (git, git / _text(common)) if common.exists() else (git,):
         if (place / name).is_file():
@@ -143,7 +143,7 @@ ASIDE: Final = ("ros/executables", "ros/playback")
 """Folders in these packages that no daemon imports."""
 
 DIGEST: Final = "digest"
-"""The key of the hash over all modules; the other keys are names of modules."""
+"""The key of the digest over all modules; the other keys of `software` are names of modules."""
 
 SHORT_CHARACTERS: Final = 16
 """Length of a module's short hash, which shows which module differs."""
@@ -151,11 +151,11 @@ SHORT_CHARACTERS: Final = 16
 
 @cache
 def software(package: Path = Path(robotctl.__file__).parent) -> dict[str, str]:
-    """Return the first characters of each module's SHA-256 by name, and the digest over all.
+    """Return the start of each module's SHA-256 by the module's name, and the digest over all.
 
-    The digest is the SHA-256 of a line `HASH  NAME` for each module, with the whole hash, ordered
-    by name, as sha256sum(1) prints them. The files are read at the first call, which should
-    be early: those of a running daemon may be replaced. Modules that cannot be read are left out.
+    The digest is the SHA-256 of lines `HASH  NAME`, as sha256sum(1) prints them: one for each
+    module, ordered by name, with the whole hash. The files are read at the first call: call this
+    soon after the start, before an update replaces them. Modules that cannot be read are left out.
     """
     hashes = dict(_hashes(package))
     lines = "".join(f"{value}  {name}\n" for name, value in sorted(hashes.items()))

@@ -27,11 +27,11 @@ CALM_SHARE = 0.5
 """A heavy topic stays heavy until its data rate falls to this share of the limit."""
 
 TopicKey = tuple[str, str]
-"""Name and type."""
+"""Name and type of a topic."""
 
 
 class RateMeter:
-    """Rates [1/s] between the last two samples of message counts, rounded to 0.01."""
+    """Computes message rates [1/s] from the last two samples of message counts, rounded to 0.01."""
 
     def __init__(self) -> None:
         self._counts: Mapping[TopicKey, int] = {}
@@ -41,7 +41,7 @@ class RateMeter:
         self._t_ns = 0
 
     def sample(self, t_ns: int, counts: Mapping[TopicKey, int]) -> None:
-        """Add the counts so far, at steady time `t_ns`."""
+        """Add the message counts so far, as they are at steady time `t_ns`."""
         hundredths = 100 * NS_PER_S / (t_ns - self._t_ns)
         self.rates = {
             topic: round((count - self._counts.get(topic, 0)) * hundredths) / 100
@@ -51,15 +51,15 @@ class RateMeter:
 
 
 class HeavyTopics:
-    """The topics with a data rate above HEAVY_BYTES_PER_S, and their rates [bytes/s]."""
+    """Finds the topics with a data rate [bytes/s] above HEAVY_BYTES_PER_S."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[int, Mapping[TopicKey, int]]] = deque()
         self.rates: Mapping[TopicKey, float] = {}
-        """Data rates of the heavy topics over the last HEAVY_WINDOW_S."""
+        """Data rates [bytes/s] of the heavy topics over the last HEAVY_WINDOW_S."""
 
     def sample(self, t_ns: int, sizes: Mapping[TopicKey, int]) -> None:
-        """Add the bytes received so far, at steady time `t_ns`."""
+        """Add the bytes received so far, as they are at steady time `t_ns`."""
         samples = self._samples
         samples.append((t_ns, sizes))
         while len(samples) > 2 and t_ns - samples[1][0] >= HEAVY_WINDOW_S * NS_PER_S:
@@ -80,7 +80,7 @@ _encode = msgspec.json.Encoder().encode
 
 
 class _Answer(msgspec.Struct):
-    """A TopicAnswer as a struct: to create and encode it takes 60 % of the time of a dict."""
+    """A TopicAnswer as a struct: creating and encoding it takes 60 % of the time for a dict."""
 
     name: str
     type: str
@@ -99,7 +99,7 @@ class _Answer(msgspec.Struct):
 class _Row:
     key: TopicKey
     at: int
-    """The index of the row in the answer."""
+    """The index of the row in the list."""
 
     places: list[int] = field(default_factory=list)
     """The indices of the topic's channels in the recorder's counts."""
@@ -108,7 +108,7 @@ class _Row:
 
 
 class TopicRows:
-    """The answer's rows, sorted by name and type. The recorder never removes a channel."""
+    """Makes the list of topics in the status, with a row for each name and type, in this order."""
 
     def __init__(self) -> None:
         self._rows: list[_Row] = []
@@ -186,12 +186,12 @@ def _answer(topic: TopicStats, rate: float) -> _Answer:
 
 
 MAX_TOPICS = 100
-"""Limit on the topics that are listed; those with the most missing messages are first."""
+"""Limit on the topics that a diagnosis lists; those with the most missing messages come first."""
 
 
 def diagnose(stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
-    """Return the recorder's part of /diagnostics: ERROR if it does not record, WARN if messages
-    are missing or there are warnings, otherwise OK."""
+    """Return the diagnosis of the recorder for /diagnostics: ERROR if it does not record, WARN if
+    messages are missing or there are warnings, otherwise OK."""
     if stats.state is not RecorderState.RECORDING:
         level, message = DiagnosticLevel.ERROR, stats.failure or stats.state.value
     elif stats.dropped or stats.lost:
@@ -241,7 +241,7 @@ class RecorderReport:
         self._logged_memory = False
 
     def stats(self) -> RecorderStats:
-        """Return the current counts, the argument of the other methods."""
+        """Return the current counts; the other methods get them as their argument."""
         return self._recorder.stats()
 
     def facts(self, stats: RecorderStats) -> RecordingFacts:
@@ -275,12 +275,12 @@ class RecorderReport:
             _log.warning("messages %s", NO_MEMORY)
 
     def diagnosis(self, stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
-        """Return the recorder's part of /diagnostics; `warnings` are those about the recording."""
+        """Return the recorder's diagnosis, as `diagnose` does; cures in it name the robot."""
         told = replace(stats, failure=for_robot(stats.failure, self._robot))
         return diagnose(told, warnings)
 
     def heavy_warnings(self) -> Iterator[tuple[str, str]]:
-        """Yield name and warning of each heavy topic that can be excluded."""
+        """Yield the name of each heavy topic that can be excluded, with a warning about it."""
         for (topic, _), bytes_per_s in self._heavy.rates.items():
             if self._filter.can_leave_out(topic):
                 rate = f"{topic} brings {bytes_per_s / 1e6:.1f} MB/s"

@@ -59,12 +59,12 @@ def open_recorder(
 ) -> Recorder:
     """Start the recording ROBOT_DATE_TIME.
 
-    All callbacks may be called in any thread: `mode()` when a file starts, `on_failure(detail)`,
-    `on_split(file)`, and `on_full(file)`, which must schedule a call of the recorder's `split`.
-    `present()` returns the configuration for the metadata of a file; the default is `config`.
-    `sealer` seals the files if the configuration says so.
-    `evidence` are the full names of the topics that a check needs. `names` are the full names of
-    the daemon's own topics and services, by their keys in the metadata.
+    The callbacks may be called in any thread. For the metadata of each file, `mode()` returns the
+    robot's mode and `present()` the configuration; without `present`, that is `config`.
+    `on_failure(detail)` is called when recording fails, `on_split(file)` when the next file begins,
+    and `on_full(file)` when a file is full: it must schedule a call of the recorder's `split`.
+    `sealer` is used if `recording.seal` is set. `evidence` has the full names of the topics that a
+    check needs, `names` those of the daemon's topics and services by their keys in the metadata.
 
     Raises:
         Refused: The recording cannot be written.

@@ -1,4 +1,4 @@
-"""The removal of old recordings and repair of broken ones, in a separate process."""
+"""Removes old recordings and repairs broken ones, in separate processes."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ _log = logging.getLogger(__name__)
 TIDY: Final = "robotctl.recording.keep.tidy_job:tidy_job"
 
 MAX_PROBLEMS: Final = 10
-"""Limit of the problems in the status; the log has all."""
+"""Limit on the problems that the status shows; the log has all."""
 
 
 class Tidier:
     """Starts processes of the lowest priority that tidy the folder of recordings.
 
-    The first process, after `begin`, removes what exceeds the retention policy and repairs what a
-    crash left; each later one, after `file_finished`, only removes. This work needs processes, as
-    the files may be of any origin and size. For the loop's thread.
+    The first process runs after `begin`: it removes what exceeds the retention policy, and repairs
+    what a crash left. Each later one runs after `file_finished` and only removes. The daemon
+    does not do this itself, as files may be of any origin and size. For the loop's thread.
     """
 
     def __init__(self, policy: RetentionPolicy, recording: Path) -> None:
@@ -37,7 +37,7 @@ class Tidier:
         self._begun = asyncio.Event()
         self._finished = asyncio.Event()
         self.problems: list[str] = []
-        """The first MAX_PROBLEMS sentences about losses and failures."""
+        """The first MAX_PROBLEMS sentences about what was lost or has failed."""
 
         self.on_removed: Callable[[str], None] = lambda path: None
         """Called with the path of each file that was removed."""

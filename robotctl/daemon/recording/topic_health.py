@@ -1,14 +1,14 @@
-"""Detects topics that stop, slow down, speed up or whose publisher restarts; it reads no clock.
+"""Detects topics that stop, slow down or speed up, and restarts of publishers; reads no clock.
 
 If P is the expected period (the mean gap between messages), a topic is
 - silent, after max(1 s, 3 P) without a message,
-- slow, with fewer than half of the expected messages within max(0.8 s, 3.5 P), so that one lost
-  message of a slow topic is no trouble,
-- fast, with 1.7 times the expected messages in that time, unless they only make up for late ones.
+- slow, with fewer than half of the expected messages in a window of max(0.8 s, 3.5 P), so that
+  one lost message of a topic with a long period is no trouble,
+- fast, with 1.7 times the expected messages in a window, unless they only make up for late ones.
 
 A topic is regular if one minute has at least FEWEST messages, no gap is much longer than the mean
-gap, and (at a high rate) each SPAN_S has about the same number of messages. So the period of a
-topic that is published once, at events, in bunches or at random is not learned.
+gap, and (at a high rate) each SPAN_S has about the same number of messages. So no period
+is learned for a topic that is published once, at events, in bunches or at random.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ SILENT_PERIODS: Final = 3.0
 WINDOW_S: Final = 0.8
 WINDOW_PERIODS: Final = 3.5
 SLOW, SLOW_END = 0.5, 0.6
-"""Slow begins below SLOW, ends at SLOW_END: shares of the expected messages in a window."""
+"""Slow begins below the first share of the messages expected in a window, ends at the second."""
 FAST, FAST_END = 1.7, 1.5
-"""Fast begins at FAST, ends below FAST_END: shares of the expected messages in a window."""
+"""Fast begins at the first share of the messages expected in a window, ends below the second."""
 FAST_BOTH: Final = 1.35
-"""A fast topic also has this share of the expected messages in the last two windows together."""
+"""Fast also needs this share of the messages expected in the last two windows together."""
 
 
 class Trouble(Enum):
@@ -54,7 +54,7 @@ class TopicWatch:
     """Watches one topic with an expected period; times in seconds on a steady clock."""
 
     def __init__(self, period_s: float, now_s: float, count: int) -> None:
-        """Watch from now on; `count` is the number of messages so far."""
+        """Watch from `now_s` on; `count` is the number of messages until then."""
         self.period_s = period_s
         self.trouble = Trouble.NONE
         self.newest_s = now_s
@@ -64,17 +64,17 @@ class TopicWatch:
         """When a publisher replaced an earlier one, or None if that never happened."""
 
         self._patience_s = max(SILENT_S, SILENT_PERIODS * period_s) - LOOK_S
-        """How long the topic may be silent, minus the time to the next look."""
+        """Silence [s] tolerated by a look: the limit of SILENT, less the time to the next look."""
 
         self._window_s = max(WINDOW_S, WINDOW_PERIODS * period_s)
         self._expected = self._window_s / period_s
-        """Expected messages in a window."""
+        """The number of messages that are expected in a window."""
 
         self._count = count
         self._begin(now_s)
         self._publishers = 0
         self._replaced: tuple[float, dict[bytes, int]] | None = None
-        """When a new publisher appeared, and the next sequence numbers of the others then."""
+        """When a new publisher appeared, and the next sequence number of each older one then."""
 
     @property
     def rate_hz(self) -> float:
@@ -93,9 +93,9 @@ class TopicWatch:
         self.trouble = self._judge(now_s)
 
     def look_at_publishers(self, now_s: float, next_numbers: Mapping[bytes, int]) -> None:
-        """Detect a restart from each publisher's next sequence number, the oldest publisher first.
+        """Detect a restart; `next_numbers` has each publisher's next sequence number, oldest first.
 
-        A new publisher counts as a restart if none of the others sends any more.
+        A new publisher counts as a restart if no older publisher sends any more.
         """
         if len(next_numbers) != self._publishers:
             if self._publishers:
@@ -109,7 +109,7 @@ class TopicWatch:
                 self.restarted_s, self._replaced = since_s, None
 
     def pause(self, now_s: float) -> None:
-        """Restart the windows after a gap between looks: some messages may not be counted yet."""
+        """Begin new windows, after a gap between looks: some messages may not be counted yet."""
         if self.trouble is not Trouble.SILENT:
             self.newest_s = now_s
         self._begin(now_s)
@@ -119,7 +119,7 @@ class TopicWatch:
         # Pairs (time, count): first the last pair before the window, then those within it.
         self._window: deque[tuple[float, int]] = deque([(now_s, self._count)])
         self._before: deque[tuple[float, int]] = deque()
-        """The same pairs for the window before."""
+        """Pairs as in `_window`, for the window before it."""
 
     def _judge(self, now_s: float) -> Trouble:
         if now_s - self.newest_s >= self._patience_s:
@@ -145,16 +145,16 @@ class TopicWatch:
 
 MINUTE_S: Final = 60.0
 FEWEST: Final = 20
-"""A random topic with fewer messages might look regular."""
+"""The least messages of a regular topic in a minute: fewer random ones might look regular."""
 
 ROUNDS: Final = 3
-"""A topic that is irregular for this many minutes is not learned any more."""
+"""After this many irregular minutes, learning the period of a topic is given up."""
 
 LONGEST_GAP: Final = 1.6
-"""A regular topic has no gap longer than this many mean gaps plus GAP_SLACK_S."""
+"""The longest gap of a regular topic is at most this many mean gaps, plus GAP_SLACK_S."""
 
 GAP_SLACK_S: Final = 0.25
-"""Gaps cannot be measured more precisely than this, with a look every LOOK_S."""
+"""Tolerance for measured gaps: a look comes only every LOOK_S."""
 
 SPAN_S: Final = 0.8
 FEWEST_IN_SPAN, MOST_IN_SPAN = 0.7, 1.4
@@ -165,7 +165,7 @@ class LearnedPeriod:
     """Learns the mean gap between messages of one topic; times in seconds on a steady clock."""
 
     def __init__(self, count: int) -> None:
-        """Begin with the next message; `count` is the number of messages so far."""
+        """Begin to learn with the next message; `count` is the number of messages so far."""
         self._rounds_left = ROUNDS
         self._restart(count)
 
@@ -183,7 +183,7 @@ class LearnedPeriod:
         self._fewest, self._most = inf, 0.0
 
     def look(self, now_s: float, count: int, newest_s: float, *, late: bool) -> float | None:
-        """Add a message count and the time of the newest; return the period once learned, or None.
+        """Add the message count and the newest message's time; return the period once learned.
 
         `late` is true after a gap between looks: some messages may not be counted yet.
         """
@@ -232,13 +232,13 @@ class LearnedPeriod:
 _log = logging.getLogger(__name__)
 
 LATE_S: Final = 2.0 * LOOK_S
-"""After a longer gap between two looks, some messages may not be counted yet."""
+"""A longer gap between two looks is late: some messages may not be counted yet."""
 
 RECENT_S: Final = 60.0
 """How long `status` still shows a trouble that is over."""
 
 FORGET_S: Final = 600.0
-"""After this silence a learned topic is no longer watched: its node has probably ended."""
+"""After this silence, a learned topic is no longer watched: its node has probably ended."""
 
 MAX_NAMED: Final = 20
 MAX_TROUBLES: Final = 5
@@ -246,7 +246,7 @@ MAX_LOGGED: Final = 1_000
 """Limit on the logged sentences: a topic may stop and go without end."""
 
 _STAMP_SLACK_S: Final = 0.1
-"""A new message may be this much older than the last look: the tap batches for 0.05 s."""
+"""A new message may be older than the last look by this: the tap batches for up to 0.05 s."""
 
 EVENTS: Final = frozenset(
     (
@@ -256,7 +256,7 @@ EVENTS: Final = frozenset(
         "rcl_interfaces/msg/ParameterEvent",
     )
 )
-"""Types that are regular for minutes and then end: nothing is wrong when they stop."""
+"""Topics of these types may be regular for minutes and then stop without any fault."""
 
 
 def may_be_learned(topic: str, type_name: str) -> bool:
@@ -266,7 +266,7 @@ def may_be_learned(topic: str, type_name: str) -> bool:
 
 
 class Arrivals(Protocol):
-    """Counts of what has arrived on a channel, recorded or not; they are updated in place."""
+    """Counts what has arrived on a channel, recorded or not; always up to date."""
 
     @property
     def arrived(self) -> int:
@@ -291,10 +291,10 @@ class _Topic:
     count: int = 0
     newest_s: float = 0.0
     since_s: float = 0.0
-    """When the present trouble began."""
+    """When the present trouble began [s]."""
 
     over: tuple[Trouble, float, float] | None = None
-    """The last trouble that has ended: its kind, duration [s] and end."""
+    """The last trouble that has ended: its kind, its duration [s] and when it ended [s]."""
 
 
 class TopicHealth:
@@ -305,12 +305,12 @@ class TopicHealth:
     """
 
     def __init__(self, expected: RateByTopic, names: Iterable[str], now_s: float) -> None:
-        """`expected` are the configured rates; topics in `names` are in trouble until seen."""
+        """`expected` has the configured rates; topics in `names` are in trouble until a message."""
         self._expected = expected
         self._topics: dict[str, _Topic] = {}
         self._active: dict[str, _Topic] = {}
         self._told: dict[str, _Topic] = {}
-        """The topics that may have a warning: of 500 topics, few ever have one."""
+        """The topics that may have a warning: the few that `warnings` has to examine."""
 
         self._looked_s = now_s
         self._logged = 0
@@ -331,7 +331,7 @@ class TopicHealth:
         learns: bool,
         now_s: float,
     ) -> None:
-        """Watch a channel of a topic; with `learns`, learn its rate if none is configured."""
+        """Watch a channel of a topic; if `learns`, learn its rate unless one is configured."""
         self._topic(name, type_name, learns=learns, now_s=now_s).channels.append(channel)
 
     def _topic(self, name: str, type_name: str, *, learns: bool, now_s: float) -> _Topic:
@@ -369,7 +369,7 @@ class TopicHealth:
         return news
 
     def warnings(self, now_s: float) -> Iterator[str]:
-        """Yield a sentence for each present trouble, and for those that ended within RECENT_S."""
+        """Yield a sentence for each trouble that is present or ended at most RECENT_S ago."""
         told: list[str] = []
         for topic in list(self._told.values()):
             sentences = list(_sentences(topic, now_s))

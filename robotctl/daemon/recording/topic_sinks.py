@@ -18,15 +18,15 @@ from robotctl.ros.messages.type_definition import TopicDescription
 
 
 class HealthLooks:
-    """Calls a TopicHealth periodically, with the times of the real clocks."""
+    """Calls a TopicHealth periodically, with the times of the system's clocks."""
 
     def __init__(self, health: TopicHealth) -> None:
         self._health = health
         self.on_news: Callable[[], None] = lambda: None
-        """Called when the trouble of a topic has changed."""
+        """Called when a trouble has changed or a publisher was restarted."""
 
         self.on_troubles: Callable[[str], None] | None = None
-        """Called with the text of all present troubles when it changes; "" if there are none."""
+        """Called with `TopicHealth.troubles()` each time that this text changes."""
 
         self._troubles = ""
 
@@ -48,10 +48,10 @@ class HealthLooks:
 
 
 class TopicSinks:
-    """Opens the sinks; for the loop's thread.
+    """Opens the sinks, which pass messages to the recorder; for the loop's thread.
 
     `is_own(topic)` returns whether robotctl publishes the topic, `is_evidence(topic)` whether a
-    check needs it. Both kinds and latched topics are never throttled; own rates are not learned.
+    check needs it. These and latched topics are never throttled; no rate is learned for own ones.
     """
 
     def __init__(
@@ -68,10 +68,10 @@ class TopicSinks:
         self._most = RateByTopic(params.throttle)
         self._has_reserve = params.min_free_gb > 0.0
         self.gates: dict[str, list[MessageGate]] = {}
-        """The gates of each topic of which messages may be left out."""
+        """The gates of each topic that may be throttled, or stopped when the disk is full."""
 
         self._sinks: dict[int, ViewSink] = {}
-        """The sinks by channel; a topic that is opened again gets the same sink."""
+        """The sinks by channel: opening a topic again returns the same sink."""
 
         expected = (each.rpartition("=") for each in params.expected_rates)
         named = [name for name, _, rate in expected if is_plain_name(name) and float(rate)]

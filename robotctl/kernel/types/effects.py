@@ -56,10 +56,10 @@ class Reply:
 class DriveReport:
     """How well a drive followed its path, by odometry.
 
-    `closure_m` is the distance between the end of the path and the robot at the end of its last
-    complete lap, NaN before that. The heading errors are relative to the reference. In reports of
-    older versions, the last three fields are NaN. The four errors are 0 if nothing was measured, as
-    for a held velocity, which has no path; see `without_errors`.
+    `closure_m` is how far the robot was from the end of the path when the last complete lap ended,
+    NaN before that. The heading errors are relative to the reference. A held velocity has no path:
+    its four errors are 0, because nothing is measured; `without_errors` replaces them by NaN. In
+    reports of older versions, the last three fields are NaN.
     """
 
     laps: int
@@ -104,7 +104,7 @@ Decision = (
     | Reply
     | ParameterChanged
 )
-"""The effects that a kernel of another version must return, too, when it replays a journal."""
+"""The effects in which kernels of different versions must agree on the same journal."""
 
 Effect = Decision | DriveEnded
 """Everything that `Kernel.step` returns."""

@@ -39,7 +39,7 @@ class LeaseRequested:
 
 @dataclass(frozen=True, slots=True)
 class LeaseLost:
-    """The client that holds the lease is gone; `how` says how this was noticed."""
+    """The client that holds the lease has disconnected or is silent; `how` says which."""
 
     t_ns: int
     client: int
@@ -99,7 +99,7 @@ class LifecycleState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LifecycleChanged:
-    """The node that gates motion is in another state."""
+    """The lifecycle node `source`, which gates motion, has changed to `state`."""
 
     t_ns: int
     state: LifecycleState
@@ -235,7 +235,7 @@ class DriveRequested:
 
 @dataclass(frozen=True, slots=True)
 class HoldReceived:
-    """A hold-to-run client repeats its request, with the velocity it wants now; it may be NaN.
+    """A hold-to-run client repeats its request, with the velocity it wants now (NaN is possible).
 
     `hold` is the id of the `DriveRequested` that began the drive, `client` as in `ModeRequested`.
     """
@@ -277,7 +277,7 @@ class CommandListenersSeen:
 
 @dataclass(frozen=True, slots=True)
 class GuardedCommandReceived:
-    """Another node wants this velocity in a guarded motion; it may be anything, even NaN.
+    """Another node wants this velocity in a guarded motion; the values are unchecked, even NaN.
 
     `publisher` and `sequence` are as in `BatteryReceived`.
     """
@@ -292,8 +292,8 @@ class GuardedCommandReceived:
 class LoopStalled:
     """The control loop stalled for `stalled_s` seconds, and the watchdog sent zeros meanwhile.
 
-    It sent `zeros` zero commands without the kernel and withheld `withheld` commands of the
-    kernel. `detail` says what blocked the loop.
+    The watchdog sent `zeros` zero commands on its own, and `withheld` commands of the kernel were
+    not sent. `detail` says what blocked the loop.
     """
 
     t_ns: int

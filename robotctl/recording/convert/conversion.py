@@ -170,7 +170,7 @@ class OutputFile:
         self._mcap.commit(finished=False)  # one at a time in memory
 
     def finish(self, ledger: Sequence[Metadata]) -> BagFile:
-        """Write the end of the file, with the ledger last; return its entry in `metadata.yaml`."""
+        """Write `ledger` and the trailer, close the file; return its entry in `metadata.yaml`."""
         self._announce()
         summary = self._mcap.summary
         described = BagFile(self._path.name, summary.start_ns, summary.end_ns, dict(summary.counts))
@@ -195,27 +195,26 @@ class OutputFile:
 
 
 _OF_EACH_FILE: Final = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
-"""What made the recording; each file begins with it."""
+"""Records about the robot and the recording software; each file begins with them."""
 
 _REWRITTEN: Final = (METADATA_RECORD, LEDGER_RECORD, CONVERSION_RECORD)
 
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """The form of the converted recording.
-
-    With `split_bytes` a new file begins when one has that size. With `one_file` there is only one
-    file. With neither, each source file becomes one file.
-    """
+    """The form of the converted recording. By default, each source file becomes one file."""
 
     compression: Compression = Compression.ZSTD
     split_bytes: int | None = None
+    """If not None, a new file begins at this size [bytes], not with each source file."""
+
     one_file: bool = False
+    """Whether all source files become one file."""
 
 
 @dataclass(slots=True)
 class Converted:
-    """What was converted; `lost` says in sentences what could not be read."""
+    """The result of a conversion; `lost` says in sentences what could not be read."""
 
     files: list[BagFile] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
@@ -288,7 +287,7 @@ class Converter:
         self.done.lost += (prefix + sentence for sentence in source.lost)
 
     def _file_for(self, source: ConvertibleFile) -> OutputFile:
-        """Return the output file for the first messages of a source file."""
+        """Return the output file in which `source` begins: the present one, or a new one."""
         output = self._output
         if output is None:
             return self._begin(source)
@@ -332,7 +331,7 @@ MCAP_SUFFIX = ".mcap"
 def convert(
     source: Path, target: Path, form: Form, on_progress: Progress = lambda done, total: None
 ) -> Converted:
-    """Write the recording `source` into the new folder `target`, or a file if it ends in .mcap.
+    """Write the recording `source` into `target`: a new folder, or a new file if it ends in .mcap.
 
     Raises:
         UnreadableFile: Nothing can be read.

@@ -180,7 +180,7 @@ class SqliteSource:
     library = "rosbag2 (sqlite3)"
 
     def __init__(self, path: Path, content: Path, on_progress: Callable[[float], None]) -> None:
-        """Open the database `content`, which is the file `path` of the bag without compression.
+        """Open the database `content`: the file `path` of the bag, or its decompressed content.
 
         `on_progress` is called with the fraction of messages that is done, from 0 to 1.
 
@@ -303,7 +303,7 @@ class SqliteSource:
 
 
 def _address(path: Path) -> str:
-    """Return a URI with which sqlite3 creates no file in the folder, unless there is a journal."""
+    """Return the URI of a database. Unless it has a journal, sqlite3 creates no file beside it."""
     plain = f"file:{quote(str(path.absolute()))}?mode=ro"
     has_journal = any(path.with_name(path.name + end).exists() for end in ("-wal", "-journal"))
     return plain if has_journal else f"{plain}&immutable=1"
@@ -373,7 +373,7 @@ class Sources:
         with InputFile(path) as file:
             self.is_live |= file.is_changing()
             size = max(file.size, 1)
-            # The index is half of the progress, but is quick unless the file must be scanned.
+            # A scan is reported as the first half of the file; then its messages are, as the whole.
             index = index_of(file, lambda done: share.tell(done / size / 2))
             for sentence in find_shortfalls(
                 self._text, [OpenFile(path, file, index)], all_files=False

@@ -26,7 +26,7 @@ _NONE: Final[Mapping[str, float]] = MappingProxyType({})
 def noted_event(
     effect: Effect, log_ns: int, true_figures: Mapping[str, float] = _NONE
 ) -> RecordedEvent | None:
-    """Return the event that a recorder stores for an effect, or None for other effects.
+    """Return the event that a recorder stores for an effect, None if it stores none.
 
     `true_figures` are the true errors of a simulated drive, by their names in `RecordedEvent`.
     Values that are not finite are left out.

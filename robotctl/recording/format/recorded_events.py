@@ -1,7 +1,7 @@
 """Events of a recording (emergency stops, errors, marks, drives), stored in its files' metadata.
 
-The journal holds them too, among a million other entries. These records are found through the
-summary, also in a growing file or one whose writer was killed.
+The journal has these events too, among a million other entries. The metadata records are found
+through the summary, also in a growing file or one whose writer was killed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from robotctl.recording.format.names import EVENT_RECORD, EventKind
 from robotctl.recording.format.records import MAX_TIME_NS
 
 MAX_LAPS = 1_000_000
-"""A record that claims more was not written by robotctl."""
+"""Limit on the laps of a drive: a record with more was not written by robotctl."""
 
 ERRORS = (
     "cross_track_max_m",
@@ -38,11 +38,11 @@ _DRIVE_FIGURES = (*ERRORS, "drive_s")
 
 @dataclass(frozen=True, slots=True)
 class RecordedEvent:
-    """One event; `log_ns` is its time since the epoch.
+    """One event; `log_ns` is its time [ns since the epoch].
 
-    The end of a drive has the drive's `laps`, duration `drive_s` and errors (see
-    kernel.types.DriveReport), None if not known. The `true_*` errors, which odometry cannot see,
-    are only known if the daemon simulated the robot.
+    The event at the end of a drive has the drive's `laps`, duration `drive_s` [s] and errors (see
+    kernel.types.DriveReport); what is not known is None. The `true_*` errors, which odometry cannot
+    measure, are only known if the daemon simulated the robot.
     """
 
     kind: EventKind

@@ -40,13 +40,13 @@ PlainMessage = tuple[int, bytes, int, int, int]
 
 MAX_TIME_NS: Final = 2**64 - 1
 MAX_SEQUENCE: Final = 2**32 - 1
-"""Limits of the fields of the format: larger times are clamped, sequence numbers wrap."""
+"""The largest values that MCAP can store: larger times are clamped, sequence numbers wrap."""
 
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 """Opcode, record length, channel id, sequence, log time [ns], publish time [ns]."""
 
 MESSAGE_FIELDS_BYTES: Final = 22
-"""Record length of a message without data."""
+"""Content length of a message record without data."""
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
 """Opcode and content length, before the content of each record."""

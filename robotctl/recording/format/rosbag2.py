@@ -168,7 +168,7 @@ def topic_counts_in(text: str) -> dict[tuple[str, str], int]:
 
 
 def total_count_in(text: str) -> int:
-    """Return the message count of all files from the text of a `metadata.yaml`; 0 without one."""
+    """Return the message count of all files in the text of a `metadata.yaml`, 0 if it has none."""
     found = _TOTAL_COUNT.search(text)
     return int(found[1]) if found else 0
 
@@ -240,13 +240,13 @@ def _unquoted(text: str) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Return a double-quoted scalar. JSON and YAML quote names of topics and files alike."""
+    """Return `text` in double quotes. JSON and YAML quote names of topics and files alike."""
     return json.dumps(text, ensure_ascii=not text.isprintable())
 
 
 @lru_cache(maxsize=256)
 def _qos_lines(text: str) -> Sequence[str]:
-    """Return the lines of a list of QoS profiles; none for other text, which readers reject."""
+    """Return the lines of a list of QoS profiles; none for other text, which readers refuse."""
     lines = text.rstrip().split("\n")
     if not lines[0].startswith("- ") or not all(map(_QOS_LINE.fullmatch, lines)):
         return ()

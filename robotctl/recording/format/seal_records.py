@@ -48,7 +48,7 @@ class LinkKind(IntEnum):
 
 
 def chained(before: bytes, hashed: bytes) -> bytes:
-    """Return the digest after `before`; `hashed` is the SHA-256 of the bytes in between."""
+    """Return the digest that follows `before`; `hashed` is the SHA-256 of the bytes in between."""
     return sha256(before + hashed).digest()
 
 
@@ -94,24 +94,27 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """The beginning of a sealed file.
-
-    `number` counts the files of the robot's chain from 1. `root` is the robot's first public key,
-    `previous_key` the key of the previous file (or `root`), `key` that of this file; all in hex.
-    `previous` is the newest known digest of the previous file, whose name is `previous_file`.
-    `certificate` is the signature by `previous_key` for all other fields.
-    """
+    """The beginning of a sealed file. Keys, digests and signatures are in hex."""
 
     robot: str
     root: str
+    """The first public key of the robot's chain."""
+
     number: int
+    """The number of the file in the chain, from 1."""
+
     file: str
     time_ns: int
     previous_file: str
     previous: str
+    """The newest known digest of `previous_file`."""
+
     previous_key: str
+    """The public key of `previous_file`; for the first file, `root`."""
+
     key: str
     certificate: str = ""
+    """The signature by `previous_key` for all other fields."""
 
     def signed(self) -> bytes:
         """Return the bytes that the certificate is for."""

@@ -29,7 +29,7 @@ class MessageCounts:
     """Latched messages that later files do not repeat, for lack of memory or room in the file."""
 
     throttled: int = 0
-    """Left out, and not counted as received: throttled, or because the disk is almost full."""
+    """Not recorded, not counted as received: above the topic's rate, or the disk is almost full."""
 
 
 COUNTERS: Final = tuple(field.name for field in fields(MessageCounts))
@@ -63,8 +63,8 @@ class Topic:
 class TopicStats(NamedTuple):
     """The MessageCounts of one topic; `bytes` counts the data of received messages.
 
-    It is a tuple that begins with those counters: `status` creates and sums one per topic in the
-    event loop, and creating a data class takes 1.3 times as long.
+    It is a tuple, which begins with those counters in their order: `status` creates and sums one
+    per topic in the event loop, and creating a data class takes 1.3 times as long.
     """
 
     received: int = 0

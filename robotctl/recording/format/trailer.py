@@ -42,10 +42,10 @@ FOOTER_BYTES = RECORD_HEAD_BYTES + FOOTER_CONTENT_BYTES + len(MAGIC)
 
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
-    """What was read from the end of a valid file without attachments.
+    """The end of a valid file without attachments: what a writer must know to continue it.
 
-    `data_end` is the offset of its DataEnd record, `data_crc` the checksum in it. `groups` holds
-    the records of the summary, concatenated, by their opcode.
+    `data_end` is the offset of the DataEnd record, `data_crc` the checksum in that record. `groups`
+    has the records of the summary by their opcode, those of an opcode concatenated.
     """
 
     data_end: int
@@ -81,7 +81,7 @@ class TrailerState:
         return record_bytes(Footer(self.data_end + DATA_END_BYTES, 0, 0)) + MAGIC
 
     def moved_to(self, data_end: int) -> TrailerState:
-        """Return this state with the trailer at `data_end`, without the data's checksum (0)."""
+        """Return this state with the trailer at `data_end`, and the data's checksum 0 (unknown)."""
         return replace(self, data_end=data_end, data_crc=0)
 
 

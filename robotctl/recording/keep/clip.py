@@ -139,7 +139,7 @@ def clip_messages(recording: Recording, window: Window, lose: Lose) -> Iterator[
 
 
 def _before(recording: Recording, start_ns: int, lose: Lose) -> Iterator[Message]:
-    """Yield the journal since its last snapshot, then latched messages, logged at `start_ns`."""
+    """Yield the journal since its last snapshot, then latched messages with log time `start_ns`."""
     yield from since_snapshot(recording, start_ns, lose)
     topics = [topic_of(*each) for each in recording.channels().items()]
     latched = {topic.name: MAX_LATCHED for topic in topics if topic.latched}

@@ -26,9 +26,7 @@ _LOOK_AGAIN_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ClipJob:
-    """What to cut from the recording `source`. Without `target`, the clip is written into the
-    clips folder of the recording.
-    """
+    """What to cut from `source`. Without `target`, the clip goes to the source's clips folder."""
 
     source: Path
     moment: Moment

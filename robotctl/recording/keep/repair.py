@@ -56,9 +56,10 @@ _DATA = (
 
 
 def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> int | None:
-    """Return the offset of the first record that is not in _DATA or the summary lacks, or None.
+    """Return the offset of the first record of an unfinished commit, or None.
 
-    `index` is read from the file's summary; `data_end` is the end of the data according to it.
+    The kind of this record is not in _DATA, or the summary lacks the record, or it ends after
+    `data_end`. Both `index` and `data_end`, the end of the data, are from the file's summary.
 
     Raises:
         Damaged: A record cannot be read, or a chunk in the summary follows that offset.

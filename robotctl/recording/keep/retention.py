@@ -107,7 +107,7 @@ def withdraw_note(recordings: Path, path: Path) -> None:
 
 
 def noted_removals(recordings: Path) -> Iterator[TidyNote]:
-    """Yield each noted removal that is done, then delete their notes. Call it in `only_one_in`.
+    """Yield each noted removal whose file is gone, then delete the notes. Call it in `only_one_in`.
 
     The note of a file that still exists stays: its removal is in progress, or was interrupted.
     """
@@ -237,7 +237,7 @@ def remove_recording(folder: CatalogFolder) -> list[Removed]:
 
 
 def _tidy(folder: CatalogFolder, gone: set[Path]) -> None:
-    """Update `metadata.yaml` after files were removed; remove the folder if none is left."""
+    """Update `metadata.yaml` after files were removed; remove the folder if no file is left."""
     if folder.live:
         return  # its writer updates metadata.yaml
     left = [file.path for file in folder.files if file.path not in gone]

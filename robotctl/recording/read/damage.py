@@ -32,7 +32,7 @@ _failures: ContextVar[list[str] | None] = ContextVar("failures", default=None)
 def noted_read_failures() -> Iterator[list[str]]:
     """Yield a list that collects a sentence for each read that fails in this thread in the block.
 
-    Code that continues after such a failure would report it as damage of the file.
+    Without it, code that continues after such a failure would report damage of the file.
     """
     found: list[str] = []
     token = _failures.set(found)

@@ -1,6 +1,6 @@
 """Reads every byte of a file's data section, and checks each record against the others.
 
-The records of robotctl are compared byte for byte with what its writer writes for this content.
+Records of robotctl are compared byte for byte with what its writer writes for the same content.
 In files of other writers, only a contradiction is a flaw.
 """
 
@@ -178,7 +178,7 @@ class WholeChunks:
         """Return an empty list for the message index entries of a channel.
 
         Raises:
-            Damaged: The channel is not known.
+            Damaged: No record has described the channel.
         """
         if channel not in self._data.channels:
             raise Damaged(f"a chunk holds messages of channel {channel}, without a topic")
@@ -278,7 +278,7 @@ class _DataSection:
 
 
 class _Checksum:
-    """The CRC of a file's bytes up to `end`. It is updated soon after the bytes were read."""
+    """The CRC of a file's bytes up to `end`. It reads them again while they are cached."""
 
     def __init__(self, file: InputFile) -> None:
         self._file = file

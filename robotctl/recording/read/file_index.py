@@ -51,8 +51,8 @@ class PlaceKind(Enum):
 class Place:
     """A part of the file that holds messages: `length` bytes at `offset`, log times in ns.
 
-    `channels` are those with messages there, None if unknown. `unpacked_bytes` and `compression`
-    are what the summary says about a chunk; `unpacked_bytes` is None if it says nothing.
+    `channels` are the ids of the channels with messages there, None if unknown. `unpacked_bytes`
+    and `compression` are what the summary says about a chunk: None and "" if it says nothing.
     """
 
     kind: PlaceKind
@@ -93,7 +93,7 @@ class Place:
 
 
 def note_missing(missing: list[str], sentence: str) -> None:
-    """Append `sentence` to a list of bounded length."""
+    """Append `sentence` to `missing`; after MAX_SENTENCES of them, append "and more" instead."""
     if len(missing) < MAX_SENTENCES:
         missing.append(sentence)
     elif len(missing) == MAX_SENTENCES:
@@ -148,7 +148,7 @@ class FileIndex:
         self.miss(f"{what}: {limit}")
 
     def unaccounted(self) -> str:
-        """Return a sentence if all was read and the summary counts another number, else ""."""
+        """Return a sentence if all was read and the summary's message count differs, else ""."""
         found = self.tally.messages_in(place.offset for place in self.places)
         if self.scanned or self.limit_reached or not self.places:
             return ""  # another sentence says why not all was read
@@ -174,7 +174,7 @@ class ZeroedHeader(Damaged):
 
 
 LOST_HEADER = Header(profile="", library=""), len(MAGIC)
-"""Replacement for a header that is zeros, and where the data begins."""
+"""What replaces a header of zeros: an empty header, and the offset where the data begins."""
 
 
 def read_record_head(file: InputFile, offset: int) -> tuple[int, int]:
@@ -266,7 +266,7 @@ class ChunkEntry(NamedTuple):
 
 
 def read_chunk_index(data: bytes, position: int, end: int) -> ChunkEntry:
-    """Return the chunk that a record describes; its content is `data[position:end]`.
+    """Return the chunk that a chunk index describes, whose content is `data[position:end]`.
 
     Raises:
         Damaged: The record contradicts itself.

@@ -124,7 +124,7 @@ def files_of_bag(folder: Path) -> list[Path]:
 
 
 def absent_files(text: str, present: list[Path]) -> list[str]:
-    """Return a sentence for each file in `absent_names`."""
+    """Return a sentence for each file that `text`, a `metadata.yaml`, lists and `present` lacks."""
     return [
         f"{name}: metadata.yaml names it, but it is not there"
         for name in absent_names(text, present)

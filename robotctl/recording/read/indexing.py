@@ -143,7 +143,7 @@ def index_by_scanning(
 
 
 def read_gaps(file: InputFile, index: FileIndex) -> None:
-    """Add the records in the gaps of a summary: those without an index, loose messages."""
+    """Add what is in the gaps of the summary: records and loose messages that it does not list."""
     counts, start_ns, end_ns = dict(index.counts), index.start_ns, index.end_ns
     scan = _Scan(file, index)
     for start, end in index.gaps:
@@ -245,7 +245,7 @@ class _Scan:
                 self._index.miss(f"bytes {offset} to {end} are lost: {damage}")
             return
         # A writer that only appends leaves the beginning of its chunk. robotctl overwrites its
-        # trailer, so what follows the tear may be a part of that.
+        # trailer, so bytes of the old trailer may follow the beginning of the chunk.
         if not self.own:
             self._add(PlaceKind.TORN_CHUNK, offset, end)
         raise Damaged("the file ends in the middle of a chunk")
@@ -262,7 +262,7 @@ class _Scan:
         self._loose_start = self._loose_end = 0
 
     def _add(self, kind: PlaceKind, offset: int, end: int) -> None:
-        """Count the messages at a place.
+        """Add the place if it has messages, and count them.
 
         Raises:
             Damaged: The place cannot be read.
@@ -372,10 +372,11 @@ def _index_of(file: InputFile, on_progress: Callable[[int], None], *, places: bo
 
 
 def _complete(file: InputFile, index: FileIndex) -> None:
-    """Find records that the summary does not list.
+    """Find records that the summary does not list; report those that it counts but are not found.
 
-    The summaries of robotctl list all records, unless their counts say otherwise. In a file of
-    robotctl, a gap that a killed commit left is not part of the file.
+    In files of other writers, all gaps of the summary are read. A summary of robotctl lists all
+    records, and what a killed commit left in a gap is no part of the file. So its gaps are only
+    read if it counts more metadata records than it lists.
     """
     if not index.library.startswith(OWN_LIBRARY) or index.declared_metadata > len(index.metadata):
         read_gaps(file, index)

@@ -35,7 +35,7 @@ class RecordedEntry(NamedTuple):
 
 
 class EntryDecoder:
-    """Decodes the entries of a recording, in order, within its journal limits."""
+    """Decodes the journal entries of a recording, as many as its read limits allow."""
 
     def __init__(self, recording: Recording) -> None:
         limits = self._limits = recording.limits
@@ -91,9 +91,10 @@ def _beyond(limit: str) -> UnreadableFile:
 
 
 def journal_topic(info: RecordingInfo) -> str | None:
-    """Return the journal topic of the robot that recorded, or else the only one, or None.
+    """Return the journal topic of the robot that recorded, or else the only journal topic.
 
-    Journals of other robots in the same ROS domain may have been recorded as well.
+    Journals of other robots in the same ROS domain may have been recorded as well. Return None if
+    there is no journal, or if there are several, but not that of the robot.
     """
     own, found = own_journal_topic(info), journal_topics(info)
     if own in found:
@@ -124,7 +125,7 @@ def read_journal(
     """Yield the entries in the order in which they were written, which is that of their `seq`.
 
     Log times may step back if the clock was set. `on_missing` gets a sentence about each part that
-    cannot be read, `on_progress` bytes done and in total.
+    cannot be read, `on_progress` gets the bytes done and in total.
 
     Raises:
         UnreadableFile: There is no journal, or an entry is damaged.
@@ -140,7 +141,7 @@ def read_journal(
 def since_snapshot(
     recording: Recording, moment_ns: int, on_missing: Callable[[str], None]
 ) -> list[Message]:
-    """Return the journal entries from the last snapshot before `moment_ns` to `moment_ns`.
+    """Return the journal entries before `moment_ns`, from the last snapshot on.
 
     Re-running them gives the kernel's state at that moment. Empty without an earlier snapshot.
     `on_missing` gets a sentence about each part that cannot be read.
@@ -155,7 +156,7 @@ def since_snapshot(
 
 
 def _last_snapshot_ns(recording: Recording, topic: str, start_ns: int, moment_ns: int) -> int:
-    """Return the log time of the last snapshot before a moment, or the start of the recording."""
+    """Return the log time of the last snapshot before a moment; without a snapshot, `start_ns`."""
     step_ns = _FIRST_STEP_NS
     while True:
         begin_ns = max(moment_ns - step_ns, start_ns)

@@ -96,8 +96,7 @@ class InputFile:
         """
         self.path = path
         self.failure: Unreadable | None = None
-        """The first read that failed because of the disk or the memory, not the content of the
-        file."""
+        """The first failure to read because of the disk or the memory, not the content."""
 
         try:
             self._source = source or open_source(path, on_progress)
@@ -121,7 +120,7 @@ class InputFile:
         self.limits = ReadLimits.of(self.stored_bytes)
 
     def is_changing(self) -> bool:
-        """Return whether the file's size has changed, or a process has it open for recording."""
+        """Return whether the size has changed since `refresh`, or a process records the file."""
         return self._source.size() != self.size or self._source.is_written()
 
     def read(self, offset: int, length: int) -> bytes:
@@ -229,7 +228,7 @@ def head_blocks(data: bytes, most: int = sys.maxsize) -> Iterator[HeadBlock]:
 
 
 def _short_head(data: bytes, position: int) -> RecordHead:
-    """Return the head of a record so near to the end that it is too short for a message."""
+    """Return the head of a record that begins too near to the end to be a message."""
     if position + RECORD_HEAD.size > len(data):
         raise Damaged("a chunk ends in the middle of a record")
     opcode, length = RECORD_HEAD.unpack_from(data, position)

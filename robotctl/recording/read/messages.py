@@ -1,6 +1,7 @@
 """Reads the messages at one place of a file, and compares their number with declared counts.
 
-`metadata.yaml` and the ledger declare counts: a file that was cut or replaced may itself be valid.
+The counts in `metadata.yaml` and the ledger reveal that a file was cut or replaced, even if it is
+valid in itself.
 """
 
 from __future__ import annotations
@@ -113,7 +114,7 @@ class PlaceReader:
         )
 
     def load(self) -> None:
-        """Read the place.
+        """Read the place; `entries` then has the selected messages in the order of log time.
 
         Raises:
             Damaged: A part is damaged; `entries` then holds what precedes it.
@@ -148,7 +149,7 @@ class PlaceReader:
         return Message(*self._names[channel], content, log_ns, publish_ns, sequence)
 
     def as_written(self) -> Iterator[list[Message]]:
-        """Yield all messages of the place in file order, in lists; `load` need not be called.
+        """Yield the selected channels' messages in file order, in lists; `load` need not be called.
 
         Raises:
             Damaged: After the last message, if some are missing.
@@ -167,7 +168,7 @@ class PlaceReader:
                 yield channel, content, log_ns, publish_ns, sequence
 
     def _contents(self, data: bytes) -> Iterator[list[tuple[RecordHead, bytes]]]:
-        """Yield head and content of the selected messages, in lists.
+        """Yield head and content of the messages of selected channels, in lists.
 
         Raises:
             Damaged: After the last message, if some are missing.
@@ -263,7 +264,7 @@ def place_readers(
 
 
 def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[int, tuple[str, str]]:
-    """Return the topic and type of each channel in the file, or only of channels of `topics`."""
+    """Return topic and type by channel id, for all channels or only for those of `topics`."""
     return {
         channel.id: (channel.topic, type_name_of(channel, index.schemas.get(channel.schema_id)))
         for channel in index.channels.values()
@@ -274,8 +275,8 @@ def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[in
 def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) -> Iterator[str]:
     """Yield a sentence for each file or recording that holds fewer messages than declared.
 
-    `text` is the `metadata.yaml`, read before the files, because they may grow. `all_files` says
-    that `files` are all files of the recording.
+    `text` is the `metadata.yaml`, read before the files, because they may grow. With `all_files`,
+    `files` are all files of the recording, and its total count is checked, too.
     """
     if any(each.index.limit_reached for each in files):
         return  # not all messages were read

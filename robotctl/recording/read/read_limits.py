@@ -56,11 +56,12 @@ file, constant data without message indexes, has one for every 6 bytes; ours, fo
 
 JOURNAL_ENTRIES: Final = 30_000
 BYTES_PER_JOURNAL_ENTRY: Final = 16
-"""An entry takes 16 bytes of index and its share of a chunk. Re-running it takes 25 us."""
+"""A journal may have JOURNAL_ENTRIES entries, or one for every 16 bytes of file if that is more: an
+entry takes 16 bytes of index and its share of a chunk. Re-running it takes 25 us."""
 
 SNAPSHOTS: Final = 1000
 BYTES_PER_SNAPSHOT: Final = 1000
-"""Restarting from a snapshot takes 1 ms; a daemon writes one every 10 s, among 500 ticks."""
+"""The same for snapshots. To restart from one takes 1 ms; daemons write one every 10 s."""
 
 JOURNAL_TEXT_BYTES: Final = 16 << 20
 JOURNAL_TEXT_RATIO: Final = 16
@@ -113,7 +114,7 @@ class ReadLimits:
 
 
 def unpacking_cost(unpacked_bytes: int) -> int:
-    """Return the part of `unpacked_cost` that a chunk of this size uses."""
+    """Return how much of `ReadLimits.unpacked_cost` decompressing a chunk of this size uses."""
     return unpacked_bytes // (FAST_CHUNK_DISCOUNT if unpacked_bytes <= FAST_CHUNK_BYTES else 1)
 
 
@@ -131,7 +132,7 @@ def _factor() -> float:
 
 
 class ReadTally:
-    """Counts by the offset of a place, so that a place that is read twice is counted once."""
+    """Counts records, messages and work by place, so that a place read twice counts once."""
 
     def __init__(self) -> None:
         self._records: dict[int, int] = {}
@@ -141,9 +142,7 @@ class ReadTally:
         self._unpacked_total = 0
 
     def records_left(self, offset: int, limit: int) -> int:
-        """Return how many records the place at `offset` may hold, if `limit` counts those of all
-        places.
-        """
+        """Return how many records the place at `offset` may hold; `limit` is for all places."""
         return limit - self._record_total + self._records.get(offset, 0)
 
     def note_records(self, offset: int, count: int) -> None:

@@ -41,7 +41,7 @@ class ReadableFile:
         self.lost = list(index.missing)
 
     def batches(self) -> Iterator[list[PlainMessage]]:
-        """Yield all messages: those of a chunk together, but at most some megabytes at a time."""
+        """Yield all messages in batches: those of one chunk, or of a part of a large chunk."""
         for place in self._index.places:
             yield from self._read(place)
             self._on_progress(place.offset)

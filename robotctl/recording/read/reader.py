@@ -51,7 +51,7 @@ def last_before(
     moment_ns: int,
     on_missing: Callable[[str], None],
 ) -> list[Message]:
-    """Return the last messages before `moment_ns`, by log time; `wanted` gives the count per topic.
+    """Return the last `wanted[topic]` messages of each topic before `moment_ns`, in log order.
 
     Only places that may hold them are read. `on_missing` gets a sentence about each lost part.
     """
@@ -101,7 +101,7 @@ def merge(
     on_missing: Callable[[str], None],
     window: Window = ALWAYS,
 ) -> Iterator[Message]:
-    """Yield the messages of `topics` (None: all) in the window by log time.
+    """Yield the messages of `topics` (None: all) in the window, in the order of their log time.
 
     Places outside of the window are not read. `on_missing` gets a sentence about each lost part.
     """
@@ -139,8 +139,9 @@ def in_order_written(
     on_missing: Callable[[str], None],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Iterator[list[Message]]:
-    """Yield messages as `merge` does, but in file order and in lists; `on_progress` gets bytes done
-    and in total.
+    """Yield messages as `merge` does, but in file order and in lists.
+
+    `on_progress` gets the bytes done and in total.
     """
     done, total = 0, sum(file.file.size for file in files)
     for file in files:
@@ -283,9 +284,7 @@ class Recording:
 
     @property
     def is_cut_off(self) -> bool:
-        """Whether the recording ended without being closed: the process was killed, or recording
-        failed.
-        """
+        """Whether recording ended without closing: the process was killed, or writing failed."""
         return not self.is_live and not self._files[-1].index.has_metadata(
             LEDGER_RECORD, CLIP_RECORD
         )
@@ -304,9 +303,7 @@ class Recording:
         return {record.name: record.metadata for record in metadata_in([self._files[number]])}
 
     def channels(self) -> dict[tuple[str, str], tuple[Channel, Schema | None]]:
-        """Return, for each topic and type name, channel and schema from the first file that has
-        them.
-        """
+        """Return channel and schema by topic and type, from the first file that has them."""
         channels: dict[tuple[str, str], tuple[Channel, Schema | None]] = {}
         for each in self._files:
             for channel in each.index.channels.values():
@@ -321,8 +318,7 @@ class Recording:
         on_missing: Callable[[str], None],
         window: Window = ALWAYS,
     ) -> Iterator[Message]:
-        """Yield the messages in the order of their log time; `on_missing` gets a sentence for each
-        loss.
+        """Yield the messages in log order; `on_missing` gets a sentence about each lost part.
 
         Only log times in `window` (ns, both ends included) are read.
         """
@@ -331,9 +327,7 @@ class Recording:
     def last_before(
         self, moment_ns: int, wanted: Mapping[str, int], on_missing: Callable[[str], None]
     ) -> list[Message]:
-        """Return the last messages before a moment, by log time; `wanted` gives the count per
-        topic.
-        """
+        """Return the last `wanted[topic]` messages of each topic before a moment, in log order."""
         return last_before(self._files, wanted, moment_ns, on_missing)
 
     def in_order_written(
@@ -342,8 +336,7 @@ class Recording:
         on_missing: Callable[[str], None],
         on_progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> Iterator[Message]:
-        """Yield messages as `messages` does, in file order: log times step back if the clock was
-        set.
+        """Yield the messages in file order: log times step back if the clock was set back.
 
         `on_progress` gets bytes done and in total.
         """

@@ -106,24 +106,25 @@ def find_head(files: Iterable[SealedFile], digest: str) -> SealedFile | None:
 
 
 _AS_RECORDED: Final = (FileState.FINISHED, FileState.LIVE, FileState.NOT_CLOSED)
-"""The states of a file of the recorder itself, which must have the seal that it was given."""
+"""The states of a file as the recorder left it; such a file must still have its seal."""
 
 
 @dataclass(frozen=True, slots=True)
 class KnownFile:
-    """What this user's lists know about a file: whether it is `listed`, and two sentences or "".
-
-    `wrong` says why it cannot be the file in a list. `unproved` says that a list knows a seal of
-    the file, which a repair or a conversion did not keep.
-    """
+    """What this user's lists of sealed files say about a file."""
 
     listed: bool = False
+    """Whether a list has the file's opening."""
+
     wrong: str = ""
+    """Why the file cannot be the one in a list, or ""."""
+
     unproved: str = ""
+    """Which part of the listed seal a repair or a conversion did not keep, or ""."""
 
 
 class KnownHeads:
-    """The lists of keys and ends in this user's state folder; each is read on first use."""
+    """The robots' lists of sealed files in this user's state folder; each is read on first use."""
 
     def __init__(self) -> None:
         """Find the robots that have a list."""
@@ -142,7 +143,7 @@ class KnownHeads:
         return self._lists[robot]
 
     def compare(self, file: SealedFile) -> KnownFile:
-        """Return what the user's lists know of a file, by its key, its name now and in the seal."""
+        """Return what the lists say about a file's key, its name, and the name in its seal."""
         opening = file.seal.opening
         name = file.path.name.removesuffix(SUFFIX)
         lists = list(self._lists_for(name, opening))

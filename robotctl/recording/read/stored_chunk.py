@@ -97,8 +97,7 @@ def decompressor_of(name: str) -> Decompressor:
 
 
 _CHUNK_FIELDS: Final = struct.Struct("<QQQI")
-"""The beginning of a chunk: start and end time [ns], uncompressed size [bytes], uncompressed
-CRC."""
+"""The beginning of a chunk: start and end time [ns], uncompressed size [bytes] and CRC."""
 
 _MAX_NAME_BYTES = 32
 _PREFIX_BYTES = RECORD_HEAD.size + _CHUNK_FIELDS.size + 4 + _MAX_NAME_BYTES + 8
@@ -165,7 +164,7 @@ def read_chunk_ref(file: InputFile, offset: int, length: int) -> ChunkRef:
 
 
 def stored_size_of(length: int, compression: str) -> int:
-    """Return the bytes of data in a chunk record of `length` bytes."""
+    """Return how many bytes of data are in a chunk record of `length` bytes."""
     return length - RECORD_HEAD.size - _CHUNK_FIELDS.size - 4 - len(compression.encode()) - 8
 
 

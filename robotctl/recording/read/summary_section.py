@@ -151,9 +151,9 @@ def _read_summary(file: InputFile) -> tuple[bytes, int]:
 
 
 def _before_own_footer(data: bytes) -> bytes:
-    """Return the summary at the beginning of `data`, without an unfinished commit after it.
+    """Return the summary at the beginning of `data`: all before the first footer, or everything.
 
-    In this case the summary has its own footer.
+    A footer in `data` is that of the summary; after it follows a commit that was not finished.
 
     Raises:
         Damaged: The footer does not belong to the summary.
@@ -189,7 +189,7 @@ def _gaps(chunks: list[ChunkEntry], data_start: int, data_end: int) -> list[tupl
 
 
 def _affordable(places: list[Place], file: InputFile, index: FileIndex) -> list[Place]:
-    """Return the first places, as many as the file's limits allow to be decompressed."""
+    """Return the first places, as many as the limits allow to decompress; report the others."""
     budget = UnpackBudget(file.limits)
     for number, place in enumerate(places):
         try:
@@ -201,7 +201,7 @@ def _affordable(places: list[Place], file: InputFile, index: FileIndex) -> list[
 
 
 def _read_metadata(file: InputFile, index: FileIndex, entries: list[MetadataIndex]) -> None:
-    """Read the metadata records, each once, so that together they are not larger than the file."""
+    """Add each metadata record to `index` once; report those that cannot be read or overlap."""
     room = file.size
     for entry in {entry.offset: entry for entry in entries}.values():
         try:

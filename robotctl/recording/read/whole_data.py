@@ -58,8 +58,8 @@ class WholeData:
     """The content of a data section; offsets in bytes, times in nanoseconds.
 
     `end` is the offset of the DataEnd record, or where the reading had to stop. `crc` is the
-    checksum of all bytes before `end`, `told_crc` the one in the DataEnd record: 0 if it has none,
-    None without such a record.
+    checksum of all bytes before `end`, `told_crc` the checksum in the DataEnd record (0 means that
+    the writer computed none), or None without such a record.
     """
 
     header: Header

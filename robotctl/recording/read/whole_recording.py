@@ -129,7 +129,7 @@ def _contradictions(text: str, files: Sequence[WholeFile], *, whole_folder: bool
 
 
 def _ledger_differences(files: Sequence[WholeFile]) -> Iterator[str]:
-    """Compare each ledger with the messages of all files up to its own file."""
+    """Yield a sentence for each ledger count that the files up to the ledger's contradict."""
     first = files[0].path.stem
     names = [f"{first.removesuffix('0')}{number}" for number in range(len(files))]
     if not first.endswith("_0") or [file.path.stem for file in files] != names:

@@ -24,7 +24,7 @@ from robotctl.recording.read.whole_data import Flaws, WholeData
 def compare_summary(summary: bytes, start: int, data: WholeData, flaws: Flaws) -> None:
     """Add a flaw for each difference between summary and data; `start` is the summary's offset.
 
-    All of robotctl's records must be there once. Other writers may leave some out.
+    A summary of robotctl must list each record once. Other writers may leave some out.
     """
     comparison = _Comparison(start, data, flaws)
     try:

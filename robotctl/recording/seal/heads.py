@@ -28,7 +28,7 @@ class HeadsList:
     _keys: dict[str, set[str]] = field(default_factory=dict)
 
     def add_opened(self, opening: Opening) -> None:
-        """Add an opened file. The file that it continues has at least one signed link."""
+        """Add an opened file. It continues a signed link, so the previous file is in `signed`."""
         self.opened[opening.key] = opening
         self._keys.setdefault(opening.file, set()).add(opening.key)
         if opening.previous_file:

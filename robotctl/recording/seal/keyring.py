@@ -98,10 +98,10 @@ class StoredKey:
 
 
 class Keyring:
-    """The keys of one robot. Its folder must be private to the user, and exist."""
+    """The keys of one robot. Their folder must exist, and be private to the user."""
 
     def __init__(self, folder: Path, robot: str, on_head: Callable[[Head], None] = lambda _: None):
-        """Use `folder`; `on_head` is called with each stored head, in the thread of `keep`."""
+        """Use `folder`. `keep` calls `on_head` with each head that it has stored."""
         self._folder = folder
         self._robot = robot
         self._on_head = on_head

@@ -52,7 +52,7 @@ def write_parquet(columns: Sequence[Column], rows: Iterable[Row], target: Path) 
     """Write the rows into the new file `target`; return their number.
 
     Lists of numbers or texts become lists, lists of messages JSON, and bytes a BLOB. Temporary
-    files in the folder of `target` need the same space again.
+    files in the folder of `target` need as much space as `target`.
 
     Raises:
         UsageError, RobotctlError: duckdb is not installed, or fails.
@@ -125,7 +125,7 @@ def _write_part(
         f"{_restored(column, f'c{place}')} AS {_quoted(column.name)}"
         for place, column in enumerate(columns)
     )
-    # A list's type is found by looking at all its values.
+    # duckdb finds the type of a list only by looking at all values of the batch.
     database.execute(f"SET pandas_analyze_sample={len(batch) + 1}")
     database.register("batch", arrays)
     database.execute(f"COPY (SELECT {selected} FROM batch) TO {_text(path)} (FORMAT parquet)")
@@ -143,7 +143,7 @@ def _array(column: Column, cells: Sequence[Any]) -> np.ndarray[Any, Any]:
 
 
 def _restored(column: Column, name: str) -> str:
-    """Return SQL that casts a column to its type, and NULL to NaN: duckdb reads NaN as NULL."""
+    """Return SQL that casts a column to its type, and NULL to NaN, which duckdb reads as NULL."""
     if column.kind is ColumnKind.BYTES:
         return f"CAST({name} AS BLOB)"
     if column.kind is ColumnKind.NESTED:

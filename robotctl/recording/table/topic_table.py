@@ -28,7 +28,7 @@ def choose_topic(info: RecordingInfo, name: str, type_name: str, *, listing: str
     `listing` is the command that lists the topics, for the error message.
 
     Raises:
-        UsageError: The recording has no such topic, or it has several types.
+        UsageError: The recording has no such topic, or the topic has several types.
         UnreadableFile: Its messages are not in CDR.
     """
     names = {each.name for each in info.topics}
@@ -139,8 +139,8 @@ def _beside_times(column: Column) -> Column:
 _Change = Callable[[Any], Any]
 
 _BOTH: Final = "\r\n"
-"""The row end for module `csv`. Before Python 3.13 it quotes a text with one of these characters
-only if rows end with that character, but readers end a row at either."""
+"""The row end for module `csv`; `_LineFeeds` replaces it. Before Python 3.13, `csv` quotes a text
+with CR or LF only if that character is in the row end, but readers end a row at either."""
 
 
 def write_csv(columns: Sequence[Column], rows: Iterable[Row], stream: TextIO) -> int:

@@ -59,7 +59,7 @@ METADATA_PERIOD_S = 10.0
 """Maximum age of the counts in `metadata.yaml`; the counts in an MCAP file are always current."""
 
 MAX_EVENTS = 1000
-"""Maximum per file: each event makes the summary longer, and each further event rewrites it."""
+"""Maximum per file: each event makes the summary longer, which each later event rewrites."""
 
 MAX_INDEX_BYTES = 8 << 20
 """Maximum size of the chunk index of a file: each chunk adds 10 bytes for each topic in it."""
@@ -83,9 +83,9 @@ class BagWriter:
     ) -> None:
         """Create the first file in `folder`, which must exist.
 
-        `metadata` is called for each file, which stores what it returns. `on_split` is called with
-        the path of each later file. A full file is followed by the next one; if `on_full` is given,
-        it is called instead with the path of the full file, once per file.
+        `metadata` is called when a file begins; the file stores what it returns. `on_split` is
+        called with the path of each later file. When a file is full, the next one begins; but if
+        `on_full` is given, it is called instead, with the path of the full file, once per file.
         """
         self._folder = folder
         self._options = options
@@ -97,8 +97,7 @@ class BagWriter:
         self._finished: list[BagFile] = []
         self._finished_bytes = 0
         self._newest_ns = 0
-        """Highest log time in the last chunk. The file may hold a higher one if the clock was set
-        back."""
+        """Highest log time in the last chunk; it steps back if the clock was set back."""
 
         self._space_warning = ""
         self.check_space()
@@ -196,16 +195,14 @@ class BagWriter:
             self._space_warning = f"{_mb(free)} left on the disk; recording stops at {_mb(stop)}"
 
     def list_new_topics(self) -> None:
-        """Write `metadata.yaml` if there are new topics: a player reads only the topics listed
-        there.
-        """
+        """Write `metadata.yaml` if there are new topics: players read only topics listed there."""
         if len(self._channels) > self._listed_topics:
             self._write_metadata()
 
     def refresh_metadata(self) -> None:
         """Write `metadata.yaml` if it is older than METADATA_PERIOD_S or lists a removed file.
 
-        Players rely on its list. Retention removes the oldest file first, so only that is checked.
+        Players rely on its list. Only the oldest file is checked, which retention removes first.
         """
         removed = bool(self._finished) and not self._is_there(self._finished[0])
         if removed or time.monotonic() >= self._metadata_due:

@@ -47,7 +47,7 @@ class PackBuffer:
     """Memory for many messages. `Recorder.write` packs into it and uses its attributes directly.
 
     A message that would end beyond byte `limit` does not fit; the packer then changes to another
-    buffer. The writer thread sets `limit` to 0 to make it change. `unordered` holds the channels
+    buffer. To make it change, the writer thread sets `limit` to 0. `unordered` holds the channels
     whose log times may step back; the others need no search for their lowest and highest time.
     """
 
@@ -66,9 +66,7 @@ class PackBuffer:
         self._taken = 0
 
     def weigh(self) -> int:
-        """Add the size of the indexes [bytes] to `size`, and return it. Called by the packer after
-        the last message.
-        """
+        """Add the bytes of the indexes to `size`, return them. Called after the last message."""
         added = sum(len(index) * index.itemsize for index in self.indexes)
         self.size += added
         return added
@@ -79,9 +77,9 @@ class PackBuffer:
             self.indexes.append(array("Q"))
 
     def take(self) -> PackedMessages | None:
-        """Return the messages packed since the last take, or None. Called by the writer thread.
+        """Return the messages packed since the last take, None if there are none.
 
-        The result is valid until `recycle`.
+        Called by the writer thread. The result is valid until `recycle`.
 
         Raises:
             MemoryError: Nothing is taken.

@@ -14,7 +14,7 @@ MAX_PUBLISHERS = 1024
 """Maximum number of remembered publishers per topic; beyond that the oldest is forgotten."""
 
 MAX_MISSING = 64
-"""Maximum of missing numbers remembered per publisher: their messages may still arrive late."""
+"""Maximum number of missing messages remembered per publisher: they may still arrive."""
 
 
 @dataclass(slots=True)

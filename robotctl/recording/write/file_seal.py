@@ -38,7 +38,7 @@ class Sealer(Protocol):
 
 
 class FileSeal:
-    """The hash chain of one file: it covers each byte from the first, and signs after `open`."""
+    """The hash chain of one file. It covers every byte of the file, and is signed after `open`."""
 
     def __init__(self, sealer: Sealer, clock: Callable[[], float] = time.monotonic) -> None:
         """Begin the chain at the beginning of the file; `clock` gives seconds."""
@@ -78,7 +78,7 @@ class FileSeal:
         return self._seal is not None and self._clock() >= self._due
 
     def link(self, covered: int) -> bytes:
-        """Return the record of a link that covers the bytes of the file before `covered`."""
+        """Return the record of a link for the bytes before `covered`; empty if it cannot sign."""
         link = self._signed(LinkKind.LINK, covered)
         if link is None:
             return b""
@@ -97,7 +97,7 @@ class FileSeal:
         return b"" if self._head is None else self._head.record()
 
     def keep(self, *, closed: bool = False) -> None:
-        """Store the last link outside the recording, or the head if the file is `closed`.
+        """Store the last link outside the recording; if the file is `closed`, the head instead.
 
         Call it when the bytes that the link or head covers are on the disk.
         """

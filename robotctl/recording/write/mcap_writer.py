@@ -16,7 +16,8 @@ between that readers skip: the room. A commit changes only the trailer's last fe
 
 The file is valid between any two writes of a commit:
 
-(1) into the room: the new records without the head of the first, and the head of the rest of it;
+(1) into the room: the new records without the head of the first, and a head for the rest of the
+room;
 (2) the head of the first new record: from now on, sequential readers see all new records;
 (3) the end of the trailer.
 
@@ -62,8 +63,8 @@ from robotctl.recording.format.trailer import FOOTER_BYTES, Summary, TrailerStat
 from robotctl.recording.write.file_seal import FileSeal
 
 LEAST_BYTES: Final = 64 << 10
-"""The least size of new room, which is also never smaller than the trailer. So moving trailers
-writes about one byte for each byte recorded, however long the file."""
+"""The least size of new room. New room is also at least as large as the trailer, so that moving
+trailers writes about one byte for each byte recorded, however long the file."""
 
 PAGE_BYTES: Final = 4096
 
@@ -72,7 +73,7 @@ COMMITS: Final = 3
 
 
 class Room(NamedTuple):
-    """The room from `start`, the end of the data, to trailer `good`, `trailer_bytes` long."""
+    """The room: from `start`, where the data ends, to the trailer, whose state is `good`."""
 
     start: int
     good: TrailerState
@@ -101,7 +102,8 @@ class Room(NamedTuple):
 
 
 def write_hidden(parts: Sequence[Buffer], start: int, storage: Storage) -> None:
-    """Write records into the room at `start`, the first head last: readers skip them until then.
+    """Write records into the room at `start`. The head of the first is written last: until then,
+    readers skip all of them.
 
     Raises:
         OSError: The disk is full or fails. The file must be cut back.
@@ -142,7 +144,7 @@ class McapFile:
     ) -> None:
         """Begin the file; nothing is written before the first `commit`.
 
-        `seal` hashes and signs the bytes of the file. `keeps_room` is for many commits (see above).
+        `seal` hashes and signs the file's bytes. `keeps_room` is for many commits: see the module.
         """
         self.summary = Summary()
         self.size = 0
@@ -158,16 +160,14 @@ class McapFile:
         self._data_crc = 0
         self._seal = seal
         self._sealed_pending = 0
-        """Number of the first bytes of `_pending` that the seal covers already."""
+        """How many bytes at the beginning of `_pending` the seal covers already."""
 
         self._good: TrailerState | None = None
         """The state after the last successful write."""
 
     @classmethod
     def resume(cls, storage: Storage, written: WrittenFile) -> Self:
-        """Return a writer that continues a finished file: new records go between its data and a new
-        trailer.
-        """
+        """Return a writer that continues a finished file: new records follow the file's data."""
         self = cls(storage, profile="", library="")
         self._pending.clear()
         self._data_end = written.data_end
@@ -218,8 +218,8 @@ class McapFile:
     def commit(self, chunk: Chunk | None = None, *, finished: bool = True) -> None:
         """Write the added records, then `chunk`, then the trailer.
 
-        With `finished` False (without `keeps_room` only) the trailer is left out, and the file is
-        not valid until another commit: use that for files that are read only when complete.
+        With `finished` False the trailer is left out: the file is not valid until another commit.
+        Use that only without `keeps_room`, and for files that are read only when complete.
 
         Raises:
             OSError: The file may be torn until `cut_back` has repaired it.
@@ -327,9 +327,7 @@ class McapFile:
         self._pending += record
 
     def _crc_with(self, parts: Sequence[Buffer]) -> int:
-        """Return the checksum of the data followed by `parts`; 0 (unknown) if that of the data is
-        0.
-        """
+        """Return the checksum of the data followed by `parts`; 0 (unknown) if the data's is 0."""
         if not self._data_crc and self._data_end:
             return 0
         crc = self._data_crc
@@ -338,8 +336,7 @@ class McapFile:
         return crc
 
     def cut_back(self) -> None:
-        """Restore the file to its state after the last successful commit. Call it after a failed
-        commit.
+        """Restore the file's state after the last good commit. Call it after a failed commit.
 
         Nothing may be added or committed afterwards.
 

@@ -126,9 +126,9 @@ class Recorder:
 
         `metadata` is called when a file begins; the file stores what it returns. `on_failure` is
         called at most once, with a sentence for the operator. `on_split` is called with the path of
-        each later file when it has begun. A full file is followed by the next one; if `on_full` is
-        given, it is called instead, once per file, and must cause a call of `split`. All are called
-        in the writer thread, except `metadata` for the first file.
+        each later file when it has begun. When a file is full, the next one begins; but if
+        `on_full` is given, it is called instead, once per file, and must cause a call of `split`.
+        All are called in the writer thread, except `metadata` for the first file.
 
         Raises:
             Refused: The folder cannot be written.
@@ -311,7 +311,7 @@ class Recorder:
         buffer.end = start + length
 
     def _drop_for_memory(self, state: ChannelState, channel: int) -> None:
-        """Count a message dropped for lack of memory; remove its index entry if half is there."""
+        """Count a message dropped for lack of memory; remove its index entry if incomplete."""
         index = self._buffer.indexes[channel]
         if len(index) % 2:
             index.pop()

@@ -23,8 +23,7 @@ def is_plain_name(pattern: str) -> bool:
 
 
 class TopicFilter:
-    """A filter that accepts a topic if `include` matches it or is empty, and `exclude` does not
-    match.
+    """Accepts a topic if `include` matches it or is empty, and `exclude` does not match it.
 
     A pattern is a name (`/cmd_vel`), a name with the wildcards `*`, `?` and `[...]` (`*` also
     matches `/`: `/camera/*`), or `type:` and such a pattern for the type
@@ -68,7 +67,7 @@ class TopicPattern:
 
 
 class RateByTopic:
-    """Rates [1/s] from texts such as `/camera/*=5`; the first pattern that matches is used."""
+    """Finds the rate of a topic [1/s] in texts such as `/camera/*=5`; the first match counts."""
 
     def __init__(self, texts: Iterable[str]) -> None:
         parts = (text.rpartition("=") for text in texts)
@@ -94,15 +93,8 @@ def free_space(folder: Path) -> int:
 class RecorderOptions:
     """Sizes and times of the recorder.
 
-    Messages are in the file, before a valid footer, after `chunk_bytes` or `flush_s`, whichever
-    comes first; they survive a power cut after `sync_s`. `memory_bytes` is the budget for all data
-    in memory: messages that wait for the disk and, up to a third of it, the latched messages that
-    the next file repeats. Messages that do not fit are dropped and counted. A new file begins at
-    `split_bytes` or after `split_s`. The recorder warns when the disk has less than
-    `warn_free_bytes` left, and stops at `stop_free_bytes`. With `group_readable` the group may read
-    the recording, otherwise only its owner may. `records` are further metadata records for the
-    beginning of each file, by name. `sealer`, if given, seals the files. Messages of the `evidence`
-    topics are written in separate chunks if the other topics have much more data.
+    Messages are written to the file, before a valid footer, when they fill `chunk_bytes` or after
+    `flush_s`, whichever comes first. A new file begins at `split_bytes`, or after `split_s`.
     """
 
     compression: Compression = Compression.ZSTD
@@ -110,14 +102,27 @@ class RecorderOptions:
     chunk_bytes: int = 1 << 20
     flush_s: float = 0.25
     sync_s: float = 1.0
+    """Period of the syncs: what was written before a sync survives a power cut."""
+
     memory_bytes: int = 96 << 20
+    """Budget for the messages that wait for the disk and, up to a third of it, the latched messages
+    that the next file repeats. Messages that do not fit are dropped and counted."""
+
     split_bytes: int = 256_000_000
     split_s: float = 600.0
     warn_free_bytes: int = 2_000_000_000
     stop_free_bytes: int = 500_000_000
+    """Free disk space below which the recorder stops; below `warn_free_bytes` it warns."""
+
     group_readable: bool = False
+    """Whether the group may read the recording, and not only its owner."""
+
     records: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """Further metadata records for the beginning of each file, by name."""
+
     sealer: Sealer | None = None
     evidence: frozenset[str] = frozenset()
+    """Topics whose messages get separate chunks if the other topics have much more data."""
+
     open_file: Callable[[Path], Storage] = DiskFile
     free_space: Callable[[Path], int] = free_space

@@ -40,9 +40,7 @@ class RecordingFile:
         metadata: Mapping[str, str],
         channels: Sequence[ChannelState],
     ) -> None:
-        """Create the file and sync it: it is valid when this returns. After an error there is no
-        file.
-        """
+        """Create the file and sync it, so that it is valid. After an error there is no file."""
         self.path = path
         self._channels = channels
         self._encoder = ChunkEncoder(options.compression, options.compression_level)
@@ -52,7 +50,7 @@ class RecordingFile:
         self._finished = False
         self.event_count = 0
         self.seal = None if options.sealer is None else FileSeal(options.sealer)
-        """The seal of the file, if it is to have one."""
+        """The seal of the file; None if it is not to be sealed."""
 
         storage = options.open_file(path)
         self._mcap = McapFile(

@@ -1,8 +1,8 @@
 """The writer thread: takes packed messages from the queue and writes them.
 
-A chunk can only be read as a whole. If heavy topics shared it, a check of the decisions would read
-every image of a recording. So the messages of the evidence topics get a separate chunk, before the
-chunk with the rest. Each of the two chunks keeps the order in which messages arrived.
+A chunk can only be read as a whole. If the evidence topics shared chunks with heavy topics, a check
+of the decisions would read every image of a recording. So the messages of the evidence topics get a
+separate chunk, before the chunk with the rest. Both chunks keep the order of arrival.
 """
 
 from __future__ import annotations
@@ -75,8 +75,7 @@ def rank_below(nice: int) -> None:
 
 
 HEAVY_BYTES: Final = 64 << 10
-"""The least size of other topics' messages for a second chunk; a smaller chunk would cost more than
-it saves."""
+"""The least size of other topics' messages for a second chunk; a smaller one costs too much."""
 
 HEAVY_RATIO: Final = 4
 """The least ratio of other topics' bytes to the evidence topics' bytes for a second chunk."""
@@ -152,7 +151,7 @@ def _between(spans: Sequence[_Span], size: int) -> list[_Span]:
 def _part(
     view: memoryview, spans: Sequence[_Span], packed: PackedMessages, channels: Iterable[int]
 ) -> PackedMessages:
-    """Return the messages of `channels`: their records, which are those in `spans`, joined."""
+    """Return only the messages of `channels`, whose records are at `spans`."""
     starts = [start for start, _ in spans]
     shifts: list[int] = []
     size = 0

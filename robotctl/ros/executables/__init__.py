@@ -1,7 +1,7 @@
 """The ROS executables: one node per process, for `ros2 run`, launch files and shells.
 
-Each public function is a console script and returns its exit code. It runs the node of its name
-until Ctrl-C; `mode_client` only calls a service.
+Each public function is a console script and returns its exit code. It runs the node that has its
+name until Ctrl-C, except that `mode_client` calls a service and ends.
 """
 
 from __future__ import annotations

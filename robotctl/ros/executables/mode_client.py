@@ -20,11 +20,11 @@ SERVICE_S = 5.0
 """How long to look for the service."""
 
 ANSWER_S = 30.0
-"""How long to wait for the response: a request for IDLE is answered after the ramp."""
+"""How long to wait for the response; a request for IDLE is answered only after the ramp."""
 
 
 def mode_of(text: str) -> Mode:
-    """Return the mode that a text names: a number 0 to 3, or a name in any case, with - or _.
+    """Return the mode that `text` names: a number 0 to 3, or a name in any case, with - or _.
 
     Raises:
         UsageError: There is no such mode.

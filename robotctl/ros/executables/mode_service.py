@@ -1,8 +1,8 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
 """Node `mode_service` of the first-package tutorial: it serves modes and drives no robot.
 
-It uses the daemon's transition table but sends no commands, so it leaves MOVING as soon as a
-robot joins the domain. To drive and record a robot, use `robotctl start`.
+It has the modes and transitions of the daemon, but sends no commands. While a robot is in the
+domain, it refuses MOVING, which would be untrue, and leaves it. For robots: `robotctl start`.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from robotctl.ros.messages import qos
 from robotctl.ros.nodes.mode_service import ESTOP, NODE_NAME, SET_MODE, STATUS
 
 LOOK_S = 0.1
-"""Period of the checks for a robot in the graph."""
+"""How often [s] to look for a robot in the graph."""
 
 STATUS_S = 1.0
 
 GIVEN_UP = ("standalone", "config", "recordings")
-"""Parameters that earlier versions of this executable had; setting one is an error now."""
+"""Parameters of earlier versions of this executable; to set one is an error now."""
 
 DAEMON = "use: robotctl start --config FILE --recordings DIR"
 OTHER = "ask that one, or give this one another namespace or ROS domain"
@@ -43,7 +43,7 @@ DISCOVERY_S = 4.0
 """How long discovery of other processes may take: 2.6 s at worst on one machine (Fast DDS)."""
 
 QUIET_S = 0.1
-"""The endpoints of known processes count as discovered when none changed for this time."""
+"""Discovered processes count as complete when no endpoint has changed for this time."""
 
 NO_ROBOT = "no robot, no odometry and no recorder here: these start conditions are switched off"
 
@@ -67,7 +67,7 @@ class ModeService(Node):
         self.get_logger().warning(f"{NO_ROBOT}; to drive one: robotctl start")
 
     def robot(self) -> str:
-        """Return a sentence that says how a robot shows in the graph, or "" if none does."""
+        """Return what shows that a robot is in the graph, as a sentence, or "" if nothing does."""
         if self.count_publishers("odom"):
             return "odometry is published"
         if self.count_subscribers("cmd_vel"):
@@ -75,7 +75,7 @@ class ModeService(Node):
         return ""
 
     def request(self, number: int) -> tuple[bool, str]:
-        """Request a mode by its number; return whether it was granted, and a sentence on that."""
+        """Request a mode by its number; return whether it was granted, and a sentence about it."""
         if number not in [mode.value for mode in Mode]:
             return False, f"no mode {number}: use 0 to {max(Mode).value}"
         wanted = Mode(number)
@@ -130,7 +130,7 @@ def main() -> int:
 def _only_service(alone: bool, context: Context) -> ModeService:
     """Create the node if no other node serves `set_mode`.
 
-    If `alone`, no other process was in the domain, so discovery is not awaited.
+    If `alone` is false, wait for discovery first; if true, no other process was in the domain.
 
     Raises:
         UsageError: A parameter of `GIVEN_UP` is set.

@@ -16,7 +16,7 @@ LOG_EVERY = 10
 
 
 class OdomSubscriber(Node):
-    """Counts the messages on `odom`, from publishers of any QoS, and logs every tenth position."""
+    """Counts messages on `odom`, of publishers of any QoS; logs the position of every tenth."""
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:
         """Create the node and its subscription; `options` are those of rclpy's Node."""

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-calls=False
-"""Runs one node in the asyncio loop."""
+"""Runs the one node of an executable in the asyncio loop."""
 
 from __future__ import annotations
 
@@ -30,12 +30,13 @@ async def opened_node(
 ) -> AsyncIterator[tuple[Made, AsyncioExecutor]]:
     """Make a node, and run its callbacks in the loop until the block ends.
 
-    The command line goes to rclpy, so `--ros-args` can rename, remap and set parameters. Unless
-    the block raises, `at_end(node)` is called after the last callback, before the node's end.
+    rclpy gets the command line: `--ros-args` can rename the node, remap names and set parameters.
+    Unless the block raises, `at_end(node)` is called after the last callback, before the node is
+    destroyed.
 
     Raises:
         UsageError: An argument is wrong, or ROS_DOMAIN_ID is not a domain.
-        ConfigError: A file of parameters is for other nodes only; rclpy would ignore it.
+        ConfigError: A parameter file names other nodes only; rclpy would ignore it silently.
     """
     context = Context()
     nodes: list[Node] = []
@@ -58,7 +59,7 @@ async def opened_node(
 def run_node(
     make_node: Callable[[Context], Made], at_end: Callable[[Made], None] = lambda node: None
 ) -> int:
-    """Run the node that `make_node` returns until SIGINT, SIGTERM or SIGHUP; return 0."""
+    """Run a node from `make_node` until SIGINT, SIGTERM or SIGHUP, then `at_end`; return 0."""
     return run(_run(make_node, at_end))
 
 

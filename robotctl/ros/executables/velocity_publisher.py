@@ -33,7 +33,7 @@ STEP_S = 0.5
 """The time between two messages of the tutorial."""
 
 QUIET_STEPS = 8
-"""Number of first steps that publish zeros (4 s), during which other nodes are discovered."""
+"""How many steps publish zeros at first (4 s), until the other nodes are discovered."""
 
 STEPS_PER_MPS = 10
 MAX_STEPS = 20
@@ -65,11 +65,11 @@ def sweep_mps(number: int) -> float:
 class VelocityPublisher(Node):
     """Publishes `cmd_vel`: the tutorial's sweep.
 
-    It publishes zeros for 4 s, then a sweep from -2 to 2 m/s in steps of 0.1 each 0.5 s. It
-    publishes zeros instead, and logs why, while another node publishes the topic, a node that may
-    be a robot subscribes to the topic, or discovery reaches beyond this machine.
+    It publishes zeros for 4 s, then a sweep between -2 and 2 m/s in steps of 0.1 each 0.5 s. It
+    publishes zeros instead, and logs why, while another node publishes on the topic, while a node
+    that may be a robot subscribes to it, or if discovery reaches beyond this machine.
 
-    With the parameter `sweep` true, it sweeps in each of these cases; with false, never. The method
+    If the parameter `sweep` is true, it sweeps even then; if false, it never sweeps. The method
     `set_velocity` ends the sweep.
     """
 
@@ -83,12 +83,12 @@ class VelocityPublisher(Node):
         self._said = ""
         self._publisher = command_topic("cmd_vel").create_publisher(self)
         self._own_gid = gid_of(self._publisher)
-        # Steady: zeros must not wait for a /clock that stands still.
+        # The steady clock: zeros must go out even while a simulation's /clock stands still.
         self.create_timer(STEP_S, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info("Velocity Publisher Node started")
 
     def set_velocity(self, linear: float, angular: float) -> None:
-        """Publish this velocity [m/s, rad/s] from now on, within +-2 m/s and +-2 rad/s.
+        """Publish this velocity from now on, limited to +-2 m/s and +-2 rad/s.
 
         Raises:
             ValueError: A number is not finite.
@@ -119,7 +119,7 @@ class VelocityPublisher(Node):
         return f"discovery reaches beyond this machine ({wider})" if wider else ""
 
     def stop(self) -> None:
-        """Publish a last zero; wait until reliable subscribers have it, at most ACKNOWLEDGED_S."""
+        """Publish a last zero; wait at most ACKNOWLEDGED_S until reliable subscribers have it."""
         self._send(ZERO)
         self._publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED_S))
 
@@ -174,7 +174,7 @@ class VelocityPublisher(Node):
         return sweep_mps(self._swept - 1), 0.0
 
     def _say(self, why: str) -> None:
-        """Log `why` zeros are published, if that changed; "" means that the sweep runs."""
+        """Log why zeros are published, if the reason is new; "" stands for a running sweep."""
         if why != self._said:
             self._said = why
             if why:

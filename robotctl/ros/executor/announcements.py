@@ -33,7 +33,7 @@ _RET_UNSUPPORTED = 3
 
 
 class Announcement(Enum):
-    """What rcl can announce; the value is (library, function that sets the callback)."""
+    """What rcl can announce; the value is (library, its function that sets the callback)."""
 
     MESSAGE = ("librcl.so", "rcl_subscription_set_on_new_message_callback")
     REQUEST = ("librcl.so", "rcl_service_set_on_new_request_callback")
@@ -71,7 +71,7 @@ def check_platform() -> None:
 
 @cache
 def counts_each_message() -> bool:
-    """Return whether the middleware never announces fewer messages than have arrived.
+    """Return whether the announced counts include every message that has arrived.
 
     True for rmw_fastrtps: it also announces messages that arrived before the callback was set.
     """
@@ -148,12 +148,12 @@ _passed = False
 
 
 async def check_announcements(context: Context) -> None:
-    """Check that a message to ourselves is announced, and has the expected bytes and info.
+    """Check that a message from this process to itself is announced and correctly read.
 
-    It runs once per process: platform, middleware and the layout of its structures do not change.
+    Later calls do nothing: platform, middleware and its structures do not change in a process.
 
     Raises:
-        UnsupportedPlatform: A step of this does not work; the text says which.
+        UnsupportedPlatform: The check failed; the message says at which step.
     """
     global _passed
     if _passed:
@@ -191,7 +191,7 @@ async def _until_announced(subscription: _rclpy.Subscription, publisher: _rclpy.
         loop.add_reader(fd, announce)
         at_end.callback(loop.remove_reader, fd)
         async with asyncio.timeout(TIMEOUT_S):
-            # Messages that are published before the two are matched are lost.
+            # A message is lost if publisher and subscription have not matched yet.
             while not publisher.get_subscription_count():  # noqa: ASYNC110 - no event tells it
                 await asyncio.sleep(0.001)
             publisher.publish(_SENT)

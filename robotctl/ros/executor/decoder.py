@@ -28,7 +28,7 @@ from rosidl_parser.definition import (
 )
 
 Decode = Callable[[bytes], Any]
-"""Returns the message that the bytes encode; raises an exception if they are cut short."""
+"""Returns the message that `bytes` encode; raises an exception if some bytes are missing."""
 
 _PLAIN_CDR: Final = b"\x00\x01"
 _BODY: Final = 4
@@ -51,7 +51,7 @@ _NUMBERS: Final = {
 
 
 class _Unusual(Exception):
-    """The type has a field that rclpy must decode."""
+    """The type has a field of a kind that only rclpy can decode."""
 
 
 @lru_cache(maxsize=512)
@@ -98,10 +98,10 @@ class _Source:
         self._message_type = message_type
 
     def compile(self) -> Decode:
-        """Return the compiled function; data that is cut short or not plain CDR goes to rclpy.
+        """Return the compiled function; it passes data that it cannot decode to rclpy.
 
         Raises:
-            _Unusual: rclpy must decode the type.
+            _Unusual: Only rclpy can decode this type.
         """
         message = self._message(self._message_type)
         self._end_run()
@@ -201,7 +201,7 @@ class _Source:
     # Places
 
     def _number(self, format_: str) -> str:
-        """Add a number to the run that one `struct` call reads; return its variable's name."""
+        """Add a number to the run that one `struct` call reads; return the number's variable."""
         size = struct.calcsize(format_)
         self._align(size)
         if not self._run_names:

@@ -1,6 +1,6 @@
-"""The part of an executor that exists only while it is open.
+"""The part of an executor that exists only while the executor is open.
 
-Each kind of entity has a class in `sources/` that reads its events and runs its callbacks.
+`sources/` has a class for each kind of entity; it reads the entity's data and runs its callbacks.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from robotctl.ros.executor.sources.waitables import GuardSource, WaitableSource,
 
 
 class Nodes:
-    """The nodes of one executor; each node refers to the executor, as in rclpy."""
+    """The nodes of one executor; sets each node's attribute `executor`, as rclpy does."""
 
     def __init__(self, executor: Any) -> None:
         self._executor = executor
@@ -94,7 +94,7 @@ class Nodes:
             self.remove(node)
 
     def entities(self) -> dict[Any, Node]:
-        """Return every entity with its node; nodes that were destroyed are removed."""
+        """Return entity -> node for all nodes; remove the nodes that were destroyed."""
         found: dict[Any, Node] = {}
         for node in self:
             if is_destroyed(node.handle):
@@ -134,7 +134,7 @@ def _set_executor(node: Any, executor: Any) -> None:
 
 
 class Attachments:
-    """One source for each entity of an executor's nodes; used in the loop's thread only."""
+    """Attaches one source to each entity of an executor's nodes; for the loop's thread only."""
 
     def __init__(self, runtime: Runtime, wait_set: WaitSetThread, executor: Any) -> None:
         self._runtime = runtime
@@ -221,7 +221,7 @@ def _fail_pending(source: Source, reason: str) -> None:
 
 
 class Engine:
-    """Keeps one source attached for each entity of the nodes, and schedules the loop's thread.
+    """Keeps a source attached to each entity of the nodes; sets the loop thread's scheduling.
 
     `wake` and `request_close` may be called from any thread, the rest in the loop's thread only.
     """
@@ -264,7 +264,7 @@ class Engine:
         self.sync()
 
     def wake(self) -> None:
-        """Look for created and destroyed entities in the next turn of the loop."""
+        """Attach created entities, and detach destroyed ones, in the loop's next turn."""
         if self._closing:
             return
         self.runtime.stale = True
@@ -287,7 +287,7 @@ class Engine:
         """Begin no more callbacks, and close the executor in the loop."""
         self._closing = True
         self.runtime.stale = True
-        # Not at once: a signal handler may interrupt code that uses what is released.
+        # Not at once: this may run in a signal handler, amid code that uses what is released.
         self.runtime.loop.call_soon_threadsafe(self._close)
 
     def close(self, finished: Callable[[], None]) -> None:

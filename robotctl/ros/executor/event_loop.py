@@ -1,10 +1,10 @@
-"""The event loop that polls the executor's sources, its beat, and the executor's time limits.
+"""An event loop with cheap wake-ups, the beat on which timers expire, and time limits.
 
-asyncio passes each ready descriptor through a selector key, a handle and a queue to its callback.
-At 1 kHz, where each message wakes the loop, this is a tenth of the CPU time of a message.
+When a descriptor is ready, asyncio makes a selector key and a handle, and queues the handle. At
+1 kHz this is a tenth of the CPU time of a message. `EventLoop` calls the callback directly.
 
 A wake-up costs more than most of the work in it. So tickers of one rate expire together, and
-timers whose exact time does not matter expire with them.
+timers whose exact time does not matter expire together on a beat.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any, Final, TypeVar
 NS_PER_S = 1_000_000_000
 
 SLOW_CALLBACK_NS = 50_000_000
-"""A callback that holds the loop longer is warned about: it delays the control tick."""
+"""If a callback holds the loop longer, a warning is logged: it delays the control tick."""
 
 SLOW_WARNING_PAUSE_NS = 10_000_000_000
 """The least time between two warnings about the same callback, so that the log stays readable."""
@@ -31,8 +31,8 @@ SLICE_NS = 300_000
 """How long one entity may handle messages before the others get their turn."""
 
 TURN_NS = 1_000_000
-"""The time that all flooded entities share in one turn of the loop; it limits how long the others
-wait."""
+"""The time in one turn of the loop that all flooded entities share, so that the entities without
+a flood do not wait long."""
 
 SHORTEST_SLICE_NS = 50_000
 """The shortest slice of a flooded entity: with a shorter one, changing between entities would cost
@@ -42,11 +42,11 @@ FLOOD_REST_S = 0.002
 """How long the messages of a flooded subscription are collected."""
 
 FLOODED_SHARE = 0.1
-"""A pool is flooded if it spends a larger share of its time on messages. At 5 to 10 us for each
-message, that is at 10 to 20 kHz."""
+"""A pool is flooded if handling messages takes a larger share of the time than this. At 5 to 10 us
+for each message, that is the case above 10 to 20 kHz."""
 
 FASTEST_TOPIC_HZ = 50_000.0
-"""The highest rate that is expected: a queue must hold the messages of one rest at this rate."""
+"""The highest rate expected of a topic; its queue must hold the messages of one rest."""
 
 POLLS_PER_RATE_CHECK = 32
 """The rate of a subscription is checked after this number of polls."""
@@ -59,14 +59,14 @@ CALM_BEYOND_NS = 64_000_000
 
 
 BEAT_NS = 20_000_000
-"""The beat of timers that share wake-ups: 50 times a second."""
+"""The time between two beats, 50 a second, on which timers expire together."""
 
 _START_NS = time.monotonic_ns()
-"""The first beat. Each process has its own, so that daemons of one machine take turns."""
+"""The first beat, which differs between the daemons on a machine, so that they take turns."""
 
 
 def beat_before(t_ns: int, period_ns: int = BEAT_NS) -> int:
-    """Return the last beat that is not after the steady time `t_ns` [ns]."""
+    """Return the last beat at or before the steady time `t_ns` [ns]."""
     return t_ns - (t_ns - _START_NS) % period_ns
 
 
@@ -80,7 +80,7 @@ T = TypeVar("T")
 
 
 class _CallingSelector(EpollSelector):
-    """A selector that calls the callbacks of watched descriptors, and returns the others."""
+    """Calls the callbacks of ready watched descriptors, and returns the other ready ones."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -101,7 +101,7 @@ class _CallingSelector(EpollSelector):
         super().close()
 
     def select(self, timeout: float | None = None) -> list[tuple[SelectorKey, int]]:
-        # Rounded up, as the base class does: a timer must not be late by a busy wait.
+        # Rounded up, as in the base class: rounded down, the loop would spin until a timer is due.
         wait_s = -1 if timeout is None else math.ceil(timeout * _MS_PER_S) / _MS_PER_S
         others = []
         for fd, event in self._epoll.poll(wait_s, _MOST_AT_ONCE):
@@ -117,14 +117,14 @@ class _CallingSelector(EpollSelector):
                 self.on_error(error)
         if not others:
             return []
-        # Looked up only now: a call may have replaced the reader of another descriptor.
+        # Looked up only now: a callback may have changed what asyncio watches.
         keyed = self.get_map()
         keys = ((keyed.get(fd), event) for fd, event in others)
         return [(key, _mask(event) & key.events) for key, event in keys if key is not None]
 
 
 def _mask(event: int) -> int:
-    """Convert an epoll event to a selector's; an error counts as readable and writable."""
+    """Convert an epoll event mask to a selector's; an error counts as readable and writable."""
     readable = EVENT_READ if event & ~EPOLLOUT else 0
     return readable | (EVENT_WRITE if event & ~EPOLLIN else 0)
 

@@ -230,7 +230,8 @@ class AsyncioExecutor:
     def create_task(self, callback: Any, *args: Any, **kwargs: Any) -> Future:
         """Run a function, a coroutine function or a coroutine in the loop; return its future.
 
-        The future gets an exception; without a done callback, the exception handler gets it too.
+        The future gets an exception that is raised; the exception handler gets it too, unless the
+        future has a done callback.
 
         Raises:
             RuntimeError: The executor was shut down.
@@ -239,7 +240,7 @@ class AsyncioExecutor:
         return self._tasks.create(callback, args, kwargs)
 
     def wake(self) -> None:
-        """Look for created and destroyed entities; rclpy calls this when a node changes."""
+        """Serve created entities, forget destroyed ones; rclpy calls this when a node changes."""
         if self._engine is not None:
             self._engine.wake()
 
@@ -278,7 +279,7 @@ class AsyncioExecutor:
         return await call(client, request, timeout_s)
 
     async def wait_for(self, future: Future, *, timeout_s: float | None) -> Any:
-        """Return the result of any rclpy Future; a timeout or a cancellation cancels it.
+        """Return the result of any rclpy Future; cancel the future at a timeout or cancellation.
 
         Raises:
             TimeoutError: No result came within `timeout_s` seconds (None: no deadline).

@@ -74,7 +74,7 @@ def open_bridge(loop: asyncio.AbstractEventLoop) -> None:
 
 
 def close_bridge(loop: asyncio.AbstractEventLoop) -> None:
-    """Undo one `open_bridge`; the last one restores rclpy's own method."""
+    """Undo one `open_bridge`; when all are undone, restore rclpy's own method."""
     _bridged_loops[loop] -= 1
     if not _bridged_loops[loop]:
         del _bridged_loops[loop]
@@ -100,10 +100,10 @@ def _running_loop() -> asyncio.AbstractEventLoop | None:
 
 
 class ImmediateCallbacks:
-    """An executor for a future that is being set: it runs the done callbacks at once.
+    """Stands in for a future's executor while the future is set: runs its callbacks at once.
 
-    rclpy's futures pass their callbacks to `create_task` of an executor, which would run them a
-    turn of the loop later.
+    rclpy's futures pass their done callbacks to their executor's `create_task`, which would run
+    them a turn of the loop later.
     """
 
     def __init__(self, report: Callable[[Exception, str], None]) -> None:
@@ -121,10 +121,10 @@ class ImmediateCallbacks:
 def callbacks_at_once(
     future: Future, immediate: ImmediateCallbacks, executor: Any
 ) -> Iterator[None]:
-    """Run the future's done callbacks at once when it is set within the `with` block.
+    """Run the future's done callbacks at once if the future is set within the `with` block.
 
-    Callbacks that are added later go to `executor`: rclpy would otherwise run them under the
-    future's lock.
+    `executor` runs callbacks that are added after the block; without an executor, rclpy would run
+    them under the future's lock.
     """
     future._set_executor(immediate)
     try:
@@ -136,11 +136,11 @@ def callbacks_at_once(
 def fail_pending(
     pending: dict[Any, Future], error: Exception, immediate: ImmediateCallbacks
 ) -> None:
-    """Set the error in every future of `pending`, so that all waits end."""
+    """Set the error in every future of `pending`, so that all waits end, and clear `pending`."""
     for future in list(pending.values()):
         with callbacks_at_once(future, immediate, None):
             future.set_exception(error)
-        # Fetched: otherwise rclpy prints the exception of a future for which nothing waited.
+        # Otherwise rclpy prints the exception, if nothing waits for the future.
         future.exception()
     pending.clear()
 

@@ -12,14 +12,14 @@ if TYPE_CHECKING:
 
 
 class LoopThread:
-    """Runs functions in the loop for any thread; those from before `open` wait for the loop."""
+    """Runs functions in the loop for any thread, and keeps them until `open` gives it a loop."""
 
     def __init__(self) -> None:
         self._loop: AbstractEventLoop | None = None
         self._thread_id: int | None = None
         self._waiting: list[Callable[[], object]] = []
         self._given_up = False
-        # Reentrant: a signal handler may interrupt a call and call again.
+        # Reentrant: a signal handler may interrupt a method that has the lock, and call it again.
         self._lock = threading.RLock()
 
     def is_current(self) -> bool:
@@ -27,7 +27,7 @@ class LoopThread:
         return threading.get_ident() == self._thread_id
 
     def open(self, loop: AbstractEventLoop) -> None:
-        """Run the calls that were kept, then later ones; must be called in the loop's thread."""
+        """Run the kept functions in `loop`, then later ones; call this in the loop's thread."""
         with self._lock:
             self._loop, self._thread_id = loop, threading.get_ident()
             waiting, self._waiting = self._waiting, []
@@ -35,7 +35,7 @@ class LoopThread:
                 loop.call_soon(callback)
 
     def give_up(self) -> None:
-        """Run kept calls now and later calls at once, in the caller's thread: no loop will run."""
+        """Do without a loop: run kept functions now, later ones at once, in the caller's thread."""
         with self._lock:
             self._given_up = True
             waiting, self._waiting = self._waiting, []
@@ -43,7 +43,7 @@ class LoopThread:
             callback()
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call `callback` in one of the loop's next turns.
+        """Call `callback` in one of the loop's next turns, as soon as there is a loop.
 
         Raises:
             RuntimeError: The loop is closed.
@@ -73,8 +73,8 @@ def check_priority(priority: int) -> None:
 class FifoScheduling:
     """Runs the calling thread under SCHED_FIFO until `restore`.
 
-    Threads that it starts later do not inherit this: a DDS thread under SCHED_FIFO would delay
-    the robot's other threads.
+    Threads that the thread starts later do not inherit SCHED_FIFO: a DDS thread under it would
+    delay the robot's other threads.
     """
 
     def __init__(self, priority: int) -> None:

@@ -12,8 +12,8 @@ from robotctl.ros.executor import rcutils
 from robotctl.ros.executor.rcutils import RclCallFailed
 
 SerializedData = bytes | memoryview
-"""A serialized message. Messages of more than 1 MiB are a memoryview of the executor's buffer,
-valid during the call only, so that a message that is not kept is not copied."""
+"""A serialized message. Above 1 MiB it is a memoryview of the executor's buffer, which is valid
+during the call only: then a sink copies only the messages that it keeps."""
 
 Sink = Callable[[bytes, int, int, int, bytes], object]
 """Called with (data, received_ns, source_ns, sequence, gid) for each message."""
@@ -26,7 +26,7 @@ UNKNOWN_GID = b""
 
 
 def _nothing() -> None:
-    """Do nothing: no AsyncioExecutor serves the subscription."""
+    """The `poll` of a tap that no AsyncioExecutor serves: do nothing."""
 
 
 class RawTap:
@@ -42,8 +42,8 @@ class RawTap:
     An AsyncioExecutor reads such messages without rclpy, and collects them for `latency_s`,
     because one wake-up costs ten times as much as reading one message. The time stamps stay exact:
     the middleware sets them. If the subscription's queue is too short for that (below 500 for the
-    default), messages are collected for less time or not at all. Any other executor calls the tap
-    as an ordinary callback; the gid is then `UNKNOWN_GID`.
+    default), messages are collected for less time or not at all. An executor of rclpy calls the
+    tap as an ordinary callback; the gid is then `UNKNOWN_GID`.
     """
 
     __slots__ = ("__weakref__", "latency_s", "poll", "sink", "views")
@@ -92,8 +92,8 @@ Taken = tuple[bytes | memoryview, int, int, int, bytes]
 class TakenMessage(NamedTuple):
     """One serialized message, and what the middleware knows about it.
 
-    received_ns and source_ns are wall-clock nanoseconds; sequence counts the messages of the
-    publisher that gid (16 bytes) names, so a gap in it is a lost message.
+    received_ns and source_ns are wall-clock times [ns] of reception and publication. gid (16 bytes)
+    identifies the publisher, which numbers its messages by sequence: a gap is a lost message.
     """
 
     data: bytes
@@ -129,7 +129,7 @@ class SerializedTaker:
     """
 
     _kept_by_all = 0
-    """Bytes of large buffers that all takers keep."""
+    """Total size [bytes] of the large buffers that all takers keep."""
 
     __slots__ = (
         "_bare",
@@ -199,7 +199,7 @@ class SerializedTaker:
         )
 
     def info(self) -> dict[str, int | None]:
-        """Return the message info of the last message, as rclpy passes it to a callback."""
+        """Return the info of the message taken last, in the form that rclpy gives a callback."""
         source_ns, received_ns, sent, received, _, _ = _MESSAGE_INFO.unpack_from(self._info)
         return {
             "source_timestamp": source_ns,
@@ -223,7 +223,7 @@ class SerializedTaker:
         return view if self._views else bytes(view)
 
     def _end_large(self) -> None:
-        """Release the lent view; free the buffer if all kept ones would exceed KEPT_BYTES."""
+        """Release the lent view; free the buffer if the kept ones would exceed KEPT_BYTES."""
         assert self.lent is not None
         self.lent.release()
         self.lent = None

@@ -1,10 +1,9 @@
 # mypy: disallow-untyped-calls=False
-"""Responses to clients whose reader of responses may not be discovered yet.
+"""Holds a service's response back until the client's reader of responses is discovered.
 
-A client discovers its server by two pairs of endpoints, and the server the client by the same two,
-in any order. If a request arrives before the reader of its response is discovered, rmw_fastrtps
-blocks for 0.1 s and then drops the response; rclpy only warns. Here the response waits instead, and
-the loop does not.
+A client has a writer of requests and a reader of responses; the server may discover the writer
+first. If it then responds, rmw_fastrtps blocks for 0.1 s and drops the response, and rclpy only
+warns. Here the response waits until the reader is discovered; the loop goes on meanwhile.
 """
 
 from __future__ import annotations
@@ -27,20 +26,20 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from robotctl.ros.executor.runtime import Runtime, log
 
 WAIT_S: Final = 5.0
-"""How long a response waits for its reader; then it is dropped."""
+"""How long a response waits until its reader is discovered; then the response is dropped."""
 
 MAX_WAITING: Final = 100
-"""Limit on the waiting responses of one service; the oldest is dropped."""
+"""Limit on the waiting responses of one service; beyond it, the oldest is dropped."""
 
 POLL_S: Final = 0.02
-"""The time between two looks for readers, while a response waits: the graph has no callback."""
+"""How often [s] to look for readers while a response waits: no callback announces a reader."""
 
 PAUSE_S: Final = 1.0
 """The least time between two attempts to send to a reader that is discovered but not matched:
 each attempt blocks the loop for 0.1 s."""
 
 MAX_KNOWN: Final = 1_000
-"""Limit on the readers that are remembered because a response has reached them."""
+"""Limit on the remembered readers, to which a response is sent without a look at the graph."""
 
 _GID_BYTES: Final = 16
 _READER_BIT: Final = 0x04
@@ -49,7 +48,7 @@ _READER_BIT: Final = 0x04
 
 @dataclass(slots=True)
 class _Waiting:
-    """A response, or a request, that waits for the reader `gid`; times are the loop's, in s."""
+    """An attempt that waits for the reader `gid`, at most until the loop's time `until_s` [s]."""
 
     gid: bytes
     attempt: Callable[[], bool]
@@ -57,7 +56,7 @@ class _Waiting:
 
 
 class Replies:
-    """Sends each response of a service once its client's reader is discovered; loop thread only."""
+    """Sends each response once its client's reader is discovered; for the loop's thread only."""
 
     def __init__(
         self, runtime: Runtime, where: str, readers: Callable[[], Container[bytes]]
@@ -69,13 +68,13 @@ class Replies:
         self._known: set[bytes] = set()
         """Readers to which a response was sent."""
         self._paused: dict[bytes, float] = {}
-        """Reader to which sending failed -> the loop's time [s] before which no attempt is made."""
+        """Reader to which sending failed -> the loop's time [s] until which sending pauses."""
         self._waiting: deque[_Waiting] = deque()
         self._timer: TimerHandle | None = None
         self._closed = False
 
     def send(self, header: Any, attempt: Callable[[], bool]) -> None:
-        """Call `attempt()` once the client of the request with this header can be answered.
+        """Call `attempt()` once the reader of the client that sent `header` is discovered.
 
         `attempt` returns whether the middleware accepted the response; if not, it is called again.
         After WAIT_S the response is dropped, with a line in the log.
@@ -90,7 +89,7 @@ class Replies:
             self._keep(_Waiting(gid, attempt, now_s + WAIT_S))
 
     def close(self) -> None:
-        """Drop the waiting responses; `send` keeps none from now on."""
+        """Drop the waiting responses; from now on, `send` makes one attempt at once."""
         self._closed = True
         self._waiting.clear()
         if self._timer is not None:
@@ -148,7 +147,7 @@ class Replies:
 
 
 class _Everything:
-    """Contains each gid."""
+    """A container that contains every gid."""
 
     def __contains__(self, gid: object) -> bool:
         return True
@@ -157,8 +156,8 @@ class _Everything:
 def readers_of(node: Node, service: str) -> Callable[[], Container[bytes]]:
     """Return a function that lists the discovered readers of the responses of a service.
 
-    `service` is its full name. If they cannot be listed, because a name is not UTF-8 or the node is
-    destroyed, each reader counts as discovered.
+    `service` is its full name. If the readers cannot be listed, because a name is not UTF-8 or the
+    node is destroyed, every reader counts as discovered.
     """
     topic = f"rr{service}Reply"
 
@@ -174,9 +173,9 @@ def readers_of(node: Node, service: str) -> Callable[[], Container[bytes]]:
 
 
 def reader_of(header: Any) -> bytes | None:
-    """Return the gid of the reader that waits for the response to a request.
+    """Return the gid of the client's reader of responses, from the header of its request.
 
-    None if it is unknown: this process or the client does not use Fast DDS.
+    None if the gid is unknown: this process or the client does not use Fast DDS.
     """
     if isinstance(header, _rclpy.rmw_service_info_t):
         header = header.request_id
@@ -184,8 +183,8 @@ def reader_of(header: Any) -> bytes | None:
         return None
     if "fastrtps" not in get_rmw_implementation_identifier():
         return None
-    # rclpy shows the sequence number only, which stands behind the gid in rmw_request_id_t. A
-    # Python object of pybind11 begins with the address of its C structure.
+    # rclpy hides the gid, which precedes the sequence number in rmw_request_id_t. So read the C
+    # structure, whose address a pybind11 object has behind its Python header.
     address = ctypes.c_void_p.from_address(id(header) + object.__basicsize__).value
     raw = ctypes.string_at(address, _GID_BYTES + 8) if address else b""
     gid, sequence = raw[:_GID_BYTES], raw[_GID_BYTES:]
@@ -206,17 +205,17 @@ _REQUESTER: ContextVar[bytes | None] = ContextVar("requester", default=None)
 
 
 def requester() -> bytes | None:
-    """Return the gid of the client whose request or goal the caller handles.
+    """Return the gid of the client whose request or goal is being handled.
 
-    The gid (16 bytes) is that of the client's reader of responses. None outside of handlers, or if
-    the middleware does not report it.
+    The gid (16 bytes) is that of the client's reader of responses. None if no handler runs, or if
+    the middleware does not report the gid.
     """
     return _REQUESTER.get()
 
 
 @contextmanager
 def request_of(header: Any) -> Iterator[None]:
-    """Make `requester` return the client of this request header within the `with` block."""
+    """Within the `with` block, make `requester` return the gid of the client that sent `header`."""
     token = _REQUESTER.set(reader_of(header))
     try:
         yield

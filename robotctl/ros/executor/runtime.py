@@ -36,17 +36,18 @@ from robotctl.ros.executor.event_loop import (
 
 
 class Pooled(Protocol):
-    """A source in a pool."""
+    """A source that a pool polls."""
 
     def poll(self) -> bool:
         """Deliver the waiting data; return whether the slice ended before all was delivered."""
 
 
 class Pool:
-    """Polls its sources at the first message, then rests for `rest_s` seconds after each poll.
+    """Polls its sources when a message arrives, and rests for `rest_s` seconds after each poll.
 
-    Without messages it does not wake the loop. In a flood it rests for FLOOD_REST_S only: the more
-    messages wait, the longer Fast DDS takes to add one, so a long rest costs more than it saves.
+    Without messages it does not wake the loop. In a flood it rests for FLOOD_REST_S at most: the
+    more messages wait, the longer Fast DDS takes to add one, so a longer rest would cost more than
+    it saves.
     """
 
     def __init__(self, loop: AbstractEventLoop, rest_s: float) -> None:
@@ -109,7 +110,7 @@ class Pool:
                 self._resting = self._loop.call_at(rested_s(rest_s), self._poll)
 
     def _rest_after(self, begun_ns: int, *, left: bool) -> float:
-        """Return how long to rest [s], by the share of time that polls took since the last rest."""
+        """Return how long to rest [s]: less in a flood, and not at all if data is `left`."""
         now_ns = time.monotonic_ns()
         self._busy_ns += now_ns - begun_ns
         if left:
@@ -132,7 +133,7 @@ class Pool:
 
 
 def rested_s(rest_s: float) -> float:
-    """Return the steady time [s] when a rest ends; one longer than BEAT_NS ends on a beat."""
+    """Return the steady time [s] when a rest that begins now ends; a long one ends on a beat."""
     until_ns = time.monotonic_ns() + round(rest_s * NS_PER_S)
     if rest_s * NS_PER_S > BEAT_NS:
         until_ns = beat_before(until_ns)
@@ -209,7 +210,7 @@ class TimedSteps:
 log = logging.getLogger("robotctl.ros.executor")
 
 ExceptionHandler = Callable[[Exception, str], None]
-"""Called with each exception that a callback raises, and a text that names the callback."""
+"""Called with each exception that a callback raises, and the name of that callback."""
 
 
 class Resumable(Protocol):
@@ -231,12 +232,12 @@ class Runtime:
         self.loop = loop
         self.sync = sync
         self.stale = False
-        """Whether an entity was created or destroyed, so that `sync` must precede a callback."""
+        """Whether an entity was created or destroyed; then call `sync` before the next callback."""
         self.tasks: set[asyncio.Task[None]] = set()
         self.slow = SlowCallbacks()
         self.slice_ns = SLICE_NS
         self.flooded: set[object] = set()
-        """The sources whose last time slice ended before all data was delivered."""
+        """The sources that had data left at the end of their last time slice."""
         self._pools: dict[float, Pool] = {}
         self._on_exception = on_exception
         self._on_idle: Callable[[], None] | None = None
@@ -257,7 +258,7 @@ class Runtime:
         )
 
     def pool(self, rest_s: float) -> Pool:
-        """Return the pool of the sources that may wait `rest_s` seconds."""
+        """Return the pool that rests for `rest_s` seconds; create it if needed."""
         if rest_s not in self._pools:
             self._pools[rest_s] = Pool(self.loop, rest_s)
         return self._pools[rest_s]
@@ -269,7 +270,7 @@ class Runtime:
         self._pools.clear()
 
     def mark_flooded(self, source: object) -> None:
-        """Shorten the slices, so that this source and the other flooded ones share a turn."""
+        """Note that the source has data left, and shorten the slice of each flooded source."""
         if source not in self.flooded:
             self.flooded.add(source)
             self._share_turn()
@@ -300,7 +301,7 @@ class Runtime:
 
         def end(task: asyncio.Task[None]) -> None:
             self.tasks.discard(task)
-            # Otherwise, if cancelled before its first step, it warns that it was never awaited.
+            # Otherwise a task cancelled before its first step warns of a never awaited coroutine.
             coroutine.close()
             if finished is not None:
                 finished()

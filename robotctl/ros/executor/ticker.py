@@ -49,7 +49,7 @@ def _fail(what: str) -> OSError:
 
 
 class TimerFd:
-    """A timer on the steady clock whose `fd` becomes readable when it expires."""
+    """A timer on the steady clock; its descriptor `fd` becomes readable when it expires."""
 
     __slots__ = ("_closed", "fd")
 
@@ -78,7 +78,7 @@ class TimerFd:
         self._set(0, 0, 0)
 
     def read(self) -> int:
-        """Return how many times it expired since the last read."""
+        """Return how many times the timer expired since the last read; do not wait."""
         try:
             return int.from_bytes(os.read(self.fd, 8), "little")
         except BlockingIOError:
@@ -104,21 +104,23 @@ MAX_HZ = 10_000.0
 class Tick(NamedTuple):
     """One tick of a `Ticker`; times are steady nanoseconds (`time.monotonic_ns`).
 
-    t_ns is when the tick was delivered, due_ns when it was due. missed is the number of ticks
-    before it that were skipped because the loop was busy; they are never delivered in a burst.
+    Ticks that fall due while the loop is busy are skipped, not delivered in a burst.
     """
 
     t_ns: int
+    """When the tick was delivered."""
     due_ns: int
+    """When the tick was due."""
     missed: int
+    """The number of ticks skipped since the last one."""
 
 
 class Ticker:
     """Ticks on an absolute schedule of the steady clock, for one task at a time.
 
-    The first tick comes within a period after the first wait, and later ones at multiples of the
-    period after it, even if a tick was handled late. Tickers of one rate in one process tick at
-    the same times. A Linux timer drives them, because asyncio's own timers round up to 1 ms.
+    The first tick comes within a period after the first wait; later ones follow it at multiples
+    of the period, even if a tick is handled late. All tickers of one rate in a process tick at the
+    same times. A Linux timer drives them, because asyncio's own timers round up to 1 ms.
 
         async for tick in Ticker(50.0):
             step(tick.t_ns)
@@ -130,7 +132,7 @@ class Ticker:
     """
 
     def __init__(self, hz: float, *, lead_ns: int = 0) -> None:
-        """Tick `hz` times a second, `lead_ns` before the other tickers of this rate.
+        """Tick `hz` times a second, `lead_ns` [ns] before tickers of this rate without a lead.
 
         Raises:
             ValueError: hz is not a finite number in (0, 10000].

@@ -1,4 +1,4 @@
-"""Waits for changes of the ROS graph, which rcl announces by a guard condition of the node."""
+"""Waits for changes of the ROS graph, at which rcl triggers a guard condition of the node."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class GraphChanges:
     """Watches for changes of the graph during the `with` block, for one task of the loop.
 
     rcl has no callback for graph changes, so a thread waits for them. After a change the thread
-    pauses until the next `wait`, so constant changes wake it no more often than the task waits.
+    pauses until the task calls `wait` again; so even constant changes cost little.
     """
 
     def __init__(self, node: Node) -> None:

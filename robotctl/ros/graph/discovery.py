@@ -1,7 +1,8 @@
 """Waiting until all processes in a ROS domain are discovered, and have discovered this one.
 
-Each process announces its nodes' endpoints on the DDS topic `ros_discovery_info`. Reader and writer
-are created through rmw, because rcl allows no topic name without a leading slash.
+Each process announces the endpoints of its nodes by a message on the DDS topic
+`ros_discovery_info`, here called its introduction. Reader and writer are created through rmw,
+because rcl allows no topic name without a leading slash.
 """
 
 from __future__ import annotations
@@ -35,11 +36,14 @@ _TIMEOUT: Final = 2
 
 
 class Introduction(NamedTuple):
-    """A process's last announcement: its gid prefix, its endpoints' gids, and the raw message."""
+    """The last announcement of a process on `ros_discovery_info`."""
 
     process: bytes
+    """The prefix of the gids of the process's endpoints."""
     endpoints: frozenset[bytes]
+    """The gids of the endpoints."""
     data: bytes
+    """The serialized message."""
 
 
 class IntroductionReader:
@@ -85,7 +89,7 @@ class IntroductionWriter:
     """Announces this process again, to learn whether others know its endpoints.
 
     The middleware announces our publishers in the order of their creation. This writer is created
-    last, so a process that has acknowledged its message knows all the others.
+    last, so a process that has acknowledged its message knows all our other publishers.
     """
 
     def __init__(self, node: Node) -> None:
@@ -110,7 +114,7 @@ class IntroductionWriter:
         _checked("rmw_publish_serialized_message", self._writer, ctypes.byref(message), None)
 
     def is_acknowledged(self) -> bool:
-        """Return whether all discovered processes have acknowledged what was written."""
+        """Return whether all discovered processes have acknowledged the last announcement."""
         wait = _function("rmw_publisher_wait_for_all_acked", ctypes.c_int)
         code = wait(self._writer, RmwTime(0, 0))
         if code == _TIMEOUT:
@@ -123,10 +127,10 @@ class IntroductionWriter:
 
 
 def read_introduction(data: bytes) -> Introduction:
-    """Read a rmw_dds_common/ParticipantEntitiesInfo.
+    """Read a serialized rmw_dds_common/ParticipantEntitiesInfo.
 
     Raises:
-        struct.error: `data` is no such message.
+        struct.error: `data` is cut short, or is not such a message.
     """
     reader = CdrReader(data)
     process = reader.octets(GID_BYTES)[:PROCESS_BYTES]
@@ -203,15 +207,15 @@ _POLL_S: Final = 0.005
 _ACKNOWLEDGED_POLL_S: Final = 0.001
 
 REPEAT_S: Final = 0.02
-"""The time between two announcements of `make_known`; others acknowledge one after about 8 ms."""
+"""How often [s] `make_known` repeats the announcement, which is acknowledged after about 8 ms."""
 
 
 class FoundEndpoint(NamedTuple):
-    """A discovered endpoint."""
+    """An endpoint of any process that the middleware has discovered."""
 
     gid: bytes
     introduces: bool
-    """Whether it is on the introductions' topic; such an endpoint need not belong to a node."""
+    """Whether it is on `ros_discovery_info`; such an endpoint need not belong to a node."""
 
     @property
     def process(self) -> bytes:
@@ -222,7 +226,7 @@ class FoundEndpoint(NamedTuple):
 class Discovery:
     """Finds out when a node has discovered the endpoints of all other processes.
 
-    Close it before the node is destroyed.
+    Call `close` before the node is destroyed.
     """
 
     def __init__(self, node: Node, domain_id: int) -> None:
@@ -234,7 +238,7 @@ class Discovery:
         self._since_s = time.monotonic()
 
     def close(self) -> None:
-        """Remove its reader of introductions from the graph."""
+        """Destroy the reader of introductions, which leaves the graph."""
         self._introductions.close()
 
     def wait(self, quiet_s: float, until_s: float, stopped: threading.Event) -> None:
@@ -253,16 +257,16 @@ class Discovery:
             stopped.wait(_POLL_S)
 
     def is_alone(self) -> bool:
-        """Return whether there is no other process in the domain, so nothing to discover.
+        """Return whether there is surely no other process in the domain to discover.
 
-        False if processes may be on other machines.
+        False if processes may be on other machines, because these cannot be counted.
         """
         return is_on_this_machine_only() and participants_here(self._domain_id) == 1
 
     def is_complete(self, quiet_s: float) -> bool:
-        """Read the graph; return whether all processes are discovered and quiet, as in `wait`.
+        """Return whether all processes are discovered and nothing changed for `quiet_s` seconds.
 
-        False if processes may be on other machines.
+        False if processes may be on other machines. See `wait`.
         """
         if not is_on_this_machine_only():
             return False
@@ -278,9 +282,10 @@ class Discovery:
         return now_s - self._since_s >= quiet_s and count_complete(known, introduced) >= here
 
     def make_known(self, until_s: float, stopped: threading.Event) -> bool:
-        """Wait until all discovered processes know all publishers of this one.
+        """Wait until all discovered processes know all publishers of this process.
 
-        Returns False if one has not acknowledged them by `until_s`, or if `stopped` is set.
+        Return False if a process does not acknowledge that by `until_s` (`time.monotonic`), or if
+        `stopped` is set.
         """
         writer = IntroductionWriter(self._node)
         try:
@@ -307,7 +312,8 @@ def _discovered(node: Node) -> Iterator[FoundEndpoint]:
 
 
 def count_complete(known: Iterable[FoundEndpoint], introduced: Mapping[bytes, Introduction]) -> int:
-    """Count the processes whose nodes' discovered endpoints are exactly those they introduced."""
+    """Count the processes that are fully discovered: the endpoints of their nodes in `known` are
+    exactly those that they introduced."""
     of_nodes: dict[bytes, set[bytes]] = {}
     all_gids: dict[bytes, set[bytes]] = {}
     for each in known:

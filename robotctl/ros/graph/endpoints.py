@@ -20,7 +20,7 @@ from robotctl.ros.graph.rcl_graph import Gid, Role
 
 
 class Endpoint(NamedTuple):
-    """A publisher or subscription of any process; its names show non-UTF-8 bytes as `\\xff`."""
+    """A publisher or subscription of any process; bytes that are not UTF-8 become `\\xff`."""
 
     node_name: str
     node_namespace: str
@@ -30,10 +30,10 @@ class Endpoint(NamedTuple):
 
 
 def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
-    """Return full topic name -> types; names are those of ROS or, with `dds_names`, of DDS.
+    """Return full topic name -> types; with `dds_names`, the names and types of DDS, not of ROS.
 
-    Bytes that are not UTF-8 are surrogate escapes in names, as in file names, and backslash
-    escapes in types.
+    A byte that is not UTF-8 becomes a surrogate escape in a name, as in file names, and a backslash
+    escape in a type.
     """
     try:
         return dict(node.get_topic_names_and_types(dds_names))
@@ -47,17 +47,17 @@ def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
 
 
 def publishers(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
-    """Return the publishers of a topic; `topic` is a name as `topics` returns it."""
+    """Return the publishers of a topic; `topic` is a key of the dict that `topics` returns."""
     return _endpoints(node, Role.PUBLISHER, topic, dds_names)
 
 
 def subscriptions(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
-    """Return the subscriptions to a topic; `topic` is a name as `topics` returns it."""
+    """Return the subscriptions to a topic; `topic` is as in `publishers`."""
     return _endpoints(node, Role.SUBSCRIPTION, topic, dds_names)
 
 
 def publisher_count(node: Node, topic: str) -> int:
-    """Return how many publishers a topic has; `topic` is a name as `topics` returns it.
+    """Return how many publishers a topic has; `topic` is its full name.
 
     rclpy's `Node.count_publishers` would expand and validate the name each time.
     """
@@ -67,7 +67,7 @@ def publisher_count(node: Node, topic: str) -> int:
 
 
 def subscription_count(node: Node, topic: str) -> int:
-    """Return how many subscriptions a topic has; `topic` is a name as `topics` returns it."""
+    """Return how many subscriptions a topic has; `topic` is its full name."""
     with node.handle:
         count: int = node.handle.get_count_subscribers(topic)
         return count
@@ -95,7 +95,7 @@ _OF_RCLPY = {
 
 
 def _endpoints(node: Node, role: Role, topic: str, dds_names: bool) -> list[Endpoint]:
-    # rclpy's methods of Node would refuse names that ROS does not allow.
+    # Not by the methods of rclpy's Node, which refuse names that ROS does not allow.
     with node.handle:
         if topic.isascii():
             try:
@@ -130,13 +130,13 @@ def _escaped(text: bytes) -> str:
 
 
 LOOK_NODE = "_robotctl_look_"
-"""Prefix of the node names of `robotctl topic|node|service` commands; ROS tools hide them."""
+"""Prefix of the names of nodes of `robotctl topic|node|service`; ROS tools hide such nodes."""
 
 TOOL_NODES = (LOOK_NODE, "_ros2cli_")
 """Prefixes of the node names of commands that read topics and drive nothing."""
 
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
-"""The node name that rmw reports for a publisher discovered before its node."""
+"""The node name that rmw reports for an endpoint while the endpoint's node is not discovered."""
 
 PROCESS_BYTES = 12
 """Length of the gid prefix that all endpoints of a process share (DDSI-RTPS 2.5, 8.2.4.1,
@@ -162,15 +162,15 @@ def gid_of(publisher: Publisher) -> bytes:
 
 
 def publisher_names(node: Node, topic: str) -> dict[bytes, str]:
-    """Return the node of each publisher of a topic as gid -> full name, "" where unknown."""
+    """Return gid -> full name of its node ("" if unknown) for each publisher of a topic."""
     return {each.gid: full_name(each) for each in publishers(node, topic)}
 
 
 def node_of(node: Node, topic: str, gid: bytes) -> str:
     """Return the full name of the node whose publisher of a topic has this gid, "" if unknown.
 
-    A message may arrive before its publisher is discovered. The publisher's process is known by
-    then; if the process has only one node, that node is returned.
+    A message may arrive before its publisher is discovered, but not before the publisher's process
+    is. So for an unknown publisher, if its process has only one node, return that node's name.
     """
     name = publisher_names(node, topic).get(gid, "")
     if name:

@@ -13,15 +13,16 @@ from robotctl.ros.context import close_context, open_context
 
 
 class Membership:
-    """A node in a ROS domain during a `with` block; the middleware's threads discover others.
+    """A node in a ROS domain; at the end of the `with` block it leaves the domain.
 
-    It imports little itself, so that discovery goes on while the command imports the rest.
+    The module imports little, so that discovery, in the middleware's threads, begins early and
+    goes on while the command imports the rest.
     """
 
     def __init__(self, domain_id: int, node_name: str) -> None:
         self.domain_id = domain_id
         self.was_certainly_empty = is_certainly_empty(domain_id)
-        """Whether the domain certainly had no other process when this process joined."""
+        """Whether the domain surely had no other process when this process joined it."""
 
         self.since_s = time.monotonic()
         self._context = open_context(domain_id)
@@ -32,7 +33,7 @@ class Membership:
             enable_rosout=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
-        # Here, because the middleware discovers others during this import.
+        # Imported only here: the middleware discovers other processes during the import.
         from robotctl.ros.graph.discovery import Discovery
 
         self.discovery = Discovery(self.node, domain_id)

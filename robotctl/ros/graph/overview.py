@@ -1,4 +1,4 @@
-"""What a node sees of the graph, as plain objects: the answers of `robotctl topic|node|service`."""
+"""The graph that a node sees, as JSON objects for `robotctl topic|node|service`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robotctl.ros.graph.endpoints import LOOK_NODE, Endpoint, full_name
 from robotctl.ros.messages import qos
 
 MAX_NAMES = 5000
-"""Limit on the names of one kind in an overview; other processes may announce any number."""
+"""Limit on the topics, on the services and on the nodes; other processes may create any number."""
 
 _REQUEST_TOPIC = re.compile(r"rq(/.+)Request")
 _REQUEST_TYPE = re.compile(r"(\w+)::srv::dds_::(\w+)_Request_|(\w+)::action::dds_::(\w+)_Request_")
@@ -56,7 +56,7 @@ def topic_facts(node: Node, topic: str) -> dict[str, Any]:
 def node_facts(node: Node, name: str) -> dict[str, Any] | None:
     """Return what the node with this full name publishes, subscribes to, serves and calls.
 
-    None if no such node is known.
+    None if no such node is discovered.
     """
     namespace, _, base = name.rpartition("/")
     try:
@@ -89,7 +89,7 @@ def _typed(names: Mapping[str, Iterable[str]]) -> list[dict[str, Any]]:
 
 
 def services(node: Node) -> dict[str, set[str]]:
-    """Return service name -> types for each service with a server or client, by its DDS topic."""
+    """Return name -> types of each service with a server or a client, found by its DDS topics."""
     found: dict[str, set[str]] = {}
     for topic, types in endpoints.topics(node, dds_names=True).items():
         if match := _REQUEST_TOPIC.fullmatch(topic):

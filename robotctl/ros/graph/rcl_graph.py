@@ -1,4 +1,4 @@
-"""Topics and endpoints of the graph as bytes: rclpy's calls fail on names that are not UTF-8."""
+"""Names and endpoints of the graph, read as bytes: rclpy fails on a name that is not UTF-8."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.ros.executor import RclCallFailed, rcutils
 
 GID_BYTES = 16
-"""RMW_GID_STORAGE_SIZE; each message's info holds the same bytes."""
+"""RMW_GID_STORAGE_SIZE; the gid in a message's info has the same size."""
 
 
 class StringArray(ctypes.Structure):
@@ -109,7 +109,7 @@ class Gid(ctypes.Structure):
 
 
 class Role(Enum):
-    """The kind of an endpoint; the value is rcl's function that lists endpoints of that kind."""
+    """The kind of an endpoint; the value names rcl's function that lists endpoints of this kind."""
 
     PUBLISHER = "rcl_get_publishers_info_by_topic"
     SUBSCRIPTION = "rcl_get_subscriptions_info_by_topic"

@@ -1,8 +1,9 @@
 """The classes of installed types, by name.
 
-Other processes and files choose type names: they must not choose what Python imports. So only
-names that the ament index lists are imported. `NO_PUBLISHER_EVENTS` and `NO_SUBSCRIPTION_EVENTS`
-avoid rclpy's event handlers: each takes a file descriptor, and the graph shows what it reports.
+Type names come from other processes and from files, which must not choose what Python imports. So
+only types that the ament index lists are imported. `NO_PUBLISHER_EVENTS` and
+`NO_SUBSCRIPTION_EVENTS` switch off rclpy's default event handlers: each takes a file descriptor,
+and what it reports can be read from the graph.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 MAX_TYPE_NAME = 255
-"""Limit on the characters of a name; a longer one does not fit into a Fast DDS announcement."""
+"""Limit on the characters of a type name; a longer one does not fit into Fast DDS's discovery."""
 
 _CALL = r"(?:_Request|_Response|_Event)?"
 _IMPLIED = {
@@ -29,7 +30,7 @@ _IMPLIED = {
     "srv": _CALL,
     "action": rf"(?:_Goal|_Result|_Feedback|_FeedbackMessage|_(?:SendGoal|GetResult){_CALL})?",
 }
-"""Kind of interface -> pattern of the suffixes of the types that the interface implies."""
+"""Kind of interface -> pattern of the suffixes of its types, such as `_Request` of a service."""
 
 _TYPE_NAMES = {
     kind: re.compile(rf"([a-z](?:_?[a-z0-9])*)/{kind}/([A-Z][A-Za-z0-9]*){implied}")
@@ -39,16 +40,17 @@ _TYPE_NAMES = {
 
 
 class UnusableType(ImportError):
-    """A type cannot be used here; the text continues the words "the type, which"."""
+    """A type cannot be used here; the message says why in words that follow "the type, which"."""
 
 
 class TypeName(NamedTuple):
-    """A name `package/kind/short`; `interface` is the installed interface that implies `short`."""
+    """The parts of a type name `package/kind/short`."""
 
     package: str
     kind: str
     short: str
     interface: str
+    """The name of the interface that defines the type: `SetMode` for `SetMode_Request`."""
 
 
 def parse_type_name(type_name: str) -> TypeName:
@@ -72,7 +74,7 @@ def type_name_of(message_class: Any) -> str:
 
 @lru_cache(maxsize=1024)
 def message_class(type_name: str) -> Any:
-    """Return the class of `pkg/msg/T`, or of a type that a service or an action implies.
+    """Return the class of `pkg/msg/T`, or of a service or action type such as `pkg/srv/T_Event`.
 
     Raises:
         UnusableType: The name is invalid or not in the ament index, or the class cannot be loaded.
@@ -82,7 +84,7 @@ def message_class(type_name: str) -> Any:
         raise UnusableType("is not installed")
     try:
         module = import_module(f"{name.package}.{name.kind}")
-        # Implied types are defined in their interface's module, and not always exported.
+        # `T_Event` is defined in the module of `T`; the package does not always export it.
         module = import_module(getattr(module, name.interface).__module__)
         return getattr(module, name.short)
     except BaseException as error:
@@ -92,7 +94,7 @@ def message_class(type_name: str) -> Any:
 
 
 def is_installed(name: TypeName) -> bool:
-    """Return whether the ament index lists the interface."""
+    """Return whether the ament index lists the interface that defines the type."""
     try:
         content, _ = get_resource("rosidl_interfaces", name.package)
     except (OSError, ValueError, LookupError):
@@ -102,7 +104,7 @@ def is_installed(name: TypeName) -> bool:
 
 
 def _is_ctrl_c() -> bool:
-    """Return whether this is the main thread: Python raises a Ctrl-C in no other."""
+    """Return whether a KeyboardInterrupt may be a Ctrl-C: only the main thread gets those."""
     return threading.current_thread() is threading.main_thread()
 
 
@@ -112,7 +114,7 @@ NO_SUBSCRIPTION_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 
 @dataclass(frozen=True, slots=True)
 class OwnTopic:
-    """A topic of robotctl with its offered QoS; a relative name is in the robot's namespace."""
+    """A topic of robotctl with its offered QoS; a relative `name` is in the robot's namespace."""
 
     name: str
     message_class: Any

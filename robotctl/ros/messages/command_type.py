@@ -27,14 +27,14 @@ COMMANDS = {
     CommandQos.BEST_EFFORT: QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
     CommandQos.TRANSIENT_LOCAL: QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
 }
-"""The profile for each value of `command.qos`. A latched command is at most one tick old."""
+"""The profile for each value of `command.qos`; a latched command is at most one tick old."""
 
 
 @dataclass(frozen=True, slots=True)
 class CommandType:
-    """A message class, and its conversion to and from serialized messages.
+    """A message type of the velocity command, with the functions that encode and decode it.
 
-    `decode` raises `struct.error` if a message is cut short.
+    They work on serialized messages. `decode` raises `struct.error` if a message is cut short.
     """
 
     message_class: Any
@@ -54,7 +54,7 @@ PLAIN = CommandType(TwistMessage, encode_twist, decode_twist)
 
 
 def stamped(frame_id: str) -> CommandType:
-    """Return the type geometry_msgs/TwistStamped in this frame; encoding sets the stamp to now."""
+    """Return geometry_msgs/TwistStamped with this frame id; `encode` sets the stamp to now."""
     encoder = StampedTwistEncoder(frame_id)
     return CommandType(
         TwistStampedMessage,

@@ -22,7 +22,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """A late subscriber gets the last message."""
 
 SENSOR = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Best effort: what robots publish, and what a subscription requests to match any publisher."""
+"""Best effort: usual for what robots publish; a subscription with it matches any publisher."""
 
 JOURNAL = QoSProfile(depth=1000)
 
@@ -33,22 +33,24 @@ DIAGNOSTICS = QoSProfile(depth=10)
 ROSOUT = QoSProfile(
     depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL, lifespan=Duration(seconds=10)
 )
-"""As rcl's `rcl_qos_profile_rosout_default`: a late subscriber gets the lines of the last 10 s."""
+"""As `rcl_qos_profile_rosout_default`: a late subscriber gets the log lines of the last 10 s."""
 
 SERVICE_EVENTS = QoSProfile(depth=100)
-"""Reliable, because they record who requested what; a call is two events."""
+"""For introspection topics; reliable, because they record who requested what. A call makes two
+events: its request and its response."""
 
 REQUESTS = QoSProfile(depth=1_500)
-"""For a service that loses no request: the depth is how many requests, and how many responses, may
-wait before one overwrites another. rclpy's default is 10."""
+"""For a service that must lose no request: up to this number of requests, and of responses, wait
+before a new one overwrites the oldest. rclpy's default is 10."""
 
 PARAMETERS = QoSProfile(depth=10)
-"""For parameter services: rclpy's depth of 1000 takes 0.3 MB more a node."""
+"""For parameter services. With rclpy's depth of 1000, each node would take 0.3 MB more."""
 
 RECORDING_DEPTH = 1_500
-"""RELIABLE with a shallow queue still drops messages (rmw_fastrtps). In a deep queue Fast DDS 2.14
-searches all waiting messages at each new one (`History::get_change_nts`) and may never catch up:
-at 45,000 messages a second none were lost with 1,500, and three quarters with 3,000."""
+"""The depth of a recording subscription's queue. If it is short, even RELIABLE drops messages
+(rmw_fastrtps). If it is long, Fast DDS 2.14, which searches all waiting messages at each new one
+(`History::get_change_nts`), may never catch up. At 45,000 messages a second, none were lost with
+1,500, and three quarters with 3,000."""
 
 MONITOR = QoSProfile(depth=RECORDING_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
 """For a subscription that matches every publisher of a topic, whatever QoS each offers."""
@@ -59,9 +61,10 @@ own queue begins to drop and count messages."""
 
 
 def recording(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile:
-    """Return the profile that a recorder requests: it matches every publisher and loses least.
+    """Return the profile with which a recorder loses least, of those that match every publisher.
 
-    As in rosbag2, it is reliable only if all publishers are, and transient local only if all are.
+    `offered` has the publishers' profiles; `bulky` is true for images and the like. As in rosbag2,
+    the profile is reliable or transient local only if all publishers offer that.
     """
     offers = list(offered)
     reliable = all(offer.reliability is ReliabilityPolicy.RELIABLE for offer in offers)
@@ -78,7 +81,7 @@ def recording(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile:
 def recording_latched(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile | None:
     """Return the profile of a second subscription that gets the latched messages.
 
-    None if `recording` gets them already, or no publisher latches messages.
+    None if no publisher latches messages, or all do: then the profile of `recording` gets them.
     """
     offers = list(offered)
     latched = [each for each in offers if each.durability is DurabilityPolicy.TRANSIENT_LOCAL]
@@ -86,7 +89,7 @@ def recording_latched(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfi
 
 
 def to_yaml(offered: Iterable[QoSProfile]) -> str:
-    """Return the profiles as rosbag2 (metadata version 9) writes `offered_qos_profiles`."""
+    """Return the profiles in the form of `offered_qos_profiles` of rosbag2 (metadata version 9)."""
     return "\n".join(_one_yaml(offer) for offer in offered)
 
 
@@ -102,7 +105,7 @@ _DURABILITY = {
 
 
 def words(profile: QoSProfile) -> dict[str, str | int]:
-    """Return reliability, durability, history and depth as a recording names them."""
+    """Return reliability, durability, history and depth by name, with the words of a recording."""
     return {
         "reliability": _RELIABILITY.get(profile.reliability, "unknown"),
         "durability": _DURABILITY.get(profile.durability, "unknown"),

@@ -42,14 +42,14 @@ _NAMES = {
 }
 _BOUNDED_TEXTS = (21, 22)
 _SHAPE = 48
-"""The number of a type plus 1, 2 or 3 times this means an array, a bounded or an unbounded sequence
-of it."""
+"""In FieldType.msg, the number of a type plus 1, 2 or 3 times this value stands for an array, a
+bounded sequence or an unbounded sequence of that type."""
 
 
 def texts_of(type_name: str, described: Mapping[str, Any]) -> dict[str, str]:
     """Return `pkg/T` -> ros2msg text for a type and each of its dependencies, depth first.
 
-    `described` contains `type_name` as its root type or as a referenced type.
+    `described` is a description; `type_name` is its root type or one of its referenced types.
 
     Raises:
         KeyError: A type is missing, or ros2msg cannot express it (long double, fixed strings).
@@ -94,7 +94,7 @@ _BUILT_IN = frozenset(
     | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 )
 _UNKNOWN = (OSError, PackageNotFoundError, UnusableType, ValueError, KeyError)
-"""Raised for a type that is not installed, or whose files are not those of ROS 2 Jazzy."""
+"""The exceptions for a type that is not installed, or whose files are not those of Jazzy."""
 
 
 @lru_cache(maxsize=1024)

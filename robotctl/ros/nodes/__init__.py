@@ -1,1 +1,1 @@
-"""The ROS nodes of the daemon, one role per file: they convert and forward, and decide nothing."""
+"""The daemon's ROS nodes, one role per file. They convert and forward data, and decide nothing."""

@@ -24,32 +24,36 @@ ACTION = "drive_pattern"
 FEEDBACK_PERIOD_S = 0.2
 
 RESULT_KEPT_S = 10
-"""How long a client may ask for a result after the end of its goal."""
+"""How long [s] after the end of its goal a client may ask for the result."""
 
 MAX_GOALS = 64
-"""Limit on goals whose result is kept; the next one is rejected without a reason. Each change of a
-goal publishes the status of all of them."""
+"""Limit on the goals whose results are kept; above it, a goal is rejected without a reason. Each
+change of one goal publishes the status of all."""
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """A goal: the name of a pattern ("": the configured one), size [m] and speed [m/s] (0: the
-    default), laps, and whether to replace the present drive."""
+    """The fields of a goal of DrivePattern.action."""
 
     pattern: str
+    """The name of a pattern; "": the configured one."""
     size_m: float
+    """0: the default."""
     laps: int
     speed_mps: float
+    """0: the default."""
     replace: bool
+    """Whether to replace the present drive."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriveProgress:
-    """How far a drive has come: distance [m], laps, distance from the path now [m]."""
+    """How far a drive has come."""
 
     distance_m: float
     laps: int
     cross_track_m: float
+    """The present distance from the path."""
 
 
 class GoalDrive(Protocol):
@@ -57,25 +61,25 @@ class GoalDrive(Protocol):
 
     @property
     def reply(self) -> asyncio.Future[Reply]:
-        """Future of the answer to the request for the drive."""
+        """Future of the kernel's reply to the request for the drive."""
 
     @property
     def ended(self) -> asyncio.Future[DriveEnded]:
         """Future of the end of the drive; it stays pending if the drive is refused."""
 
     def progress(self) -> DriveProgress | None:
-        """Return how far the drive has come, or None if it is not going on."""
+        """Return how far the drive has come, or None if it has not begun or has ended."""
 
     def ramp_down(self) -> bool:
-        """End the drive with a ramp; return whether it was still going on."""
+        """Ramp down and end the drive; return whether it was still going on."""
 
 
 class DriveAction:
     """The action `drive_pattern` (DrivePattern) of a node.
 
-    Each accepted goal is submitted to the kernel at once, as a request for a drive. ROS rejects a
-    goal without a reason, so a goal that the kernel refuses is accepted and then aborted: its
-    result says why. Feedback is published each `FEEDBACK_PERIOD_S`.
+    Each accepted goal is submitted to the kernel at once, as a request for a drive. If the kernel
+    refuses that, the goal is aborted and its result says why: a ROS goal is rejected without a
+    reason, so it is accepted first. Feedback is published each `FEEDBACK_PERIOD_S`.
     """
 
     def __init__(

@@ -33,11 +33,7 @@ T = TypeVar("T")
 
 
 class NumberedSubscriber(Generic[T]):
-    """Subscribes on the hidden node to a topic's publishers of any QoS.
-
-    `read` returns the value of a serialized message and must not raise. `publisher` is the
-    publisher's gid in hex, `sequence` its sequence number of the message.
-    """
+    """Reports each message of a topic, of publishers of any QoS; subscribes on the hidden node."""
 
     def __init__(
         self,
@@ -47,7 +43,11 @@ class NumberedSubscriber(Generic[T]):
         read: Callable[[bytes], T],
         on_value: Callable[[T, str, int], None],
     ) -> None:
-        """Call `on_value(value, publisher, sequence)` for each message."""
+        """Call `on_value(value, publisher, sequence)` for each message.
+
+        `read` returns the value of a serialized message, and must not raise. `publisher` is the
+        publisher's gid in hex, `sequence` the publisher's sequence number of the message.
+        """
         self._read = read
         self._on_value = on_value
         tap: Any = RawTap(self._receive, latency_s=0.0)
@@ -87,7 +87,7 @@ class ScanSubscriber(NumberedSubscriber[tuple[float, ...]]):
 
 
 class GuardSubscriber(NumberedSubscriber[Twist]):
-    """Reports each wanted velocity, NaN for an unreadable one."""
+    """Reports each velocity that another node sends to the guard, NaN for an unreadable one."""
 
     def __init__(
         self,
@@ -96,7 +96,7 @@ class GuardSubscriber(NumberedSubscriber[Twist]):
         command: CommandType,
         on_command: Callable[[Twist, str, int], None],
     ) -> None:
-        """Call `on_command(twist, publisher, sequence)` for each message of this type."""
+        """Call `on_command(twist, publisher, sequence)` for each message of the type `command`."""
 
         def read(data: bytes) -> Twist:
             try:
@@ -108,7 +108,7 @@ class GuardSubscriber(NumberedSubscriber[Twist]):
 
 
 OnReading = Callable[[SafetyInput, float, str, str, int], None]
-"""Called with an input, its value and its text as a `Reader` returns them, the publisher's gid in
+"""Called with an input, the value and the text that its `Reader` returned, the publisher's gid in
 hex, and the publisher's sequence number of the message.
 """
 
@@ -130,12 +130,13 @@ class _Last:
 
 
 class SafetyInputs:
-    """Subscribes on the hidden node to the inputs in use, from publishers of any QoS."""
+    """Reports the safety inputs in use, of publishers of any QoS; subscribes on the hidden node."""
 
     def __init__(
         self, session: Session, params: SafetyInputParams, robot: str, on_reading: OnReading
     ) -> None:
-        """Call `on_reading` for changed values; for equal ones, REPEATS_PER_TIMEOUT a timeout."""
+        """Call `on_reading` for each changed value, and REPEATS_PER_TIMEOUT times per timeout
+        for an unchanged one."""
         self._on_reading = on_reading
         used = [kind for kind in SafetyInput if params.of(kind).use is not Use.OFF]
         if not used:

@@ -28,11 +28,13 @@ _TEMPERATURE = Path("/sys/class/thermal/thermal_zone0/temp")
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """The fields of RobotStatus: mode, battery 0..1 or NaN, whether odometry is fresh."""
+    """The fields of RobotStatus that the daemon sets."""
 
     mode: Mode
     battery_level: float
+    """From 0 to 1, or NaN."""
     is_connected: bool
+    """Whether odometry is fresh."""
 
 
 ESTOP, SET_MODE = "estop", "set_mode"
@@ -44,15 +46,15 @@ CALLS = tuple(
     OwnTopic(f"{service}/_service_event", kind.Event, qos.SERVICE_EVENTS)
     for service, kind in ((SET_MODE, SetMode), (ESTOP, Trigger))
 )
-"""The introspection topics, which carry the requests and responses of each service."""
+"""The introspection topic of each service, which carries its requests and responses."""
 
 
 NODE_NAME = "mode_service"
-"""The usual name of the node."""
+"""The name of the node, before remapping."""
 
 
 def names(session: Session) -> dict[str, str]:
-    """Return the full names that the status topic and the services will have."""
+    """Return the full names of the status topic and the services; they need not exist yet."""
     return {
         "topic.robot_status": session.resolve(STATUS.name, NODE_NAME),
         **{f"service.{name}": session.resolve(name, NODE_NAME) for name in (SET_MODE, ESTOP)},
@@ -60,17 +62,17 @@ def names(session: Session) -> dict[str, str]:
 
 
 MAX_IN_WORK = 256
-"""Limit on requests that wait for their reply; the next one is refused as busy, unless it is an
-emergency stop. The kernel lets 64 requests wait for the end of a ramp; the others wait until the
-e-stop latch is on the disk."""
+"""Limit on the requests that wait for the kernel's reply; above it, all but an emergency stop are
+refused as busy. Up to 64 requests may wait for the end of a ramp; the others wait until the e-stop
+latch is on the disk."""
 
 
 class ModeService:
     """Node `mode_service`: `set_mode` (SetMode), `estop` (Trigger), `robot_status` (RobotStatus).
 
     Requests do not wait for each other: each is submitted to the kernel when it is received, and
-    answered when it is done. `estop` has its own queue, so a backlog of `set_mode` does not delay
-    it. Both services publish their calls on `_service_event` topics.
+    answered when the kernel replies. `estop` has its own queue, so a backlog of `set_mode` does not
+    delay it. Both services publish their calls on `_service_event` topics.
     """
 
     def __init__(
@@ -80,7 +82,7 @@ class ModeService:
         request: Callable[[int, str], Future[Reply]],
         say: Callable[[Reply], str] = attrgetter("message"),
     ) -> None:
-        """Call `request(mode number, source)` for each request; it must return at once.
+        """Call `request(mode number, source)`, which must return at once, for each request.
 
         `say` returns the text of a reply for the caller of the service.
         """
@@ -89,7 +91,7 @@ class ModeService:
         self._in_work = 0
         self.node = session.node_of(ManagedNode, NODE_NAME)
         """The node. Its lifecycle state says whether motion may start; its services work in each
-        state. Other roles of this process may add interfaces to the node."""
+        state. Other roles of the daemon may add interfaces to the node."""
         self._publisher = STATUS.create_publisher(self.node)
         self._serve(Trigger, ESTOP, self._stop)
         self._serve(SetMode, SET_MODE, self._set_mode)
@@ -147,7 +149,7 @@ class ModeService:
         return response
 
     def _ask(self, mode: int, service: str) -> Future[Reply]:
-        """Submit a request at once: the task that waits for the reply starts only a turn later."""
+        """Submit a request now, not in the task that answers it, which starts a loop turn later."""
         namespace = self.node.get_namespace().rstrip("/")
         reply = self._request(mode, f"the ROS service {namespace}/{service}")
         self._in_work += 1

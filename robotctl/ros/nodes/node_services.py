@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
-"""The services of a node: its parameters, its logger's level, its lifecycle."""
+"""The services of a node for its parameters, the levels of loggers and its lifecycle."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from robotctl.ros.messages import qos
 
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """One parameter with its present value; `range` is None if there is no limit."""
+    """One parameter with its present value; `range` is None if the value has no limits."""
 
     key: str
     value: Any
@@ -51,15 +51,15 @@ class Declared:
 
 
 Ask = Callable[[Sequence[tuple[str, Any]], str], str]
-"""Requests new values for keys, all or none, as the named service; returns the refusal or ""."""
+"""Called with (key, new value) pairs, to set all or none, and the name of the service that asks;
+returns why they were refused, or ""."""
 
 
 class ParameterServices(ParameterService):
     """The six parameter services of a node.
 
-    rclpy checks types, ranges and read-only parameters as it does for every node; then `ask` is
-    called. `show` adopts a change that was made by other means. The queues are short, because
-    rclpy's take 0.3 MB a node.
+    rclpy checks types, ranges and read-only parameters of a request, as for every node; then it
+    calls `ask`, which decides. The queues are short, because rclpy's would take 0.3 MB per node.
     """
 
     def __init__(self, node: Node, declared: Sequence[Declared], ask: Ask) -> None:
@@ -85,7 +85,7 @@ class ParameterServices(ParameterService):
             )
 
     def show(self, key: str, value: Any) -> None:
-        """Adopt a value that was changed by other means; keys that the node lacks are ignored."""
+        """Adopt a value that these services did not change; ignore a key that the node lacks."""
         if key not in self._keys or self._asking:  # rclpy itself adopts what it asked for
             return
         self._showing = True
@@ -132,7 +132,7 @@ def _declare(node: Node, declared: Declared) -> None:
         return
     texts = Parameter.Type.STRING_ARRAY
     node.declare_parameter(declared.key, texts, _descriptor(declared))
-    # Not by a public method: each would read an empty list as an array of bytes.
+    # Not by a method of Node: each would take an empty list for an array of bytes.
     node._parameters[declared.key] = Parameter(declared.key, texts, declared.value)
 
 
@@ -154,13 +154,14 @@ def _descriptor(declared: Declared) -> ParameterDescriptor:
 
 
 MAX_LEVELS: Final = 100
-"""Limit on the levels in one call; a longer list would hold up the loop."""
+"""Limit on the loggers in one call, since a long list would hold up the loop."""
 
 Get = Callable[[str], int]
 """Returns the level of a logger, or 0 if the logger has none."""
 
 Set = Callable[[str, int, str], str]
-"""Sets the level of a logger as the named service; returns the refusal or ""."""
+"""Called with a logger, its new level and the name of the service that asks; returns why the level
+was refused, or ""."""
 
 
 class LoggerServices(LoggingService):
@@ -188,7 +189,7 @@ class LoggerServices(LoggingService):
 
 
 def set_native_level(name: str, level: int) -> str:
-    """Set the level of a logger of rcl and rclpy; return why that failed, or ""."""
+    """Set the level of a logger of rcl or rclpy; return why that failed, or ""."""
     try:
         set_logger_level(name, level, detailed_error=True)
     except (RuntimeError, TypeError, ValueError) as error:  # TypeError: it is not UTF-8
@@ -199,7 +200,7 @@ def set_native_level(name: str, level: int) -> str:
 class ManagedNode(LifecycleNode):
     """A node with the lifecycle services; its other interfaces work in every lifecycle state.
 
-    `changed(state)` is called after each request for a transition.
+    It calls `changed(state)` after each request for a transition, even if the state is the same.
     """
 
     def __init__(self, name: str, **options: Any) -> None:

@@ -23,14 +23,14 @@ WANTED = {OdometryQos.BEST_EFFORT: qos.SENSOR, OdometryQos.RELIABLE: QoSProfile(
 """The profile for each value of `odometry.qos`."""
 
 MAX_SOURCES = 256
-"""Limit on remembered publishers; beyond it, the one that was silent longest is forgotten."""
+"""Limit on remembered publishers; above it, the one that was silent longest is forgotten."""
 
 LOOKS_FOR_NAME = 20
-"""How many times `find_names` looks for the node of a publisher, which may have ended."""
+"""How many times `find_names` looks for a publisher's node; a node that has ended is not found."""
 
 
 class OdomSubscriber:
-    """Node `odom_subscriber`; with the default QoS it receives from publishers of any QoS."""
+    """Node `odom_subscriber`: receives odometry, by default from publishers of any QoS."""
 
     def __init__(
         self,
@@ -43,17 +43,17 @@ class OdomSubscriber:
         """Call `on_odometry(odometry, source, sequence)` for each message.
 
         `source` is the number of the message's publisher, counted from 1; `sequence` is the
-        publisher's sequence number of the message. Before a publisher's first message,
-        `on_source(source, gid, name, frame)` is called with that number, the gid in hexadecimal
-        digits, and the node's name, "" where it is not known yet. It is called again when
-        `find_names` finds the node, and when the frame of its messages changes.
+        publisher's sequence number of the message. Before a publisher's first message, call
+        `on_source(source, gid, name, frame)`: its number, its gid in hex, its node's name ("" if
+        not known yet) and the frame id of its messages. Call `on_source` again when `find_names`
+        finds the node, and when the frame id changes.
         """
         self._node = session.node("odom_subscriber")
         self._log = logging.getLogger(session.logger_name("odom_subscriber"))
         self._on_odometry = on_odometry
         self._on_source = on_source
         self._sources: dict[bytes, int] = {}
-        """The number of each publisher by gid, in the order in which they were last heard."""
+        """A publisher's gid -> its number; the publisher that was heard last is the last."""
 
         self._last_source = 0
         self._last_gid: bytes | None = None
@@ -61,12 +61,12 @@ class OdomSubscriber:
         """The frame id of the last message, as serialized bytes."""
 
         self._told: dict[bytes, tuple[str, str]] = {}
-        """Node and frame of each publisher, as last reported to `on_source`."""
+        """A publisher's gid -> its node's name and its frame id, as `on_source` got them last."""
 
         self._nameless: dict[bytes, int] = {}
-        """Publishers without a known node, and how many more times to look for it."""
+        """Gid of a publisher whose node is unknown -> how many more times to look for the node."""
 
-        # Raw for speed, but without latency: the kernel decides on these messages.
+        # A raw tap is fast; it must not collect messages, because the kernel decides on them.
         tap: Any = RawTap(self._receive, latency_s=0.0)
         self._subscription = self._node.create_subscription(
             OdometryMessage,
@@ -78,7 +78,7 @@ class OdomSubscriber:
         )
 
         self.look: Callable[[], None] = lambda: tap.poll()
-        """Handles the messages that have arrived at once, without waiting for the loop."""
+        """Handles the messages that have arrived, now: does not wait until the loop does."""
 
     @property
     def topic(self) -> str:
@@ -103,7 +103,7 @@ class OdomSubscriber:
         self._on_odometry(odometry, source, sequence)
 
     def _number(self, gid: bytes) -> int:
-        """Return a new publisher's number; at MAX_SOURCES, forget the one silent longest."""
+        """Return a number for a new publisher; forget an old one if there are MAX_SOURCES."""
         if len(self._sources) >= MAX_SOURCES:
             forgotten = next(iter(self._sources))
             del self._sources[forgotten]
@@ -113,7 +113,7 @@ class OdomSubscriber:
         return self._last_source
 
     def _tell(self, gid: bytes, frame: str) -> None:
-        """Report a new publisher, or another frame of a known one, to `on_source`."""
+        """Call `on_source` if the publisher is new or its frame id has changed."""
         known = self._told.get(gid)
         if known is not None and known[1] == frame:
             return
@@ -124,7 +124,7 @@ class OdomSubscriber:
         self._on_source(self._sources[gid], gid.hex(), name, frame)
 
     def find_names(self) -> None:
-        """Look for the nodes of publishers whose node was not discovered at their first message."""
+        """Look again for the nodes of publishers whose node is unknown; report those found."""
         if not self._nameless:
             return
         names = publisher_names(self._node, self.topic)

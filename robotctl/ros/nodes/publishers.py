@@ -1,4 +1,4 @@
-"""Publishers of the command lock, diagnostics, journal, marks, heads of the seal and log lines."""
+"""Publishers of the command lock, diagnostics, the seal's heads, the journal, marks and logs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LOCKING = frozenset({Mode.ERROR, Mode.EMERGENCY_STOP})
 
 
 class CommandLock:
-    """Publishes the command lock on `topic`, from `node`; if `topic` is "", it does nothing."""
+    """Publishes whether commands are locked, from `node` on `topic`; nothing if `topic` is ""."""
 
     def __init__(self, node: Node, topic: str) -> None:
         own = OwnTopic(topic, Bool, qos.LATCHED)
@@ -56,7 +56,7 @@ class DiagnosticLevel(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The state of one part: a sentence, and named values."""
+    """The state of one part of the daemon: a level, a sentence and named values."""
 
     part: str
     level: DiagnosticLevel
@@ -119,7 +119,7 @@ class JournalPublisher:
 
     def __init__(self, session: Session) -> None:
         node = session.helper()
-        # An event when a subscription comes or goes: asking 150 times a second would cost more.
+        # Called when a subscription comes or goes; to ask 150 times a second would cost more.
         events = PublisherEventCallbacks(matched=self._matched, use_default_callbacks=False)
         self._publisher = JOURNAL_TOPIC.create_publisher(node, events)
         self._subscriptions = 0
@@ -176,7 +176,7 @@ MAX_TEXT: Final = 10_000
 
 @dataclass(frozen=True, slots=True)
 class RosoutLine:
-    """A log line; `level` is a number of rcl_interfaces/msg/Log, `logger` the name on ROS."""
+    """A log line; `level` is as in rcl_interfaces/msg/Log, `logger` the logger's name on ROS."""
 
     t_ns: int
     """Wall-clock time since the epoch [ns]."""

@@ -1,4 +1,4 @@
-"""The simulated robot on ROS: receives commands, publishes odometry and battery, best effort."""
+"""The simulated robot on ROS: receives commands; publishes odometry and battery (best effort)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from robotctl.sim.robot import Robot, SimFault, SimParams
 
 
 def battery_message(level: float, stamp_ns: int) -> BatteryState:
-    """Return a BatteryState of this level; what is not measured is NaN."""
+    """Return a BatteryState with `level` as its percentage; what is not measured is NaN."""
     message = BatteryState()
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS_PER_S)
     message.percentage = level
@@ -35,22 +35,22 @@ def battery_message(level: float, stamp_ns: int) -> BatteryState:
 
 
 MAX_STEP_S = 0.1
-"""The longest step of the motion. The rest of a longer pause of the process is ignored, so that the
-robot does not jump."""
+"""The longest step of the motion. If the process pauses for longer, the rest of the pause does not
+count, so that the robot does not jump."""
 
 LEAD_NS = 5_000
 """How long before each control tick the simulated robot moves, so that its odometry is fresh.
 
-Both timers expire during one wake-up of the loop, which handles them in this order."""
+It is so short that one wake-up of the loop handles both timers, the robot's first."""
 
 
 def odometry_topic(name: str) -> OwnTopic:
-    """Return the declaration of the simulated robot's odometry topic of this name."""
+    """Return the simulated robot's odometry topic, with the name `name`."""
     return OwnTopic(name, OdometryMessage, qos.SENSOR)
 
 
 def battery_topic(name: str) -> OwnTopic:
-    """Return the declaration of the simulated robot's battery topic of this name."""
+    """Return the simulated robot's battery topic, with the name `name`."""
     return OwnTopic(name, BatteryState, qos.SENSOR)
 
 
@@ -68,10 +68,10 @@ class SimulatedRobot:
         battery: str,
         full_level: float,
     ) -> None:
-        """Subscribe to the command on topic `command`; publish on topics `odometry` and `battery`.
+        """Create the node; `command`, `odometry` and `battery` are the names of its topics.
 
-        If `battery` is "", no battery is published. `full_level` is the level that is reported for
-        a full battery.
+        If `battery` is "", no battery level is published. `full_level` is the number that a full
+        battery publishes.
         """
         self._params = params
         self._robot = Robot(params)
@@ -99,9 +99,9 @@ class SimulatedRobot:
         self._battery = battery_topic(battery).create_publisher(node) if battery else None
 
     async def run(self) -> None:
-        """Move; publish odometry at its rate and the battery every second."""
+        """Move the robot until cancelled; publish odometry at its rate, the battery at 1 Hz."""
         self._moved_ns = self._battery_due_ns = time.monotonic_ns()
-        # Read once: a clock that is set back later must not take the stamps back.
+        # Read only once: if the wall clock is set back later, the stamps must still increase.
         self._wall_ns = time.time_ns() - self._moved_ns
         await Ticker(self._params.odometry_rate_hz, lead_ns=LEAD_NS).run(self._move)
 
@@ -130,12 +130,12 @@ class SimulatedRobot:
         return self._robot.truth
 
     def set_battery(self, level: float) -> None:
-        """Continue with this battery level, 0 to 1; the next step of the motion reports it."""
+        """Set the battery level, 0 to 1; the next step of the motion publishes it."""
         self._robot.battery = level
         self._is_changed = True
 
     def begin_fault(self, fault: SimFault, for_s: float) -> None:
-        """Begin a fault that lasts `for_s` seconds of the motion's time."""
+        """Begin a fault for `for_s` seconds; of a pause of the process, only MAX_STEP_S counts."""
         self._robot.faults.begin(fault, for_s)
         self._is_changed = True
 

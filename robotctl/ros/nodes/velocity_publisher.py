@@ -22,36 +22,36 @@ from robotctl.ros.session import RECORDER_NODE, Session
 NODE_NAME = "velocity_publisher"
 
 MONITORS = (RECORDER_NODE, NODE_NAME)
-"""Nodes of daemons whose subscriptions to the command drive nothing."""
+"""The daemon's nodes that subscribe to the command without moving a robot."""
 
 MAX_NAMED = 8
-"""Limit on the other publishers, and on the other types, that are named."""
+"""Limit on the other publishers, and on the other command types, that a sentence names."""
 
 LOCK_TIMEOUT_S = 0.02
-"""Longer than any publication takes: a thread that holds the lock longer hangs in rclpy."""
+"""Longer than any publication takes: a thread that has the lock for longer hangs in rclpy."""
 
 
 def is_monitor(node_name: str) -> bool:
-    """Return whether subscriptions of this node to the command drive nothing."""
+    """Return whether a node that subscribes to the command only monitors it, and moves no robot."""
     return node_name in MONITORS or node_name.startswith(TOOL_NODES)
 
 
 def command_topic(name: str, command: CommandType = PLAIN) -> OwnTopic:
-    """Return the declaration of the command topic of this name."""
+    """Return the command topic with this name and type."""
     return OwnTopic(name, command.message_class, command.qos)
 
 
 def publishing_line(twist: Twist) -> str:
-    """Return the line of the first-package tutorial about a command."""
+    """Return the line that the first-package tutorial logs for each command."""
     linear, angular = round(twist.linear, 3), round(twist.angular, 3)
     return f"Publishing: linear.x={linear}, angular.z={angular}"
 
 
 class VelocityPublisher:
-    """Node `velocity_publisher`; `published` counts the commands that were sent.
+    """Node `velocity_publisher`, which sends the velocity commands; `published` counts them.
 
-    `close_gate` and `publish_zero` may be called from any thread. Once `publish_zero` has sent its
-    first zero, only zeros are sent until the gate is opened.
+    `close_gate` and `publish_zero` may be called from any thread. Once the gate is closed and
+    `publish_zero` has sent a zero, only zeros are sent until `open_gate` is called.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class VelocityPublisher:
         command: CommandType = PLAIN,
         is_silent: Callable[[], bool] = lambda: False,
     ) -> None:
-        """While `is_silent()`, other nodes may command, and `publish_zero` sends nothing."""
+        """While `is_silent()` is true, `publish_zero` sends nothing: other nodes may command."""
         self._is_silent = is_silent
         self._node = session.node(NODE_NAME)
         self._log = logging.getLogger(session.logger_name(NODE_NAME))
@@ -77,7 +77,7 @@ class VelocityPublisher:
         self._withheld = 0
         self.published = 0
         self.accounted = 0
-        """How many published commands the journal has; zeros of a stall count once it is over."""
+        """As `published`, but the zeros of a stall count only when the gate is opened again."""
 
     @property
     def topic(self) -> str:
@@ -89,9 +89,9 @@ class VelocityPublisher:
     ) -> Callable[[], None]:
         """Call `heard(gid)` for each command on the topic, of any publisher.
 
-        Commands are collected for `latency_s` seconds; if it is None, until the returned function
-        is called, which handles the collected commands at once. The subscription is best effort,
-        so that it receives from publishers of any QoS.
+        Commands are collected for `latency_s` seconds; if it is None, they are collected until the
+        returned function is called. That function calls `heard` for the collected commands. The
+        subscription is best effort, so that it receives from publishers of any QoS.
         """
         tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
         # rclpy's types allow a callback of one argument only.
@@ -107,11 +107,11 @@ class VelocityPublisher:
         return lambda: tap.poll()
 
     def name_of(self, gid: bytes) -> str:
-        """Return the name of the node whose commands carry this gid, "" where unknown."""
+        """Return the full name of the node whose commands have this gid, "" if unknown."""
         return node_of(self._node, self.topic, gid)
 
     def publish(self, twist: Twist) -> None:
-        """Send the command; zero while the gate is closed."""
+        """Send the command or, while the gate is closed, zero."""
         with self._lock:
             if self._gated:
                 self._withheld += twist != ZERO
@@ -123,10 +123,10 @@ class VelocityPublisher:
             self._log.debug(publishing_line(twist))
 
     def publish_zero(self) -> None:
-        """Send a zero if the gate is closed, unless `is_silent()`; not for the loop's thread.
+        """Send a zero if the gate is closed, unless `is_silent()`; not to be called in the loop.
 
         Raises:
-            TimeoutError: A publication of the loop hangs.
+            TimeoutError: `publish`, in the loop's thread, hangs in the middleware.
         """
         if not self._lock.acquire(timeout=LOCK_TIMEOUT_S):
             raise TimeoutError("a publication of the loop hangs in the middleware")
@@ -143,13 +143,13 @@ class VelocityPublisher:
         return bool(self._publisher.wait_for_all_acked(Duration()))
 
     def close_gate(self) -> None:
-        """Send only zeros from now on."""
+        """From now on, send zeros instead of commands."""
         self._gated = True
 
     def open_gate(self) -> tuple[int, int]:
-        """Send every command again.
+        """From now on, send commands as they are.
 
-        Returns the number of zeros that `publish_zero` sent, and of commands that were withheld.
+        Return how many zeros `publish_zero` sent, and how many commands `publish` replaced by zero.
         """
         with self._lock:
             self._gated = False
@@ -166,9 +166,9 @@ class VelocityPublisher:
         return named_nodes(each for each in publishers if each.gid != self.gid)
 
     def listeners(self) -> tuple[int, tuple[str, ...], str]:
-        """Return how many subscriptions have our type, the other subscribed types, and our type.
+        """Return how many subscriptions have our type, the types of the other ones, and our type.
 
-        Subscriptions of recorders, monitors and tools are not counted: they drive nothing.
+        Subscriptions of recorders, monitors and tools are left out: they move no robot.
         """
         types = [
             short_name(each.topic_type)
@@ -188,7 +188,7 @@ class VelocityPublisher:
 
 
 def named_nodes(found: Iterable[endpoints.Endpoint]) -> tuple[str, ...]:
-    """Return the sorted full names of the endpoints' nodes: MAX_NAMED at most, then "N more"."""
+    """Return the sorted full names of the endpoints' nodes; beyond MAX_NAMED of them, "N more"."""
     names = sorted(short_name(full_name(each)) for each in found)
     named = [name or "a node whose name is not known yet" for name in names[:MAX_NAMED]]
     if len(names) > MAX_NAMED:

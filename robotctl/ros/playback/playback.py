@@ -1,4 +1,4 @@
-"""Publishers and clients of a replay, and what the replay must know of the graph.
+"""Creates the publishers and clients of a replay, and tells the replay about the graph.
 
 `serialized_type` avoids importing a whole message package and numpy: 80 ms of CPU for Odometry.
 """
@@ -31,7 +31,7 @@ from robotctl.ros.messages.type_definition import holds_bytes, type_hash_of
 from robotctl.ros.playback.senders import PatientSender, RequestSender, clock_sender, sender
 
 _WORD: Final = re.compile(r"(?<=.)(?=[A-Z][a-z])|(?<=[a-z0-9])(?=[A-Z])")
-"""Where rosidl puts an underscore into the name of a type."""
+"""The places in a type name where rosidl puts an underscore, for the name of the module."""
 
 _OF_RCLPY: Final = (
     *("type_support", "create_ros_message", "destroy_ros_message"),
@@ -42,9 +42,9 @@ _OF_RCLPY: Final = (
 
 @lru_cache(maxsize=1024)
 def serialized_type(type_name: str) -> Any:
-    """Return a class without fields for `pkg/msg/T`, enough to publish serialized messages.
+    """Return a class for `pkg/msg/T` without fields, which suffices to publish serialized messages.
 
-    For another kind, such as `pkg/srv/T_Event`, return the whole class.
+    For a type of a service or action, such as `pkg/srv/T_Event`, return the whole class.
 
     Raises:
         UnusableType: The ament index does not list the type, or loading it failed.
@@ -66,31 +66,31 @@ def serialized_type(type_name: str) -> Any:
 MAX_TEXT: Final = 1 << 20
 MAX_DEPTH: Final = 10_000
 VOLATILE_DEPTH: Final = 1000
-"""The least depth for a volatile topic: a shallow queue loses bursts, a deep one does no harm."""
+"""The least depth of a volatile topic's queue: a short one loses bursts, a long one is harmless."""
 
 _INFINITE_SEC: Final = 2_147_483_647
-"""The seconds that recorders before Jazzy wrote for an infinite time; later ones write more."""
+"""How recorders before Jazzy wrote an infinite time [s]; later recorders write a larger number."""
 
 _RELIABILITY = {"1": ReliabilityPolicy.RELIABLE, "2": ReliabilityPolicy.BEST_EFFORT}
 _DURABILITY = {"1": DurabilityPolicy.TRANSIENT_LOCAL, "2": DurabilityPolicy.VOLATILE}
 _RELIABILITY |= {policy.short_key: policy for policy in _RELIABILITY.values()}
 _DURABILITY |= {policy.short_key: policy for policy in _DURABILITY.values()}
-"""Policies by name, and by the numbers of rmw/types.h that rosbag2 wrote before version 9 of its
+"""Policies by name, and by their number in rmw/types.h, which rosbag2 wrote until version 8 of its
 metadata."""
 
 
 def replay_qos(offered: str, *, most: int = MAX_DEPTH) -> QoSProfile:
-    """Return a profile that matches every subscriber of the recorded publishers.
+    """Return a profile with which a publisher matches every subscriber of the recorded ones.
 
-    `offered` is the `offered_qos_profiles` of a recording. The strongest of several profiles
-    counts; text that cannot be read means reliable and volatile. The publisher of a
-    volatile topic keeps at most `most` messages.
+    `offered` is the topic's `offered_qos_profiles` in a recording. Each policy is the strongest of
+    all these profiles; if `offered` cannot be read, the policies are reliable and volatile. A
+    volatile topic's depth is at most `most`.
     """
     profiles = _profiles(offered)
     reliable = ReliabilityPolicy.RELIABLE in [_reliability(each) for each in profiles]
     latched = DurabilityPolicy.TRANSIENT_LOCAL in [_durability(each) for each in profiles]
     reliable = reliable or not profiles
-    # DDS does not announce the depth: of a latched topic 1 is assumed, the most common one.
+    # DDS does not announce depths, so a recording may have 0: then assume 1, the most common one.
     depth = sum(max(_depth(each), 1) for each in profiles)
     if not latched:
         depth = min(max(depth, VOLATILE_DEPTH), most)
@@ -105,7 +105,7 @@ def replay_qos(offered: str, *, most: int = MAX_DEPTH) -> QoSProfile:
 
 
 def latched_depth(offered: str) -> int:
-    """Return how many latched messages a late subscriber gets, 0 if the topic is volatile."""
+    """Return how many messages a late subscriber gets: the latched ones; 0 on a volatile topic."""
     qos = replay_qos(offered)
     return int(qos.depth) if qos.durability is DurabilityPolicy.TRANSIENT_LOCAL else 0
 
@@ -135,7 +135,7 @@ def _depth(profile: Mapping[str, Any]) -> int:
 
 
 def _common(profiles: Sequence[Mapping[str, Any]], policy: str) -> Duration:
-    """Return the duration of a policy if all profiles have the same one, or 0 (unspecified)."""
+    """Return the duration of a policy if all profiles have the same, else 0 (unspecified)."""
     spans = {_span_ns(each.get(policy)) for each in profiles}
     return Duration(nanoseconds=spans.pop() if len(spans) == 1 else 0)
 
@@ -159,34 +159,34 @@ QUIET_S: Final = 0.03
 
 MATCH_S: Final = 2.0
 KNOWN_S: Final = 0.5
-"""How long others may take to acknowledge that they know our publishers. They take 8 ms, or 0.2 s
-if a message gets lost; a process that was killed never acknowledges."""
+"""How long to wait until other processes acknowledge that they know our publishers. They take 8 ms,
+or 0.2 s if a message gets lost; a process that was killed never acknowledges."""
 
 CLOCK_TYPE: Final = "rosgraph_msgs/msg/Clock"
 
 ACKNOWLEDGE_S: Final = 7.0
-"""How long acknowledgements may take: a lost message is requested at the next heartbeat, which may
-be due only after 3 s."""
+"""How long to wait at the end until all messages are acknowledged. A lost message is requested at
+the next heartbeat, which may come only after 3 s."""
 
 IN_FLIGHT: Final = 250
-"""How many messages a replay at full speed sends before it waits for acknowledgements, for about
-5 ms. Few messages get lost while they fit into the shared memory of Fast DDS (512 kB)."""
+"""How many messages a replay at full speed sends before it waits about 5 ms, until all of them are
+acknowledged. Few get lost while they fit into the shared memory of Fast DDS (512 kB)."""
 
 IN_FLIGHT_BULKY: Final = 5
-"""IN_FLIGHT for images, point clouds and the like."""
+"""As IN_FLIGHT, for images, point clouds and the like."""
 
 _POLL_S: Final = 0.02
 _MATCHED_POLL_S: Final = 0.002
 
 
 class Unpublishable(Exception):
-    """A topic cannot be published here; the text continues the topic's name and says why."""
+    """A topic cannot be published here; the message says why in words that follow its name."""
 
 
 class ReplaySession:
-    """The publishers and clients of a replay; they leave the graph when the membership ends.
+    """Creates the publishers and clients of a replay; they exist until the membership ends.
 
-    All waits end when `stopped` is set.
+    Setting `stopped` ends every wait.
     """
 
     def __init__(self, membership: Membership) -> None:
@@ -203,7 +203,8 @@ class ReplaySession:
     def settle(self, quiet_s: float = QUIET_S) -> None:
         """Wait until every process is discovered and nothing changed for `quiet_s` seconds.
 
-        The wait ends SETTLE_S after joining at the latest; an empty domain needs no wait.
+        The wait ends at the latest SETTLE_S after the domain was joined; if the domain was empty
+        then, there is no wait.
         """
         if not self._is_alone:
             self._discovery.wait(quiet_s, self._joined + SETTLE_S, self.stopped)
@@ -225,7 +226,7 @@ class ReplaySession:
         )
 
     def robots_with_daemon(self) -> list[str]:
-        """Return the names of the robots whose daemons are in this domain, of any user."""
+        """Return the names of the robots that have a daemon, of any user, in this domain."""
         return sorted(
             info.node_namespace.strip("/") or "robot"
             for topic, types in endpoints.topics(self._node).items()
@@ -243,16 +244,17 @@ class ReplaySession:
         _installed(serialized_type, type_name)
 
     def is_same_type(self, type_name: str, type_hash: str) -> bool:
-        """Return whether the installed type has the recorded hash, or one of the two is unknown."""
+        """Return whether the installed type has the hash `type_hash`; True if a hash is unknown."""
         installed = type_hash_of(type_name)
         return not (installed and type_hash) or installed == type_hash
 
     def open(
         self, topic: str, type_name: str, offered_qos: str, *, patient: bool
     ) -> Callable[[bytes], bool]:
-        """Create a publisher, and return a function that sends a serialized message.
+        """Create a publisher, and return a function that sends a serialized message with it.
 
-        With `patient`, the function waits for slow reliable subscribers, at most BLOCKED_S a call.
+        The function returns whether the middleware accepted the message. With `patient`, it waits
+        for slow reliable subscribers, at most BLOCKED_S per call.
 
         Raises:
             Unpublishable: ROS does not allow the name, or the type cannot be published here.
@@ -274,7 +276,7 @@ class ReplaySession:
         return self._patient[-1]
 
     def open_requests(self, service: str, event_type: str) -> Callable[[bytes], bool | None]:
-        """Create a client, and return a function that sends the request of a serialized event.
+        """Create a client, and return a `RequestSender`, which sends an event's request with it.
 
         Raises:
             Unpublishable: ROS does not allow the name, or the type cannot be loaded.
@@ -289,7 +291,7 @@ class ReplaySession:
         return RequestSender(client, event_class)
 
     def open_clock(self, topic: str) -> Callable[[int], bool]:
-        """Create a publisher of the time, and return a function that sends a time in ns."""
+        """Create a publisher of the clock, and return a function that publishes a time [ns]."""
         qos = QoSProfile(depth=10)  # reliable: matches best-effort subscriptions too
         publisher = self._node.create_publisher(serialized_type(CLOCK_TYPE), topic, qos)
         return clock_sender(publisher)
@@ -310,11 +312,11 @@ class ReplaySession:
                 return
 
     def wait_for_matches(self) -> None:
-        """Wait until discovered subscriptions and servers have matched on both sides.
+        """Wait until all discovered subscriptions and servers have matched, on both sides.
 
-        The wait takes MATCH_S + KNOWN_S at most; without another process there is none. A publisher
-        matches a subscriber before the subscriber matches the publisher; a message that is sent in
-        between is lost, or late if the publisher is reliable.
+        The wait takes at most MATCH_S + KNOWN_S; without another process there is none. A publisher
+        matches a subscription before the subscription matches it; a message that is sent in between
+        is lost, or late if the publisher is reliable.
         """
         if self._is_alone:
             return
@@ -325,7 +327,7 @@ class ReplaySession:
         self._discovery.make_known(time.monotonic() + KNOWN_S, self.stopped)
 
     def wait_until_received(self) -> None:
-        """Wait until reliable subscriptions have acknowledged all messages, 7 s at most."""
+        """Wait until reliable subscriptions acknowledge all messages, at most ACKNOWLEDGE_S."""
         until = time.monotonic() + ACKNOWLEDGE_S
         for publisher in self._publishers:
             if publisher.qos_profile.reliability is ReliabilityPolicy.RELIABLE:
@@ -334,7 +336,7 @@ class ReplaySession:
                         break
 
     def given_up(self) -> list[str]:
-        """Return the topics on which a subscriber did not acknowledge within `BLOCKED_S`."""
+        """Return the topics on which a subscriber once did not acknowledge within BLOCKED_S."""
         return sorted(each.topic for each in self._patient if each.given_up)
 
     def _all_matched(self) -> bool:

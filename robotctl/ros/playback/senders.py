@@ -19,20 +19,20 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ENCAPSULATION
 
 BLOCKED_S: Final = 5.0
-"""How long a subscriber that acknowledges nothing may hold up a replay at full speed."""
+"""How long a replay at full speed waits for a subscriber that does not acknowledge."""
 
 ACKNOWLEDGED_POLL_S: Final = 0.001
-"""The time between two checks for acknowledgements, which come after about 5 ms."""
+"""How often [s] to check for acknowledgements, which come after about 5 ms."""
 
 MAX_OPEN_REQUESTS: Final = 10_000
-"""Limit on the requests that are remembered until their second event comes."""
+"""Limit on the sent requests that are remembered, because a second event of each may come."""
 
 _CLOCK = struct.Struct("<4siI")
 """rosgraph_msgs/Clock: encapsulation, seconds, nanoseconds."""
 
 
 def sender(publisher: Publisher) -> Callable[[bytes], bool]:
-    """Return a function that publishes a message, and returns whether the middleware accepts it."""
+    """Return a function that publishes a message and returns whether the middleware accepted it."""
     publish = publisher.publish
 
     def send(data: bytes) -> bool:
@@ -48,21 +48,20 @@ def sender(publisher: Publisher) -> Callable[[bytes], bool]:
 class PatientSender:
     """Publishes messages no faster than reliable subscribers acknowledge them.
 
-    After `in_flight` messages it waits until all are acknowledged, at most BLOCKED_S. A KEEP_ALL
-    queue is no alternative: if a message is lost while the publisher keeps more messages than the
-    subscriber's depth, Fast DDS 2.14 delivers nothing any more. The subscriber holds newer messages
-    back until it has the lost one, but they fill its queue, so it refuses the lost one each time
-    (`DataReaderHistory::received_change_keep_last`).
+    After `in_flight` messages it waits until all are acknowledged, at most BLOCKED_S. The publisher
+    has no KEEP_ALL queue instead, because with Fast DDS 2.14 one lost message could then block a
+    subscriber forever: the newer messages, held back until the lost one arrives, fill its queue, so
+    it refuses the lost one each time (`DataReaderHistory::received_change_keep_last`).
     """
 
     def __init__(self, publisher: Publisher, in_flight: int, stopped: threading.Event) -> None:
-        """Publish with `publisher`; wait after `in_flight` messages, or its depth if that is less.
+        """Publish with `publisher`; wait after `in_flight` messages, at most its queue's depth.
 
         Setting `stopped` ends a wait.
         """
         self.topic = str(publisher.topic_name)
         self.given_up = 0
-        """How often a subscriber did not acknowledge within BLOCKED_S."""
+        """How many waits ended before all messages were acknowledged."""
 
         self._send = sender(publisher)
         self._publisher = publisher
@@ -80,7 +79,7 @@ class PatientSender:
 
     def _is_acknowledged(self) -> bool:
         until_s = time.monotonic() + BLOCKED_S
-        # Polled, because rclpy would hold the GIL while it waits.
+        # Polled, because a wait in rclpy would hold the GIL.
         while not self._publisher.wait_for_all_acked(Duration()):
             if self._stopped.wait(ACKNOWLEDGED_POLL_S) or time.monotonic() > until_s:
                 return False
@@ -88,7 +87,7 @@ class PatientSender:
 
 
 def clock_sender(publisher: Publisher) -> Callable[[int], bool]:
-    """Return a function that publishes a time [ns]; it returns whether that succeeded."""
+    """Return a function that publishes a time [ns], and returns whether that worked."""
     send_once = sender(publisher)
 
     def send(time_ns: int) -> bool:
@@ -98,20 +97,20 @@ def clock_sender(publisher: Publisher) -> Callable[[int], bool]:
 
 
 class RequestSender:
-    """Sends the request of an introspection event; called with the serialized event.
+    """Sends the request in a serialized introspection event; does not wait for the response.
 
-    Client and server may both have recorded an event of the same request, under different
-    identities: the request is sent for the first event only. Responses are not waited for.
+    A recording may have two events of one request, one of its client and one of its server, with
+    different client gids. The request is sent for the first of the two only.
     """
 
     def __init__(self, client: Client, event_type: Any) -> None:
         self._client = client
         self._event_type = event_type
         self._balances: OrderedDict[tuple[int, str], int] = OrderedDict()
-        """Request -> number of client events minus number of server events."""
+        """Request -> its number of events from clients minus its number of events from servers."""
 
     def __call__(self, data: bytes) -> bool | None:
-        """Send the request; return whether that worked, or None if there was none to send."""
+        """Send the event's request; return whether that worked, or None if it is not to be sent."""
         try:
             event = deserialize_message(data, self._event_type)
         except _rclpy.RCLError:

@@ -1,8 +1,9 @@
 """`python -m robotctl.ros.queries --report-fd N`: answer the query in the first line on stdin.
 
-The line is a JSON object: `look` names the query (`names`, `topic`, `node`, `listen`, `call`), next
-to `domain_id` and the query's arguments. Each answer is a report; a failure is {"error",
-"exit_code"} and the error's details. The process ends when its parent closes stdin.
+The line is a JSON object: `look` is the query (`names`, `topic`, `node`, `listen` or `call`),
+`domain_id` the domain; the others are the query's arguments. Each answer is sent as a report to
+descriptor N; a failure has {"error", "exit_code"} and the error's details. The process ends when
+its parent closes stdin.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ if TYPE_CHECKING:
 
 
 def main(arguments: list[str]) -> int:
-    """Answer one query; return 0, also after a failure, which is reported."""
+    """Answer one query and return 0; a failure is reported, and returns 0 as well."""
     environment.prepare()
     send = partial(send_report, report_fd(arguments))
     with suppress(BrokenPipeError, asyncio.CancelledError):  # nothing waits for the answer any more
         try:
-            # After environment.prepare(), because it imports rclpy; before the wait for the line.
+            # This imports rclpy: after environment.prepare(), but before the wait for the line.
             from robotctl.ros.queries.visitor import Visitor
 
             line = _first_line()
@@ -51,7 +52,7 @@ def _look(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
     """Run the query in the domain, and `send` its answers.
 
     Raises:
-        RobotctlError: The query is refused; the text says why.
+        RobotctlError: The query is refused; the message says why.
     """
     # Discovery goes on during these imports.
     if request["look"] in ("listen", "call"):  # these import numpy, which takes 60 ms

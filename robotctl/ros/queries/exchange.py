@@ -22,14 +22,14 @@ from robotctl.ros.messages.type_definition import definition_of, holds_bytes
 from robotctl.ros.queries.visitor import STDIN, Visitor
 
 Send = Callable[[dict[str, Any]], None]
-"""Sends a report."""
+"""Sends a report, a JSON object, to the command."""
 
 
 def run(work: Coroutine[Any, Any, None]) -> None:
     """Run `work` in an event loop until it is done.
 
     Raises:
-        asyncio.CancelledError: The asking command has ended: it closed stdin.
+        asyncio.CancelledError: The command has closed stdin: it has ended.
     """
     asyncio.run(_until_stdin_ends(work))
 
@@ -49,7 +49,7 @@ async def _until_stdin_ends(work: Coroutine[Any, Any, None]) -> None:
 
 
 async def call(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
-    """Call a service and report {"type", "definition", "data"} of the response, data in base64.
+    """Call a service; report the response as {"type", "definition", "data"}, "data" in base64.
 
     Raises:
         NoDaemon: No such service appears in time, or the service does not answer.
@@ -92,10 +92,10 @@ async def call(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
 
 
 def _type_of(name: str, wanted: str, types: list[str]) -> str:
-    """Return the type to call the service with.
+    """Return which of a service's `types` to call it with; `wanted` is the requested one, or "".
 
     Raises:
-        UsageError: The service lacks the wanted type, or has several types and none is wanted.
+        UsageError: `types` lacks the wanted type, or has several while `wanted` is "".
     """
     if wanted and types and wanted not in types:
         raise UsageError(f"{name} has type {', '.join(types)}, not {wanted}", "leave the type out")
@@ -117,7 +117,7 @@ def _classes(type_name: str) -> tuple[Any, Any]:
 
 
 def _message(type_name: str, kind: Any, values: Any) -> Any:
-    """Return a request with the given values.
+    """Return a request message of class `kind` with the given values.
 
     Raises:
         UsageError: A value does not fit the type.

@@ -1,4 +1,4 @@
-"""The membership in a ROS domain of a process that answers one command."""
+"""Joins a ROS domain to answer one command, until the command ends."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from robotctl.ros.graph.endpoints import LOOK_NODE
 from robotctl.ros.graph.membership import Membership
 
 STDIN: Final = 0
-"""Readable only when the command has closed it, because the command sends a single line."""
+"""Readable only once the command has closed it: its single line has been read before."""
 
 SETTLE_S: Final = 3.5
-"""How long discovery may take: an announcement that was lost is repeated after 3 s."""
+"""How long discovery may take: a process repeats a lost announcement after 3 s."""
 
 EXPECTED_S: Final = 20.0
-"""How long the discovery of a name may take that the daemon has already discovered."""
+"""How long to wait for a name that exists for sure, because the daemon has discovered it."""
 
 QUIET_S: Final = 0.1
-"""The graph counts as discovered when it has not changed for this time."""
+"""Discovery counts as complete when the graph has not changed for this time."""
 
 _POLL_S: Final = 0.01
 
 
 class Visitor(Membership):
-    """A membership for one command; its waits are cancelled when the command closes stdin."""
+    """A node in the domain for one command; a wait is cancelled when the command closes stdin."""
 
     def __init__(self, domain_id: int) -> None:
         super().__init__(domain_id, f"{LOOK_NODE}{os.getpid()}")
@@ -38,12 +38,13 @@ class Visitor(Membership):
         self.discover(lambda: False)
 
     def discover(self, is_known: Callable[[], bool], *, expected: bool = False) -> bool:
-        """Wait until `is_known()`, and return whether it is.
+        """Wait until `is_known()`, or until waiting is no use; return whether it is known.
 
-        The wait lasts until discovery is complete, at most SETTLE_S; if `expected`, EXPECTED_S.
+        Give up when discovery is complete or no other process is there, at the latest SETTLE_S
+        after joining. If `expected`, give up only EXPECTED_S after joining.
 
         Raises:
-            asyncio.CancelledError: The asking command has ended: it closed stdin.
+            asyncio.CancelledError: The command has closed stdin: it has ended.
         """
         until_s = self.since_s + (EXPECTED_S if expected else SETTLE_S)
         while not is_known():

@@ -1,1 +1,1 @@
-"""The tap: subscribes to every topic of the graph and passes serialized messages to sinks."""
+"""Subscribes to every topic of the graph, and passes the serialized messages to sinks."""

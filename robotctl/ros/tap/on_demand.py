@@ -16,13 +16,13 @@ from robotctl.ros.tap.subscription import TappedSubscription
 from robotctl.ros.tap.type_loader import TypeLoader
 
 LATENCY_S: Final = 0.01
-"""How long messages of a topic are collected: one wake-up costs as much as ten messages."""
+"""How long messages are collected before a wake-up, which costs as much as ten messages."""
 
 POLL_S: Final = 0.1
-"""The time between two looks while the graph changes."""
+"""The time between two looks at the graph while it changes."""
 
 CALM_S: Final = 1.0
-"""The time between two looks while rcl announces no change: a QoS may change without one."""
+"""The time between two looks while rcl announces no change: it does not announce a new QoS."""
 
 MAX_TOPICS: Final = 5_000
 """Limit on the topics that are reported; other processes may create any number."""
@@ -32,24 +32,24 @@ class TopicWatcher(Protocol):
     """Receives what `OnDemandTap` finds out about the topics of the graph."""
 
     def appeared(self, topic: str, type_name: str, definition: str) -> None:
-        """Add a topic that has a publisher, with the ros2msg text of its type."""
+        """Add a topic: it has a publisher now; `definition` is the ros2msg text of its type."""
 
     def vanished(self, topic: str) -> None:
-        """Remove a topic: the last publisher with the topic's type is gone."""
+        """Remove a topic that `appeared` added: no publisher of its type is left."""
 
     def unusable(self, topic: str, problem: str) -> None:
-        """Set why a topic cannot be shown; "" when it can be, or is gone."""
+        """Set why a topic cannot be shown, or "" when it can be shown or no longer exists."""
 
 
 class OnDemandTap:
-    """Watches the graph that `node` sees; use it in the loop's thread only."""
+    """Reports the topics that `node` sees, and subscribes to those wanted; loop's thread only."""
 
     def __init__(self, node: Node, watcher: TopicWatcher) -> None:
         self._node = node
         self._watcher = watcher
         self._types = TypeLoader()
         self._known: dict[str, str] = {}
-        """Topic -> its type."""
+        """Topic that was reported as appeared -> its type."""
 
         self._problems: dict[str, str] = {}
         self._sinks: dict[str, ViewSink] = {}
@@ -64,9 +64,10 @@ class OnDemandTap:
                 await changes.wait(0.0 if is_loading else CALM_S)
 
     def want(self, topic: str, sink: ViewSink) -> None:
-        """Pass the messages of a known topic to `sink`, first the latched ones.
+        """Subscribe to a topic that has appeared; pass `sink` its messages, the latched ones first.
 
-        An earlier sink stays if the topic has no latched messages; otherwise `sink` replaces it.
+        If the topic is wanted already, and has latched messages, subscribe again, so that `sink`
+        gets these. If it has none, the earlier sink stays instead.
         """
         if topic in self._tapped and not self._tapped[topic].is_latched:
             return
@@ -81,7 +82,7 @@ class OnDemandTap:
             self._tapped.pop(topic).close()
 
     def _look(self) -> bool:
-        """Compare the graph with the known topics; return whether a type is loading."""
+        """Report topics that appeared or vanished; return whether a type is still loading."""
         present = list(endpoints.topics(self._node))[:MAX_TOPICS]
         is_loading = False
         for topic in present:
@@ -92,7 +93,7 @@ class OnDemandTap:
         return is_loading
 
     def _look_at(self, topic: str) -> bool:
-        """Report what changed about a topic; return whether its type is loading."""
+        """Report what changed about a topic; return whether its type is still loading."""
         if not endpoints.is_topic_name(topic) or not endpoints.publisher_count(self._node, topic):
             self._forget(topic)
             return False
@@ -135,7 +136,7 @@ class OnDemandTap:
         self._watcher.unusable(topic, problem)
 
     def _tap(self, topic: str, offered: dict[str, list[QoSProfile]] | None = None) -> None:
-        """Subscribe to a wanted topic, or adapt its subscription to its publishers' QoS."""
+        """Subscribe to a wanted topic, or adapt the subscription to the QoS of the publishers."""
         type_name = self._known[topic]
         profiles = (offered or self._offered(topic)).get(type_name, [])
         try:
@@ -152,7 +153,7 @@ class OnDemandTap:
             self._tell(topic, "")
 
     def _offered(self, topic: str) -> dict[str, list[QoSProfile]]:
-        """Return type -> the profiles of its publishers."""
+        """Return type -> the QoS profiles of the topic's publishers with this type."""
         found: dict[str, list[QoSProfile]] = {}
         for info in endpoints.publishers(self._node, topic):
             found.setdefault(info.topic_type, []).append(info.qos_profile)

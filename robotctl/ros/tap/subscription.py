@@ -1,8 +1,8 @@
 """The subscription of one tapped topic.
 
-A subscription gets either latched messages or the messages of volatile publishers, never both
-(DDS 1.4, 2.2.3.4), so a topic with both kinds of publisher takes two subscriptions. Each new
-subscription gets the latched messages again.
+A transient-local subscription gets latched messages, but nothing of volatile publishers; a volatile
+one gets new messages of all publishers, but no latched ones (DDS 1.4, 2.2.3.4). So a topic with
+both kinds of publisher takes two subscriptions. A new one gets the latched messages again.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ Span = tuple[int, int]
 
 NOTHING: Span = (1, 0)
 MAX_PUBLISHERS = 1024
-"""Limit on remembered publishers of a topic; latched messages of a forgotten one are recorded
-again."""
+"""Limit on the publishers of a topic that are remembered; the latched messages of a publisher that
+was forgotten may be recorded twice."""
 
 T = TypeVar("T")
 
 
 class LatchedMerge:
-    """Passes each message to the sink once, though two subscriptions may deliver it.
+    """Passes each message to the sink only once, even if two subscriptions deliver it.
 
-    Each subscription delivers the messages of one publisher in order.
+    It relies on each subscription to deliver the messages of one publisher in order.
     """
 
     def __init__(self, sink: ViewSink) -> None:
@@ -40,12 +40,12 @@ class LatchedMerge:
         self._live: dict[bytes, Span] = {}
         self._latched: dict[bytes, Span] = {}
         self._known: dict[bytes, int] = {}
-        """The last sequence number that earlier subscriptions delivered, by publisher."""
+        """Publisher's gid -> the last sequence number that earlier subscriptions delivered."""
 
     def live(
         self, data: SerializedData, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Accept a message of the volatile subscription: a new one, of any publisher."""
+        """Accept a message of the volatile subscription: a new message of any publisher."""
         first, _ = self._live.get(gid, (sequence, sequence))
         _keep(self._live, gid, (first, sequence))
         first_latched, last_latched = self._latched.get(gid, NOTHING)
@@ -55,7 +55,7 @@ class LatchedMerge:
     def latched(
         self, data: SerializedData, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Accept a message of the transient-local subscription: a latched one, or a new one."""
+        """Accept a message of the transient-local subscription: a latched or a new message."""
         _, last = self._latched.get(gid, NOTHING)
         if 0 < sequence <= max(last, self._known.get(gid, 0)):
             return  # a publisher that is discovered again after a loss repeats it as well
@@ -65,7 +65,7 @@ class LatchedMerge:
             self._sink(data, received_ns, source_ns, sequence, gid)
 
     def restart(self) -> None:
-        """Prepare for new subscriptions, which repeat latched messages of the earlier ones."""
+        """Prepare for new subscriptions, which deliver the same latched messages again."""
         for spans in (self._live, self._latched):
             for gid, (_, last) in spans.items():
                 _keep(self._known, gid, max(last, self._known.get(gid, 0)))
@@ -80,11 +80,11 @@ def _keep(known: dict[bytes, T], gid: bytes, what: T) -> None:
 
 
 LATENCY_S = 0.05
-"""How long messages are collected before they are handled together, which costs less. The
-middleware sets their time stamps, so the recording does not show the delay."""
+"""How long messages are collected, since it costs less to handle them together. The middleware sets
+their time stamps, so the recording does not show the delay."""
 
 Requests = tuple[QoSProfile, QoSProfile | None]
-"""The QoS requested for all messages, and that of a second subscription for latched ones."""
+"""The QoS of the subscription, and that of the second one for latched messages, if needed."""
 
 
 class TappedSubscription:
@@ -106,7 +106,7 @@ class TappedSubscription:
         """The number of publishers at the last look at the graph; `Tap` sets it."""
 
         self.abandoned_since: float | None = None
-        """When the last publisher went, on the steady clock [s]; None while there is one."""
+        """When the topic lost its last publisher [steady s]; None while it has one."""
 
         self._node = node
         self._latency_s = latency_s
@@ -118,14 +118,14 @@ class TappedSubscription:
 
     @property
     def is_latched(self) -> bool:
-        """Whether a new subscription gets messages that were sent before."""
+        """Whether a new subscription to the topic would get latched messages."""
         requested, latched = self._requests
         return latched is not None or requested.durability is DurabilityPolicy.TRANSIENT_LOCAL
 
     def adapt(self, offered: Sequence[QoSProfile]) -> None:
         """Subscribe again if the profiles that publishers now offer need another QoS.
 
-        Messages that are sent meanwhile are lost, and counted as lost.
+        Messages that are sent before the new subscription has matched are lost, and count as lost.
 
         Raises:
             Exception: rclpy could not subscribe; the next call tries again.

@@ -27,16 +27,17 @@ from robotctl.ros.tap.type_loader import SLOW_LOAD_S, TypeLoader
 _log = logging.getLogger(__name__)
 
 MAX_ENDPOINTS: Final = 20
-"""Limit on the publishers and on the subscriptions of a topic that are compared."""
+"""Limit on the publishers, and on the subscriptions, of a topic whose QoS is compared."""
 
 MAX_NAMED: Final = 20
 MAX_LOGGED: Final = 1_000
 
 
 class QosMismatches:
-    """Finds QoS mismatches on the topics that `look` is called for, and keeps one for each.
+    """Finds a QoS mismatch on each topic for which `look` is called, logs it and keeps it.
 
-    Hidden nodes are left out: a recorder may request latched messages of some publishers only.
+    Hidden nodes are left out: a recorder may subscribe to the latched messages of only a part of
+    the publishers.
     """
 
     def __init__(self, node: Node) -> None:
@@ -46,7 +47,7 @@ class QosMismatches:
         self._logged = 0
 
     def look(self, topic: str, publishers: int) -> None:
-        """Compare the profiles if publishers or subscriptions came or went."""
+        """Compare the QoS on a topic if its number of publishers or subscriptions changed."""
         counts = publishers, endpoints.subscription_count(self._node, topic)
         if counts == self._counts.get(topic):
             return
@@ -70,14 +71,14 @@ class QosMismatches:
         self._sentences.pop(topic, None)
 
     def warnings(self) -> Iterator[str]:
-        """Yield a sentence for each topic with a mismatch, up to MAX_NAMED."""
+        """Yield the sentences of up to MAX_NAMED topics, then how many more have a mismatch."""
         yield from islice(self._sentences.values(), MAX_NAMED)
         if len(self._sentences) > MAX_NAMED:
             yield f"{len(self._sentences) - MAX_NAMED} more topics have a QoS mismatch"
 
 
 def mismatch(topic: str, publishers: Sequence[Endpoint], subscriptions: Sequence[Endpoint]) -> str:
-    """Return a sentence about the first pair whose QoS does not match, or "" if all match."""
+    """Return a sentence on the first publisher and subscription that do not match, "" if all do."""
     offers, requests = (
         [each for each in side if not each.node_name.startswith("_")][:MAX_ENDPOINTS]
         for side in (publishers, subscriptions)
@@ -109,10 +110,10 @@ def _name(endpoint: Endpoint) -> str:
 
 
 MAX_WARNINGS = 50
-"""Limit on the topics that `warnings` names; the others are counted."""
+"""Limit on the topics that `warnings` names; of the further ones it gives the number."""
 
 MAX_SAID = 1_000
-"""Limit on the logged sentences: another process may create new topics without end."""
+"""Limit on the logged sentences: other processes may create topics without end."""
 
 
 class Unrecorded:
@@ -127,23 +128,23 @@ class Unrecorded:
         self._last_missed = ""
 
     def note(self, topic: str, sentence: str) -> None:
-        """Set the sentence of a topic, until `clear`."""
+        """Set the sentence of a topic, which stays until `clear`."""
         self.problems[topic] = sentence
         self._say(sentence)
 
     def clear(self, topics: Iterable[str]) -> None:
-        """Forget the sentences of topics that are recorded now, or gone."""
+        """Forget the sentences of topics that are fully recorded now or no longer exist."""
         for topic in topics:
             self.problems.pop(topic, None)
 
     def miss(self, topic: str, type_name: str) -> None:
-        """Count a topic that ended before its type was loaded."""
+        """Count a topic that disappeared before its type was loaded."""
         self._missed += 1
         self._last_missed = f"{topic} ({type_name}) came and went before it could be recorded"
         self._say(self._last_missed)
 
     def warnings(self) -> Iterator[str]:
-        """Yield a sentence for each topic that is not recorded, up to MAX_WARNINGS."""
+        """Yield the sentences of up to MAX_WARNINGS topics, then how many more there are."""
         yield from islice(self.problems.values(), MAX_WARNINGS)
         more = len(self.problems) - MAX_WARNINGS
         if more > 0:
@@ -159,17 +160,17 @@ class Unrecorded:
 
 
 POLL_S = 0.05
-"""The time between two looks while the graph changes; a new topic is found within twice that."""
+"""The time between two looks at the graph while it changes."""
 
 CALM_S = 1.0
-"""The time between two looks while rcl announces no change."""
+"""The time between two looks at the graph while rcl announces no change."""
 
 LOOKS_PER_COUNT = 4
-"""The publishers of a tapped topic are counted once in this number of looks at the graph."""
+"""How many looks at the graph there are for each count of a tapped topic's publishers."""
 
 LOOKS_PER_INSPECTION = 40
-"""The publishers' QoS and types are read once in this number of looks: with the same count, one
-publisher may have replaced another. Each change of the graph causes this number of looks."""
+"""How many looks there are for each reading of the publishers' QoS and types. It is needed because
+one publisher may replace another. After each change of the graph, this number of looks follows."""
 
 TOPICS_PER_TURN = 50
 """Limit on the topics that are checked in one turn of the loop, so as not to hold up the loop."""
@@ -179,10 +180,10 @@ ABANDONED_S = 60.0
 node to restart."""
 
 RESERVED_FILES = 256
-"""File descriptors that are left for the rest of the process; each subscription takes one."""
+"""How many file descriptors to leave for the rest of the process; each subscription takes one."""
 
 MAX_TYPES_NAMED = 5
-"""Limit on the other types of a topic that its sentence names."""
+"""Limit on the types that the sentence about a topic names."""
 
 
 class TooManyTopics(Exception):
@@ -198,7 +199,7 @@ class Tap:
         open_sink: Callable[[TopicDescription], ViewSink],
         wanted: Callable[[str, str], bool] = lambda topic, type_name: True,
     ) -> None:
-        """Call `open_sink` in the loop for each new topic; it returns the sink of its messages.
+        """Call `open_sink`, which returns the sink for a topic's messages, for each new topic.
 
         Topics for which `wanted(topic, type)` is false are not subscribed to.
         """
@@ -210,13 +211,13 @@ class Tap:
         self._own: set[str] = set()
         self._tapped: dict[str, TappedSubscription] = {}
         self._left_out: dict[str, list[str]] = {}
-        """Topic -> the types that it had when it was left out."""
+        """Topic that was left out -> its types then; when they change, it is tried again."""
 
         self._failed: set[str] = set()
-        """Topics that are left out after a failure that may be temporary; they are tried again."""
+        """Topics whose subscription failed, maybe only for a time; it is tried again."""
 
         self._awaited: dict[str, str] = {}
-        """Topic -> the type that it waits for; the type is being loaded."""
+        """Topic -> the type that is still loading, for which it waits."""
 
         self._types = TypeLoader()
         self._looks = count()
@@ -225,7 +226,7 @@ class Tap:
 
     @property
     def node(self) -> Node:
-        """The hidden node, from which the whole graph is seen."""
+        """The hidden node, which has all subscriptions of the tap."""
         return self._node
 
     async def run(self) -> None:
@@ -248,13 +249,13 @@ class Tap:
             self._subscribe(name, topic.type_name, [topic.qos])
 
     def reserve(self, topic: OwnTopic) -> ViewSink:
-        """Return the sink for a topic that robotctl records directly; never subscribe to it."""
+        """Never subscribe to a topic; return its sink, to which robotctl itself writes directly."""
         name = self._resolve(topic.name)
         self._reserved.add(name)
         return self._open_sink(describe(name, topic.type_name, [topic.qos]))
 
     def _is_unfinished(self) -> bool:
-        """Return whether there is work to do even if the graph does not change."""
+        """Return whether topics need another look soon, even if the graph does not change."""
         abandoned = any(each.abandoned_since is not None for each in self._tapped.values())
         return abandoned or bool(self._failed or self._awaited)
 
@@ -320,7 +321,7 @@ class Tap:
         self._leave_out(topic, type_names, problem)
 
     def _await(self, topic: str, type_name: str) -> None:
-        """Remember that the topic's type is loading; note the topic if that takes long."""
+        """Remember that the topic's type is loading; note the topic if the load is slow."""
         self._awaited[topic] = type_name
         if self._types.is_slow(type_name):
             problem = f"its type {type_name} is not loaded after {SLOW_LOAD_S:g} s"
@@ -332,7 +333,7 @@ class Tap:
             self.unrecorded.note(topic, f"{short_name(topic)} is not recorded: {problem}")
 
     def _give_up(self, topic: str, type_names: list[str], error: Exception) -> None:
-        """Leave out a topic that cannot be subscribed to, until it is tried again."""
+        """Note why a topic could not be subscribed to, and leave it out until the next attempt."""
         if isinstance(error, TooManyTopics):
             problem = f"there are {error}"
         elif len(type_names) > 1:
@@ -349,7 +350,7 @@ class Tap:
             self._leave_out(topic, type_names, problem)
 
     def _follow(self, tapped: TappedSubscription, *, inspect: bool) -> None:
-        """Adapt the subscription to publishers that came, went or offer another QoS."""
+        """Adapt the subscription to the present publishers; end it if it is of no use any more."""
         topic = tapped.topic
         publishers = endpoints.publisher_count(self._node, topic)
         self.mismatches.look(topic, publishers)
@@ -391,7 +392,7 @@ class Tap:
         self._tapped[topic] = TappedSubscription(self._node, topic, type_name, sink, offered)
 
     def _offered(self, topic: str) -> dict[str, list[QoSProfile]]:
-        """Return type -> the profiles its publishers offer; the most published type comes first."""
+        """Return type -> its publishers' QoS profiles, the type with the most publishers first."""
         found: dict[str, list[QoSProfile]] = {}
         for info in endpoints.publishers(self._node, topic):
             found.setdefault(info.topic_type, []).append(info.qos_profile)
@@ -399,7 +400,7 @@ class Tap:
 
 
 def _is_abandoned(tapped: TappedSubscription) -> bool:
-    """Return whether a topic that has no publisher now has had none for ABANDONED_S."""
+    """Note since when a topic has no publisher; return whether for ABANDONED_S or longer."""
     now = time.monotonic()
     if tapped.abandoned_since is None:
         tapped.abandoned_since = now

@@ -1,4 +1,4 @@
-"""Loads the types of foreign topics in threads: each takes tens of milliseconds."""
+"""Loads the types of topics in threads, because each takes tens of milliseconds."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from robotctl.ros.messages.classes import UnusableType, message_class, parse_typ
 from robotctl.ros.messages.type_definition import definition_of, type_hash_of
 
 SLOW_LOAD_S = 2.0
-"""A load that takes longer is slow, and the next one does not wait for it; most take 0.1 s."""
+"""A load that takes longer is slow: the next one does not wait for it. Most take 0.1 s."""
 
 MAX_LOADS = 4
-"""Limit on simultaneous loads. A second one begins only while all others are slow, because each
+"""Limit on simultaneous loads. Another one begins only if all running ones are slow, because each
 competes with the loop for the GIL."""
 
 MAX_REMEMBERED = 4096
@@ -24,15 +24,15 @@ MAX_REMEMBERED = 4096
 
 
 class TypeLoader:
-    """Loads types without holding up the loop, whatever their modules raise.
+    """Loads types in daemon threads; used in the loop's thread only.
 
-    Used in the loop's thread only. It loads in daemon threads: one that never ends does not keep
-    the process alive.
+    Whatever a module raises is a problem of its type. A load that never ends does not keep the
+    process alive.
     """
 
     def __init__(self) -> None:
         self._problems: dict[str, str] = {}
-        """Type -> why it cannot be loaded, "" where it is loaded."""
+        """Type -> why it cannot be loaded, or "" if it is loaded."""
 
         self._waiting: dict[str, None] = {}
         self._loading: dict[str, float] = {}
@@ -41,10 +41,9 @@ class TypeLoader:
         self._all_loaded = asyncio.Event()
 
     def problem(self, type_name: str) -> str | None:
-        """Return why a type cannot be loaded, "" where it is loaded, None while it is loading.
+        """Return why a type cannot be loaded, "" if it is loaded, None while it is loading.
 
-        The reason continues the words "the type, which". The first call for a type begins to load
-        it.
+        The reason continues the words "the type, which". The first call for a type starts its load.
         """
         known = self._problems.get(type_name)
         if known is not None:
@@ -64,7 +63,7 @@ class TypeLoader:
         return since_s is not None and time.monotonic() - since_s > SLOW_LOAD_S
 
     async def pause(self, at_most_s: float) -> None:
-        """Sleep `at_most_s` seconds, or until a load ends and no other type waits for its load."""
+        """Sleep for `at_most_s` seconds; end early when a load ends and no type is left to load."""
         self._all_loaded.clear()
         with suppress(TimeoutError):
             async with asyncio.timeout(at_most_s):

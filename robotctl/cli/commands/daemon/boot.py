@@ -67,7 +67,7 @@ PASSED_ON: Final = (
 NOT_IN_A_UNIT: Final = ("--drive", "--foreground", "--dry-run", "--json", "--robot")
 
 CALL_S: Final = 60.0
-"""The time limit of a systemctl call [s]: a daemon becomes ready, and ends, in less."""
+"""The time limit of a systemctl call [s]: longer than a daemon needs to become ready, or to end."""
 
 _DAEMON: Final = """\
 Type=notify
@@ -272,7 +272,7 @@ def daemon_unit(robot: str, words: list[str], *, system: bool, user: str) -> Uni
 def sync_units(
     robot: str, words: list[str], *, system: bool, user: str, every_min: int
 ) -> tuple[Unit, Unit]:
-    """Return the timer and the service that runs `robotctl sync` with the arguments `words`.
+    """Return a timer, and the service that it starts: `robotctl sync` with the arguments `words`.
 
     A run starts `every_min` minutes after the previous one has ended. Credentials come from the
     file sync.env, because other users may be able to read a unit.
@@ -349,7 +349,7 @@ def _environment(*names: str) -> list[str]:
 
 
 def _state_of(user: str, *, system: bool) -> Path:
-    """Return the state folder (logs, recordings) of the user as whom the unit runs.
+    """Return the state folder (logs, recordings) of the user under which the unit runs.
 
     Raises:
         UsageError: There is no such user.
@@ -363,10 +363,11 @@ def _state_of(user: str, *, system: bool) -> Path:
 
 
 def _command_words(command: str, app: typer.Typer, words: list[str]) -> list[str]:
-    """Return the arguments of a command, paths made absolute: a unit has another working folder.
+    """Return the arguments of a command; make paths absolute, as a unit has another working folder.
 
     Raises:
-        UsageError: They are not allowed in a unit; typer's own, if the command would refuse them.
+        UsageError: An argument is not allowed in a unit. If the command would refuse the
+            arguments, typer raises an error of its own.
     """
     from robotctl.base.store import is_url
 
@@ -397,7 +398,9 @@ def _as_list(value: Any) -> list[Any]:
 
 
 def _install(units: list[Unit], *, now: bool) -> tuple[str, list[str]]:
-    """Write units, enable the last; return systemd's error ("" for none) and the lines to print.
+    """Write units; enable the last one, and if `now`, start it, too.
+
+    Return systemd's error ("" for none) and the lines to print.
 
     Raises:
         RobotctlError: A file cannot be written.
@@ -422,6 +425,8 @@ def _install(units: list[Unit], *, now: bool) -> tuple[str, list[str]]:
 
 def _remove(paths: list[Path], installer: str, *, system: bool) -> tuple[str, list[str]]:
     """Stop and remove units; return systemd's error ("" for none) and the lines to print.
+
+    `installer` is the command that writes such units, for the advice.
 
     Raises:
         Refused: There is no unit.

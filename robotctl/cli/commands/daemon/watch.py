@@ -55,9 +55,10 @@ def _cell(value: Any, form: str) -> str:
 
 
 def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
-    """Poll and yield the daemon's status until `working` is done; nothing if it ends at once.
+    """Poll and yield the daemon's status until `working` is done.
 
-    Failed polls are skipped: `working` itself reports how it ended.
+    If it is done within POLL_S, nothing is yielded. Failed polls are skipped, because `working`
+    itself reports how it ended.
     """
     period_s = POLL_S if is_terminal() else LINE_S
     working.join(POLL_S)
@@ -72,7 +73,7 @@ def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
 
 
 def show(statuses: Iterator[Status]) -> None:
-    """Draw each status over the previous one, or print a line for each without a terminal."""
+    """Draw each status over the previous one; without a terminal, print each as one line."""
     if not is_terminal():
         for row, status in enumerate(statuses):
             if row == 0:
@@ -95,7 +96,7 @@ PATH_S: Final = 1.0
 
 
 def watch_on_screen(robot: str) -> None:
-    """Draw the status until `q` is pressed; other keys stop the robot.
+    """Draw the status until `q` is pressed; the space bar and `e` stop the robot.
 
     Raises:
         NoDaemon: The daemon has ended.

@@ -39,7 +39,7 @@ LEAST_WIDTH = 10
 
 AROUND_DRIVE_S: Final = (2.0, 2.0)
 AROUND_EVENT_S: Final = (30.0, 5.0)
-"""Seconds of a clip before and after: a drive (AROUND_DRIVE_S), or an event."""
+"""How much a clip has before and after a drive, and before and after an event [s]."""
 
 DISPLAYS: Final = ("DISPLAY", "WAYLAND_DISPLAY")
 
@@ -53,10 +53,11 @@ class OpenAs(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ShownPage:
-    """A recording; `at_s` is where the row begins [s into the recording], None for all of it."""
+    """What `--open` opens: the recording of a row, and the row's time in it."""
 
     path: Path
     at_s: float | None
+    """When the row begins [s into the recording], None if it concerns all of the recording."""
     drive_s: float | None
     """The duration of the drive [s], None if the row is not a drive."""
 
@@ -176,7 +177,7 @@ def _lines(found: Answer, shown: tuple[str, ...]) -> Iterator[str]:
 
 
 def _cells(texts: list[str], width: int) -> tuple[list[str], str]:
-    """Return the cells of a row: all but the last, cut to a third of `width`, and the last one."""
+    """Return all cells of a row but the last, cut to a third of `width`; and the last, uncut."""
     return [elided(each, width // 3) for each in texts[:-1]], texts[-1]
 
 
@@ -194,7 +195,7 @@ def _shown_row(rows: list[dict[str, Any]], number: int, folder: Path) -> ShownPa
     """Return the recording and the time of row `number`; the first row is 1.
 
     Raises:
-        Refused: There is no such row, or its recording is gone.
+        Refused: There is no such row, or its recording does not exist any more.
         UsageError: The row names no recording.
     """
     if not 1 <= number <= len(rows):
@@ -244,7 +245,7 @@ def _show_page(shown: ShownPage) -> None:
 
 
 def _offset_s(path: Path, about: Mapping[str, Any]) -> float | None:
-    """Return when the row begins [s into the recording], None if it concerns all of it."""
+    """Return when the row `about` begins [s into the recording], None if it concerns all of it."""
     from robotctl.recording import read_info
 
     start_ns = about.get("start_ns")

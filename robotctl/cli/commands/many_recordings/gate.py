@@ -180,7 +180,7 @@ def _accept(report: GateReport, known: Baseline, baseline: Path, by: str, why: s
 
 
 def _error(report: GateReport, problems: Sequence[RobotctlError]) -> RobotctlError | None:
-    """Return why the gate does not pass, or None; `problems` with writing are named last."""
+    """Return why the gate does not pass, or None; `problems` are those of writing the results."""
     also = "".join(f"; {problem}" for problem in problems)
     if failures := report.failures():
         return Divergence(f"{len(failures)} of {len(report.results)} recordings do not pass{also}")
@@ -195,7 +195,7 @@ def _error(report: GateReport, problems: Sequence[RobotctlError]) -> RobotctlErr
 
 
 MAX_NAMED = 5
-"""How many recordings are named per cause, and how many drives in all; --json names all."""
+"""How many recordings are printed for each cause, and how many drives; `--json` has all."""
 
 OPEN_LOOP = "the robot does not react, so how far and how well it would drive is not known"
 

@@ -117,7 +117,7 @@ def sync(
                     offered, store, pace=pace, on_progress=on_progress, dry_run=dry_run
                 )
             if removes and not dry_run:
-                with progress_bar("reading back", quiet=as_json):  # retention decides how much
+                with progress_bar("reading back", quiet=as_json):  # how much depends on retention
                     now_s = time.time_ns() / NS_PER_S
                     there = {*run.complete, *run.live}
                     pruned = prune(Path(source), store, policy, now_s, complete=there, pace=pace)
@@ -154,7 +154,11 @@ def _ends(places: list[str], folder: Path | None, robot: str) -> tuple[str, str]
 
 
 def _check_folder(target: Path, source: str) -> None:
-    """Raise UsageError if `target` cannot be a folder (unmounted disk?) or is in the source."""
+    """Check that `target` is usable as a folder.
+
+    Raises:
+        UsageError: It is a file or in `source`, or its parent is missing (disk not mounted?).
+    """
     from robotctl.base.store import is_url
 
     if not target.parent.is_dir() or (target.exists() and not target.is_dir()):
@@ -226,21 +230,21 @@ def _error(run: Synced, pruned: Pruned) -> RobotctlError | None:
 
 
 class SyncPace:
-    """Delays each piece that is sent, in any thread; leaving the `with` block ends all waits."""
+    """Delays each piece to send, in the calling thread; leaving the `with` block ends all waits."""
 
     def __init__(self, limit_mbps: float | None, robot: str | None) -> None:
-        """Send at most `limit_mbps` [Mbit/s], and not while `robot` moves; None: no such limit."""
+        """Send at most `limit_mbps` [Mbit/s], and nothing while `robot` moves; None: no limit."""
         self._bytes_per_s = None if limit_mbps is None else limit_mbps / _BITS
         self._robot = robot
         self._ended = threading.Event()
         self._look_s = self._free_s = time.monotonic()
-        """When to ask next whether the robot moves; when all sent bytes have left at the limit."""
+        """When to ask again whether the robot moves, and when the limit allows more bytes."""
 
     def __enter__(self) -> Self:
         """Ask the daemon once, so that an error ends the command before anything is sent.
 
         Raises:
-            RobotctlError: The daemon refused; without a daemon, or an answer, nothing is raised.
+            RobotctlError: The daemon refused; nothing is raised if no daemon runs or answers.
         """
         if self._robot is not None:
             with suppress(NoDaemon):
@@ -271,7 +275,7 @@ class SyncPace:
 
 
 def _may_be_moving(robot: str) -> bool:
-    """Return whether the robot moves, or True if its daemon runs but does not tell."""
+    """Return whether the robot moves; True if its daemon runs, but does not answer."""
     try:
         return _is_moving(robot)
     except NoDaemon as error:

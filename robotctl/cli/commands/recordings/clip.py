@@ -142,7 +142,7 @@ def _find(
     if file is None:
         candidates = recordings_of(robot, recordings_folder(robot, folder))
         if not candidates:
-            find_recording("last", robot, folder)  # raises Refused with the reason
+            find_recording("last", robot, folder)  # raises Refused
     else:
         candidates = [find_recording(file, robot, folder, also_url=True)]
     for path in candidates:

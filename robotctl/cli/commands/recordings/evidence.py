@@ -91,10 +91,11 @@ def evidence(
 def _recordings(
     robot: str, told: Evidence, found: Evidence, elsewhere: Path | None, since_ns: int
 ) -> Iterator[dict[str, Any]]:
-    """Yield each recording that the journal names, then others of the robot in the same folders.
+    """Yield each recording that the journal names, then the robot's others in the same folders.
 
-    `told` is from the whole journal, `found` from `since_ns` on: a recording that only `told` names
-    is left out if it ended before. One that has left its folder is looked for in `elsewhere`.
+    `told` is what the whole journal says, `found` what it says from `since_ns` on. A recording that
+    ended before `since_ns` is left out, unless `found` names it. If the journal names a recording
+    that is not at its path any more, it is looked for in `elsewhere`.
     """
     wanted = set(found.recordings())
     removed = {Path(str(item.get("file"))).parent.name for item in told.removed}
@@ -120,7 +121,7 @@ def _recordings(
 
 
 def _looked_at(path: Path) -> dict[str, Any]:
-    """Return the object of a recording for `--json`; its verdicts are still None."""
+    """Return the object for `--json` of a recording; `_prove` adds its verdicts later."""
     from robotctl.recording.keep.listing import list_recording
 
     item = {"path": str(path), "state": _MISSING, "named": True}
@@ -135,15 +136,16 @@ def _looked_at(path: Path) -> dict[str, Any]:
 
 
 def _heads(recording: Path, robot: str = "") -> Iterator[tuple[str | None, int]]:
-    """Yield for each file the journal's newest hash when the file began, and that time [ns].
+    """Yield a pair for each file: the newest hash of the journal when it began, and that time [ns].
 
-    The hash is None in a file of an early version. With `robot`, files of other robots are skipped.
+    The hash is None if an early version of robotctl wrote the file. If `robot` is given, files of
+    other robots are skipped.
     """
     from robotctl.recording import read_info
     from robotctl.recording.format.names import INFO_RECORD
     from robotctl.recording.read.files import recording_files
 
-    with suppress(UnreadableFile):  # the verdict says why
+    with suppress(UnreadableFile):  # the verdict on the recording says why
         for file in recording_files(recording):
             info = read_info(file)
             noted = info.metadata.get(INFO_RECORD, {})
@@ -152,7 +154,7 @@ def _heads(recording: Path, robot: str = "") -> Iterator[tuple[str | None, int]]
 
 
 def _cut_off(log: LogContent, recording: Path) -> Iterator[str]:
-    """Yield a sentence if a recording names an entry that the journal lacks."""
+    """Yield a sentence if `recording` names the hash of an entry that the journal does not have."""
     for head, start_ns in _heads(recording):
         is_older = log.begins_later and log.entries and start_ns <= log.entries[0].time_ns
         if head and head not in log.heads and not is_older:
@@ -164,7 +166,10 @@ def _cut_off(log: LogContent, recording: Path) -> Iterator[str]:
 
 
 def _prove(items: Sequence[dict[str, Any]], *, quiet: bool) -> dict[str, Any] | None:
-    """Add the verdicts to finished recordings; return `verify`'s summary, None without any."""
+    """Add verdicts to the finished recordings among `items`; return the summary of `verify`.
+
+    Return None if no recording is finished.
+    """
     from robotctl.cli.commands.recordings.verify.report import verify_together
     from robotctl.rerun.check_many import check_recordings
 
@@ -245,7 +250,7 @@ def _wrong(
 
 
 MOST_SHOWN: Final = 50
-"""How many items are printed: the last of each list, the first sentences about the journal."""
+"""How many items are printed: the last of each list, but the first sentences on the journal."""
 
 _INDENT = "  "
 

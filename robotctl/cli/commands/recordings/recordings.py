@@ -269,7 +269,7 @@ def _lines(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterato
 
 
 def _error(each: ListedRecording, name: str, what: str) -> Iterator[str]:
-    """Yield the largest error `name` of all drives, with the true one if known; or nothing."""
+    """Yield the largest error `name` of all drives if measured, with the true one if known."""
     measured, true = each.largest(name), each.largest(f"true_{name}")
     if measured is not None:
         in_truth = "" if true is None else f" ({true:.3f} in truth)"

@@ -69,7 +69,7 @@ def _beside(source: Path) -> Path:
     folder = source.parent
     if (folder / "metadata.yaml").exists():
         folder = folder.parent
-    plain = Path(source.name.removesuffix(".zstd"))  # the copy is not compressed as a whole
+    plain = Path(source.name.removesuffix(".zstd"))  # the copy is no .zstd file
     return folder / f"{plain.stem}_recovered{plain.suffix}"
 
 

@@ -38,12 +38,15 @@ app = new_app()
 
 @dataclass(frozen=True, slots=True)
 class FoundIncident:
-    """An incident, its recording, later recordings without one, and what could not be read."""
+    """The result of a search: an incident, and what was searched in vain."""
 
     path: Path
+    """The recording of the incident."""
     incident: Incident
     later: Sequence[Path]
+    """Later recordings, which were searched first and have no incident."""
     missing: Sequence[str]
+    """A sentence for each part that could not be read."""
 
 
 @app.command()
@@ -93,7 +96,10 @@ def why(
 def _recordings_to_search(
     file: str | None, robot: str | None, folder: Path | None, missing: list[str]
 ) -> list[Path]:
-    """Make a running daemon commit, then return the recordings to search, newest first."""
+    """Make a running daemon commit its recording; return the recordings to search, newest first.
+
+    `missing` gets a sentence about what the daemon could not write.
+    """
     if file not in (None, LAST) and _holds_recordings(recording_path(file)):
         folder, file = recording_path(file), LAST
     newest = asked = None
@@ -119,8 +125,8 @@ def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
     """Return the recording to search for the time `at`, and that time [ns].
 
     It is the newest recording that contains the time; if none does, the newest that begins before
-    the time, or the newest of all. Seconds count from the start of the newest. Recordings that
-    cannot be read are skipped and named in `missing`.
+    the time; if there is none either, the newest of all. If `at` is in seconds, they count from the
+    start of the newest. Recordings that cannot be read are skipped and named in `missing`.
 
     Raises:
         UnreadableFile: No recording can be read.
@@ -151,10 +157,13 @@ def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
 def _find(
     paths: Sequence[Path], at_ns: int | None, missing: list[str], on_progress: Progress
 ) -> FoundIncident:
-    """Return the last incident, or the one nearest to `at_ns`.
+    """Return the last incident, or the one nearest to `at_ns`, of the first recording that has one.
+
+    A recording that cannot be read is named in `missing`.
 
     Raises:
         Refused: No recording has an incident.
+        UnreadableFile: The only recording cannot be read.
     """
     from robotctl.rerun.incident import find_incident
 

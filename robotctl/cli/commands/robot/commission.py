@@ -45,19 +45,19 @@ from robotctl.kernel.params import KernelParams
 COMMAND = "commission"
 
 DRIVEN_S = 2.0
-"""How long the velocity is commanded, in each motion."""
+"""How long the velocity is commanded in each motion [s]."""
 
 TURN_RPS = 0.3
-"""The rate of the turn, unless limits.angular_rps is lower."""
+"""The rate of the turn [rad/s], unless limits.angular_rps is lower."""
 
 QUIET_S = 2.0
 """How long nothing is commanded at the end of the second motion [s]."""
 
 STANDING_S = 1.5
-"""Pause before and after each motion, in which the robot stands."""
+"""How long the robot stands before and after each motion [s]."""
 
 _LATEST_S = DRIVEN_S + 10.0
-"""When a motion that is to be stopped by zero ends by itself, if no stop comes [s]."""
+"""A motion that waits for a zero command ends by itself after this time [s] if none comes."""
 
 _SPLIT_DEADLINE_S = 15.0
 
@@ -73,7 +73,7 @@ def turn_rad(rate_rps: float) -> float:
 
 
 def drive_motions(robot: str, speed_mps: float, rate_rps: float) -> Path:
-    """Drive forward twice and turn left once; return the file that records it.
+    """Drive forward twice and turn left once; return the file in which the motions are recorded.
 
     The first and the last motion are stopped by a zero command, the second by silence.
 
@@ -108,7 +108,7 @@ def drive_motions(robot: str, speed_mps: float, rate_rps: float) -> Path:
 
 
 def _stop_by_zero(robot: str, params: dict[str, Any], reason: str) -> None:
-    """Drive, then request ERROR, in which the kernel commands zero at once, and reset it."""
+    """Drive for DRIVEN_S; request ERROR, so that the kernel commands zero at once; then reset."""
     driving = _begin(robot, params | {"for_s": _LATEST_S, "reason": reason})
     _wait(robot, driving, DRIVEN_S)
     if driving.is_done:
@@ -223,9 +223,9 @@ def _confirm(speed_mps: float, rate_rps: float) -> None:
 def _report(
     robot: str, file: Path, settings: Mapping[str, Any], present: KernelParams, out: Path | None
 ) -> tuple[dict[str, object], Iterator[str], UsageError | None]:
-    """Measure, and write the configuration; return the report as an object and as lines.
+    """Measure, and write the proposed configuration to `out`, if given.
 
-    The third item is the error if the configuration could not be written, or None.
+    Return the report as an object and as lines, and the error if `out` could not be written.
     """
     from robotctl.commission.measure import measured, read_trial
     from robotctl.commission.propose import file_lines, measured_lines, proposals, warnings

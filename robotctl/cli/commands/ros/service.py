@@ -16,7 +16,7 @@ from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.ros_text import left_out_lines, message_lines, name_lines, plain_json, shown
 
 SERVICE_S = 5.0
-"""How long to look for the service."""
+"""How long to look for the service [s]."""
 
 _TYPE = re.compile(r"\w+/(?:srv|action)/\w+")
 

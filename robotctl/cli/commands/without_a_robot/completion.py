@@ -164,7 +164,10 @@ def with_script(text: str, script: str) -> str:
 
 
 def _table(command: Any, path: str = "") -> Iterator[tuple[str, list[str]]]:
-    """Yield this command and all below it, as ` recordings rm`, with the words that may follow."""
+    """Yield the command and all its subcommands, each with the words that may follow it.
+
+    A command is given by its path, such as ` recordings rm`; that of `robotctl` itself is "".
+    """
     below: Mapping[str, Any] = {}
     if hasattr(command, "list_commands"):
         every = {name: command.get_command(None, name) for name in command.list_commands(None)}
@@ -179,7 +182,7 @@ def _table(command: Any, path: str = "") -> Iterator[tuple[str, list[str]]]:
 
 
 def _values(parameter: Any) -> list[str]:
-    """Return the fixed values of an argument; a shell offers files for any other."""
+    """Return the fixed values of an argument, [] without any; a shell then offers files."""
     if parameter.param_type_name != "argument":
         return []
     choices = getattr(parameter.type, "choices", ()) or VALUES.get(parameter.metavar or "", ())

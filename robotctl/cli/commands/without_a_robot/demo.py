@@ -54,7 +54,7 @@ MAP_ROWS = range(5, 19)
 """How high the map of the path may be [lines]."""
 
 LINES_AROUND_MAP = 10
-"""The lines of the last screen besides map and figures: captions, commands, the next prompt."""
+"""How many lines the last screen has for captions, commands and the next prompt."""
 
 
 @dataclass(frozen=True, slots=True)

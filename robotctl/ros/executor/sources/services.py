@@ -47,7 +47,7 @@ class ServiceSource(EventFdSource):
                 raise TakeFailed(error) from error
             if header is not None:
                 return request, header
-            # rmw drops an unreadable request as if there were none; another may follow it.
+            # No request, or one that rmw could not read and dropped; another may follow that one.
             if self.announced <= 0:
                 return None
 
@@ -111,7 +111,7 @@ EXPIRY_POLL_S = 1.0
 
 
 class _ActionSource(EventFdSource):
-    """Base of action sources: rclpy's Waitable takes and executes, the source decides when."""
+    """Base of action sources; it decides when rclpy's Waitable takes data and runs callbacks."""
 
     def __init__(
         self, runtime: Runtime, entity: Any, handle: Any, where: str, executor: Any
@@ -153,7 +153,7 @@ class ActionServerSource(_ActionSource):
             for kind, service in services.items()
         }
         self._answerable: deque[dict[str, Any]] = deque()
-        """Requests whose clients can be answered."""
+        """Requests that can be answered: the reader of their response is discovered."""
 
     def attach(self) -> None:
         super().attach()
@@ -220,7 +220,7 @@ class ActionServerSource(_ActionSource):
 
 
 def _name_of(server: ActionServer) -> str:
-    """Return the name of the action as it was given: it may be relative."""
+    """Return the name of the action as the user gave it, which may be relative."""
     function = ctypes.CDLL("librcl_action.so").rcl_action_server_get_action_name
     function.argtypes, function.restype = [ctypes.c_void_p], ctypes.c_char_p
     with server._handle:
@@ -231,8 +231,8 @@ def _name_of(server: ActionServer) -> str:
 class ActionClientSource(_ActionSource):
     """An action client.
 
-    Its callback group holds back feedback only, which runs a callback; responses and status only
-    set futures (see `ClientSource`).
+    Its callback group holds back feedback, which runs a callback, but not responses and status,
+    which only set futures (see `ClientSource`).
     """
 
     announcements = (
@@ -262,7 +262,7 @@ class ActionClientSource(_ActionSource):
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
         feedback = item.pop("feedback", None)
         if item:
-            # Nothing in it awaits: one step runs all of it.
+            # The coroutine awaits nothing, so one step runs all of it.
             with suppress(StopIteration):
                 self._execute(item).send(None)
         return None if feedback is None else self._execute({"feedback": feedback})

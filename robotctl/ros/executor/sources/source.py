@@ -1,4 +1,4 @@
-"""The base classes of sources, which pass an entity's data from rcl to its callback."""
+"""Base classes of sources; a source passes the data of one entity from rcl to its callback."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ RETRY_AFTER_FAILED_TAKE_S = 0.1
 class Source:
     """Runs the callback of one entity in the loop, from `attach` to `detach`.
 
-    While its callback group is busy with an async callback, the source is parked; the end of that
-    callback resumes it.
+    While an async callback occupies the entity's callback group, the source is parked; it is
+    resumed when that callback ends.
     """
 
     woken_by: ClassVar[str]
@@ -37,8 +37,8 @@ class Source:
         self.closed = False
         self.group: Any = entity.callback_group
         self._reentrant = type(self.group) is ReentrantCallbackGroup
-        # Synchronous callbacks of one loop exclude each other anyway. A group of a user's own class
-        # is asked before each callback.
+        # A group of another class than rclpy's is asked before each callback. rclpy's are not:
+        # synchronous callbacks of one loop exclude each other anyway.
         self._custom_group = type(self.group) not in (
             ReentrantCallbackGroup,
             MutuallyExclusiveCallbackGroup,
@@ -62,20 +62,20 @@ class Source:
         raise NotImplementedError
 
     def blocked(self) -> bool:
-        """Park the source if its callback group forbids a callback now; return whether it did."""
+        """Return whether the callback group forbids a callback now; if so, park the source."""
         if self._reentrant:
             return False
         if self._custom_group:
             if self.group.can_execute(self.entity):
                 return False
         elif self.group._active_entity is None:
-            # The test of can_execute, but without its lock and weak reference at every message.
+            # The same test as can_execute's, without its lock and weak reference, for speed.
             return False
         self.runtime.park(self.group, self)
         return True
 
     def run_callback(self, callback: Callable[[], Any]) -> bool:
-        """Run one callback; if the group forbids that, park the source and return False."""
+        """Run one callback and return True; if its group forbids it, park and return False."""
         if self._custom_group and not self.group.beginning_execution(self.entity):
             self.runtime.park(self.group, self)
             return False
@@ -109,7 +109,7 @@ class EventFdSource(Source):
     woken_by = "eventfd"
     announcements: ClassVar[tuple[Announcement, ...]]
     drains_first: ClassVar[bool] = True
-    """Whether data may have arrived before `attach` that is not announced afterwards."""
+    """Whether `attach` looks for data, because earlier data may never be announced."""
     announced = 0
     """The count that the last read of the eventfd returned."""
 
@@ -151,7 +151,7 @@ class EventFdSource(Source):
         self.handle.__exit__(None, None, None)
 
     def listen(self, pool: Pool | None) -> None:
-        """Have the pool watch the eventfd; if it is None, the loop, which wakes at each message."""
+        """Have `pool` watch the eventfd; if None, the loop does, and wakes at each message."""
         self.stop_listening()
         if pool is None:
             watch(self.runtime.loop, self._fd, self.poll)
@@ -189,7 +189,7 @@ class EventFdSource(Source):
         return self.drain()
 
     def drain(self) -> bool:
-        """Deliver until nothing is left or the slice ends; return True if the slice ended first."""
+        """Deliver until nothing is left or the slice ends; return whether the slice ended first."""
         runtime = self.runtime
         last = time.monotonic_ns()
         end = last + runtime.slice_ns
@@ -237,7 +237,7 @@ class EventFdSource(Source):
         return True
 
     def take(self) -> Any:
-        """Return the next item, or None.
+        """Return the next item, or None if there is none.
 
         Raises:
             TakeFailed: rcl could not take the item.
@@ -250,7 +250,7 @@ class EventFdSource(Source):
 
 
 class TakeFailed(Exception):
-    """rcl could not take an item; another attempt at once would fail, too."""
+    """rcl could not take an item, and would fail again without a pause."""
 
     def __init__(self, reason: Exception) -> None:
         super().__init__(str(reason))

@@ -29,15 +29,15 @@ from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed, coro
 
 
 class QosEventSource(EventFdSource):
-    """A QoS event of a publisher or a subscription.
+    """Passes the status of a QoS event of a publisher or subscription to its callback.
 
-    The changes are computed here from the counts: rmw_fastrtps announces what happened before the
-    attachment, but resets the change (`RMWSubscriptionEvent::set_on_new_event_callback` sets it to
-    zero).
+    The changes in a status are computed here from its counts. rmw_fastrtps announces an event from
+    before `attach`, but reports no change (`RMWSubscriptionEvent::set_on_new_event_callback` sets
+    it to zero).
     """
 
     announcements = (Announcement.QOS_EVENT,)
-    # `attach` handles earlier events: taking the status again would report an event twice.
+    # `attach` itself handles earlier events; to handle them again would report them twice.
     drains_first = False
 
     def __init__(self, runtime: Runtime, handler: EventHandler, where: str) -> None:
@@ -47,7 +47,7 @@ class QosEventSource(EventFdSource):
         """The counts of the last status that the callback got."""
 
     def attach(self) -> None:
-        # Before the callback is set, the middleware still reports the changes.
+        # The middleware still reports the changes now, before its callback is set.
         with self.handle:
             fields = _fields(self.handle.take_event())
         self._counts = {
@@ -80,19 +80,19 @@ def _fields(status: Any) -> dict[str, Any]:
 
 
 def _counts_of(fields: dict[str, Any]) -> dict[str, int]:
-    """Return the counts that come with a change; an incompatible type's status has no count."""
+    """Return the counts that have a `_change` field: none in the status of an incompatible type."""
     return {name: count for name, count in fields.items() if f"{name}_change" in fields}
 
 
 UNKNOWN_COUNT: Final = 1 << 62
-"""More than any queue holds: messages are taken until none is left."""
+"""Stands for an unknown number of waiting messages: they are taken until none is left."""
 
 
 class _TakenSource(EventFdSource):
     """The base of subscription sources, which take messages in serialized form.
 
-    Where the middleware counts messages, only the announced number is taken: a take that finds
-    nothing costs half as much as one that finds a message.
+    If the middleware announces how many messages have arrived, it takes only that number: one more
+    take, which finds nothing, would cost half as much as one that finds a message.
     """
 
     announcements = (Announcement.MESSAGE,)
@@ -106,7 +106,7 @@ class _TakenSource(EventFdSource):
         decode: Decode | None,
         views: bool = False,
     ) -> None:
-        """The receiver gets `decode(data)` or, if `decode` is None, all fields of `Taken`."""
+        """Pass `decode(data)` to the receiver or, if `decode` is None, the fields of `Taken`."""
         super().__init__(runtime, subscription, subscription.handle, where)
         self._taker = SerializedTaker(self.handle.pointer, views=views, bare=decode is not None)
         self._decode = decode
@@ -114,11 +114,11 @@ class _TakenSource(EventFdSource):
         self._receive = self.receiver_of(self._callback)
         self._counts = counts_each_message()
         self._is_counted = False
-        """Whether the eventfd has counted all messages that wait."""
+        """Whether the count of the eventfd includes all waiting messages."""
         self._polls = 0
 
     def receiver_of(self, callback: Any) -> Callable[..., Any]:
-        """Return the function to call for each message; `callback` is the subscription's."""
+        """Return the function to call for each message, made from the subscription's callback."""
         raise NotImplementedError
 
     def check_rate(self) -> None:
@@ -157,7 +157,7 @@ class _TakenSource(EventFdSource):
             self._callback, self._receive = callback, self.receiver_of(callback)
         if self._custom_group:
             return super().drain()
-        # The same as the base class does, without its calls, for speed.
+        # The same as in the base class, but with fewer function calls, for speed.
         runtime, taker = self.runtime, self._taker
         take: Callable[[], Any] = taker.take
         decode, receive = self._decode, self._receive
@@ -204,8 +204,8 @@ class _TakenSource(EventFdSource):
 class SubscriptionSource(_TakenSource):
     """A subscription, typed or raw, with a callback of one argument or two.
 
-    While it receives more than 2 kHz, and its queue holds 100 messages or more, it is in a pool:
-    its messages are collected for 2 ms, which saves a third of their cost.
+    While it receives more than 2 kHz, and its queue holds 100 messages or more, a pool collects its
+    messages for 2 ms, which saves a third of the CPU time.
     """
 
     def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
@@ -261,8 +261,8 @@ class RawTapSource(_TakenSource):
 def affordable_rest_s(wanted_s: float, qos: QoSProfile) -> float:
     """Return how long messages may be collected [s]: `wanted_s`, or less if the queue is short.
 
-    If the queue allows less than FLOOD_REST_S and `wanted_s`, return 0: such a rest saves nothing.
-    Sources with the same rest share a pool.
+    Return 0 if the queue allows less than both FLOOD_REST_S and `wanted_s`: so short a rest saves
+    nothing.
     """
     if qos.history == HistoryPolicy.KEEP_ALL:
         return wanted_s

@@ -27,8 +27,8 @@ _ANY_JUMP = JumpThreshold(
 class TimerSource(Source):
     """A timer on the steady, system or ROS clock, with cancel and reset.
 
-    While /clock drives a ROS clock, no Linux timer can know the deadline. Then the timer is checked
-    at each step of the clock.
+    While /clock drives its ROS clock, no Linux timer can know when it is due. Then the timer is
+    checked at each step of the clock.
     """
 
     woken_by = "timerfd"
@@ -92,7 +92,7 @@ class TimerSource(Source):
         self.resume()
 
     def _on_jump(self, _: object) -> None:
-        # Called in the thread that sets the clock, during the setting: check afterwards.
+        # Runs in the thread that sets the clock, while it does so: check later, in the loop.
         self.runtime.loop.call_soon_threadsafe(self.resume)
 
     def _on_expiry(self) -> None:
@@ -104,7 +104,7 @@ class TimerSource(Source):
                 return
         if self.blocked():
             return
-        # Only rcl knows whether the timer was cancelled or reset, or its clock runs slower.
+        # Ask rcl: the timer may be cancelled or reset, or not due because its clock runs slower.
         if self.handle.is_timer_canceled() or not self.handle.is_timer_ready():
             self.resume()
             return

@@ -23,11 +23,11 @@ from robotctl.ros.executor.sources.source import RETRY_AFTER_FAILED_TAKE_S, Sour
 
 SHUTDOWN_POLL_S = 0.005
 SHUTDOWN_POLLS = 200
-"""How many times the context is checked after a signal: for one second in all."""
+"""How many times to check, after a signal, whether the context is shut down: for 1 s in all."""
 
 
 class WaitSetSource(Source):
-    """A source whose entity a `WaitSetThread` waits for."""
+    """The base of sources for whose entities a `WaitSetThread` waits."""
 
     woken_by = "wait-set thread"
 
@@ -49,11 +49,11 @@ class WaitSetSource(Source):
         self._thread.remove(self)
 
     def release(self) -> None:
-        """Release the handle, so that rclpy may destroy the entity: the thread does not use it."""
+        """Let rclpy destroy the entity; call this when the thread no longer uses it."""
         self.handle.__exit__(None, None, None)
 
     def counts(self) -> tuple[int, int, int, int, int, int]:
-        """Return how many subscriptions, guards, timers, clients, services and events it has."""
+        """Return its number of subscriptions, guards, timers, clients, services and events."""
         raise NotImplementedError
 
     def fill(self, wait_set: Any) -> None:
@@ -84,7 +84,7 @@ class WaitSetThread:
         self._signals: GuardCondition | None = None
 
     def watch_signals(self) -> None:
-        """Notice when rclpy's signal handlers shut the context down; no callback reports it."""
+        """Close the executor when a signal handler of rclpy shuts the context down."""
         self._signals = SignalHandlerGuardCondition(self._context)
         self._start()
 
@@ -96,7 +96,7 @@ class WaitSetThread:
         self.refresh()
 
     def remove(self, source: WaitSetSource) -> None:
-        """Stop waiting for a source; it is released when the thread no longer uses it."""
+        """Stop waiting for a source; release it once the thread no longer uses it."""
         with self._lock:
             if source in self._sources:
                 del self._sources[source]
@@ -222,7 +222,7 @@ class GuardSource(WaitSetSource):
             self._call()
 
     def resume(self) -> None:
-        # Waiting has reset the condition: only this source knows that it was triggered.
+        # The wait has reset the guard condition, so rcl no longer knows that it was triggered.
         if self._triggered and not self.closed:
             self._call()
 
@@ -234,8 +234,8 @@ class GuardSource(WaitSetSource):
 class WaitableSource(WaitSetSource):
     """A Waitable of a class that is not rclpy's.
 
-    After one of its methods raised an exception, the thread does not wait for it for
-    RETRY_AFTER_FAILED_TAKE_S, because it stays ready.
+    If one of its methods raises an exception, the thread leaves it out for
+    RETRY_AFTER_FAILED_TAKE_S: it may stay ready, and would keep the thread busy.
     """
 
     def __init__(
@@ -290,7 +290,7 @@ class WaitableSource(WaitSetSource):
             self._execute()
 
     def _execute(self) -> None:
-        # While parked it may stay ready: waiting for it would keep the thread busy.
+        # While parked it may stay ready; if the thread waited for it, the thread would be busy.
         self.parked = self.blocked()
         if self.parked:
             return

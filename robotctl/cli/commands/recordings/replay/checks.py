@@ -138,7 +138,9 @@ def compare_settings(
 ) -> None:
     """Compare each recording with a re-run under `settings`; print tables, or one JSON object.
 
-    An argument among `files` that has an equals sign and names no file is one more setting.
+    `compare` does it for one recording, and `lines` makes text of its result. An argument among
+    `files` that has an equals sign and names no file is one more setting. If `closed_loop`,
+    settings of the simulated robot and `rate_hz` are allowed, too.
 
     Raises:
         UsageError: A setting is not allowed, or no recording is given.

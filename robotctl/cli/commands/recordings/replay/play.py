@@ -56,18 +56,18 @@ class PlayerReport:
 def play_in_process(
     job: Job, open_screen: Callable[[], AbstractContextManager[Screen]]
 ) -> PlayerReport:
-    """Play the job in a child process, and return its report; the first Ctrl-C asks it to end.
+    """Play the job in a child process, and return what it reported.
 
-    The screen is opened while the process joins ROS.
+    The first Ctrl-C asks the process to end. The screen is opened while the process joins ROS.
 
     Raises:
-        RobotctlError: The process ended without a report.
+        RobotctlError: The process ended without a summary or an error.
         KeyboardInterrupt: Ctrl-C was pressed a second time.
     """
     report = PlayerReport()
     child = start(program(PLAYER), with_stdin=True)
     try:
-        with suppress(BrokenPipeError):  # it has ended; the loop below notices
+        with suppress(BrokenPipeError):  # the process has ended; the loop below notices
             child.send(f"{job.to_json()}\n".encode())
         with open_screen() as screen:
             player = _Player(child, report, screen)
@@ -91,7 +91,7 @@ def play_in_process(
 
 
 class _Player:
-    """The player process, with its report, its screen, and whether it is paused."""
+    """Handles what the player process reports and what the user presses."""
 
     def __init__(self, child: Child, report: PlayerReport, screen: Screen) -> None:
         self._child = child
@@ -173,7 +173,7 @@ def play_command(job: Job, *, draw: bool, as_json: bool) -> None:
 
 
 PERIOD_S: Final = 0.1
-"""How often the robot is drawn."""
+"""The period in which the robot is drawn [s]."""
 
 
 def draw_command(job: Job, *, quiet: bool) -> None:
@@ -211,7 +211,7 @@ def recorded_robot(job: Job) -> Iterator[tuple[RecordedRobot, Span]]:
 
 
 class _Viewer:
-    """The position in the recording, controlled by keys."""
+    """Moves through the recording at the chosen rate, controlled by keys."""
 
     def __init__(self, job: Job, robot: RecordedRobot, screen: Screen) -> None:
         self.quit = False

@@ -131,7 +131,7 @@ class _Bar:
         from rich.text import Text
 
         position_s, length_s = progress["position_s"], self._length_s
-        if length_s and position_s > length_s:  # a loop
+        if length_s and position_s > length_s:  # with --loop: the sum of all rounds
             position_s %= length_s
         lines = Table.grid()
         lines.add_row(ProgressBar(total=length_s or 1.0, completed=position_s, width=_BAR_WIDTH))

@@ -112,7 +112,7 @@ class VerifiedTogether:
 
 
 def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> VerifiedTogether:
-    """Verify recordings, their common chain, and their files by this machine's lists of keys.
+    """Verify each recording, then the chain of all their files, with this machine's lists of keys.
 
     If `head` is given, one of the recordings must contain it.
     """

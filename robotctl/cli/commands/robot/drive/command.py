@@ -84,7 +84,7 @@ def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") ->
 
 
 def options_of(pattern: PatternKind) -> frozenset[str]:
-    """Return the options that fit a pattern."""
+    """Return the names of the options that a pattern has."""
     shape = SHAPES[pattern]
     size = {shape.size_name.value} if shape.size_name else set()
     corner = {"corner"} if shape.has_corner else set()
@@ -92,7 +92,7 @@ def options_of(pattern: PatternKind) -> frozenset[str]:
 
 
 def cure_of(pattern: PatternKind) -> str:
-    """Return the advice to use the option for the size of a pattern, "" if it has none."""
+    """Return the advice to use the option of the pattern's size, such as --side; "" without one."""
     name = SHAPES[pattern].size_name
     return f"use --{name.value}" if name else ""
 
@@ -100,7 +100,9 @@ def cure_of(pattern: PatternKind) -> str:
 def refuse_options(
     what: str, options: Mapping[str, object], *, allowed: Collection[str], cure: str = ""
 ) -> None:
-    """Check that only `allowed` options are given; `cure` is the advice for a wrong size option.
+    """Check that only `allowed` options are given, that is, have a value other than None.
+
+    `what` is the motion, and `cure` the advice if another motion's option for its size is given.
 
     Raises:
         UsageError: Another option is given.

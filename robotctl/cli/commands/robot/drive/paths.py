@@ -151,9 +151,10 @@ def _point(name: str, number: int, row: _WrittenPoint) -> Point:
 
 
 def last_path(robot: str, frame: Frame) -> tuple[Point, ...]:
-    """Return the path of the newest recording in which the robot drove; a note names an older one.
+    """Return the path of the newest recording in which the robot drove.
 
-    A running daemon first commits its recording.
+    If later recordings have no drive, a note on stderr names the recording that is used. A running
+    daemon first commits its recording.
 
     Raises:
         Refused: The robot has no recording.
@@ -194,7 +195,7 @@ def _note(path: Path, sentence: str) -> None:
 PATH_TYPE: Final = "nav_msgs/msg/Path"
 
 MAX_MESSAGE_BYTES: Final = 512 * MAX_POINTS
-"""More than any path needs: a pose takes about 100 bytes."""
+"""Limit on a message; no path needs so much, as a pose takes about 100 bytes."""
 
 NOTE_S: Final = 2.0
 """Without a message for this time, a line on stderr says that the command still waits."""

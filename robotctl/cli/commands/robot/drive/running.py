@@ -65,9 +65,10 @@ def write_picture(
 def drive_and_wait(
     robot: str, method: MethodName[DriveAnswer], params: dict[str, Any], *, as_json: bool
 ) -> dict[str, Any]:
-    """Show the live view until the drive ends, and return the daemon's answer with its picture.
+    """Request a drive, wait until it ends, and return the daemon's answer with the key `picture`.
 
-    The figures of a drive that was stopped are printed before the error is raised.
+    On a terminal, the drive is shown live, unless `as_json`. If the drive was stopped, its figures
+    are printed before the error is raised.
 
     Raises:
         Interrupted: Ctrl-C or a signal ended the drive; the robot stands.
@@ -104,7 +105,7 @@ def _with_picture(robot: str, answer: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def tracking_lines(result: Mapping[str, Any]) -> list[str]:
-    """Return the lines about a drive: its distance, the measured errors, and its picture."""
+    """Return the lines to print about a drive: distance, errors, and the path of its picture."""
     rms, worst, closure, distance = (
         number(result.get(key), ".3f")
         for key in ("cross_track_rms_m", "cross_track_max_m", "closure_m", "distance_m")

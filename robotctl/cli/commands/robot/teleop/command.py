@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 
 MAX_TOPICS: Final = 6
-"""As many fit on a terminal of 24 lines; a smaller terminal cuts off the end of the view."""
+"""How many topics fit on a terminal of 24 lines; a smaller one cuts off the end of the view."""
 
 END_S: Final = 1.0
 """How long `suspend` waits for the last drawing to end [s]."""
@@ -118,7 +118,7 @@ class TeleopScreen:
 
 
 def view_below(lines: list[str], status: Status) -> RenderableType:
-    """Return the lines with the live view below: a small terminal cuts off the end of the view."""
+    """Return the lines, and the live view below, of which a small terminal cuts off the end."""
     from rich.console import Group
     from rich.text import Text
 
@@ -132,7 +132,7 @@ PERIOD_S: Final = ASK_EACH_S
 """The period in which keys or gamepad are read while something is held [s]."""
 
 IDLE_S: Final = 0.1
-"""The same period while nothing is held [s]; the lease and the screen are checked with it."""
+"""The same period while nothing is held [s]; lease and screen are checked in each period."""
 
 WITH_RELEASES: Final = (
     "hold w a s d or the arrows; a terminal that is silent for 125 ms is zero",
@@ -243,7 +243,7 @@ class TeleopSession:
             self._gamepad.forget()
 
     def _forget_the_past(self, keyboard: Keyboard) -> None:
-        """Drop the keys that were pressed before, or while, this process was stopped or slow."""
+        """Let go, and drop all unread keys: they are old, as this process was stopped or slow."""
         self._forget()
         keyboard.flush()
         self._parser = KeyParser()

@@ -21,20 +21,20 @@ from robotctl.messages.definition import Definition, parse_definition
 from robotctl.messages.values import decode
 
 REPEAT_S: Final = MAX_SILENCE_S
-"""Without releases, a key that repeats within this time [s] is held; nobody types that fast."""
+"""Without key releases, a key that comes again within this time [s] counts as held."""
 
 FIRST_REPEAT_S: Final = 0.8
-"""With releases, a key that does not repeat within this time [s] is let go. The longest usual delay
-is 660 ms (X11); 600 ms with KDE, 500 ms with GNOME and Windows, 250 to 375 ms with macOS."""
+"""With key releases, a pressed key that does not repeat within this time [s] counts as let go. The
+usual delays are 660 ms (X11), 600 ms (KDE), 500 ms (GNOME, Windows), 250 to 375 ms (macOS)."""
 
 NEXT_REPEAT_S: Final = 0.25
-"""A key whose repeats stop for this time [s] is let go: they come every 25 to 50 ms, macOS 90."""
+"""A key whose repeats stop for this time [s] is let go. Their period is 25 to 50 ms, macOS 90."""
 
 AFTER_OTHER_S: Final = 3.0
-"""How long a key is held after another's release [s]: X11, Wayland and macOS then repeat none."""
+"""How long a key counts as held after another key's release, which ends all repeats [s]."""
 
 MAX_AT_ONCE: Final = 8
-"""More keys at once are pasted: the fastest repeat sends 5 within the longest silence."""
+"""If more keys are read at once, they were pasted: the fastest repeat sends 5 in MAX_SILENCE_S."""
 
 
 class Wish(NamedTuple):
@@ -63,7 +63,8 @@ STOPPING: Final = frozenset(" eq")
 def typed(keys: list[Key], *, tells_releases: bool) -> list[Key]:
     """Return the keys without pasted text; the keys in STOPPING always remain.
 
-    A terminal that reports releases sends no key as text. Elsewhere, over MAX_AT_ONCE are pasted.
+    On a terminal that reports releases, all text is pasted: it sends no key as text. On any other,
+    text is pasted if there are over MAX_AT_ONCE keys.
     """
     if not tells_releases and len(keys) <= MAX_AT_ONCE:
         return keys
@@ -85,9 +86,9 @@ class Hands(Protocol):
 class HandsWithReleases:
     """The held keys of a terminal that reports releases: each is held from press to release.
 
-    A key that does not repeat is let go earlier: its release may be lost, as when the window loses
-    the focus or in a multiplexer. Only the key that was pressed last repeats; after its release, no
-    key does. Text does not count as a press: its release would never come.
+    If no key repeats any more, all are let go, because a release may be lost: in a multiplexer, or
+    when the window loses the focus. Only the key that was pressed last repeats, and none after its
+    release. Text does not count as a press, because its release would never come.
 
     With each answer of the terminal the wish is sent again. Without answers, the robot stops.
     """
@@ -100,7 +101,7 @@ class HandsWithReleases:
         self._patience_s = 0.0
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the sum of the held keys if it changed or an answer came, otherwise None."""
+        """Return the sum of the held keys if it has changed or the terminal answered, else None."""
         for key in keys:
             if key.name != ANSWER and not key.is_text:
                 self._hear(key, now_s)
@@ -135,7 +136,8 @@ class HandsWithReleases:
 class HandsWithoutReleases:
     """The held keys of a terminal that sends a held key again and again, and no release.
 
-    The first press moves nothing: it may be the only one. After pasted text, keys must rest first.
+    The first press moves nothing, because it may be the only one. After pasted text, a key counts
+    only if no key has come for REPEAT_S.
     """
 
     def __init__(self) -> None:
@@ -165,7 +167,7 @@ class HandsWithoutReleases:
 JOY: Final = "sensor_msgs/msg/Joy"
 
 SILENT_S: Final = 1.0
-"""After this time without a message the screen says so; the robot stands long before."""
+"""After this time without a message [s], the screen says so; the robot stops long before."""
 
 
 class Controls(NamedTuple):
@@ -190,7 +192,7 @@ class Gamepad:
         self._is_forgotten = True
         self._publisher = ""
         self._heard_s = float("-inf")
-        self._is_down = True  # assumed until a message says otherwise
+        self._is_down = True  # the button; assumed until a message says otherwise
         self._problem = ""
 
     def __str__(self) -> str:
@@ -222,7 +224,10 @@ class Gamepad:
         return STAND if self._is_forgotten else wish
 
     def _is_followed(self, message: Mapping[str, Any]) -> bool:
-        """Return whether the followed publisher sent the message; if that one is silent, switch."""
+        """Return whether the followed publisher sent the message.
+
+        If that publisher is silent for MAX_SILENCE_S, follow the sender of this message.
+        """
         now_s = time.monotonic()
         if message["publisher"] != self._publisher:
             if now_s - self._heard_s <= MAX_SILENCE_S:
@@ -261,11 +266,11 @@ FIRST_SHARE, STEP = 0.5, 1.1
 """The share of the speed limits at the start, and the factor by which one step changes it."""
 
 CALL_S = 1.0
-"""How long the daemon may take to answer; its robot stands long before."""
+"""How long the daemon may take to answer [s]; without commands, the robot stops long before."""
 
 
 class Speeds:
-    """The chosen speeds: the same share of both limits."""
+    """The speeds that the operator has chosen: the same share of linear and angular limit."""
 
     def __init__(self, client: Client, speed_mps: float | None) -> None:
         """Begin with `speed_mps`, or with FIRST_SHARE of the daemon's limits.
@@ -288,7 +293,7 @@ class Speeds:
         self._share = min(max(self._share * factor, self._least), 1.0)
 
     def velocity(self, wish: Wish) -> tuple[float, float]:
-        """Return the velocity of a wish [m/s, rad/s]; `left` turns left when backing up, too."""
+        """Return the velocity of a wish [m/s, rad/s]; `left` turns to the left, also in reverse."""
         return (
             wish.forward * self._share * self._linear_mps,
             wish.left * self._share * self._angular_rps,
@@ -300,10 +305,10 @@ class Speeds:
 
 
 class Holding:
-    """The motion that is held; `message` says why the last one ended or was refused.
+    """Requests the wanted motion; `message` says why the last motion ended or was refused.
 
-    With `silence_lets_go`, the operator ends a motion by a silence, and the next wish begins
-    another one. Without it, a silence is a fault, after which the operator must let go first.
+    If `silence_lets_go`, the operator ends a motion by sending no wish, and the next wish begins
+    another one. Otherwise such a silence is a fault, after which the operator must let go first.
     """
 
     def __init__(self, client: Client, params: Mapping[str, Any]) -> None:
@@ -317,7 +322,7 @@ class Holding:
 
     @property
     def is_held(self) -> bool:
-        """Whether a motion is going on, as far as is known."""
+        """Whether a motion goes on, according to the daemon's last answer."""
         return self._number != 0
 
     def want(self, velocity: tuple[float, float]) -> bool:

@@ -222,7 +222,7 @@ def _list_recorded(file: str, *, every: bool, as_json: bool) -> None:
 
 
 PERIOD_S: Final = 1.0
-"""How often the rate is printed."""
+"""The period in which the rate is printed [s]."""
 
 
 def hz(
@@ -273,7 +273,7 @@ def hz(
 def statistics(times_ns: Sequence[int]) -> dict[str, Any] | None:
     """Return rate [Hz] and periods [s] of messages with these times, None if they span no time.
 
-    The periods are the shortest, the longest, and their standard deviation.
+    Of the periods between messages, it has the shortest, the longest and the standard deviation.
     """
     times = list(times_ns)
     periods_s = [(after - before) / NS_PER_S for before, after in pairwise(times)]

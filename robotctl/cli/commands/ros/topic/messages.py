@@ -69,7 +69,7 @@ class Printer:
             raise UsageError(str(error)) from None
 
     def print_json(self, data: bytes, time_ns: int, publish_ns: int) -> None:
-        """Print one line of JSON with the `message`, or the `value` of the field, unshortened."""
+        """Print one line of JSON with the whole `message`, or the `value` of the field."""
         key = "value" if self._steps else "message"
         told = {
             "topic": self._topic,
@@ -81,10 +81,10 @@ class Printer:
         print(json_text(told), flush=True)
 
     def print_lines(self, data: bytes, time_ns: int | None) -> None:
-        """Print YAML and `---`, or a line with the value of a field.
+        """Print YAML and `---`, or one line if the field has a single value.
 
-        With `time_ns` the time is printed as well [s since 1970]: in a comment before a message, or
-        before the value.
+        If `time_ns` is given, it is printed first [s since 1970]: as a comment in YAML, or on the
+        line of the value.
         """
         value = self._value(data)
         lines = list(message_lines(value, self._limit))

@@ -55,7 +55,7 @@ def diagnose(
     wrong = [*_killed(), *(_hangs(each) for each in daemons if each.problem)] if usable else []
     ours = next((each for each in daemons if each.robot == robot), None)
     if domain_id is None and (not usable or (ours and ours.problem)):
-        domain_id = requested_domain(None) or 0  # no daemon reports its domain
+        domain_id = requested_domain(None) or 0  # the daemon cannot report its domain
     disk = _disk(ours.status if ours else None)
     found = [*_computer(robot, chosen), *disk, *wrong, *_ros(robot, chosen, domain_id)]
     return [str(path) for path in removed], found
@@ -64,7 +64,7 @@ def diagnose(
 def _check_socket(robot: str) -> Iterator[Finding]:
     try:
         socket_path(robot)
-    except UsageError as error:  # too long
+    except UsageError as error:  # the path is too long
         yield fault("socket", error.cause, error.cure)
 
 
@@ -76,7 +76,7 @@ def _robots() -> Iterator[str]:
 
 
 def _daemons() -> list[RobotDaemon]:
-    """Return all daemons; one that does not answer is asked again: the machine may be busy."""
+    """Return all daemons; one that does not answer is asked twice, as the machine may be busy."""
     found = robots.find(_robots())
     answered = [each for each in found if not each.problem]
     return [*answered, *robots.find(each.robot for each in found if each.problem)]
@@ -114,7 +114,7 @@ def dead_robots() -> list[str]:
 
 
 def _remove_sockets() -> list[Path]:
-    """Remove the sockets of killed daemons, each while this process owns its lock; return them."""
+    """Remove the sockets of killed daemons, and return them; own a robot's lock while removing."""
     removed = []
     for robot in dead_robots():
         with suppress(AlreadyRunning, UsageError), owned(lock_path(robot), robot):
@@ -178,7 +178,7 @@ def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]
 
 
 def _check_daemons_range(daemons: str) -> Iterator[Finding]:
-    """Compare the daemon's discovery range with this shell's; use the daemon's from now on."""
+    """Warn if the daemon's discovery range is not this shell's; use the daemon's from now on."""
     if daemons != discovery_range():
         yield warning(
             "discovery",
@@ -190,20 +190,20 @@ def _check_daemons_range(daemons: str) -> Iterator[Finding]:
 
 def _topic(view: RosView, name: str, used: set[str]) -> GraphTopic:
     full = view.full_name(name)
-    with suppress(UsageError):  # its last node has just left
+    with suppress(UsageError):  # the topic's last node has just left
         if full in used:
             return view.topic(full)
     return {"name": full, "types": [], "publishers": [], "subscriptions": []}
 
 
 def _is_installed(type_name: str) -> bool:
-    """Return whether a ROS prefix defines the type; False for a name not like `a/msg/B`."""
+    """Return whether a ROS prefix defines the type; False if its name is not like `a/msg/B`."""
     package, _, rest = type_name.partition("/")
     kind, _, name = rest.rpartition("/")
     folder, _, _ = kind.partition("/")
     if folder not in DEFINITIONS or not name.isidentifier() or not package.isidentifier():
         return False
-    own = name.partition("_")[0] if folder != "msg" else name  # PACKAGE/srv/NAME_Event
+    own = name.partition("_")[0] if folder != "msg" else name  # NAME of NAME_Event
     prefixes = [sys.prefix, *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
     return any(
         (Path(prefix) / "share" / package / folder / f"{own}.{suffix}").is_file()
