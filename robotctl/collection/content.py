@@ -81,10 +81,7 @@ def _marks(path: Path) -> Iterator[tuple[int, ...]]:
 
 @cache
 def software_hash() -> str:
-    """Return the SHA-256 over all modules of robotctl, its version, Python and the C library.
-
-    A check compares numbers exactly only if Python and C library are those of the recording.
-    """
+    """Return the SHA-256 over all modules of robotctl, its version, Python and the C library."""
     package = Path(robotctl.__file__).parent
     digest = hashlib.sha256(f"{robotctl.__version__}\n{MADE_BY}\n".encode())
     for path in sorted(package.rglob("*.py")):

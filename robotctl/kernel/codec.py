@@ -165,7 +165,7 @@ class Proof:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """A kernel between two events; `made_by` names the Python and libc that computed its floats.
+    """A kernel between two events; `made_by` says what computed its floats.
 
     `proof` is None in a recording of version 0.1.0.
     """

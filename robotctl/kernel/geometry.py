@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, cos, hypot, nan, pi, sin, tau
+from math import nan, pi, tau
+
+from robotctl.kernel.trigonometry import atan2, cos, hypot, sin
 
 
 def wrap_angle(angle_rad: float) -> float:

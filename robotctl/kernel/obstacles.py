@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from math import atan2, cos, hypot, inf, pi, sin, tau
+from math import inf, pi, tau
 
 from robotctl.kernel.params import KernelParams, ScanParams
 from robotctl.kernel.state import Scan
+from robotctl.kernel.trigonometry import atan2, cos, hypot, sin
 from robotctl.kernel.types import Twist
 
 STRAIGHT_RADIUS_M = 1e3

@@ -6,10 +6,11 @@ The length of a line or a curve is in metres, that of a turn on the spot in radi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, cos, hypot, sin, tau
+from math import tau
 from typing import Protocol
 
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
+from robotctl.kernel.trigonometry import atan2, cos, hypot, sin
 
 
 class Segment(Protocol):

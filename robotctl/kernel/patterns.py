@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 from itertools import pairwise
-from math import atan2, cos, hypot, inf, pi, sin, tan, tau
+from math import inf, pi, tau
 from types import MappingProxyType
 
 from robotctl.kernel.course import MIN_CORNER_M, MIN_LEG_M, PLAIN, Course, Frame, Point
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.path import Arc, Circle, Line, Path, Segment, Turn
 from robotctl.kernel.ranges import Change, bounded, setting
+from robotctl.kernel.trigonometry import atan2, cos, hypot, sin, tan
 
 EIGHT_SWING_RAD = 2.404825557695773
 """First zero of the Bessel function J0: with this swing a sine-generated curve closes."""
@@ -119,7 +120,7 @@ START_M, START_RAD = 0.02, 0.02
 MIN_RADIUS_M, GENTLE_RAD = 0.02, 0.35
 """A corner of a smaller radius and a larger angle than these becomes a turn on the spot."""
 
-STRAIGHT_RAD = 1e-6
+STRAIGHT_RAD, SHORTEST_M = 1e-6, 1e-9
 
 
 def local_points(course: Course, start: Pose) -> tuple[Point, ...]:
@@ -152,7 +153,7 @@ def waypoint_path(points: tuple[Point, ...], corner_m: float, *, again: bool) ->
         bend = 0.0 if following is None else wrap_angle(following.start.theta - heading)
         room_m = 0.0 if following is None else _room_m(leg, following, bend, corner_m)
         length_m = leg.length - begin_m - room_m
-        if length_m > 0.0:
+        if length_m > SHORTEST_M:
             segments.append(Line(leg.pose_at(begin_m), length_m))
         corner = leg.pose_at(leg.length - room_m)
         if room_m:

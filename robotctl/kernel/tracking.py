@@ -8,10 +8,11 @@ is fed forward at the commanded speed, so that a robot that catches up stays on 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import copysign, cos, isfinite, sin
+from math import copysign, isfinite
 
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.params import TrackingParams, VelocityLimits
+from robotctl.kernel.trigonometry import cos, sin
 from robotctl.kernel.types import Twist
 
 

@@ -7,10 +7,11 @@ the robot needs from the bytes takes 2 us.
 from __future__ import annotations
 
 import struct
-from math import cos, nan, sin
+from math import nan
 from typing import NamedTuple
 
 from robotctl.kernel.geometry import Pose, yaw_of
+from robotctl.kernel.trigonometry import cos, sin
 from robotctl.kernel.types import Odometry, Twist
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import BODY, ENCAPSULATION, LITTLE_ENDIAN, CdrReader

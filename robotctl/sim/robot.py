@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from math import cos, exp, isfinite, sin
+from math import fsum, isfinite
 from random import Random
 
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.ranges import Change, bounded, setting
+from robotctl.kernel.trigonometry import cos, exp, sin
 from robotctl.kernel.types import ZERO, Twist
 
 JUMP_M = 1.0
@@ -172,7 +173,8 @@ class Robot:
         self.battery = max(0.0, self.battery - dt_s / params.battery_life_s)
 
     def _jitter(self, deviation: float) -> float:
-        return self._random.gauss(1.0, deviation)
+        """Return a factor around 1: the sum of 12 uniform numbers is nearly a normal one."""
+        return 1.0 + deviation * (fsum(self._random.random() for _ in range(12)) - 6.0)
 
 
 STANDSTILL = 1e-4

@@ -2,24 +2,32 @@
 
 The fence: a robot that leaves it stops, and starts again only inside.
 A command is finite and within its limits for every target.
+The kernel's own sin, cos, atan2 and hypot: accurate, and the same bits on each processor.
 """
 
 from __future__ import annotations
 
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable
 from dataclasses import replace
 from math import cos, inf, isclose, isnan, nan, nextafter, pi, sin
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from robotctl.base.errors import ConfigError
 from robotctl.config import Config, with_setting
+from robotctl.kernel import trigonometry
 from robotctl.kernel.fence import FenceParams, corners_of, is_inside, left_by
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle, yaw_of
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.tracking import clamp, limit, within
 from robotctl.kernel.types import ZERO, Cause, Twist
 from robotctl.testing.kernels import Bench, moving, ready, reset, start, stopped_by
@@ -251,3 +259,86 @@ def test_a_kernel_goes_on_from_a_state_of_other_limits() -> None:
     kernel = Kernel(replace(KernelParams(), limits=limits), state)
     assert kernel.state.command.linear == 0.1
     assert Kernel(KernelParams(), state).state == state
+
+
+WITHOUT_FMA = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-AVX2"}
+
+ANGLES = (
+    st.floats(-1e5, 1e5)
+    | st.floats(-10.0, 10.0)
+    | st.integers(-999, 999).map(lambda quarters: quarters * math.pi / 2)
+)
+COORDINATES = st.floats(allow_nan=False) | st.floats(-10.0, 10.0)
+
+
+def is_near(own: float, exact: float, ulps: int) -> bool:
+    if math.isinf(exact) or exact == 0.0:
+        return repr(own) == repr(exact)
+    return abs(own - exact) <= ulps * math.ulp(exact)
+
+
+@pytest.mark.parametrize(("name", "ulps"), [("sin", 1), ("cos", 1), ("tan", 2)])
+@given(angle=ANGLES)
+def test_a_function_of_an_angle_is_exact_to_the_last_bit(
+    name: str, ulps: int, angle: float
+) -> None:
+    own: Callable[[float], float] = getattr(trigonometry, name)
+    assert is_near(own(angle), getattr(math, name)(angle), ulps)
+
+
+@given(x=COORDINATES, y=COORDINATES)
+@example(x=math.inf, y=-math.inf)
+@example(x=-0.0, y=-0.0)
+@example(x=5e-324, y=1e308)
+def test_direction_and_length_are_exact_to_the_last_bits(x: float, y: float) -> None:
+    assert is_near(trigonometry.atan2(y, x), math.atan2(y, x), 1)
+    assert is_near(trigonometry.hypot(x, y), math.hypot(x, y), 2)
+
+
+@given(x=st.floats(-30.0, 30.0))
+def test_the_exponential_function_is_exact_to_the_last_bit(x: float) -> None:
+    assert is_near(trigonometry.exp(x), math.exp(x), 1)
+
+
+@pytest.mark.parametrize("angle", [1e6, 1e15, -1e300])
+def test_many_turns_are_an_angle_less_whole_turns_of_tau(angle: float) -> None:
+    assert trigonometry.sin(angle) == pytest.approx(math.sin(math.fmod(angle, math.tau)), abs=1e-15)
+
+
+def test_what_is_no_number_is_none_and_an_infinite_angle_is_refused() -> None:
+    nan = math.nan
+    for value in (trigonometry.sin(nan), trigonometry.cos(nan), trigonometry.atan2(nan, 1.0)):
+        assert math.isnan(value)
+    assert math.isnan(trigonometry.hypot(nan, 1.0))
+    for function in (trigonometry.sin, trigonometry.cos, trigonometry.tan, trigonometry.exp):
+        with pytest.raises(ValueError, match=r"infinite|between"):
+            function(math.inf)
+
+
+DRIVES = """
+import hashlib
+from robotctl.kernel.patterns import Pattern, PatternKind
+from robotctl.kernel.types import DriveRequested
+from robotctl.testing.drives import BEGIN_NS, drive
+
+for kind in PatternKind:
+    request = DriveRequested(BEGIN_NS + 10**8, 1, Pattern(kind), 0, False, "operator")
+    written = drive(20.0, requests=[request])
+    print(kind, hashlib.sha256(repr(written).encode()).hexdigest())
+"""
+
+
+def test_a_processor_without_fused_multiply_add_drives_the_same_bit_for_bit() -> None:
+    """With the sin and atan2 of the C library each of these drives differs."""
+    drives = [
+        subprocess.run(
+            [sys.executable, "-c", DRIVES],
+            env={**os.environ, **tunables},
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+        for tunables in ({}, WITHOUT_FMA)
+    ]
+    assert drives[0].count("\n") == len(PatternKind)
+    assert drives[0] == drives[1]

@@ -47,8 +47,13 @@ RECOVERY_RECORD = "robotctl.recovery"
 CONVERSION_RECORD = "robotctl.conversion"
 """In a converted file: the files it was made from, and what is missing."""
 
-MADE_BY = f"Python {platform.python_version()}, {' '.join(platform.libc_ver())}".rstrip()
-"""Python and libc: the last bit of sin and cos depends on them."""
+OWN_ARITHMETIC = "own arithmetic, "
+"""Begins `MADE_BY` since the kernel has its own sin, cos, atan2 and hypot."""
+
+_PLATFORM = f"Python {platform.python_version()}, {' '.join(platform.libc_ver())}".rstrip()
+
+MADE_BY = f"{OWN_ARITHMETIC}{_PLATFORM}"
+"""What computed the floats of a recording. Before `OWN_ARITHMETIC`, the C library rounded them."""
 
 
 class EventKind(StrEnum):
