@@ -30,7 +30,7 @@ from robotctl.recording.read.journal_reader import read_journal
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_many import check_recordings
 from robotctl.rerun.check_report import Verdict
-from robotctl.rerun.journal_values import read_event, read_snapshot
+from robotctl.rerun.journal import read_event, read_snapshot
 
 RATE_HZ = 100.0
 SECONDS = 60.0

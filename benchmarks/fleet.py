@@ -36,7 +36,7 @@ from robotctl.collection.indexing import rows_of
 from robotctl.daemon.recording.indexer import INDEX
 from robotctl.kernel.types import DriveEnded
 from robotctl.recording import Recording, read_journal
-from robotctl.rerun.journal_values import read_effect
+from robotctl.rerun.journal import read_effect
 
 ROBOTCTL = str(Path(sys.executable).with_name("robotctl"))
 

@@ -44,8 +44,7 @@ from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.read.journal_reader import read_journal
 from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.rerun.check import check_recording
-from robotctl.rerun.journal_steps import Gap, Step, steps
-from robotctl.rerun.journal_values import decide, read_effect, read_event, read_snapshot
+from robotctl.rerun.journal import Gap, Step, decide, read_effect, read_event, read_snapshot, steps
 
 SAMPLE_PERIOD_NS = NS_PER_S // 10
 """The time between two samples while the robot moves."""

@@ -17,7 +17,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind
 from robotctl.recording.read.journal_reader import RecordedEntry, read_journal
-from robotctl.rerun.journal_values import read_effect, read_event
+from robotctl.rerun.journal import read_effect, read_event
 
 _EVENTS = (OdomReceived.__name__, DriveRequested.__name__)
 

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from robotctl.rerun.check import check_recording
     from robotctl.rerun.check_many import check_recordings
     from robotctl.rerun.check_report import Divergence, Report, Verdict
+    from robotctl.rerun.closed_loop import resimulate
     from robotctl.rerun.incident import Incident, IncidentKind, Searched, find_incident
     from robotctl.rerun.invariants import Violation
     from robotctl.rerun.recorded_settings import Settings, parse_settings
     from robotctl.rerun.rerun import first_divergence
-    from robotctl.rerun.resim import resimulate
     from robotctl.rerun.whatif import what_if
     from robotctl.rerun.why import Why, explain
 
@@ -70,7 +70,7 @@ _MODULES = {
     "find_incident": "incident",
     "first_divergence": "rerun",
     "parse_settings": "recorded_settings",
-    "resimulate": "resim",
+    "resimulate": "closed_loop",
     "what_if": "whatif",
 }
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -22,15 +23,33 @@ from robotctl.recording.read.source import Source
 from robotctl.recording.read.whole_recording import VerifiedRecording, verify_recording
 from robotctl.rerun.check_report import Divergence, Report
 from robotctl.rerun.comparisons import Comparisons
+from robotctl.rerun.ends import (
+    JournalChain,
+    JournalOrigin,
+    RecordingEnds,
+    SnapshotProofs,
+    check_types,
+)
+from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.journal import (
+    Gap,
+    LogTimes,
+    Step,
+    read_effect,
+    read_event,
+    read_snapshot,
+    steps,
+)
 from robotctl.rerun.journal_format import JournalFormat, without_retired_fields
-from robotctl.rerun.journal_steps import EntryOrder, Gap, Item, LogTimes, Step
-from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
-from robotctl.rerun.recording_ends import JournalOrigin, RecordingEnds
 from robotctl.rerun.rerun import Comparison, Rerun
-from robotctl.rerun.snapshot_proofs import JournalChain, SnapshotProofs
 
 ALL_BYTES_BELOW: Final = 100_000_000
 """A recording smaller than this [bytes] is always read completely, which takes about 1 s."""
+
+UNNUMBERED: Final = (
+    "its messages have no sequence numbers, as in every bag of rosbag2: not compared with the "
+    "journal are commands, inputs, statuses and calls"
+)
 
 _KEY_DIGITS = 16
 
@@ -135,93 +154,6 @@ def _identity(file: Path) -> tuple[str, int | None]:
         return robot, None if entry is None else entry.seq
 
 
-Readers = Mapping[str, Callable[[Message], None]]
-"""The message handler of each compared topic."""
-
-
-class CheckReading:
-    """Reads a recording once, in file order, and groups its journal into steps.
-
-    `end_ns` is the steady time of the last entry read so far, `chain` the CRC of all of them.
-    """
-
-    def __init__(
-        self,
-        recording: Recording,
-        report: Report,
-        ends: RecordingEnds,
-        on_progress: Callable[[int, int], None],
-    ) -> None:
-        self._recording = recording
-        self._report = report
-        self._ends = ends
-        self._on_progress = on_progress
-        self._decoder = EntryDecoder(recording)
-        self.chain = JournalChain()
-        self.end_ns = 0
-        self._log_ns: LogTimes = (0, 0)
-        self._step: Step | None = None
-        """The step that is being read: more effects may follow."""
-
-    def items(self, topic: str, readers: Readers) -> Iterator[tuple[Item, LogTimes]]:
-        """Yield each step, snapshot and gap of the journal on `topic`, with two log times [ns].
-
-        The times are those of the last two events or snapshots read so far. For each message of
-        another topic, call its handler in `readers` as it is read.
-
-        Raises:
-            UnreadableFile: The journal cannot be read.
-        """
-        order, last_ns = EntryOrder(), 0
-        for message in self._recording.in_order_written(
-            {topic, *readers}, self._report.miss, self._on_progress
-        ):
-            if message.topic != topic:
-                readers[message.topic](message)
-                continue
-            entry = self._decoder.decode(message.data)
-            self._note(entry, message)
-            last_ns = message.log_ns
-            if entry.kind is not EntryKind.EFFECT:
-                self._log_ns = self._log_ns[1], last_ns
-            for item in order.accept(entry):
-                yield from self._grouped(item)
-        self._log_ns = self._log_ns[1], max(self._log_ns[1], last_ns)  # of the last step
-        for item in order.rest():
-            yield from self._grouped(item)
-        yield from self._ended(is_cut=True)
-
-    def _note(self, entry: JournalEntry, message: Message) -> None:
-        if not self._report.begin_log_ns:
-            self._ends.origin.first(message)
-            self._report.begin_ns, self._report.begin_log_ns = entry.t_ns, message.log_ns
-        self.end_ns = entry.t_ns
-        self.chain.add(entry.seq, message.data)
-        self._ends.entry(entry.seq)
-
-    def _grouped(self, item: JournalEntry | Gap) -> Iterator[tuple[Item, LogTimes]]:
-        """Append an effect to the current step; for other items, yield the step, then the item."""
-        if isinstance(item, Gap):
-            yield from self._ended(is_cut=True)
-            yield item, self._log_ns
-        elif item.kind is EntryKind.EFFECT:
-            if self._step is not None:
-                self._step.effects.append(item)
-        else:
-            yield from self._ended()
-            if item.kind is EntryKind.EVENT:
-                self._step = Step(item)
-            else:
-                yield item, self._log_ns
-
-    def _ended(self, *, is_cut: bool = False) -> Iterator[tuple[Item, LogTimes]]:
-        """Yield the current step, if any; `is_cut` says that some of its effects may be missing."""
-        step, self._step = self._step, None
-        if step is not None:
-            step.cut = is_cut
-            yield step, self._log_ns
-
-
 Progress = Callable[[int, int], None]
 """Called with the bytes that are done and the bytes in total."""
 
@@ -275,12 +207,24 @@ class _Check:
         self._on_progress = on_progress
         self._info = recording.info()
         self._format = JournalFormat(report)
+        self._invariants = Invariants()
         self._rerun: Rerun | None = None
         self._before_snapshot = 0
+        self._decoder = EntryDecoder(recording)
+        self._has_numbers = True
+        """Whether messages have sequence numbers; rosbag2 writes 0."""
+
+        self._chain = JournalChain()
+        """The CRC of all entries so far."""
+
+        self._end_ns = 0
+        """The steady time of the last entry that was read."""
+
+        self._log_ns: LogTimes = (0, 0)
+        """When the last two events or snapshots so far were recorded, since the epoch [ns]."""
+
         report.robot = self._info.metadata.get(INFO_RECORD, {}).get("robot", "")
         report.version = _version(self._info)
-        self._log_ns = (0, 0)
-        """The two log times that `CheckReading.items` yielded with the current item."""
 
     def run(self) -> None:
         """Fill the report.
@@ -291,17 +235,16 @@ class _Check:
         report, info = self._report, self._info
         for sentence in self._recording.missing:
             report.miss(sentence, is_outside=not self._recording.lacks_parts)
-        topic = journal_topic(info)
+        self._topic = topic = journal_topic(info)
         if topic is None:
             raise UnreadableFile("it holds no journal of robotctl: there are no decisions to check")
         for other in sorted(journal_topics(info) - {topic}):
             report.notes.append(f"the journal {other} of another robot was not checked")
-        self._ends = RecordingEnds(self._recording, info, report, JournalOrigin(info, topic))
-        self._compared = Comparisons(report, info, topic)
-        self._reading = CheckReading(self._recording, report, self._ends, self._on_progress)
-        self._proofs = SnapshotProofs(report, self._reading.chain, self._compared.invariants)
-        for item, log_ns in self._reading.items(topic, self._compared.readers()):
-            self._log_ns = log_ns
+        invariants, origin = self._invariants, JournalOrigin(info, topic)
+        self._ends = RecordingEnds(self._recording, info, report, invariants, origin)
+        self._compared = Comparisons(report, invariants, info, topic)
+        self._proofs = SnapshotProofs(report, self._chain, invariants)
+        for item in steps(self._entries(topic)):
             if isinstance(item, Step):
                 self._step(item)
             elif isinstance(item, Gap):
@@ -310,6 +253,38 @@ class _Check:
             else:
                 self._snapshot(item)
         self._end()
+
+    def _entries(self, topic: str) -> Iterator[JournalEntry]:
+        """Yield each entry of the journal on `topic`, in the order of the file.
+
+        Each message of another topic is compared as it is read.
+
+        Raises:
+            UnreadableFile: The journal cannot be read.
+        """
+        readers, last_ns = self._compared.readers(), 0
+        for message in self._recording.in_order_written(
+            {topic, *readers}, self._report.miss, self._on_progress
+        ):
+            if message.topic != topic:
+                readers[message.topic](message)
+                continue
+            entry = self._decoder.decode(message.data)
+            self._begin_or_continue(entry, message)
+            last_ns = message.log_ns
+            if entry.kind is not EntryKind.EFFECT:
+                self._log_ns = self._log_ns[1], last_ns
+            yield entry
+        self._log_ns = self._log_ns[1], max(self._log_ns[1], last_ns)  # of the last step
+
+    def _begin_or_continue(self, entry: JournalEntry, message: Message) -> None:
+        if not self._report.begin_log_ns:
+            self._ends.origin.first(message)
+            self._has_numbers = bool(message.sequence)
+            self._report.begin_ns, self._report.begin_log_ns = entry.t_ns, message.log_ns
+        self._end_ns = entry.t_ns
+        self._chain.add(entry.seq, message.data)
+        self._ends.entry(entry.seq)
 
     def _snapshot(self, entry: JournalEntry) -> None:
         report, known = self._report, without_retired_fields(entry)
@@ -331,6 +306,8 @@ class _Check:
             return
         self._note(divergence)
         self._proofs.check(entry, snapshot.proof, self._ends.snapshot(entry, snapshot))
+        if not self._has_numbers:
+            snapshot = replace(snapshot, proof=None)
         self._compared.snapshot(snapshot, entry.t_ns, self._log_ns[1])
 
     def _step(self, step: Step) -> None:
@@ -357,9 +334,10 @@ class _Check:
         Raises:
             UnreadableFile: An entry cannot be read.
         """
+        report = self._report
         self._format.compare(step.event, *step.effects)
         event, effects, divergence = rerun.step(step)
-        if effects is None:
+        if effects is None or not report.bitwise:
             self._note(divergence)
             effects = tuple(map(read_effect, step.effects))
         return event, effects
@@ -388,18 +366,21 @@ class _Check:
             self._rerun.stop()
 
     def _end(self) -> None:
-        report, ends, invariants = self._report, self._ends, self._compared.invariants
-        report.duration_s = (self._reading.end_ns - report.begin_ns) / NS_PER_S
+        report, ends, invariants = self._report, self._ends, self._invariants
+        report.duration_s = (self._end_ns - report.begin_ns) / NS_PER_S
         if self._rerun is None:
             report.miss("its journal holds no snapshot of the kernel to begin from")
             return
         if self._before_snapshot:
             report.notes.append(f"{self._before_snapshot} events before the first snapshot")
-        ends.check(self._before_snapshot, invariants)
+        if not self._has_numbers:
+            report.miss(UNNUMBERED)
+        ends.check(self._before_snapshot)
+        check_types(self._recording, report, {self._topic, *self._compared.readers()})
         kernel = self._rerun.kernel
         if kernel is not None:
             invariants.end(kernel.state.waiting)
-        self._compared.end(ends.ending, self._reading.end_ns, self._log_ns[1])
+        self._compared.end(ends.ending, self._end_ns, self._log_ns[1])
         report.violations, report.violation_count = invariants.violations, invariants.count
 
 

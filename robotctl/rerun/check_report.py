@@ -20,8 +20,11 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.read.file_index import note_missing
 from robotctl.rerun.invariants import Violation
 
+TOLERANCE: Final = 1e-9
+"""The tolerance, absolute and relative, for floats that a C library rounded."""
+
 DIGITS: Final = 9
-"""The significant digits of a float that are compared: later ones depend on Python and libc."""
+"""The significant digits of a float that are compared between results of several machines."""
 
 _FLOAT: Final = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?")
 
@@ -95,7 +98,7 @@ class Report:
     """The version of robotctl that made the recording, "" if unknown."""
 
     made_by: str = ""
-    """The Python and libc that made the recording, "" if unknown."""
+    """What computed the floats of the recording, "" if unknown."""
 
     bitwise: bool = True
     events: int = 0

@@ -14,37 +14,37 @@ EXCUSES_NS = 2 * NS_PER_S
 """Wall-clock times are not compared if such a change is at most this far from them."""
 
 
-class _ClockStep(NamedTuple):
-    """A change of the wall clock by `by_ns`, found at the `moment`-th comparison."""
+class _Step(NamedTuple):
+    """A change of the offset by `by_ns` from `level_ns`."""
 
-    moment: int
     by_ns: int
+    level_ns: int
 
 
 class ClockChanges:
-    """Finds the changes of the wall clock against the steady clock of the journal."""
+    """The changes of the wall clock against the steady clock of the journal.
+
+    An entry may be recorded later than its event was stamped, never earlier. So the clock was set
+    back where the wall clock goes back, and forward where the offset rises and stays high.
+    """
 
     def __init__(self) -> None:
-        self.offset_ns: int | None = None
-        """Wall clock - steady clock at the last `look`."""
+        self._offset_ns: int | None = None
+        """Wall clock - steady clock at the last moment."""
 
-        self._begun_ns: int | None = None
-        """Wall clock - steady clock at the first snapshot."""
-
-        self._changed_ns: list[int] = []
-        self._set: list[_ClockStep] = []
-        self._moments = 0
         self._wall_ns = 0
+        self._changed_ns: list[int] = []
+        self._set: list[_Step] = []
 
     @property
     def has_changed(self) -> bool:
-        """Whether there was a change at all."""
+        """Whether there was a change at all, by a stall or because the clock was set."""
         return bool(self._changed_ns)
 
     @property
     def set_by_ns(self) -> list[int]:
-        """By how much the clock was set each time [ns], except before the first `look`."""
-        return [change.by_ns for change in self._set if change.moment > 1]
+        """Each setting of the clock [ns]."""
+        return [change.by_ns for change in self._set]
 
     @property
     def note(self) -> str:
@@ -58,35 +58,25 @@ class ClockChanges:
             f"the clock was set {often}, first by {by_s:+.2f} s: times around it are not compared"
         )
 
-    def begin(self, steady_ns: int, wall_ns: int) -> None:
-        """Store the offset between the clocks at the first snapshot; later calls do nothing."""
-        if self._begun_ns is None:
-            self._begun_ns = wall_ns - steady_ns
-
     def look(self, steady_ns: int, wall_ns: int) -> None:
-        """Note a change if the offset between the clocks has changed since the last `look`."""
-        offset_ns = wall_ns - steady_ns
-        before_ns, self.offset_ns = self.offset_ns, offset_ns
-        self._moments += 1
-        is_first = before_ns is None
-        before_ns = self._begun_ns if before_ns is None else before_ns
-        if before_ns is not None and abs(offset_ns - before_ns) > CLOCK_NS:
-            if not is_first:
-                self._changed_ns.append(steady_ns)
-            self._take(offset_ns - before_ns, wall_ns)
-        self._wall_ns = wall_ns
+        """Compare both clocks at one moment."""
+        offset_ns, before_ns = wall_ns - steady_ns, self._offset_ns
+        went_back, self._wall_ns = wall_ns < self._wall_ns, wall_ns
+        self._offset_ns = offset_ns
+        if before_ns is None:
+            return
+        by_ns = offset_ns - before_ns
+        if abs(by_ns) > CLOCK_NS:
+            self._changed_ns.append(steady_ns)
+            if by_ns > 0 or went_back:
+                self._set.append(_Step(by_ns, before_ns))
+                return
+        while self._set and self._set[-1].by_ns > 0 and self._is_level(offset_ns):
+            self._set.pop()  # it was a stall
 
-    def _take(self, by_ns: int, wall_ns: int) -> None:
-        """Note that the clock was set, or drop the last change if this one undoes it.
-
-        An undone change was a stall between reading the two clocks: the wall clock did not go back.
-        """
-        last = self._set[-1] if self._set else None
-        is_undone = last is not None and last.moment == self._moments - 1 and last.by_ns > 0
-        if is_undone and by_ns < 0 and wall_ns >= self._wall_ns:
-            self._set.pop()
-        else:
-            self._set.append(_ClockStep(self._moments, by_ns))
+    def _is_level(self, offset_ns: int) -> bool:
+        """Return whether the offset is what it was before its last rise."""
+        return offset_ns <= self._set[-1].level_ns + CLOCK_NS
 
     def is_near(self, steady_ns: int) -> bool:
         """Return whether the offset between the clocks changed within EXCUSES_NS of this time."""

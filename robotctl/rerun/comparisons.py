@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import accumulate
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.types import (
@@ -22,13 +22,11 @@ from robotctl.recording import RecordingInfo
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges, RecordedStalls
-from robotctl.rerun.command_check import CommandCheck
-from robotctl.rerun.command_pairs import command_topic
-from robotctl.rerun.input_check import input_checks
+from robotctl.rerun.commands import CommandCheck
+from robotctl.rerun.ends import EndingOf, JournalEnd
+from robotctl.rerun.inputs import InputChecks
 from robotctl.rerun.invariants import Invariants
-from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.recording_ends import Ending, JournalEnd
-from robotctl.rerun.safety_input_check import SafetyInputChecks
+from robotctl.rerun.journal import Moments
 from robotctl.rerun.service_check import ServiceChecks
 from robotctl.rerun.status_check import StatusCheck
 
@@ -145,91 +143,102 @@ class TickSchedule:
         self._due_ns, self._least, self._windows = 0, None, []
 
 
-class Comparisons:
-    """Checks the invariants, and compares commands, inputs, services and statuses."""
-
-    def __init__(self, report: Report, info: RecordingInfo, journal_topic: str) -> None:
-        self._report = report
-        clock = self._clock = ClockChanges()
-        self.invariants = Invariants()
-        self._ticks = TickSchedule()
-        self._order = MeasurementOrder()
-        self._commands = CommandCheck(report, clock)
-        self._command_topic = command_topic(info, journal_topic)
-        self._inputs = input_checks(report, info, journal_topic)
-        self._stalls = RecordedStalls()
-        self._safety_inputs = SafetyInputChecks(report, info, journal_topic, self._stalls)
-        self._services = ServiceChecks(report, info, journal_topic, clock)
-        self._status = StatusCheck(report, info, journal_topic, clock)
+class Compared(Protocol):
+    """One of the comparisons of messages with a journal."""
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return the message handler of each compared topic."""
-        readers = self._inputs.readers() | self._services.readers()
-        readers |= self._safety_inputs.readers()
-        if self._command_topic is not None:
-            readers[self._command_topic] = self._commands.message
-        if self._status.topic is not None:
-            readers[self._status.topic] = self._status.message
-        return readers
-
-    def step_before_snapshot(self, event: Event, effects: tuple[Effect, ...]) -> None:
-        """Note a step before the first snapshot, when the kernel's state is not known."""
-        self._commands.step(event, effects, (0, 0, 0))
+        """Return the message handler of each topic that it reads."""
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
         """Continue from a snapshot at the steady time `t_ns`, which is `log_ns` since the epoch."""
-        has_proof = snapshot.proof is not None
-        self.invariants.snapshot(snapshot)
-        self._clock.begin(t_ns, log_ns)
+
+    def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
+        """Compare a step; `seq` is the number of its event, `moments` is when it was handled."""
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+
+    def end(self, ending_of: EndingOf, moment: JournalEnd, /) -> None:
+        """Report what differs."""
+
+
+class Comparisons:
+    """The invariants, and the comparisons of commands, inputs, services and statuses."""
+
+    def __init__(
+        self, report: Report, invariants: Invariants, info: RecordingInfo, journal_topic: str
+    ) -> None:
+        self._report = report
+        self._invariants = invariants
+        clock = self._clock = ClockChanges()
+        self._stalls = RecordedStalls()
+        self._ticks = TickSchedule()
+        self._order = MeasurementOrder()
+        about = report, info, journal_topic
+        self._of_all: tuple[Compared, ...] = (
+            InputChecks(*about, self._stalls),
+            StatusCheck(*about, clock),
+        )
+        """What compares each step."""
+
+        self._of_decisions: tuple[Compared, ...] = (
+            CommandCheck(*about, clock),
+            ServiceChecks(*about, clock),
+        )
+        """What compares all steps but odometry that led to nothing, which most steps are."""
+
+    @property
+    def _all(self) -> tuple[Compared, ...]:
+        return self._of_decisions + self._of_all
+
+    def readers(self) -> dict[str, Callable[[Message], None]]:
+        """Return the message handler of each topic that is compared."""
+        return {topic: read for each in self._all for topic, read in each.readers().items()}
+
+    def step_before_snapshot(self, event: Event, effects: tuple[Effect, ...]) -> None:
+        """Note a step before the first snapshot, when the kernel's state is not known."""
+        for each in self._of_decisions:
+            each.step(0, event, effects, (0, 0, 0))
+
+    def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
+        """Continue from a snapshot at the steady time `t_ns`, which is `log_ns` since the epoch."""
+        self._invariants.snapshot(snapshot)
         self._ticks.begin(snapshot.params.rate_hz)
-        self._commands.snapshot(snapshot)
-        self._inputs.snapshot(has_proof)
-        self._safety_inputs.snapshot(has_proof)
-        self._services.snapshot(has_proof, log_ns)
-        self._status.snapshot(snapshot, t_ns, log_ns)
+        for each in self._all:
+            each.snapshot(snapshot, t_ns, log_ns)
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
         """Compare a step; `seq` is the number of its event, `moments` is when it was handled."""
         self._order.step(event, seq)
         self._stalls.step(event)
-        self._inputs.step(event, seq)
-        self._safety_inputs.step(event, seq)
-        self._status.step(event, effects, moments)
+        for each in self._of_all:
+            each.step(seq, event, effects, moments)
         if not effects and isinstance(event, OdomReceived):
-            return  # true of most steps
+            return
         self._ticks.step(event, seq)
-        self._commands.step(event, effects, moments)
-        self._services.step(event, seq, effects, moments)
-        self.invariants.step(seq, event, effects)
+        for each in self._of_decisions:
+            each.step(seq, event, effects, moments)
+        self._invariants.step(seq, event, effects)
 
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""
-        self.invariants.stop()
+        self._invariants.stop()
         self._ticks.stop()
         self._order.stop()
-        self._commands.stop()
-        self._inputs.stop()
-        self._safety_inputs.stop()
-        self._services.stop()
-        self._status.stop()
+        for each in self._all:
+            each.stop()
 
-    def end(self, ending: Callable[[str | None], Ending], end_ns: int, log_ns: int) -> None:
-        """Report what differs; the journal ends at `end_ns` (steady), or `log_ns` since the epoch.
-
-        `ending(topic)` returns how the recording ends for a topic.
-        """
+    def end(self, ending: EndingOf, end_ns: int, log_ns: int) -> None:
+        """Report what differs; the journal ends at `end_ns`, or at `log_ns` since the epoch."""
         self._ticks.stop()
         for found in self._ticks.missing:
-            self.invariants.violate(f"{found.ticks} ticks are missing before entry {found.seq}")
+            self._invariants.violate(f"{found.ticks} ticks are missing before entry {found.seq}")
         if swapped := self._order.swapped:
             text = f"{swapped} measurements are earlier than one before them"
-            self.invariants.violate(f"{text}, the first is entry {self._order.first_seq}")
-        self._commands.end(self.invariants, ending(self._command_topic))
+            self._invariants.violate(f"{text}, the first is entry {self._order.first_seq}")
         stalled_ns = self._stalls.recent_ns(end_ns)
         moment = JournalEnd(end_ns, log_ns, stalled_ns, self._clock.has_changed)
-        self._inputs.end(self.invariants, ending, moment)
-        self._safety_inputs.end(self.invariants, ending, moment)
-        self._services.end(self.invariants, ending, end_ns, log_ns)
-        self._status.end(self.invariants, ending(self._status.topic), log_ns)
+        for each in self._all:
+            each.end(ending, moment)
         if self._clock.note and ending(None).is_own:
             self._report.notes.append(self._clock.note)

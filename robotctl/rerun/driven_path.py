@@ -19,8 +19,7 @@ from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import journal_topic, read_journal
-from robotctl.rerun.journal_steps import Gap, in_sequence
-from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
+from robotctl.rerun.journal import Gap, in_sequence, read_effect, read_event, read_snapshot
 
 SPACING_M = 0.03
 """Poses closer together than this are one place: a stopping robot may roll a little too far."""

@@ -17,9 +17,8 @@ from robotctl.recording import Recording
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
-from robotctl.rerun.command_pairs import command_topic, is_zero, numbers_of
-from robotctl.rerun.journal_steps import Gap, Step, steps
-from robotctl.rerun.journal_values import decide, read_effect, read_event, read_snapshot
+from robotctl.rerun.commands import command_topic, is_zero, numbers_of
+from robotctl.rerun.journal import Gap, Step, decide, read_effect, read_event, read_snapshot, steps
 
 MAX_MESSAGES_AFTER = 2000
 """The first zero command is searched only in this many messages after the stop."""

@@ -6,14 +6,10 @@ way to the control loop (best effort), but hardly the last ones if no earlier on
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable
-from math import inf
-from typing import Any, Final, NamedTuple
+from collections.abc import Hashable
+from typing import Any, NamedTuple
 
 from robotctl.kernel.units import NS_PER_S
-from robotctl.rerun.check_report import Report
-from robotctl.rerun.invariants import Invariants
-from robotctl.rerun.recording_ends import Ending, JournalEnd
 
 PATIENCE_NS = 30 * NS_PER_S
 """How long an input waits for its message, on the steady clock of the journal."""
@@ -52,6 +48,9 @@ class InputPairs:
     """Compares the inputs of one topic with its messages, and counts the differences."""
 
     def __init__(self) -> None:
+        self.tolerance = 0.0
+        """How far the numbers of a message may be from those of its input."""
+
         self.paired = 0
         self.lacking = 0
         """The number of inputs without a message, except `before_first` and those near the end."""
@@ -117,7 +116,7 @@ class InputPairs:
         inputs = self._inputs.get(sequence)
         if inputs is not None:
             for each in inputs:
-                if _same(each.value, value):
+                if _same(each.value, value, self.tolerance):
                     self._pair(sequence, each)
                     inputs.remove(each)
                     if not inputs:
@@ -138,7 +137,7 @@ class InputPairs:
         messages = self._messages.get(sequence)
         if messages is not None:
             for position, sent in enumerate(messages):
-                if _same(found.value, sent.value):
+                if _same(found.value, sent.value, self.tolerance):
                     self._pair(sequence, found)
                     del messages[position]
                     if not messages:
@@ -228,139 +227,11 @@ class InputPairs:
             self.lacking_example = f"entry {found.seq}, message {sequence}"
 
 
-def _same(one: Any, other: Any) -> bool:
-    return one == other or repr(one) == repr(other)  # nan differs from itself
-
-
-AFTER_NS: Final = 2 * NS_PER_S
-"""How long after the last journal entry a message may be recorded."""
-
-FEW: Final = 10
-"""At the end, this many messages may always be under way, in addition to what BURST allows."""
-
-BURST: Final = 10.0
-"""At the end, this multiple of the messages expected at the mean rate may be under way."""
-
-LOST: Final = 2
-"""This many last messages may be lost, even if no earlier message was."""
-
-
-class UnheardEnd(NamedTuple):
-    """The messages of an input, recorded at `log_ns`, after the last message that became an event.
-
-    The journal ends at `end_ns`; all times are since the epoch. Messages come at `rate_hz` and may
-    be under way for `window_ns`. Of those recorded before this window, up to `lost` may be lost.
-    """
-
-    log_ns: Collection[int]
-    end_ns: int
-    window_ns: int
-    rate_hz: float
-    lost: float
-
-    @property
-    def earlier(self) -> int:
-        """How many messages were recorded too long (`window_ns`) before the end to be under way."""
-        return sum(each < self.end_ns - self.window_ns for each in self.log_ns)
-
-    def difference(self) -> str:
-        """Return what is wrong about the messages, "" if nothing is."""
-        after = sum(each > self.end_ns + AFTER_NS for each in self.log_ns)
-        if after:
-            return f"{after} messages are recorded after the end of the journal"
-        under_way = len(self.log_ns) - self.earlier
-        most = FEW + BURST * self.rate_hz * self.window_ns / NS_PER_S
-        if under_way > most or self.earlier > self.lost:
-            return f"the last {len(self.log_ns)} messages never became an input"
-        return ""
-
-
-def report_inputs(
-    report: Report,
-    invariants: Invariants,
-    name: str,
-    pairs: InputPairs,
-    ending: Ending,
-    *,
-    is_left_out: bool,
-) -> None:
-    """Report differing values, missing messages and repeated messages of the input `name`.
-
-    Call `pairs.end` first. `is_left_out` says that the recorder was configured to omit the topic.
-    """
-    if pairs.differing:
-        text = f"{pairs.differing} messages are not what the control loop received as"
-        text = f"{text} {name}: {pairs.differing_example}"
-        if pairs.has_one_publisher or pairs.differing > ending.lost:
-            ending.accuse(report, invariants, text)
-        else:
-            report.notes.append(text)
-    _report_lacking(report, invariants, name, pairs, ending, is_left_out=is_left_out)
-    if pairs.repeated and pairs.has_one_publisher:
-        report.miss(f"{pairs.repeated} messages of {name} are repeated or out of order")
-
-
-def _report_lacking(
-    report: Report,
-    invariants: Invariants,
-    name: str,
-    pairs: InputPairs,
-    ending: Ending,
-    *,
-    is_left_out: bool,
-) -> None:
-    count = pairs.lacking + (0 if ending.is_clip else pairs.before_first)
-    if not (ending.is_clip or ending.has_begin) and pairs.at_begin:
-        count -= pairs.at_begin
-        report.notes.append(
-            f"the first {pairs.at_begin} messages of {name} are not here: the file before has them"
-        )
-    elif ending.ledger is None and not ending.is_clip and pairs.before_found:
-        count -= pairs.before_found
-        report.notes.append(
-            f"the first {pairs.before_found} messages of {name} are not recorded: the "
-            "recorder finds a publisher later than the control loop"
-        )
-    if not count:
-        return
-    text = f"{count} messages of {name} that the control loop received are not recorded"
-    if pairs.lacking_example:
-        text += f", the first is of {pairs.lacking_example}"
-    if count <= ending.lost:
-        report.notes.append(f"{text}: {ending.lost} were counted as lost")
-    elif is_left_out:
-        report.notes.append(f"the topic of {name} was not recorded, as configured")
-    elif ending.ledger is None:
-        report.miss(f"{text}; {ending.unknown_losses}")
-    else:
-        ending.accuse(report, invariants, text)
-
-
-def report_last(
-    report: Report,
-    name: str,
-    pairs: InputPairs,
-    ending: Ending,
-    moment: JournalEnd,
-    waited_ns: int,
-    *,
-    is_rare: bool = False,
-) -> int:
-    """Report messages after the last input that cannot all have been under way.
-
-    The control loop may have been `waited_ns` late. If `is_rare` is set, most messages never become
-    an input. Return how many messages may have been lost, 0 if this function reported them.
-    """
-    if not (pairs.paired and pairs.has_one_publisher and ending.is_own) or moment.clock_changed:
-        return 0
-    last = UnheardEnd(
-        pairs.later_ns,
-        moment.log_ns,
-        EDGE_NS + waited_ns,
-        pairs.rate_hz,
-        inf if is_rare else pairs.unheard + LOST,
+def _same(one: Any, other: Any, tolerance: float) -> bool:
+    if one == other or repr(one) == repr(other):  # nan differs from itself
+        return True
+    if not tolerance or not isinstance(one, tuple) or not isinstance(other, tuple):
+        return False
+    return len(one) == len(other) and all(
+        abs(mine - theirs) <= tolerance for mine, theirs in zip(one, other, strict=True)
     )
-    if difference := last.difference():
-        report.miss(f"{name}: {difference}")
-        return 0
-    return last.earlier

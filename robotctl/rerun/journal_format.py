@@ -11,7 +11,7 @@ from robotctl.base.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.check_report import Report
-from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
+from robotctl.rerun.journal import read_effect, read_event, read_snapshot
 
 MAX_FORMS = 4096
 MAX_FORM_BYTES = 1000
@@ -68,24 +68,13 @@ class Vocabulary:
             return ""
         ours = json.loads(to_json(_READERS[entry.kind](entry)))
         try:
-            unknown = next(_added(entry.name, json.loads(entry.data), ours), "")
+            differing = _differing("", json.loads(entry.data), ours)
+            unknown = next((f"{entry.name}.{name}" for is_new, name in differing if is_new), "")
         except RecursionError:
             raise UnreadableFile(f"journal entry {entry.seq} is nested too deeply") from None
         if not unknown and len(form[1]) <= MAX_FORM_BYTES and len(self._known) < MAX_FORMS:
             self._known.add(form)
         return unknown
-
-
-def _added(path: str, theirs: Any, ours: Any) -> Iterator[str]:
-    if isinstance(theirs, dict) and isinstance(ours, dict):
-        for name, value in theirs.items():
-            if name in ours:
-                yield from _added(f"{path}.{name}", value, ours[name])
-            else:
-                yield f"{path}.{name[:40]}"
-    elif isinstance(theirs, list) and isinstance(ours, list):
-        for each, own in zip(theirs, ours, strict=False):
-            yield from _added(f"{path}[]", each, own)
 
 
 class JournalFormat:
@@ -130,19 +119,21 @@ def other_field(entry: JournalEntry) -> str:
         UnreadableFile: The entry is not a snapshot of this version.
     """
     ours = json.loads(to_json(read_snapshot(entry)))
-    return next(_differing("", json.loads(entry.data), ours), "")
+    differing = _differing("", json.loads(entry.data), ours)
+    return next((f"{'has' if is_new else 'lacks'} {name}" for is_new, name in differing), "")
 
 
-def _differing(path: str, theirs: Any, ours: Any) -> Iterator[str]:
+def _differing(path: str, theirs: Any, ours: Any) -> Iterator[tuple[bool, str]]:
+    """Yield the path of each field that only one side has, and whether only theirs has it."""
     if isinstance(theirs, dict) and isinstance(ours, dict):
         for name in ours:
             if name not in theirs:
-                yield f"lacks {path}{name}"
+                yield False, f"{path}{name}"
         for name, value in theirs.items():
             if name not in ours:
-                yield f"has {path}{name[:40]}"
+                yield True, f"{path}{name[:40]}"
             else:
                 yield from _differing(f"{path}{name}.", value, ours[name])
     elif isinstance(theirs, list) and isinstance(ours, list):
         for each, own in zip(theirs, ours, strict=False):
-            yield from _differing(path, each, own)
+            yield from _differing(f"{path.removesuffix('.')}[].", each, own)

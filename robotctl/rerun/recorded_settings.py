@@ -10,8 +10,6 @@ from robotctl.config import Config, check_together, with_text
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.names import INFO_RECORD, PARAMETER_PREFIX
 
-"""The prefix of configuration keys in the metadata of a recording."""
-
 _SECTIONS = frozenset(item.name for item in fields(Config))
 
 Settings = Mapping[str, str]

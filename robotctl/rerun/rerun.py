@@ -16,18 +16,17 @@ from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.state import State
 from robotctl.kernel.types import Decision, Effect, Event
 from robotctl.recording.format.journal import JournalEntry
-from robotctl.recording.format.names import MADE_BY
-from robotctl.rerun.check_report import Divergence
-from robotctl.rerun.journal_steps import Gap, Step, steps
-from robotctl.rerun.journal_values import (
+from robotctl.recording.format.names import MADE_BY, OWN_ARITHMETIC
+from robotctl.rerun.check_report import TOLERANCE, Divergence
+from robotctl.rerun.journal import (
     KERNEL_FAILURES,
+    Gap,
+    Step,
     read_event,
     read_snapshot,
+    steps,
     text_of,
 )
-
-TOLERANCE = 1e-9
-"""The tolerance, absolute and relative, for floats of another libc or Python."""
 
 WORDING = frozenset({"reason", "message", "stop_reason"})
 """Fields that hold sentences: another version may word the same decision differently."""
@@ -52,14 +51,14 @@ class Comparison:
         return self.version == __version__
 
     @property
-    def same_platform(self) -> bool:
-        """Whether the same libc and Python computed the floats."""
-        return self.made_by == MADE_BY
+    def same_arithmetic(self) -> bool:
+        """Whether the kernel's own functions computed the floats, not those of a C library."""
+        return self.made_by.startswith(OWN_ARITHMETIC)
 
     @property
     def is_exact(self) -> bool:
         """Whether everything is compared bit for bit."""
-        return self.same_version and self.same_platform
+        return self.same_version and self.same_arithmetic
 
     def notes(self) -> Iterator[str]:
         """Yield a sentence for each reason why something is not compared exactly."""
@@ -68,10 +67,10 @@ class Comparison:
                 f"made by robotctl {self.version or '(unknown version)'}, this is {__version__}: "
                 f"compared are commands, modes, the latch and answers, without their wording"
             )
-        if not self.same_platform:
+        if not self.same_arithmetic:
             yield (
-                f"made with {self.made_by or 'an unknown Python'}, this is {MADE_BY}: "
-                f"floats are compared to {TOLERANCE:g}"
+                f"made with {self.made_by or 'an unknown Python'}, whose C library rounded "
+                f"sin and cos: floats are compared to {TOLERANCE:g}"
             )
 
     def same(self, recorded: str, value: object) -> bool:
@@ -111,7 +110,7 @@ class Comparison:
         return [name for name in mine if name in theirs and name not in WORDING]
 
     def _same_leaf(self, theirs: Any, mine: Any) -> bool:
-        if isinstance(theirs, float) and isinstance(mine, float) and not self.same_platform:
+        if isinstance(theirs, float) and isinstance(mine, float) and not self.same_arithmetic:
             return abs(theirs - mine) <= TOLERANCE * max(1.0, abs(theirs), abs(mine))
         return repr(theirs) == repr(mine)
 

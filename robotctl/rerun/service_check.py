@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, NamedTuple
 
+from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Effect, Event, ModeRequested, Reply
 from robotctl.kernel.units import NS_PER_S
@@ -25,12 +26,11 @@ from robotctl.recording.format.journal import TOPIC
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
-from robotctl.rerun.command_pairs import LATE_NS
-from robotctl.rerun.input_pairs import AFTER_NS
-from robotctl.rerun.invariants import Invariants
-from robotctl.rerun.journal_steps import Moments
+from robotctl.rerun.commands import LATE_NS
+from robotctl.rerun.ends import Ending, EndingOf, JournalEnd
+from robotctl.rerun.inputs import AFTER_NS
+from robotctl.rerun.journal import Moments
 from robotctl.rerun.own_topics import RecordedFilter, own_name
-from robotctl.rerun.recording_ends import Ending
 
 _GID_BYTES = 16
 
@@ -276,9 +276,9 @@ class ServiceChecks:
         """Return the message handler of each recorded topic."""
         return {each.topic: each.message for each in self._all if each.is_recorded}
 
-    def snapshot(self, has_proof: bool, log_ns: int) -> None:
+    def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
         """Start the comparison at this snapshot if it has a proof."""
-        if has_proof and not self._is_on:
+        if snapshot.proof is not None and not self._is_on:
             self._is_on = True
             for each in self._all:
                 each.begin(log_ns)
@@ -287,7 +287,7 @@ class ServiceChecks:
         """Pause until the next snapshot: events are missing."""
         self._is_on = False
 
-    def step(self, event: Event, seq: int, effects: tuple[Effect, ...], moments: Moments) -> None:
+    def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
         """Compare an event with its effects; `seq` is the number of its entry."""
         if not self._is_on:
             return
@@ -299,20 +299,11 @@ class ServiceChecks:
                 for each in self._all:
                     each.pairs.reply(effect)
 
-    def end(
-        self,
-        invariants: Invariants,
-        ending: Callable[[str | None], Ending],
-        end_ns: int,
-        end_log_ns: int,
-    ) -> None:
-        """Report what differs; `ending(topic)` tells how the recording ends for a topic.
-
-        The journal ends at `end_ns` by the steady clock, which is `end_log_ns` since the epoch.
-        """
+    def end(self, ending: EndingOf, moment: JournalEnd) -> None:
+        """Report what differs."""
         if self._is_on and ending(None).is_own:
             for each in self._all:
-                each.end(invariants, ending(each.topic), end_ns, end_log_ns)
+                each.end(ending(each.topic), moment)
 
 
 class _ServiceCheck:
@@ -371,7 +362,7 @@ class _ServiceCheck:
         if event is not None:
             self.pairs.event(event, message.publish_ns)
 
-    def end(self, invariants: Invariants, ending: Ending, end_ns: int, end_log_ns: int) -> None:
+    def end(self, ending: Ending, moment: JournalEnd) -> None:
         """Report what differs."""
         pairs, report = self.pairs, self._report
         pairs.pair(self._clock)
@@ -380,11 +371,11 @@ class _ServiceCheck:
         if pairs.is_full:
             report.miss(f"of the calls on {self.topic} only the first were compared")
             return
-        self._tell_unasked(invariants, ending, end_log_ns)
-        self._tell_unheard(invariants, ending, end_ns)
-        self._tell_answers(invariants, ending, end_ns)
+        self._tell_unasked(ending, moment.log_ns)
+        self._tell_unheard(ending, moment.t_ns)
+        self._tell_answers(ending, moment.t_ns)
 
-    def _tell_unasked(self, invariants: Invariants, ending: Ending, end_log_ns: int) -> None:
+    def _tell_unasked(self, ending: Ending, end_log_ns: int) -> None:
         begin_ns = (self._begin_ns or 0) + LATE_NS
         unasked = [call for call in self.pairs.unasked if begin_ns < call.publish_ns]
         if not (ending.is_whole and ending.ledger is not None):
@@ -398,7 +389,7 @@ class _ServiceCheck:
             f"for mode {unasked[0].requested}"
         )
         if self._has_one_publisher:
-            ending.accuse(self._report, invariants, text)
+            ending.accuse(text)
         else:
             self._report.notes.append(f"{text}: another node serves it as well")
 
@@ -407,7 +398,7 @@ class _ServiceCheck:
         after_ns = call.publish_ns - end_log_ns
         return after_ns > -LATE_NS and (after_ns <= AFTER_NS or self._clock.has_changed)
 
-    def _tell_unheard(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:
+    def _tell_unheard(self, ending: Ending, end_ns: int) -> None:
         report, pairs = self._report, self.pairs
         recent = [each for each in pairs.last_unheard if end_ns - each.moments[0] <= END_NS]
         unheard = pairs.unheard + pairs.last_unheard[: len(pairs.last_unheard) - len(recent)]
@@ -421,26 +412,23 @@ class _ServiceCheck:
             f"{len(unheard)} requests of {pairs.source} are not recorded as calls, "
             f"the first is entry {unheard[0].seq}"
         )
-        if len(unheard) <= ending.lost:
-            report.notes.append(f"{text}: {ending.lost} were counted as lost")
-        elif self._is_left_out:
+        is_counted = len(unheard) <= ending.lost
+        if self._is_left_out and not is_counted:
             report.notes.append(f"{self.topic} was not recorded, as configured")
-        elif not pairs.calls and self._others and not self._is_told:
+        elif not (pairs.calls or self._is_told or is_counted) and self._others:
             report.notes.append(f"{text}: its name may be remapped, as {self._others[0]} is of it")
-        elif ending.ledger is None:
-            report.miss(f"{text}; {ending.unknown_losses}")
         else:
-            ending.accuse(report, invariants, text)
+            ending.lack(len(unheard), text)
 
     def _is_first(self, asked: Asked) -> bool:
         """Return whether a request came so early that its call may be in an earlier file."""
         return asked.moments[1] <= (self._begin_ns or 0) + LATE_NS
 
-    def _tell_answers(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:
+    def _tell_answers(self, ending: Ending, end_ns: int) -> None:
         report, pairs = self._report, self.pairs
         for asked, call in pairs.pairs:
             if text := self._difference(asked, call):
-                ending.accuse(report, invariants, f"{self.topic}: {text}")
+                ending.accuse(f"{self.topic}: {text}")
                 return
         unanswered = len(pairs.unanswered(end_ns))
         alone = pairs.answers_alone if ending.is_whole and not ending.is_clip else 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf
 from typing import Final
@@ -17,10 +18,9 @@ from robotctl.recording import RecordingInfo
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import EXCUSES_NS, ClockChanges
-from robotctl.rerun.invariants import Invariants
-from robotctl.rerun.journal_steps import Moments
+from robotctl.rerun.ends import Ending, EndingOf, JournalEnd
+from robotctl.rerun.journal import Moments
 from robotctl.rerun.own_topics import RepeatedLatched, own_name
-from robotctl.rerun.recording_ends import Ending
 
 FIRST_NS: Final = 2 * NS_PER_S
 """A journal longer than this must have a status."""
@@ -123,19 +123,28 @@ class StatusCheck:
         self.is_on = False
         self._report = report
         self._modes = ShownModes(clock)
-        self._first = 1
-        """The number of the first status."""
+        self._first = 0
+        """The number of the first status, 0 before it."""
 
         self._newest = 0
-        self._gaps = 0
-        self._seen = 0
+        self._absent: set[int] = set()
+        """The numbers between the first and the newest that are not there."""
+
         self._repeats = RepeatedLatched(info)
         self._unordered = 0
+        self._foreign = 0
+        """The number of statuses of other publishers on the topic."""
+
+        self._misnamed = 0
         self._wrong = 0
         self._example = ""
         self._begin_ns = 0
 
-    def message(self, message: Message) -> None:
+    def readers(self) -> dict[str, Callable[[Message], None]]:
+        """Return the message handler of the topic, if it is recorded."""
+        return {} if self.topic is None else {self.topic: self._message}
+
+    def _message(self, message: Message) -> None:
         """Check a status; skip the repeat of the last one, with which each file and clip begins.
 
         If the recorder lags, this repeat may come before its original: then its log time, that of
@@ -152,17 +161,30 @@ class StatusCheck:
             reader.take("f", 2)  # battery level and temperature
             reader.take("?")  # whether odometry is fresh
         except struct.error:
-            self._blame("one that cannot be read")
+            self._wrong += 1
+            self._example = self._example or "one that cannot be read"
             return
-        if not self._seen:
-            self._first = message.sequence
-        self._gaps += max(message.sequence - self._newest - 1, 0) if self._seen else 0
-        self._unordered += message.sequence <= self._newest
-        self._newest = message.sequence
-        self._seen += 1
         if self._report.robot and name != self._report.robot:
-            self._blame(f"one of {name[:40]!r}")
-        self._modes.status(mode, message.publish_ns)
+            self._misnamed += 1
+            self._example = self._example or f"one of {name[:40]!r}"
+        elif self._is_own(message.sequence):
+            self._modes.status(mode, message.publish_ns)
+        else:
+            self._foreign += 1
+
+    def _is_own(self, number: int) -> bool:
+        """Return whether the robot may have sent this status: no other one has its number."""
+        if not self._first:
+            self._first = self._newest = number
+        elif number > self._newest:
+            self._absent.update(range(self._newest + 1, min(number, self._newest + MAX_WAITING)))
+            self._newest = number
+        elif number in self._absent or number == self._newest:
+            self._absent.discard(number)
+            self._unordered += 1
+        else:
+            return False
+        return True
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
         """Continue from a snapshot at the steady time `t_ns`, or `log_ns` since the epoch."""
@@ -173,7 +195,7 @@ class StatusCheck:
             self.is_on, self._begin_ns = True, log_ns
         self._modes.snapshot(snapshot.state.mode, t_ns, log_ns)
 
-    def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
+    def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
         """Note the time of an event, and the new mode if it changed the mode."""
         self._modes.step(event.t_ns, moments[1])
         for effect in effects:
@@ -184,8 +206,9 @@ class StatusCheck:
         """Pause until the next snapshot: events are missing."""
         self._modes.stop()
 
-    def end(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:
-        """Report what differs; the journal ends at `end_ns` since the epoch."""
+    def end(self, ending_of: EndingOf, moment: JournalEnd) -> None:
+        """Report what differs."""
+        ending = ending_of(self.topic)
         if not self.is_on or not ending.is_own or self._report.has_gaps:
             return
         if self.topic is None:
@@ -193,32 +216,36 @@ class StatusCheck:
             return
         report, modes = self._report, self._modes
         modes.end()
-        if ending.has_begin:
-            self._gaps += self._first - 1
-        wrong = self._wrong + modes.wrong
-        if wrong:
+        gaps = len(self._absent) + (self._first - 1 if self._first and ending.has_begin else 0)
+        if gaps < self._misnamed or self._foreign:
+            others = self._foreign + self._misnamed
+            report.notes.append(f"another node published robot statuses as well: {others} of its")
+            self._foreign = others
+        elif wrong := self._wrong + self._misnamed + modes.wrong:
             example = self._example or modes.example
-            self._accuse(invariants, ending, f"{wrong} robot statuses are wrong: {example}")
+            self._accuse(ending, f"{wrong} robot statuses are wrong: {example}")
         missing = []
-        if self._gaps > ending.lost and ending.ledger is not None:
-            missing.append(f"{self._gaps} robot statuses are missing")
-        elif not self._seen and ending.is_whole and end_ns - self._begin_ns > FIRST_NS:
+        if gaps > ending.lost and ending.ledger is not None:
+            missing.append(f"{gaps} robot statuses are missing")
+        elif not self._first and ending.is_whole and moment.log_ns - self._begin_ns > FIRST_NS:
             missing.append("no robot status is recorded")
         for text in missing:
             if ending.ledger is None:
                 report.miss(f"{text}; {ending.unknown_losses}")
             else:
-                self._accuse(invariants, ending, text)
+                self._accuse(ending, text)
         if self._unordered:
-            report.miss(f"{self._unordered} robot statuses are out of order")
+            report.miss(
+                f"{self._unordered} robot statuses are out of order, or another node publishes them"
+            )
         if excess := self._repeats.excess:
             report.miss(f"{excess} robot statuses are repeated where no file begins")
 
-    def _accuse(self, invariants: Invariants, ending: Ending, text: str) -> None:
-        if self._unordered:  # another node publishes them as well: they are not told apart
+    def _accuse(self, ending: Ending, text: str) -> None:
+        if self._unordered or self._foreign:  # statuses of two nodes are not told apart
             self._report.miss(text)
         else:
-            ending.accuse(self._report, invariants, text)
+            ending.accuse(text)
 
     def _tell_unrecorded(self, ending: Ending) -> None:
         text = f"its topic of robot statuses, {self._name}, is not recorded"
@@ -226,7 +253,3 @@ class StatusCheck:
             self._report.notes.append(f"{text}: its name may be remapped, as {self._others[0]} is")
         elif self._is_told and ending.is_whole:
             self._report.miss(text)
-
-    def _blame(self, text: str) -> None:
-        self._wrong += 1
-        self._example = self._example or text

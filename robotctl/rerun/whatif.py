@@ -23,8 +23,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import read_journal
-from robotctl.rerun.journal_steps import Gap, Step, steps
-from robotctl.rerun.journal_values import decide, read_event, read_snapshot, text_of
+from robotctl.rerun.journal import Gap, Step, decide, read_event, read_snapshot, steps, text_of
 from robotctl.rerun.recorded_settings import Settings, changed
 
 

@@ -42,7 +42,7 @@ from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
 from robotctl.recording.read.messages import Message
-from robotctl.rerun.journal_values import (
+from robotctl.rerun.journal import (
     KERNEL_FAILURES,
     decide,
     read_effect,

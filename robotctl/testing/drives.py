@@ -36,7 +36,7 @@ from robotctl.recording.format.names import PARAMETER_PREFIX
 from robotctl.recording.format.noted_events import noted_event
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.rerun.closed_loop import closed_loop
-from robotctl.rerun.journal_values import read_effect
+from robotctl.rerun.journal import read_effect
 
 START_NS = 1_700_000_000_000_000_000
 """Log times [ns since the epoch] are the steady times of the journal plus this."""

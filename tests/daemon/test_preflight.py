@@ -1,10 +1,18 @@
-"""What must hold before a motion: the list of it, and an emergency stop as an input."""
+"""What must hold before a motion: the list of it, and an emergency stop as an input.
+A base that is commissioned: in its own process, and the simulated one.
+"""
 
 from __future__ import annotations
 
 import json
+import re
+from signal import SIGINT, SIGKILL, SIGSTOP, Signals
+from typing import Any
 
-from tests.support.waiting import until
+import pytest
+
+from tests.support.lines import Told, peer_command
+from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import PATIENT, NewPeer, World
 
 
@@ -86,3 +94,80 @@ def test_an_input_of_another_type_prevents_motion_and_status_names_the_types(
     assert "nothing was received on estop_pressed" in refused.err
     world.ok("stop")
     start.communicate()
+
+
+BASE: dict[str, Any] = {
+    "command": ["cmd_vel", "TwistStamped", "system"],
+    "odometry": ["odom", "system", 10],
+    "battery": None,
+    "child_frame": "base_link",
+    "lag_s": 0.3,
+    "deadband_mps": 0.05,
+}
+
+
+@pytest.mark.slow
+def test_a_base_of_10_hz_with_lag_and_deadband_and_no_timeout_is_told_as_such(world: World) -> None:
+    base = Told(peer_command("tests.support.role_peers", "StubBase"), world.environment)
+    try:
+        base("begin", **BASE)
+        settings = world.folder / "robot.yaml"
+        settings.write_text(f"{PATIENT}battery.topic: ''\ncommand.stamped: true\n")
+        world.ok("start", "--no-sim", "--config", str(settings))
+        world.ok("preflight", "--wait", "30")
+        told = world.answer("commission", "--yes", "--out", "proposed.yaml")
+        assert base("driven")["x"] > 0.2
+        assert told["measured"]["base_timeout_s"] is None
+        assert "without a command" in told["warnings"][0]
+        assert told["measured"]["command_delay_s"] > 0.1
+        assert told["proposed"]["tracking.lag_s"] > 0.1
+        assert told["measured"]["turn"]["command_delay_s"] > 0.1
+        assert told["proposed"]["limits.angular_rps"] > 0.1
+        valid = world.answer("config", "validate", "proposed.yaml")
+        assert valid["changed"]["command.stamped"] == "true"
+        assert "tracking.lag_s" in valid["changed"]
+        again = world.robotctl("commission", "--yes", "--out", "proposed.yaml")
+        assert (again.exit_code, "exists already" in again.err) == (2, True)
+        assert world.status()["mode"] == "IDLE"
+        assert world.answer("lease", "status")["holder"] is None
+        world.ok("stop")
+        why = world.answer("why", "last")
+        assert "0.3 rad/s for 12 s: robotctl commission" in why["asked"]
+    finally:
+        base.close()
+
+
+def test_nobody_is_asked_without_a_terminal_and_nothing_moves(simulated: World) -> None:
+    asked = simulated.robotctl("commission", "--json")
+    assert asked.exit_code == 2
+    assert json.loads(asked.out)["error"]["cure"] == "give --yes"
+    lost = simulated.robotctl("commission", "--yes", "--out", "nowhere/robot.yaml")
+    assert (lost.exit_code, "nowhere cannot be written to" in lost.err) == (2, True)
+    holder = simulated.spawn("lease", "take")
+    until(lambda: simulated.answer("lease", "status")["holder"] is not None)
+    refused = simulated.robotctl("commission", "--yes")
+    assert refused.exit_code == 4
+    assert re.search(
+        r"lease take .* holds the lease, and robotctl commission .* asked", refused.err
+    )
+    holder.send_signal(SIGINT)
+    holder.communicate(timeout=DEADLINE_S)
+    simulated.ok("set-mode", "error")
+    failed = simulated.robotctl("commission", "--yes")
+    assert (failed.exit_code, "reset" in failed.err) == (4, True)
+    simulated.ok("reset")
+
+
+@pytest.mark.parametrize("number", [SIGINT, SIGKILL, SIGSTOP])
+def test_a_commissioning_that_is_interrupted_stops_the_robot(
+    simulated: World, number: Signals
+) -> None:
+    command = simulated.spawn("commission", "--yes")
+    until(lambda: simulated.status()["velocity"]["linear"] > 0.05)
+    command.send_signal(number)
+    until(lambda: simulated.status()["mode"] == "IDLE")
+    if number is SIGINT:
+        _, err = command.communicate(timeout=DEADLINE_S)
+        assert command.returncode == 130, err
+    command.kill()
+    command.communicate()

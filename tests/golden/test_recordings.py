@@ -18,8 +18,8 @@ from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import events_in
 from robotctl.recording.format.topics import read_ledger
 from robotctl.rerun.check import check_recording
+from robotctl.rerun.ends import NOT_PROVED
 from robotctl.rerun.invariants import unbalanced
-from robotctl.rerun.snapshot_proofs import NOT_COMPARED
 
 GOLDEN = Path(__file__).parent
 RECORDINGS = ("stopped", "killed", "foreign")
@@ -43,7 +43,7 @@ def test_a_golden_recording_gets_the_verdict_that_is_written_for_it(name: str) -
     report = check_recording(GOLDEN / name)
     assert (report.version, report.events) == ("0.1.0", COUNTS[name])
     assert report.violations == []
-    assert NOT_COMPARED in report.notes
+    assert NOT_PROVED in report.notes
     written = VERDICTS[name]
     assert report.verdict == written["verdict"]
     rules = f"decided by the rules of another version (0.1.0, this is {__version__}): "

@@ -23,8 +23,8 @@ from robotctl.ipc.request_handler import Method
 from robotctl.kernel.codec import to_json
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.check_report import Verdict
+from robotctl.rerun.journal import read_effect, read_event, read_snapshot
 from robotctl.rerun.journal_format import Vocabulary
-from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 
 GOLDEN = Path(__file__).parent
 READERS = {

@@ -26,8 +26,8 @@ from robotctl.recording import Recorder, RecorderOptions, Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
+from robotctl.rerun.closed_loop import resimulate
 from robotctl.rerun.incident import find_incident
-from robotctl.rerun.resim import resimulate
 from robotctl.rerun.whatif import what_if
 from robotctl.rerun.why import explain
 from robotctl.testing.drives import (

@@ -14,7 +14,7 @@ from robotctl.messages.motion import encode_twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
-from robotctl.rerun.command_pairs import numbers_of
+from robotctl.rerun.commands import numbers_of
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested
 from tests.support.checked_drives import altered, checked, rechained
 from tests.support.edited_recordings import Contents, edit, recorded, write_contents

@@ -2,6 +2,7 @@
 
 Other files in its folder excuse nothing in it. A configuration excuses the lack of the topics that
 its patterns leave out, and of no others.
+Honest files of other programs and other robots are never called broken, whatever they lack.
 """
 
 from __future__ import annotations
@@ -14,16 +15,20 @@ from pathlib import Path
 from random import Random
 
 import pytest
+from mcap.records import Channel, Schema
+from mcap.writer import Writer
 
 from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.recording.format.names import LEDGER_RECORD
-from robotctl.rerun.check import check_recording
+from robotctl.recording.format.rosbag2 import METADATA_RECORD
+from robotctl.recording.read.whole_recording import verify_recording
+from robotctl.rerun.check import UNNUMBERED, check_recording
 from robotctl.rerun.check_report import Report, Verdict
+from robotctl.rerun.ends import NOT_COMPARED, SINGLE_FILE
 from robotctl.rerun.own_topics import MAX_TEXT
-from robotctl.rerun.recording_ends import NOT_COMPARED, SINGLE_FILE
 from robotctl.testing.hearing import BATTERY, ODOMETRY
-from tests.support.edited_recordings import Contents, write_contents
-from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS, heard_drive
+from tests.support.edited_recordings import Contents, Stored, write_contents
+from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS, heard_drive, status
 from tests.tampering.edits import MOTION, Kind, changed, metadata, moves, removed, still
 from tests.tampering.kinds import OBSERVED, UNNAMED
 from tests.tampering.topic_kinds import appended, repeated_at_the_end
@@ -277,3 +282,124 @@ def test_only_what_the_patterns_leave_out_may_lack(
     report = check_recording(write_contents(tmp_path / "run", removed(topic)(named, Random(1))))
     assert report.verdict is verdict
     assert any("as configured" in note for note in report.notes) is (verdict is Verdict.SAME)
+
+
+SERVICE = (
+    Channel(id=0, topic="/other/_service_event", message_encoding="cdr", schema_id=0, metadata={}),
+    Schema(id=0, name="std_srvs/srv/Trigger_Event", encoding="unknown", data=b""),
+)
+ACTION = (
+    Channel(id=0, topic="/fib/_action/status", message_encoding="cdr", schema_id=0, metadata={}),
+    Schema(id=0, name="action_msgs/msg/GoalStatusArray", encoding="", data=b""),
+)
+
+
+def by_rosbag2(contents: Contents, *, keeps_metadata: bool = False) -> Contents:
+    """Return what `ros2 bag record` and `ros2 bag convert` write: no numbers, all topics."""
+    bag = contents.copy()
+    bag.messages = [replace(each, sequence=0, publish_ns=each.log_ns) for each in bag.messages]
+    if not keeps_metadata:
+        bag.types = [*bag.types, SERVICE, ACTION]
+        last_ns = bag.messages[-1].log_ns
+        bag.messages += [
+            Stored(each.topic, bytes(8), last_ns, last_ns, 0) for each, _ in (SERVICE, ACTION)
+        ]
+        bag.library = "libmcap 1.1.0"
+        bag.metadata = []
+    return bag
+
+
+def checked_contents(folder: Path, contents: Contents) -> Report:
+    return check_recording(write_contents(folder / "run", contents))
+
+
+@pytest.mark.parametrize("keeps_metadata", [False, True])
+def test_a_bag_of_rosbag2_is_incomplete_because_it_has_no_numbers(
+    tmp_path: Path, honest: Contents, keeps_metadata: bool
+) -> None:
+    bag = by_rosbag2(honest, keeps_metadata=keeps_metadata)
+    report = checked_contents(tmp_path, bag)
+    assert (report.verdict, report.missing) == (Verdict.INCOMPLETE, [UNNUMBERED])
+    assert report.effects > 100
+    assert not any("status" in note and "missing" in note for note in report.notes)
+
+
+def test_a_decision_that_was_changed_in_such_a_bag_is_found(
+    tmp_path: Path, honest: Contents
+) -> None:
+    bag = by_rosbag2(honest, keeps_metadata=True)
+    at, entry = next(
+        (at, each)
+        for at, each in enumerate(bag.messages)
+        if each.topic == JOURNAL and decode(each.data).name == "PublishTwist"
+        if b'"linear":0.2' in each.data
+    )
+    bag.messages[at] = replace(entry, data=entry.data.replace(b'"linear":0.2', b'"linear":0.1'))
+    assert checked_contents(tmp_path, bag).verdict is Verdict.DIVERGED
+
+
+def foreign(name: bytes, first: int) -> Kind:
+    """Publish a status of a node that starts later after each second one of the robot."""
+
+    def change(contents: Contents, random: Random) -> Contents:
+        edited = contents.copy()
+        edited.messages = []
+        number = 0
+        for each in contents.messages:
+            edited.messages.append(each)
+            if each.topic == STATUS:
+                number += 1
+                if number % 2 and number > 2:
+                    data = status(2, 0.5, name)
+                    later = replace(each, data=data, sequence=first + number // 2 - 1)
+                    edited.messages.append(later)
+        return edited
+
+    return change
+
+
+@pytest.mark.parametrize(("name", "first"), [(b"other", 1), (b"other", 40), (b"robot", 1)])
+def test_statuses_of_another_node_are_a_note(
+    tmp_path: Path, honest: Contents, name: bytes, first: int
+) -> None:
+    report = checked_contents(tmp_path, foreign(name, first)(honest, Random(1)))
+    assert (report.verdict, report.missing) == (Verdict.SAME, []), report
+    assert any("another node published robot statuses as well" in each for each in report.notes)
+
+
+def test_a_node_that_numbers_its_statuses_on_makes_it_incomplete_for_that_reason(
+    tmp_path: Path, honest: Contents
+) -> None:
+    report = checked_contents(tmp_path, foreign(b"robot", 40)(honest, Random(1)))
+    assert report.verdict is Verdict.INCOMPLETE
+    assert all("another node publishes them" in each for each in report.missing[-1:])
+
+
+def test_a_channel_that_stands_only_in_the_summary_changes_nothing(
+    tmp_path: Path, honest: Contents
+) -> None:
+    """Writers may repeat in the summary what they knew of, and not only what has messages."""
+    target = tmp_path / "run" / "run_0.mcap"
+    target.parent.mkdir()
+    with target.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "another program")
+        channels = {}
+        for channel, schema in honest.types:
+            number = writer.register_schema(schema.name, schema.encoding, schema.data)
+            channels[channel.topic] = writer.register_channel(
+                channel.topic, channel.message_encoding, number, channel.metadata
+            )
+        for each in honest.messages:
+            writer.add_message(
+                channels[each.topic], each.log_ns, each.data, each.publish_ns, each.sequence
+            )
+        for name, values in honest.metadata:
+            if name != METADATA_RECORD:
+                writer.add_metadata(name, values)
+        known = writer._Writer__channels  # type: ignore[attr-defined]
+        known[99] = replace(known[2], id=99, topic="/announced", metadata={})
+        writer.finish()
+    assert verify_recording(target.parent).wrong == ()
+    report = check_recording(target.parent)
+    assert (report.verdict, report.missing) == (Verdict.SAME, []), report

@@ -28,8 +28,8 @@ from robotctl.kernel.types import (
 from robotctl.kernel.types.events import LifecycleChanged, LifecycleState
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import JournalEntry
+from robotctl.rerun.closed_loop import resimulate
 from robotctl.rerun.recorded_settings import check_scope, parse_settings
-from robotctl.rerun.resim import resimulate
 from robotctl.rerun.whatif import what_if
 from robotctl.show.traces import figures_of, read_recorded
 from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record

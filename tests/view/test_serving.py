@@ -1,4 +1,7 @@
-"""What viewers ask of the robot, and a view without a free descriptor."""
+"""What viewers ask of the robot, and a view without a free descriptor.
+Who may connect: the right token, a Host that nobody else controls, and a known page or none.
+The bytes of the protocol are those of Foxglove's own SDK; requests are decoded strictly.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,30 @@ import errno
 import resource
 import socket
 import struct
+from contextlib import suppress
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from robotctl.view.foxglove import WrongRequest
+from robotctl.base.errors import UsageError
+from robotctl.cli.commands.daemon.view import view
+from robotctl.view.admission import KNOWN_ORIGINS, Admission
+from robotctl.view.foxglove import (
+    ClientMessage,
+    ClientOffers,
+    ClientWithdrawal,
+    Offer,
+    Subscribe,
+    Unsubscribe,
+    WrongRequest,
+    binary_request,
+    message_head,
+    text_request,
+)
 from robotctl.view.remote_control import MAX_CALLS, SERVICES, STOP, RemoteControl, velocity_of
 from robotctl.view.serving import LoopFailures
+from robotctl.view.view_job import is_origin
 from tests.support.view_client import served, view_client
 from tests.support.waiting import loop_until
 
@@ -97,3 +118,158 @@ async def test_a_lack_that_lasts_is_said_once_and_another_failure_as_ever(
     assert capfd.readouterr().err.count("\n") == 1
     failures.handle(loop, {"message": "a callback failed", "exception": ValueError("wrong")})
     assert "a callback failed" in caplog.text
+
+
+TOKEN = "T0ken_of-this-run"
+TARGET = f"/?token={TOKEN}"
+HOST = "127.0.0.1:8765"
+ADMISSION = Admission(TOKEN)
+
+
+@pytest.mark.parametrize(
+    "host", [HOST, "localhost:8765", "[::1]:8765", "192.168.1.7:9", f"{socket.gethostname()}:8765"]
+)
+@pytest.mark.parametrize("origins", [[], *([each] for each in KNOWN_ORIGINS)])
+def test_known_pages_and_programs_are_admitted(host: str, origins: list[str]) -> None:
+    assert ADMISSION.refusal(TARGET, [host], origins) == ""
+
+
+@pytest.mark.parametrize(
+    "hosts",
+    [
+        [],
+        [HOST, HOST],
+        [""],
+        ["evil.example:8765"],
+        ["localhost.evil.example"],
+        ["127.0.0.1.evil.example:8765"],
+        ["evil.example@127.0.0.1.x"],
+        ["[::1"],
+        ["127.1:8765"],
+        ["2130706433:8765"],
+    ],
+)
+def test_a_host_that_others_may_control_is_refused(hosts: list[str]) -> None:
+    assert "Host" in ADMISSION.refusal(TARGET, hosts, [])
+
+
+@pytest.mark.parametrize(
+    "origins",
+    [
+        ["https://evil.example"],
+        ["null"],
+        ["http://app.foxglove.dev"],
+        ["https://app.foxglove.dev.evil.example"],
+        ["https://app.foxglove.dev", "https://evil.example"],
+        ["http://localhost:3000"],
+        [""],
+    ],
+)
+def test_pages_of_other_origins_are_refused(origins: list[str]) -> None:
+    assert "origin" in ADMISSION.refusal(TARGET, [HOST], origins)
+
+
+def test_an_origin_of_the_user_is_admitted() -> None:
+    own = Admission(TOKEN, ["https://lichtblick.example.org"])
+    assert own.refusal(TARGET, [HOST], ["https://lichtblick.example.org"]) == ""
+
+
+@pytest.mark.parametrize("host", ["127.1", "Robot.lan"])
+def test_the_name_that_the_view_was_told_to_listen_on_is_admitted(host: str) -> None:
+    """The URL that is printed has this name."""
+    own = Admission(TOKEN, host=host)
+    assert own.refusal(TARGET, [f"{host}:8765"], []) == ""
+    assert "Host" in own.refusal(TARGET, [f"{host}.evil.example:8765"], [])
+
+
+@pytest.mark.parametrize("origin", [*KNOWN_ORIGINS, "null", "app://x", "http://[::1]:8080"])
+def test_what_a_browser_can_send_is_an_origin(origin: str) -> None:
+    assert is_origin(origin)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "*", "x.org", "https://x.org/", "https://X.org", "https://*.org", "https://"),
+        "https://a b",
+    ],
+)
+def test_what_no_browser_sends_is_no_origin_and_refused_by_the_command(text: str) -> None:
+    assert not is_origin(text)
+    with pytest.raises(UsageError, match=r"--origin .* such as https://"):
+        view(origin=["https://x.org", text])
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        *("/", "/?token=", "/?token=T0ken_of-another", f"/?token={TOKEN[:-1]}"),
+        *(f"/?token={TOKEN}x", f"/?token=other&token={TOKEN}", f"/?Token={TOKEN}", f"/{TOKEN}"),
+        *("/?token=%ff", "//["),
+    ],
+)
+def test_a_url_without_the_token_of_this_run_is_refused(target: str) -> None:
+    assert "token" in ADMISSION.refusal(target, [HOST], [])
+
+
+# What foxglove-sdk 0.30.3 sends for the same values.
+MESSAGE = "01 07 00 00 00 7b 00 00 00 00 00 00 00 00 01 00 00 68 65 6c 6c 6f"
+
+
+def test_binary_messages_are_those_of_the_sdk() -> None:
+    assert message_head(7, 123) + b"\x00\x01\x00\x00hello" == bytes.fromhex(MESSAGE)
+
+
+def test_subscriptions_are_pairs_of_ids() -> None:
+    text = b'{"op": "subscribe", "subscriptions": [{"id": 7, "channelId": 1}]}'
+    assert text_request(text) == Subscribe({7: 1})
+    text = b'{"op": "unsubscribe", "subscriptionIds": [7, 8]}'
+    assert text_request(text) == Unsubscribe([7, 8])
+
+
+def test_what_a_viewer_publishes_is_read() -> None:
+    text = (
+        b'{"op": "advertise", "channels": [{"id": 5, "topic": "/t", "encoding": "json",'
+        b' "schemaName": "geometry_msgs/msg/Twist"}]}'
+    )
+    offer = Offer(5, "/t", "json", "geometry_msgs/msg/Twist")
+    assert text_request(text) == ClientOffers([offer])
+    assert binary_request(b"\x01\x05\0\0\0{}") == ClientMessage(5, b"{}")
+    text = b'{"op": "unadvertise", "channelIds": [5]}'
+    assert text_request(text) == ClientWithdrawal([5])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"",
+        b"{bad",
+        b"[]",
+        b"{}",
+        b'{"op": "advertise", "channels": [{"id": 1}]}',
+        b'{"op": "setParameters"}',
+        b'{"op": "subscribe"}',
+        b'{"op": "subscribe", "subscriptions": [3]}',
+        b'{"op": "subscribe", "subscriptions": [{"id": true, "channelId": 1}]}',
+        b'{"op": "subscribe", "subscriptions": [{"id": -1, "channelId": 1}]}',
+        b'{"op": "subscribe", "subscriptions": [{"id": 1e400, "channelId": 1}]}',
+        b"[" * 100_000,
+        b'"\xff"',
+    ],
+)
+def test_other_texts_are_refused_with_one_error(text: bytes) -> None:
+    with pytest.raises(WrongRequest):
+        text_request(text)
+
+
+def test_other_bytes_are_refused_with_one_error() -> None:
+    for data in (b"", b"\1\0", b"\x09", b"\2\0", struct.pack("<BBfBQI", 3, 0, 2.0, 1, 5, 0)):
+        with pytest.raises(WrongRequest):
+            binary_request(data)
+
+
+@given(st.binary(max_size=64))
+def test_no_bytes_raise_anything_else(data: bytes) -> None:
+    for decode in (text_request, binary_request):
+        with suppress(WrongRequest):
+            decode(data)

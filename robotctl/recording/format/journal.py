@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
 from enum import IntEnum
 from typing import Final, NamedTuple
 from zlib import crc32
@@ -81,11 +80,6 @@ def chained(serialized: bytes, crc: int) -> int:
     Zeros at the end of the entry are left out, because DDS pads messages with zeros.
     """
     return crc32(serialized.rstrip(b"\0"), crc)
-
-
-def chained_all(entries: Iterable[bytes], crc: int) -> int:
-    """Return what `chained` returns after a call for each entry, in a quarter of the time."""
-    return crc32(b"".join([serialized.rstrip(b"\0") for serialized in entries]), crc)
 
 
 def decode(serialized: bytes) -> JournalEntry:

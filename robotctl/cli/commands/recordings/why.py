@@ -219,7 +219,7 @@ def _later(found: FoundIncident) -> str:
 
 def as_object(found: FoundIncident) -> dict[str, Any]:
     """Return the object for `why --json`. Suffixes give the units; `log_ns` is since the epoch."""
-    from robotctl.rerun.journal_values import text_of
+    from robotctl.rerun.journal import text_of
     from robotctl.rerun.why import explain, rule_of
 
     incident, robot = found.incident, robot_of(found.path) or DEFAULT_ROBOT

@@ -17,8 +17,8 @@ from robotctl.cli.ui.text import duration, number, printable, row, short_path
 from robotctl.kernel.modes import Mode
 from robotctl.rerun.check_many import check_recordings
 from robotctl.rerun.check_report import Verdict
+from robotctl.rerun.closed_loop import resimulate
 from robotctl.rerun.recorded_settings import Settings, check_scope, parse_settings
-from robotctl.rerun.resim import resimulate
 from robotctl.rerun.whatif import what_if
 
 _INDENT = " " * LABEL_WIDTH

@@ -1,8 +1,11 @@
-"""Checks how a recording begins and ends: the first entries, the last snapshot, the ledger."""
+"""Checks how a recording begins and ends: the first entries, the proofs in snapshots, the ledger.
+
+Version 0.1.0 wrote no proofs.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -15,7 +18,7 @@ from robotctl.kernel.params import KernelParams
 from robotctl.kernel.types import Cause
 from robotctl.messages import cdr
 from robotctl.recording import Recording, RecordingInfo
-from robotctl.recording.format.journal import JournalEntry
+from robotctl.recording.format.journal import JournalEntry, chained, encode
 from robotctl.recording.format.names import CLIP_RECORD, INFO_RECORD, natural_order
 from robotctl.recording.format.records import type_name_of
 from robotctl.recording.format.topics import read_ledger
@@ -23,7 +26,7 @@ from robotctl.recording.read.journal_reader import own_journal_topic
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.invariants import Invariants, unbalanced
-from robotctl.rerun.journal_values import read_snapshot
+from robotctl.rerun.journal import read_snapshot
 
 IN_SOURCE = "a clip does not tell what was lost, its source does"
 """Why the losses of a clip are not known."""
@@ -31,12 +34,13 @@ IN_SOURCE = "a clip does not tell what was lost, its source does"
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How a recording ends, for one of its topics.
+    """How a recording ends for one of its topics, and so what a difference there means."""
 
-    `ledger` holds the topic's counts of messages, None if the recording was not closed.
-    """
-
+    report: Report
+    invariants: Invariants
     ledger: Mapping[str, int] | None
+    """The counts of the topic, None if the recording was not closed."""
+
     is_clip: bool
     is_own: bool
     """Whether the recorder wrote the journal itself; a journal that it received may lag."""
@@ -53,17 +57,30 @@ class Ending:
         ledger = self.ledger or {}
         return sum(ledger.get(count, 0) for count in ("lost", "unseen", "dropped"))
 
+    def accuse(self, text: str) -> None:
+        """Report a violation, but only as a note if a gap or a divergence may explain it."""
+        if self.report.has_gaps or self.report.divergence is not None:
+            self.report.notes.append(text)
+        else:
+            self.invariants.violate(text)
+
+    def lack(self, count: int, text: str) -> None:
+        """Report that `count` messages are not there: a violation unless losses explain it."""
+        if count <= self.lost:
+            self.report.notes.append(f"{text}: {self.lost} were counted as lost")
+        elif self.ledger is None:
+            self.report.miss(f"{text}; {self.unknown_losses}")
+        else:
+            self.accuse(text)
+
     @property
     def unknown_losses(self) -> str:
         """Why the losses are not known, where there is no ledger."""
         return IN_SOURCE if self.is_clip else "it was not closed, so its losses are not known"
 
-    def accuse(self, report: Report, invariants: Invariants, text: str) -> None:
-        """Report a violation, but only as a note if a gap or a divergence may explain it."""
-        if report.has_gaps or report.divergence is not None:
-            report.notes.append(text)
-        else:
-            invariants.violate(text)
+
+EndingOf = Callable[[str | None], Ending]
+"""Tells how the recording ends for a topic."""
 
 
 class JournalEnd(NamedTuple):
@@ -107,18 +124,20 @@ class JournalOrigin:
     @property
     def is_own(self) -> bool:
         """Whether the recorder wrote the journal itself, and did not receive it."""
-        return not self._was_received or (self._has_own_name and not self._observes)
+        if not self._was_received:
+            return True
+        return bool(self._noted) and self._has_own_name and not self._observes
 
     def first(self, message: Message) -> None:
         """Note from the first message of the journal who wrote it."""
-        self._was_received = message.log_ns != message.publish_ns
+        self._was_received = not self._noted or message.log_ns != message.publish_ns
 
     def check(self, report: Report) -> None:
         """Note what is not compared in a journal that was received."""
         if self.is_own:
             return
         report.notes.append(NOT_COMPARED)
-        if not self._observes:
+        if self._noted and not self._observes:
             report.miss("the journal of the robot that recorded is not there", is_outside=True)
 
 
@@ -165,12 +184,14 @@ HASHES: Final[Mapping[str, str]] = {
 _HASH_KEY: Final = "topic_type_hash"
 
 
-def check_schemas(recording: Recording, report: Report) -> None:
-    """Report each topic that is recorded with another version of its type, or without its hash."""
+def check_types(recording: Recording, report: Report, topics: Container[str | None]) -> None:
+    """Report each of these topics whose messages have another version of its type, or no hash."""
     for each in recording.open_files:
-        for channel in each.index.channels.values():
+        for number, channel in each.index.channels.items():
             name = type_name_of(channel, each.index.schemas.get(channel.schema_id))
             type_hash, topic = channel.metadata.get(_HASH_KEY, ""), channel.topic
+            if topic not in topics or not each.index.counts.get(number):
+                continue
             if name not in HASHES:
                 continue
             if not type_hash:
@@ -188,12 +209,18 @@ class RecordingEnds:
     """Checks the first and last entries of the journal, and the loss ledger of the last file."""
 
     def __init__(
-        self, recording: Recording, info: RecordingInfo, report: Report, origin: JournalOrigin
+        self,
+        recording: Recording,
+        info: RecordingInfo,
+        report: Report,
+        invariants: Invariants,
+        origin: JournalOrigin,
     ) -> None:
         self.origin = origin
         self._recording = recording
         self._info = info
         self._report = report
+        self._invariants = invariants
         self._is_clip = CLIP_RECORD in info.metadata
         self._first_seq = self._last_seq = -1
         self._last_snapshot = -1
@@ -236,7 +263,7 @@ class RecordingEnds:
         self._has_ended = any(cause is Cause.DAEMON_ENDS for cause, _ in reported)
         return before
 
-    def check(self, events_before_snapshot: int, invariants: Invariants) -> None:
+    def check(self, events_before_snapshot: int) -> None:
         """Check who wrote the journal, how it begins and ends, the types, and the loss ledger.
 
         The ledger is in the last file, unless the recording was not closed.
@@ -247,8 +274,7 @@ class RecordingEnds:
             if self._recording.path.is_dir():
                 self._check_begin(events_before_snapshot)
             self._check_end(ledger)
-        check_schemas(self._recording, self._report)
-        self._check_ledger(ledger, invariants)
+        self._check_ledger(ledger)
 
     def _check_begin(self, events_before_snapshot: int) -> None:
         report = self._report
@@ -276,12 +302,10 @@ class RecordingEnds:
             f"the file with which it was closed is not here, or not whole: {why}", is_outside=True
         )
 
-    def _check_ledger(
-        self, ledger: Mapping[str, Mapping[str, int]], invariants: Invariants
-    ) -> None:
+    def _check_ledger(self, ledger: Mapping[str, Mapping[str, int]]) -> None:
         if ledger:
             for sentence in unbalanced(ledger, finished=self.is_whole):
-                invariants.violate(sentence)
+                self._invariants.violate(sentence)
             self._ledger = ledger
         elif not self._is_clip:  # the source of a clip has it
             self._report.notes.append("it was not closed: it has no loss ledger to check")
@@ -289,6 +313,8 @@ class RecordingEnds:
     def ending(self, topic: str | None) -> Ending:
         """Return how the recording ends for a topic."""
         return Ending(
+            self._report,
+            self._invariants,
             None if self._ledger is None else self._ledger.get(topic or "", {}),
             is_clip=self._is_clip,
             is_own=self.origin.is_own,
@@ -303,3 +329,76 @@ def _is_beginning(snapshot: Snapshot) -> bool:
     has_heard = state.health.odometry is not None or state.health.battery_level is not None
     has_run = state.tick_t_ns is not None or state.drive is not None or has_heard
     return not has_run and (proof is None or proof == Proof(commands=0, journal_crc=0))
+
+
+class JournalChain:
+    """The CRC of all entries, continued from a snapshot and compared at the next one."""
+
+    def __init__(self) -> None:
+        self._seq = -1
+        self._before: int | None = None
+        """The CRC of all entries before the last one, None after a gap."""
+
+        self._crc: int | None = None
+
+    def add(self, seq: int, serialized: bytes) -> None:
+        """Add the next entry, serialized; it has the number `seq`."""
+        self._before = self._crc if seq == self._seq + 1 else None
+        self._crc = None if self._before is None else chained(serialized, self._before)
+        self._seq = seq
+
+    def is_whole(self, entry: JournalEntry, proof: Proof | None) -> bool:
+        """Return whether the CRC of the entries before a snapshot is that of its proof.
+
+        True if it is not known: without a proof, at the beginning and after a gap.
+        """
+        if proof is None or entry.seq != self._seq:
+            return True
+        known, self._crc = self._before, chained(encode(entry), proof.journal_crc)
+        return known is None or known == proof.journal_crc
+
+
+WITHOUT_PROOF: Final = "0.1.0"
+"""The version that wrote no proofs."""
+
+NOT_PROVED: Final = (
+    f"version {WITHOUT_PROOF} did not number what it sent and wrote: not compared are commands, "
+    "inputs, statuses, calls, and whether the journal is whole"
+)
+
+
+class SnapshotProofs:
+    """Checks the proofs in one journal: either all of its snapshots have one, or none has."""
+
+    def __init__(self, report: Report, chain: JournalChain, invariants: Invariants) -> None:
+        self._report = report
+        self._chain = chain
+        self._invariants = invariants
+        self._has_proofs: bool | None = None
+        """Whether each snapshot must have a proof, None before the first snapshot."""
+
+        self._is_told = False
+
+    def check(self, entry: JournalEntry, proof: Proof | None, before: int) -> None:
+        """Check the next snapshot; `before` is the number of the one before it."""
+        if not self._chain.is_whole(entry, proof):
+            self._invariants.violate(
+                f"the journal was changed between its entries {before} and {entry.seq}"
+            )
+        has_proof = proof is not None
+        if self._has_proofs is None:
+            self._has_proofs = has_proof or self._report.version != WITHOUT_PROOF
+            if not self._has_proofs:
+                self._report.notes.append(NOT_PROVED)
+        if has_proof is not self._has_proofs and not self._is_told:
+            self._is_told = True
+            self._tell(entry, has_proof=has_proof)
+
+    def _tell(self, entry: JournalEntry, *, has_proof: bool) -> None:
+        does = "tells" if has_proof else "does not tell"
+        text = f"the snapshot in entry {entry.seq} {does} what was sent and written before it"
+        if self._report.same_version:
+            self._invariants.violate(text, (entry.seq, entry.t_ns))
+        else:
+            who = "those" if has_proof else "only those"
+            self._report.miss(f"{text}: {who} of version {WITHOUT_PROOF} do not")

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from math import inf
 from typing import Final, NamedTuple
 
 from robotctl.base.errors import UnreadableFile
-from robotctl.kernel.codec import Proof
+from robotctl.kernel.codec import Proof, Snapshot
 from robotctl.kernel.command_types import COMMAND_TYPES
 from robotctl.kernel.types import (
     CommandPublishersSeen,
@@ -34,7 +34,11 @@ from robotctl.kernel.types import (
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.records import MAX_SEQUENCE
-from robotctl.rerun.journal_steps import Moments
+from robotctl.recording.read.messages import Message
+from robotctl.rerun.check_report import Report
+from robotctl.rerun.clock_changes import ClockChanges
+from robotctl.rerun.ends import Ending, EndingOf, JournalEnd
+from robotctl.rerun.journal import Moments
 from robotctl.rerun.own_topics import full_name
 
 _NUMBERS = struct.Struct("<6d")
@@ -292,43 +296,6 @@ class Early(NamedTuple):
     t_ns: int
 
 
-class UndecidedEnd(NamedTuple):
-    """The end of a journal, which explains some messages whose decision is not in it.
-
-    `number` is that of the last command in the journal, `log_ns` is when the journal ends [ns since
-    the epoch]. Up to `cut` later commands may have been decided after its end. `is_own` says that
-    the recorder itself wrote the journal, `is_closed` that the recording was closed.
-    """
-
-    number: int
-    log_ns: int
-    cut: int
-    is_own: bool
-    is_closed: bool
-
-    def unexplained(self, early: Mapping[int, Sequence[Early]]) -> Iterator[Early]:
-        """Yield the messages that the end does not explain; it explains one message per number."""
-        for sequence, messages in early.items():
-            later = (sequence - self.number) & MAX_SEQUENCE
-            explained = next((each for each in messages if self._explains(each, later)), None)
-            yield from _without(messages, explained)
-
-    def _explains(self, message: Early, later: int) -> bool:
-        """Return whether the end explains a message with the number `self.number` + `later`."""
-        if later <= self.cut:
-            return True
-        after_ns = message.publish_ns - self.log_ns
-        if not self.is_own:
-            return after_ns > -JOURNAL_LAG_NS
-        return message.numbers == STILL and (
-            later <= LAST_ZEROS or (later - LAST_ZEROS) * ZERO_PERIOD_NS <= after_ns <= STALL_NS
-        )
-
-
-def _without(messages: Iterable[Early], explained: Early | None) -> Iterator[Early]:
-    return (each for each in messages if each is not explained)
-
-
 MAX_WAITING = 20_000
 """The number of commands, decided or sent, that may wait for their counterpart."""
 
@@ -505,14 +472,13 @@ class CommandPairs:
             self._instead.clear()
         self.others.settle(self._t_ns)
 
-    def end(self, cut: int = 0, *, is_own: bool = True, is_closed: bool = True) -> tuple[int, int]:
+    def end(self, cut: int = 0, *, is_own: bool = True) -> tuple[int, int]:
         """Count what still waits; return how many last decisions, old and recent, have no message.
 
         Old decisions were made more than TAIL_NS before the journal's end. The arguments are those
         of `UndecidedEnd`: with `is_own` False, the recording may continue after the journal's end.
         """
-        end = UndecidedEnd(self._number, self._log_ns, cut, is_own, is_closed)
-        unexplained = [*end.unexplained(self._early)]
+        unexplained = [*self._unexplained(cut, is_own)]
         self.counts.undecided = sum(map(len, self._early.values())) - len(unexplained)
         self._doubt_all(unexplained)
         for number, (_, publish_ns) in self._instead.items():  # the end fell into a stall
@@ -527,3 +493,145 @@ class CommandPairs:
                 recent += 1
         self.others.end(inf if is_own else self._t_ns - JOURNAL_LAG_NS)
         return old, recent
+
+    def _unexplained(self, cut: int, is_own: bool) -> Iterator[Early]:
+        """Yield the messages that the end does not explain; it explains at most one per number."""
+        for sequence, messages in self._early.items():
+            later = (sequence - self._number) & MAX_SEQUENCE
+            explained = next(
+                (each for each in messages if later <= cut or self._ends_with(each, later, is_own)),
+                None,
+            )
+            yield from (each for each in messages if each is not explained)
+
+    def _ends_with(self, message: Early, later: int, is_own: bool) -> bool:
+        """Return whether a message `later` numbers after the last command may follow its end."""
+        after_ns = message.publish_ns - self._log_ns
+        if not is_own:
+            return after_ns > -JOURNAL_LAG_NS
+        return message.numbers == STILL and (
+            later <= LAST_ZEROS or (later - LAST_ZEROS) * ZERO_PERIOD_NS <= after_ns <= STALL_NS
+        )
+
+
+CUT = 3
+"""This many of the last commands in a clip may have been decided after the end of its journal."""
+
+
+class CommandCheck:
+    """Compares commands with decisions by number; in a recording of 0.1.0, only counts commands."""
+
+    def __init__(
+        self, report: Report, info: RecordingInfo, journal_topic: str, clock: ClockChanges
+    ) -> None:
+        self._topic = command_topic(info, journal_topic)
+        self._report = report
+        self._clock = clock
+        self._pairs = CommandPairs()
+        self._by_number: bool | None = None
+        self._seen = 0
+
+    def readers(self) -> dict[str, Callable[[Message], None]]:
+        """Return the message handler of the topic, if it is recorded."""
+        return {} if self._topic is None else {self._topic: self._message}
+
+    def _message(self, message: Message) -> None:
+        """Read a message of the command topic."""
+        self._seen += 1
+        if self._by_number:
+            self._pairs.message(message.sequence, message.data, message.publish_ns)
+
+    def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
+        """Continue from a snapshot."""
+        if self._by_number is None:
+            self._by_number = snapshot.proof is not None
+        if snapshot.proof is not None:
+            self._pairs.resume(snapshot.proof)
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        self._pairs.stop()
+
+    def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
+        """Compare the commands of a step; `moments` is when it began and ended."""
+        if self._by_number:
+            self._clock.look(event.t_ns, moments[1])
+            self._pairs.step(event, effects, moments)
+
+    def end(self, ending_of: EndingOf, moment: JournalEnd) -> None:
+        """Report the differences between commands and decisions."""
+        self._report.commands = self._seen
+        if not self._by_number:
+            return
+        ending, pairs = ending_of(self._topic), self._pairs
+        old, recent = pairs.end(CUT if ending.is_clip else 0, is_own=ending.is_own)
+        others = pairs.others
+        self._tell_foreign(ending, others.foreign, others.foreign_example)
+        self._tell_extra(ending, others.extra, others.extra_example)
+        self._tell_missing(ending)
+        self._tell_end(ending, old, recent)
+        self._tell_undecided(ending)
+        if ending.is_own:
+            self._tell_late(ending)
+        if pairs.counts.unsent:
+            self._report.notes.append("the journal tells of commands that could not be sent")
+        elif pairs.counts.resumed:
+            self._report.miss("a snapshot counts other commands than were decided before it")
+        if pairs.counts.out_of_order:
+            self._report.miss(
+                f"{pairs.counts.out_of_order} commands are not in the order of their number"
+            )
+
+    def _tell_foreign(self, ending: Ending, count: int, example: str) -> None:
+        if count:
+            names = ", ".join(sorted(ending.invariants.foreign))
+            text = f"{_without_decision(count, example)}: {names} published as well"
+            self._report.notes.append(text)
+
+    def _tell_extra(self, ending: Ending, count: int, example: str) -> None:
+        if count:
+            ending.accuse(_without_decision(count, example))
+
+    def _tell_missing(self, ending: Ending) -> None:
+        pairs = self._pairs
+        count = pairs.counts.missing + (0 if ending.is_clip else pairs.counts.before_first)
+        if not count:
+            return
+        text = f"{count} decided commands are missing"
+        if pairs.counts.missing_example:
+            text += f", the first is {pairs.counts.missing_example}"
+        ending.lack(count, text)
+
+    def _tell_end(self, ending: Ending, old: int, recent: int) -> None:
+        is_closed = ending.is_whole and ending.ledger is not None and not ending.invariants.foreign
+        count = old + (recent if is_closed else 0)
+        if count <= ending.lost:
+            return
+        if not self._pairs.counts.paired and is_closed and old:
+            ending.accuse(f"none of {count} decided commands is recorded")
+        else:
+            self._report.miss(f"the last {count} decided commands are missing")
+
+    def _tell_undecided(self, ending: Ending) -> None:
+        notes, undecided = self._report.notes, self._pairs.counts.undecided
+        if not ending.is_own:
+            if after := undecided + self._pairs.others.after_end:
+                notes.append(f"{after} commands are later than the journal that was received")
+        elif undecided and not ending.is_clip:
+            notes.append(
+                f"the last {undecided} zeros have no decision: the recording ends before its "
+                "journal tells of a stall or a failure"
+            )
+
+    def _tell_late(self, ending: Ending) -> None:
+        late = [
+            text
+            for steady_ns, text in self._pairs.counts.late
+            if not self._clock.is_near(steady_ns)
+        ]
+        if late:
+            ending.accuse(f"{len(late)} commands were not sent when decided: {late[0]}")
+
+
+def _without_decision(count: int, example: str) -> str:
+    return f"{count} commands without a decision, such as {example}"
