@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import nan, pi, tau
 
-from robotctl.kernel.trigonometry import atan2, cos, hypot, sin
+from robotctl.kernel.trigonometry import atan2, direction, hypot
 
 
 def wrap_angle(angle_rad: float) -> float:
@@ -23,7 +23,7 @@ class Pose:
 
     def compose(self, local: Pose) -> Pose:
         """Return `local`, a pose relative to this one, in the parent frame of this pose."""
-        c, s = cos(self.theta), sin(self.theta)
+        c, s = direction(self.theta)
         return Pose(
             self.x + c * local.x - s * local.y,
             self.y + s * local.x + c * local.y,
@@ -32,7 +32,7 @@ class Pose:
 
     def express(self, other: Pose) -> Pose:
         """Return `other`, a pose in the same parent frame, relative to this pose."""
-        c, s = cos(self.theta), sin(self.theta)
+        c, s = direction(self.theta)
         dx, dy = other.x - self.x, other.y - self.y
         return Pose(c * dx + s * dy, c * dy - s * dx, wrap_angle(other.theta - self.theta))
 

@@ -8,7 +8,7 @@ from math import inf, pi, tau
 
 from robotctl.kernel.params import KernelParams, ScanParams
 from robotctl.kernel.state import Scan
-from robotctl.kernel.trigonometry import atan2, cos, hypot, sin
+from robotctl.kernel.trigonometry import atan2, direction, hypot
 from robotctl.kernel.types import Twist
 
 STRAIGHT_RADIUS_M = 1e3
@@ -104,7 +104,7 @@ def _rays(count: int, yaw_rad: float) -> tuple[tuple[tuple[float, float], ...], 
     """Return the directions of the edges and the middle of each sector, as cosine and sine."""
     return tuple(
         tuple(
-            (cos(angle), sin(angle))
+            direction(angle)
             for angle in (-pi + (number + edge) * tau / count + yaw_rad for edge in (0.0, 0.5, 1.0))
         )
         for number in range(count)

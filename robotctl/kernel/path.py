@@ -10,7 +10,7 @@ from math import tau
 from typing import Protocol
 
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
-from robotctl.kernel.trigonometry import atan2, cos, hypot, sin
+from robotctl.kernel.trigonometry import atan2, direction, hypot
 
 
 class Segment(Protocol):
@@ -49,7 +49,8 @@ class Line:
     def pose_at(self, length: float) -> Pose:
         """Return the pose at `length` m from the start."""
         theta = self.start.theta
-        return Pose(self.start.x + length * cos(theta), self.start.y + length * sin(theta), theta)
+        c, s = direction(theta)
+        return Pose(self.start.x + length * c, self.start.y + length * s, theta)
 
     def curvature_at(self, length: float) -> float:
         """Return 0: a line is straight."""
@@ -57,7 +58,7 @@ class Line:
 
     def distance_to(self, point: Pose, guess: float) -> float:
         """Return the distance to the nearest point of the line, ends included [m]."""
-        c, s = cos(self.start.theta), sin(self.start.theta)
+        c, s = direction(self.start.theta)
         dx, dy = point.x - self.start.x, point.y - self.start.y
         along = min(max(c * dx + s * dy, 0.0), self.length)
         return hypot(dx - along * c, dy - along * s)
@@ -106,7 +107,8 @@ class Circle:
     def pose_at(self, length: float) -> Pose:
         """Return the pose at `length` m along the circle."""
         theta = length / self.radius
-        return Pose(self.radius * sin(theta), self.radius * (1.0 - cos(theta)), theta)
+        c, s = direction(theta)
+        return Pose(self.radius * s, self.radius * (1.0 - c), theta)
 
     def curvature_at(self, length: float) -> float:
         """Return the curvature, the same everywhere [1/m]."""
@@ -135,8 +137,8 @@ class Arc:
     def pose_at(self, length: float) -> Pose:
         """Return the pose at `length` m along the arc."""
         angle = length / self.radius
-        across = self.side * self.radius * (1.0 - cos(angle))
-        local = Pose(self.radius * sin(angle), across, self.side * angle)
+        c, s = direction(angle)
+        local = Pose(self.radius * s, self.side * self.radius * (1.0 - c), self.side * angle)
         return self.start.compose(local)
 
     def curvature_at(self, length: float) -> float:

@@ -14,7 +14,7 @@ from robotctl.kernel.course import MIN_CORNER_M, MIN_LEG_M, PLAIN, Course, Frame
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.path import Arc, Circle, Line, Path, Segment, Turn
 from robotctl.kernel.ranges import Change, bounded, setting
-from robotctl.kernel.trigonometry import atan2, cos, hypot, sin, tan
+from robotctl.kernel.trigonometry import atan2, cos, direction, hypot, sin, tan
 
 EIGHT_SWING_RAD = 2.404825557695773
 """First zero of the Bessel function J0: with this swing a sine-generated curve closes."""
@@ -91,7 +91,8 @@ def figure_eight(length: float) -> FigureEight:
     points = [(x, y)]
     for piece in range(_PIECES):
         heading = EIGHT_SWING_RAD * (1.0 - cos(tau * (piece + 0.5) / _PIECES))
-        x, y = x + step * cos(heading), y + step * sin(heading)
+        c, s = direction(heading)
+        x, y = x + step * c, y + step * s
         points.append((x, y))
     return FigureEight(length, tuple(points))
 

@@ -12,7 +12,7 @@ from math import copysign, isfinite
 
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.params import TrackingParams, VelocityLimits
-from robotctl.kernel.trigonometry import cos, sin
+from robotctl.kernel.trigonometry import direction
 from robotctl.kernel.types import Twist
 
 
@@ -72,8 +72,9 @@ class Reference:
 def track(reference: Reference, pose: Pose, gains: TrackingParams, limits: VelocityLimits) -> Twist:
     """Return the command that brings a robot at `pose` to the moving reference."""
     error = pose.express(reference.pose)
-    sinc = sin(error.theta) / error.theta if abs(error.theta) > 1e-6 else 1.0
-    linear = clamp(reference.linear * cos(error.theta) + gains.k_x * error.x, limits.linear_mps)
+    ahead, aside = direction(error.theta)
+    sinc = aside / error.theta if abs(error.theta) > 1e-6 else 1.0
+    linear = clamp(reference.linear * ahead + gains.k_x * error.x, limits.linear_mps)
     return Twist(
         linear,
         reference.turning

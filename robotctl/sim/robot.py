@@ -9,7 +9,7 @@ from random import Random
 
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.ranges import Change, bounded, setting
-from robotctl.kernel.trigonometry import cos, exp, sin
+from robotctl.kernel.trigonometry import direction, exp
 from robotctl.kernel.types import ZERO, Twist
 
 JUMP_M = 1.0
@@ -189,8 +189,9 @@ def _follow(speed: float, target: float, lag: float, max_step: float) -> float:
 
 def _integrate(pose: Pose, velocity: Twist, dt_s: float) -> Pose:
     middle = pose.theta + 0.5 * velocity.angular * dt_s
+    c, s = direction(middle)
     return Pose(
-        pose.x + velocity.linear * dt_s * cos(middle),
-        pose.y + velocity.linear * dt_s * sin(middle),
+        pose.x + velocity.linear * dt_s * c,
+        pose.y + velocity.linear * dt_s * s,
         wrap_angle(pose.theta + velocity.angular * dt_s),
     )
