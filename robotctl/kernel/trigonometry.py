@@ -24,14 +24,11 @@ _PARTS_BELOW = (
 )
 """The leading 33 bits of that rest and what is left of it, twice."""
 
-_QUARTER_PI = 0.25 * pi
-_MANY_TURNS_RAD = 2.0**19
+_QUARTER_PI, _MANY_TURNS_RAD = 0.25 * pi, 2.0**19
 
 
 def sin(angle_rad: float) -> float:
     """Return the sine; ValueError for an infinite angle."""
-    if -_QUARTER_PI <= angle_rad <= _QUARTER_PI:
-        return _sin(angle_rad, 0.0)
     quadrant, head, tail = _reduced(angle_rad)
     value = _cos(head, tail) if quadrant & 1 else _sin(head, tail)
     return -value if quadrant & 2 else value
@@ -39,8 +36,6 @@ def sin(angle_rad: float) -> float:
 
 def cos(angle_rad: float) -> float:
     """Return the cosine; ValueError for an infinite angle."""
-    if -_QUARTER_PI <= angle_rad <= _QUARTER_PI:
-        return _cos(angle_rad, 0.0)
     quadrant, head, tail = _reduced(angle_rad)
     value = _sin(head, tail) if quadrant & 1 else _cos(head, tail)
     return -value if (quadrant + 1) & 2 else value
@@ -48,8 +43,6 @@ def cos(angle_rad: float) -> float:
 
 def direction(angle_rad: float) -> tuple[float, float]:
     """Return cosine and sine, in little more time than one of them; ValueError as they raise."""
-    if -_QUARTER_PI <= angle_rad <= _QUARTER_PI:
-        return _cos(angle_rad, 0.0), _sin(angle_rad, 0.0)
     quadrant, head, tail = _reduced(angle_rad)
     x, y = _cos(head, tail), _sin(head, tail)
     if quadrant & 1:
@@ -68,6 +61,8 @@ def _reduced(angle_rad: float) -> tuple[int, float, float]:
 
     An angle of more than 2^19 rad loses whole turns of `tau` first.
     """
+    if -_QUARTER_PI <= angle_rad <= _QUARTER_PI:
+        return 0, angle_rad, 0.0
     if not -_MANY_TURNS_RAD <= angle_rad <= _MANY_TURNS_RAD:
         if angle_rad != angle_rad:
             return 0, angle_rad, 0.0

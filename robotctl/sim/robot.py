@@ -190,8 +190,6 @@ def _follow(speed: float, target: float, lag: float, max_step: float) -> float:
 def _integrate(pose: Pose, velocity: Twist, dt_s: float) -> Pose:
     middle = pose.theta + 0.5 * velocity.angular * dt_s
     c, s = direction(middle)
-    return Pose(
-        pose.x + velocity.linear * dt_s * c,
-        pose.y + velocity.linear * dt_s * s,
-        wrap_angle(pose.theta + velocity.angular * dt_s),
-    )
+    way_m = velocity.linear * dt_s
+    theta = wrap_angle(pose.theta + velocity.angular * dt_s)
+    return Pose(pose.x + way_m * c, pose.y + way_m * s, theta)
