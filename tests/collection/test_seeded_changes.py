@@ -56,12 +56,12 @@ tracking.py: ramps are 1 % steeper
 + 1.01 * limits.linear_accel_mps2 * dt_s
 tracking.py: a large error in heading counts less
 - gains.k_theta * error.theta
-+ gains.k_theta * sin(error.theta)
++ gains.k_theta * aside
 tracking.py: curvature is fed forward at the speed of the reference
 - + reference.curvature * linear
 + + reference.curvature * reference.linear
 tracking.py: an error in heading does not slow down
-- reference.linear * cos(error.theta)
+- reference.linear * ahead
 + reference.linear
 speed_plan.py: the plan leaves less to catch up
 - SPEED_SHARE = 0.95
@@ -127,9 +127,9 @@ tracking.py: a product in another order
 - limits.angular_accel_rps2 * dt_s
 + dt_s * limits.angular_accel_rps2
 tracking.py: a variable for the heading
--     sinc = sin(error.theta) / error.theta if abs(error.theta) > 1e-6 else 1.0
+-     sinc = aside / error.theta if abs(error.theta) > 1e-6 else 1.0
 +     theta = error.theta
-+     sinc = sin(theta) / theta if abs(theta) > 1e-6 else 1.0
++     sinc = aside / theta if abs(theta) > 1e-6 else 1.0
 tracking.py: an expression in place of a variable
 -     turning = reference.turning + reference.curvature * reference.linear
 -     return Twist(reference.linear, turning)
@@ -210,10 +210,10 @@ fence.py: a new function that nothing calls
 +
 + def left_by(
 geometry.py: a comment
--         c, s = cos(self.theta), sin(self.theta)
+-         c, s = direction(self.theta)
 -         dx, dy
 +         # By -theta.
-+         c, s = cos(self.theta), sin(self.theta)
++         c, s = direction(self.theta)
 +         dx, dy
 state.py: a comparison that is negated
 - return level is not None and 0.0 <= level <= FULLEST_LEVEL

@@ -128,7 +128,7 @@ def test_a_slower_or_a_quicker_robot_closes_its_lap_if_its_lag_is_told(
     driven = drive_simulated(pattern, sim=SimParams(lag_s=lag_s), params=params)
     assert driven.ended.completed
     assert driven.ended.report.closure_m <= 0.05
-    assert driven.ended.report.cross_track_max_m <= (0.07 if SHAPES[kind].has_corner else 0.06)
+    assert driven.ended.report.cross_track_max_m <= (0.075 if SHAPES[kind].has_corner else 0.06)
 
 
 @pytest.mark.parametrize("ahead_m", [0.01, 5.0])
