@@ -40,9 +40,9 @@ from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import TOLERANCE, Report
 from robotctl.rerun.clock_changes import RecordedStalls
 from robotctl.rerun.ends import Ending, EndingOf, JournalEnd
-from robotctl.rerun.input_pairs import EDGE_NS, Input, InputPairs
 from robotctl.rerun.journal import Moments
 from robotctl.rerun.own_topics import InputTopic, InputTopics, RepeatedLatched
+from robotctl.rerun.pairs import Slot, Waiting
 
 UNHEARD_NS = NS_PER_S // 2
 """How long messages may go unheard; a stall of the control loop adds its time."""
@@ -131,6 +131,16 @@ class UnheardChange:
         self._before_ns = shown.log_ns
 
 
+EDGE_NS: Final = NS_PER_S // 2
+"""Inputs this close to the end of a journal may lack a message, which was still under way.
+
+The messages of the first inputs of a file may be in the file before, because the recorder
+receives a message earlier than the control loop does.
+"""
+
+UNFOUND_NS: Final = 2 * NS_PER_S
+"""How long the recorder may take to discover a publisher."""
+
 AFTER_NS: Final = 2 * NS_PER_S
 """How long after the last journal entry a message may be recorded."""
 
@@ -142,6 +152,193 @@ BURST: Final = 10.0
 
 LOST: Final = 2
 """The number of messages in a row that may be lost if no others are lost."""
+
+
+class Input(NamedTuple):
+    """An input in the journal: its time, publisher and value; `seq` is that of its entry."""
+
+    t_ns: int
+    source: Hashable
+    value: Any
+    seq: int
+
+
+class Heard(NamedTuple):
+    """A message: its value, and when it was recorded [ns since the epoch]."""
+
+    value: Any
+    log_ns: int
+
+
+class InputPairs:
+    """Compares the inputs of one topic with its messages, by number and value."""
+
+    def __init__(self) -> None:
+        self.tolerance = 0.0
+        """How far the numbers of a message may be from those of its input."""
+
+        self.paired = 0
+        self.lacking = 0
+        """Inputs without a message, except `before_first` and those near the end."""
+
+        self.lacking_example = ""
+        self.before_first = 0
+        """Inputs without a message, before the first one that has one."""
+
+        self.before_found = 0
+        """How many of `before_first` were sent before the recorder can have found the publisher."""
+
+        self.at_begin = 0
+        """Inputs near the begin without a message, and not after one that has one."""
+
+        self.differing = 0
+        """Inputs whose message holds another value."""
+
+        self.differing_example = ""
+        self.unheard = 0
+        """Messages between paired ones that never became an input."""
+
+        self.repeated = 0
+        """Messages whose number is not above that of the message before them."""
+
+        self.later_ns: list[int] = []
+        """The log times of the messages with higher numbers than all that were paired."""
+
+        self._waiting: Waiting[Input, Heard] = Waiting()
+        self._found: dict[Hashable, int] = {}
+        """The number that was paired last, for each publisher."""
+
+        self._lives: dict[Hashable, tuple[int, int]] = {}
+        """When the first and the last input of each publisher came."""
+
+        self._unfound: list[tuple[int, Input]] = []
+        """Inputs without a message, of publishers of which no message was paired yet."""
+
+        self._unheard: list[tuple[int, int]] = []
+        """Number and log time of each message without an input."""
+
+        self._paired: tuple[int, int] | None = None
+        """The lowest and the highest number that was paired."""
+
+        self._first_ns = self._last_ns = self._newest = self._t_ns = 0
+
+    @property
+    def has_one_publisher(self) -> bool:
+        """Whether all inputs came from one publisher, so that their numbers are unique."""
+        return len(self._lives) <= 1
+
+    @property
+    def rate_hz(self) -> float:
+        """The mean rate of the messages between the first and the last paired one."""
+        if self._paired is None or self._last_ns <= self._first_ns:
+            return 0.0
+        first, last = self._paired
+        return (last - first) * NS_PER_S / (self._last_ns - self._first_ns)
+
+    def message(self, number: int, value: Any, log_ns: int) -> None:
+        """Read a message of the topic."""
+        self.repeated += number <= self._newest
+        self._newest = number
+        self._waiting.slot(number, self._t_ns).sent.append(Heard(value, log_ns))
+
+    def received(self, number: int, found: Input) -> None:
+        """Read an input of the journal; it has no message if `number` is 0."""
+        self._t_ns = found.t_ns
+        if number:
+            begin_ns, _ = self._lives.get(found.source, (found.t_ns, 0))
+            self._lives[found.source] = begin_ns, found.t_ns
+            self._waiting.slot(number, found.t_ns).entries.append(found)
+        for each, slot in self._waiting.ripe(found.t_ns):
+            self._pair(each, slot)
+            self._judge(each, slot)
+
+    def forget(self) -> None:
+        """Drop what waits and has no counterpart, because journal entries are missing."""
+        for number, slot in self._waiting.rest():
+            self._pair(number, slot)
+
+    def end(self, t_ns: int, stalled_ns: int) -> None:
+        """Judge what waits at the end `t_ns`; stalls of `stalled_ns` delayed the last messages."""
+        left = []
+        for number, slot in self._waiting.rest():
+            self._pair(number, slot)
+            left.append((number, slot))
+        newest = max((number for number, slot in left if slot.sent), default=0)
+        newest = newest if self.has_one_publisher else 0
+        for number, slot in left:
+            if not slot.sent:
+                slot.entries = [
+                    each
+                    for each in slot.entries
+                    if number <= max(newest, self._found.get(each.source, 0))
+                    or t_ns - each.t_ns > EDGE_NS + stalled_ns
+                ]
+            self._judge(number, slot)
+        for number, each in self._unfound:
+            begin_ns, end_ns = self._lives[each.source]
+            if each.source in self._found or end_ns - begin_ns > UNFOUND_NS:
+                self._lack(number, each)
+        first, last = self._paired or (0, 0)
+        self.unheard += sum(first < number < last for number, _ in self._unheard)
+        self.later_ns = [log_ns for number, log_ns in self._unheard if number > last]
+
+    def _pair(self, number: int, slot: Slot[Input, Heard]) -> None:
+        """Remove the inputs and messages of a number that have the same value."""
+        for found in list(slot.entries):
+            for sent in slot.sent:
+                if _same(found.value, sent.value, self.tolerance):
+                    slot.entries.remove(found)
+                    slot.sent.remove(sent)
+                    self._note(number, found)
+                    break
+
+    def _note(self, number: int, found: Input) -> None:
+        self.paired += 1
+        self._found[found.source] = number
+        if self._paired is None:
+            self._first_ns = self._last_ns = found.t_ns
+            self._paired = number, number
+        elif number > self._paired[1]:
+            self._paired = self._paired[0], number
+            self._last_ns = found.t_ns
+
+    def _judge(self, number: int, slot: Slot[Input, Heard]) -> None:
+        """Count what of one number has no counterpart with its value."""
+        for found in slot.entries:
+            if slot.sent:  # it was received, with another value
+                self.differing += 1
+                self.differing_example = self.differing_example or (
+                    f"entry {found.seq} has {found.value}, "
+                    f"message {number} has {slot.sent.pop().value}"
+                )
+            elif found.source in self._found:
+                self._lack(number, found)
+            else:
+                self._unfound.append((number, found))
+        self._unheard += [(number, each.log_ns) for each in slot.sent]
+
+    def _lack(self, number: int, found: Input) -> None:
+        is_before = self._paired is not None and found.t_ns < self._first_ns
+        if is_before or self._paired is None:
+            earliest_ns = min(begin_ns for begin_ns, _ in self._lives.values())
+            self.at_begin += found.t_ns - earliest_ns <= EDGE_NS
+        if is_before:
+            begin_ns, _ = self._lives[found.source]
+            self.before_first += 1
+            self.before_found += found.t_ns - begin_ns <= UNFOUND_NS
+            return
+        self.lacking += 1
+        self.lacking_example = self.lacking_example or f"entry {found.seq}, message {number}"
+
+
+def _same(one: Any, other: Any, tolerance: float) -> bool:
+    if one == other or repr(one) == repr(other):  # nan differs from itself
+        return True
+    if not tolerance or not isinstance(one, tuple) or not isinstance(other, tuple):
+        return False
+    return len(one) == len(other) and all(
+        abs(mine - theirs) <= tolerance for mine, theirs in zip(one, other, strict=True)
+    )
 
 
 class InputCheck:
@@ -201,7 +398,6 @@ class InputCheck:
         self._is_on = self._is_on or has_proof
         self._pairs.tolerance = 0.0 if self._report.bitwise else TOLERANCE
         self._repeats.snapshot()
-        self._pairs.settle()
         if self._unheard is not None:
             self._unheard.settle(stall_ns)
 
