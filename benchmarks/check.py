@@ -24,13 +24,13 @@ from pathlib import Path
 from recording.figures import Figure, Round, table
 from recording.heard_drive import record_drive
 
+from robotctl.check.journal import read_event, read_snapshot
+from robotctl.check.many import check_recordings
+from robotctl.check.report import Verdict
+from robotctl.check.run import check_recording
 from robotctl.recording import Compression, Recording
 from robotctl.recording.format.journal import EntryKind
 from robotctl.recording.read.journal_reader import read_journal
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_many import check_recordings
-from robotctl.rerun.check_report import Verdict
-from robotctl.rerun.journal import read_event, read_snapshot
 
 RATE_HZ = 100.0
 SECONDS = 60.0
@@ -41,7 +41,7 @@ BYTES_PER_S = 138_000
 MEMORY = """
 import sys
 from pathlib import Path
-from robotctl.rerun.check import check_recording
+from robotctl.check.run import check_recording
 report = check_recording(Path(sys.argv[1]))
 assert report.verdict == "same", report
 status = Path("/proc/self/status").read_text()

@@ -29,6 +29,7 @@ from recording.figures import Figure, Round, table
 from recording.heard_drive import record_drive
 
 from robotctl.base.processes.jobs import job_command
+from robotctl.check.journal import read_effect
 from robotctl.collection.catalogue import CATALOGUE_NAME
 from robotctl.collection.database import name, text
 from robotctl.collection.index_file import index_path, stamp_of, table_columns, write_index
@@ -36,7 +37,6 @@ from robotctl.collection.indexing import rows_of
 from robotctl.daemon.recording.indexer import INDEX
 from robotctl.kernel.types import DriveEnded
 from robotctl.recording import Recording, read_journal
-from robotctl.rerun.journal import read_effect
 
 ROBOTCTL = str(Path(sys.executable).with_name("robotctl"))
 

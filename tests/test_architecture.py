@@ -148,7 +148,7 @@ def test_no_file_has_more_lines_than_one_concept_needs() -> None:
 
 MOST_MODULES = 25
 
-LARGE_ROOMS = {"rerun": 29}
+LARGE_ROOMS: dict[str, int] = {}
 """Folders that are still to be rebuilt, and how many modules they may have until then."""
 
 
@@ -162,7 +162,7 @@ def test_no_folder_has_more_modules_than_one_sees_at_once() -> None:
         assert count <= LARGE_ROOMS.get(folder, MOST_MODULES), f"{folder} has {count} modules"
 
 
-CEILINGS = {"robotctl": (431, 72_231), "tests": (228, 60_996)}
+CEILINGS = {"robotctl": (430, 72_214), "tests": (228, 60_995)}
 """How many files and lines there may be."""
 
 

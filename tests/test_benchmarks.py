@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Verdict
+from robotctl.check.report import Verdict
+from robotctl.check.run import check_recording
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 SCRIPTS = sorted(BENCHMARKS.glob("*.py"))

@@ -22,12 +22,12 @@ import pytest
 import robotctl
 from robotctl.base.processes import Child, LineSplitter, program, readable_within, start
 from robotctl.base.processes.jobs import job_command, reports_of
+from robotctl.check.many import check_recordings
 from robotctl.config import RecordingParams
 from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.recording import read_info
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
-from robotctl.rerun.check_many import check_recordings
 from robotctl.testing.drives import drive, record
 from tests.support.bags import talk, write_bag
 from tests.support.waiting import DEADLINE_S
@@ -59,7 +59,7 @@ if any(name in sys.orig_argv for name in {modules}):
 """
 """Prints as Fast DDS does, before the process reports, and also lines that look like reports."""
 
-CHECKER = "robotctl.rerun.check_process"
+CHECKER = "robotctl.check.process"
 JOBS = "robotctl.base.processes"
 
 
@@ -294,9 +294,9 @@ def test_lines_come_out_of_pieces() -> None:
 
 
 def test_every_child_is_started_in_one_way() -> None:
+    from robotctl.check import many as checking
     from robotctl.cli.commands.recordings.replay import play
     from robotctl.cli.targets import launch
-    from robotctl.rerun import check_many as checking
 
     player = program(play.PLAYER)
     programs = (launch.DAEMON, player, checking.WORKER, job_command("module:function", {}))

@@ -6,13 +6,13 @@ import struct
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from robotctl.check.closed_loop import closed_loop
 from robotctl.config import Config, with_setting
 from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ENCAPSULATION
 from robotctl.recording import Compression, Recorder, RecorderOptions
 from robotctl.recording.seal.keyring import Keyring
-from robotctl.rerun.closed_loop import closed_loop
 from robotctl.testing.drives import (
     BEGIN_NS,
     GID,

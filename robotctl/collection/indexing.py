@@ -10,6 +10,8 @@ from typing import Any, Final
 
 from robotctl.base.errors import RobotctlError, UnreadableFile
 from robotctl.base.processes.pipes import Report
+from robotctl.check.journal import Gap, Step, decide, read_effect, read_event, read_snapshot, steps
+from robotctl.check.run import check_recording
 from robotctl.collection.index_file import (
     DriveRow,
     EventRow,
@@ -43,8 +45,6 @@ from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY, SOFTWARE_R
 from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.read.journal_reader import read_journal
 from robotctl.recording.read.whole_recording import verify_recording
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.journal import Gap, Step, decide, read_effect, read_event, read_snapshot, steps
 
 SAMPLE_PERIOD_NS = NS_PER_S // 10
 """The time between two samples while the robot moves."""

@@ -14,11 +14,11 @@ import msgspec
 
 from robotctl import __version__
 from robotctl.base.errors import ConfigError, UnreadableFile
+from robotctl.check.report import Divergence, Report, rounded
+from robotctl.check.run import check_recording
+from robotctl.check.what_if import what_if
 from robotctl.collection.content import Content, read_content, software_hash
 from robotctl.recording.read.damage import noted_read_failures
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Divergence, Report, rounded
-from robotctl.rerun.whatif import what_if
 
 Kind = TypeVar("Kind")
 

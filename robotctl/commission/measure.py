@@ -9,6 +9,7 @@ from statistics import fmean, linear_regression, median
 from typing import NamedTuple
 
 from robotctl.base.errors import Refused, UnreadableFile
+from robotctl.check.journal import read_effect, read_event
 from robotctl.kernel.course import Held
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.odometry import is_finite
@@ -17,7 +18,6 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind
 from robotctl.recording.read.journal_reader import RecordedEntry, read_journal
-from robotctl.rerun.journal import read_effect, read_event
 
 _EVENTS = (OdomReceived.__name__, DriveRequested.__name__)
 

@@ -11,6 +11,14 @@ from pathlib import Path
 from typing import Final
 
 from robotctl.base.errors import UnreadableFile
+from robotctl.check.journal import (
+    KERNEL_FAILURES,
+    decide,
+    read_effect,
+    read_event,
+    read_snapshot,
+)
+from robotctl.check.sentences import sentence_of
 from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.kernel import Kernel
@@ -42,14 +50,6 @@ from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
 from robotctl.recording.read.messages import Message
-from robotctl.rerun.journal import (
-    KERNEL_FAILURES,
-    decide,
-    read_effect,
-    read_event,
-    read_snapshot,
-)
-from robotctl.rerun.sentences import sentence_of
 from robotctl.show.series import Series, ThinnedPath, is_on_earth
 
 MAX_SPANS: Final = 150

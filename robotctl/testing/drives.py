@@ -9,6 +9,8 @@ from pathlib import Path
 
 from robotctl import __version__
 from robotctl.base.errors import UnreadableFile
+from robotctl.check.closed_loop import closed_loop
+from robotctl.check.journal import read_effect
 from robotctl.config import Config, flat
 from robotctl.daemon.control.dispatcher import Journal
 from robotctl.kernel import command_types
@@ -35,8 +37,6 @@ from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, e
 from robotctl.recording.format.names import PARAMETER_PREFIX
 from robotctl.recording.format.noted_events import noted_event
 from robotctl.recording.format.recorded_events import RecordedEvent
-from robotctl.rerun.closed_loop import closed_loop
-from robotctl.rerun.journal import read_effect
 
 START_NS = 1_700_000_000_000_000_000
 """Log times [ns since the epoch] are the steady times of the journal plus this."""

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from robotctl.base.errors import Refused, UnreadableFile, UsageError
+from robotctl.check.driven_path import simplified
 from robotctl.cli.commands.robot.drive.paths import PATH_TYPE, path_in, read_waypoints
 from robotctl.kernel.course import MAX_POINTS, Course, Frame, Point
 from robotctl.kernel.geometry import Pose
@@ -22,7 +23,6 @@ from robotctl.messages.definition import parse_definition
 from robotctl.messages.values import encode
 from robotctl.recording.convert.sources import installed_definition
 from robotctl.recording.format.journal import EntryKind, JournalEntry
-from robotctl.rerun.driven_path import simplified
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested, record
 from robotctl.testing.kernels import drive_simulated
 

@@ -20,6 +20,11 @@ from xml.etree import ElementTree
 import pytest
 
 from robotctl.base.errors import ConfigError
+from robotctl.check import compare
+from robotctl.check import report as check_report
+from robotctl.check.compare import Comparison
+from robotctl.check.report import Report, Verdict
+from robotctl.check.run import check_recording
 from robotctl.collection import gate as gates
 from robotctl.collection import judgement, judging
 from robotctl.collection.gate import Baseline, GateReport, junit_text, read_baseline
@@ -29,10 +34,6 @@ from robotctl.collection.judging import ResultStore
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import Effect, Event
 from robotctl.recording.read.source import LocalSource
-from robotctl.rerun import check_report, rerun
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Report, Verdict
-from robotctl.rerun.rerun import Comparison
 from robotctl.testing.drives import BEGIN_NS, drive, record
 from tests.support.checked_drives import judged, rechained, wrong
 
@@ -554,7 +555,7 @@ def test_what_was_accepted_passes_with_the_next_version_too(
 ) -> None:
     record(driven / "other", wrong(drive(2.0)))
     baseline = accepted(judged(driven), tmp_path / "baseline.json")
-    for module in (check_report, rerun, judgement):
+    for module in (check_report, compare, judgement):
         monkeypatch.setattr(module, "__version__", "9.9.9")
     shutil.rmtree(driven / ".gate")
     again = judged(driven, baseline)

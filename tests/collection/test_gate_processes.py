@@ -16,13 +16,13 @@ import psutil
 import pytest
 
 from robotctl.base.errors import Refused, UsageError
+from robotctl.check.report import Report
+from robotctl.check.run import check_recording
 from robotctl.collection import cluster, judgement
 from robotctl.collection.cluster import Cluster
 from robotctl.collection.content import software_hash
 from robotctl.collection.gate import Baseline, judge_all
 from robotctl.collection.judging import Judged, Judging, ResultStore
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Report
 from robotctl.testing.drives import drive, record
 from tests.collection.dask_processes import DaskProcesses, dask_processes
 from tests.support.checked_drives import altered

@@ -16,12 +16,12 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from robotctl.check.report import Verdict
+from robotctl.check.run import check_recording
 from robotctl.daemon.recording import recordings_folder
 from robotctl.kernel.patterns import PatternKind
 from robotctl.recording import Recorder, RecorderOptions, RecorderStats, read_info, read_messages
 from robotctl.recording.format.journal import EntryKind, decode
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Verdict
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from tests.support.bags import text
 from tests.support.recordings import read_strictly

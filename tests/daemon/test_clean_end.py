@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.check.compare import first_divergence
 from robotctl.kernel.types import ModeChanged
-from robotctl.rerun.rerun import first_divergence
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import PATIENT, World, journal_of, read_back
 

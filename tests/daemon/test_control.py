@@ -17,6 +17,7 @@ from typing import Any, cast
 import pytest
 
 from robotctl.base.errors import Refused
+from robotctl.check.compare import first_divergence
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.status import StatusSource, common_methods
 from robotctl.daemon.api.warnings import Warnings
@@ -57,7 +58,6 @@ from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.write.recorder import RecorderState, RecorderStats
 from robotctl.recording.write.recorder_options import TopicFilter
-from robotctl.rerun.rerun import first_divergence
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from robotctl.testing.kernels import moving
 from tests.support.waiting import loop_until

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from robotctl.base.errors import Refused, RobotctlError
+from robotctl.check.compare import first_divergence
 from robotctl.daemon.app import serve
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.control.control_loop import Watchdog
@@ -30,7 +31,6 @@ from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.types import ModeRequested
 from robotctl.recording import read_info
-from robotctl.rerun.rerun import first_divergence
 from robotctl.ros.nodes.mode_service import ModeService
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher

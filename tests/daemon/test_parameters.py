@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
+from robotctl.check.report import Verdict
+from robotctl.check.run import check_recording
 from robotctl.config import Config, flat, load
 from robotctl.config.ros_settings import node_of
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Verdict
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
 from tests.support.world import World, entries_of, new_world

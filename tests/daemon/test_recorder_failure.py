@@ -15,12 +15,12 @@ from typing import Any
 import pytest
 
 from robotctl.base.errors import Refused, UnreadableFile
+from robotctl.check.compare import first_divergence
 from robotctl.config import Config
 from robotctl.daemon.recording import recorder_report, recordings_folder
 from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.kernel.patterns import PatternKind
 from robotctl.recording import Recorder, RecorderOptions, Recording, read_info, read_journal
-from robotctl.rerun.rerun import first_divergence
 from robotctl.ros.executor.runtime import Pool
 from robotctl.testing.faults import FailingFile
 from tests.support.waiting import until

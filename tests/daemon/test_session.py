@@ -13,11 +13,11 @@ from typing import Any
 
 import pytest
 
+from robotctl.check.compare import first_divergence
 from robotctl.ipc.answers import Status
 from robotctl.recording import read_info
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.format.recorded_events import ERRORS
-from robotctl.rerun.rerun import first_divergence
 from tests.support.waiting import until
 from tests.support.world import Peer, World, journal_of, new_world, read_back
 

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.check.journal import read_effect, read_event
 from robotctl.ipc.client import Client
 from robotctl.ipc.method_names import HOLD
 from robotctl.kernel.types import DriveRequested, HoldReceived, PublishTwist
-from robotctl.rerun.journal import read_effect, read_event
 from tests.support.terminals import CODE, Terminal
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import Peer, World, entries_of, new_world

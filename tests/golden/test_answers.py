@@ -20,8 +20,8 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.check.report import rounded
 from robotctl.cli import app
-from robotctl.rerun.check_report import rounded
 
 GOLDEN = Path(__file__).parent
 ANSWERS = GOLDEN / "answers"

@@ -10,6 +10,9 @@ import pytest
 from mcap.reader import make_reader
 
 from robotctl import __version__
+from robotctl.check.ends import NOT_PROVED
+from robotctl.check.invariants import unbalanced
+from robotctl.check.run import check_recording
 from robotctl.cli import app
 from robotctl.config import Config
 from robotctl.daemon.recording.recordings_folder import open_recorder
@@ -17,9 +20,6 @@ from robotctl.recording import Recording, read_info, read_messages
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import events_in
 from robotctl.recording.format.topics import read_ledger
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.ends import NOT_PROVED
-from robotctl.rerun.invariants import unbalanced
 
 GOLDEN = Path(__file__).parent
 RECORDINGS = ("stopped", "killed", "foreign")

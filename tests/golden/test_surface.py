@@ -10,6 +10,9 @@ import msgspec
 import pytest
 
 from robotctl.base import errors
+from robotctl.check.compare import Vocabulary
+from robotctl.check.journal import read_effect, read_event, read_snapshot
+from robotctl.check.report import Verdict
 from robotctl.config import Config, flat, load
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.daemon.api.lease import LeaseMethods
@@ -22,9 +25,6 @@ from robotctl.ipc.protocol import PROTOCOL_VERSION
 from robotctl.ipc.request_handler import Method
 from robotctl.kernel.codec import to_json
 from robotctl.recording.format.journal import EntryKind, JournalEntry
-from robotctl.rerun.check_report import Verdict
-from robotctl.rerun.journal import read_effect, read_event, read_snapshot
-from robotctl.rerun.journal_format import Vocabulary
 
 GOLDEN = Path(__file__).parent
 READERS = {

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robotctl.check.closed_loop import closed_loop
 from robotctl.config import Config
 from robotctl.kernel.course import Course, Point
 from robotctl.kernel.drive import Drive, Progress
@@ -29,7 +30,6 @@ from robotctl.kernel.types import (
     ModeRequested,
     Twist,
 )
-from robotctl.rerun.closed_loop import closed_loop
 from robotctl.sim.robot import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated
 from tests.kernel.fed_kernel import lap_of

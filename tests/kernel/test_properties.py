@@ -21,6 +21,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from robotctl.check.closed_loop import closed_loop
+from robotctl.check.invariants import Invariants
 from robotctl.kernel.codec import Snapshot, from_json, to_json
 from robotctl.kernel.course import Course
 from robotctl.kernel.geometry import Pose
@@ -52,8 +54,6 @@ from robotctl.kernel.types import (
 )
 from robotctl.kernel.types.events import LeaseRequested, ParameterRequested
 from robotctl.kernel.units import NS_PER_S
-from robotctl.rerun.closed_loop import closed_loop
-from robotctl.rerun.invariants import Invariants
 from robotctl.sim.robot import SimParams
 from robotctl.testing.kernels import (
     TICK_NS,

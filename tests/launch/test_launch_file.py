@@ -19,8 +19,8 @@ import pytest
 
 from robotctl.base.errors import UsageError
 from robotctl.base.paths import check_namespace
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Verdict
+from robotctl.check.report import Verdict
+from robotctl.check.run import check_recording
 from tests.launch.stand_in import Made, classes, stand_in
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import installed, new_world

@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 
 import tests.support.rosidl_parser  # noqa: F401
+from robotctl.check.ends import HASHES
 from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.messages.cdr import ENCAPSULATION
 from robotctl.messages.definition import Definition, UnreadableType, parse_definition, rihs01_hash
@@ -38,7 +39,6 @@ from robotctl.messages.fields import (
 from robotctl.messages.inputs import MAX_STATUSES, MAX_VALUES, reader_of
 from robotctl.messages.values import WrongValue, decode, encode, filled, zero
 from robotctl.recording.convert.sources import installed_definition
-from robotctl.rerun.ends import HASHES
 from robotctl.ros.messages.type_definition import definition_of
 from robotctl.testing.hearing import safety_message
 from tests.support.heard_drives import EVENTS

@@ -20,6 +20,8 @@ from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
 from robotctl.base.errors import Refused, UnreadableFile
+from robotctl.check.report import Verdict
+from robotctl.check.run import check_recording
 from robotctl.cli import app
 from robotctl.kernel.types import Twist
 from robotctl.kernel.units import NS_PER_S
@@ -41,8 +43,6 @@ from robotctl.recording.keep.clip import Clip, Moment, cut_clip
 from robotctl.recording.keep.clip_job import ClipJob, make_clip, remaining_s
 from robotctl.recording.keep.clip_origin import compare_with_source
 from robotctl.recording.keep.listing import list_recording
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import (
     BEGIN_NS,
     GID,

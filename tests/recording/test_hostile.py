@@ -36,6 +36,8 @@ from mcap.records import (
 from mcap.writer import Writer
 
 from robotctl.base.errors import UnreadableFile, UsageError
+from robotctl.check.report import Verdict
+from robotctl.check.run import check_recording
 from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording import Compression, read_info
 from robotctl.recording.disk.storage import DiskFile
@@ -62,8 +64,6 @@ from robotctl.recording.read.stored_chunk import UnpackBudget
 from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import BEGIN_NS, drive, record
 from tests.recording.mcap_files import CHANNEL, RECORD_HEAD, chunk, finished, stored_chunk
 from tests.support.recordings import numbered, salvaged
@@ -291,7 +291,7 @@ from robotctl.base.errors import RobotctlError
 from robotctl.recording.keep.listing import list_recording
 from robotctl.recording import read_info
 from robotctl.recording.keep.recover import recover
-from robotctl.rerun.check import check_recording
+from robotctl.check.run import check_recording
 
 path, said = Path(sys.argv[1]), {}
 for name, answer in {

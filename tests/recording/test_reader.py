@@ -22,6 +22,8 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from robotctl.base.errors import UnreadableFile
 from robotctl.base.store.remote_file import path_of
+from robotctl.check.report import Verdict
+from robotctl.check.run import check_recording
 from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording import (
     Compression,
@@ -39,8 +41,6 @@ from robotctl.recording.format.records import MAGIC
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.journal_reader import journal_topic, read_journal
 from robotctl.recording.read.mcap_input import InputFile
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import GID, JOURNAL, ODOMETRY, START_NS, TWIST, drive, record
 from tests.support.recordings import (
     first_numbers,

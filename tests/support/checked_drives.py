@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 
 from robotctl import __version__
+from robotctl.check.report import Report
+from robotctl.check.run import check_recording
 from robotctl.collection.gate import Baseline, GateReport, judge_all
 from robotctl.collection.jobs import local_threads
 from robotctl.collection.judging import ResultStore, judge_here
@@ -34,8 +36,6 @@ from robotctl.kernel.types.events import LeaseLost, LeaseRequested, ParameterReq
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, encode
 from robotctl.recording.keep.listing import recordings_in
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Report
 from robotctl.testing.drives import (
     BEGIN_NS,
     Written,

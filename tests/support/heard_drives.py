@@ -13,6 +13,7 @@ from typing import Any
 
 from mcap.records import Channel, Schema
 
+from robotctl.check.closed_loop import closed_loop
 from robotctl.config import Config
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety_inputs import SafetyInput
@@ -24,7 +25,6 @@ from robotctl.messages.inputs import MESSAGE_TYPES
 from robotctl.recording.convert.sources import installed_definition
 from robotctl.recording.format.journal import decode
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
-from robotctl.rerun.closed_loop import closed_loop
 from robotctl.testing.drives import BEGIN_NS, QOS, drive_requested, journaled, record
 from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, WANTED, HearingKernel
 from robotctl.testing.hearing import TOPICS as SAFETY_TOPICS

@@ -26,6 +26,8 @@ from ament_index_python.packages import get_package_prefix
 
 from robotctl.base.domains import reserved_domain
 from robotctl.base.errors import UnreadableFile
+from robotctl.check.report import Report, Verdict
+from robotctl.check.run import check_recording
 from robotctl.cli import app
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import STATUS
@@ -33,8 +35,6 @@ from robotctl.recording import Recording, read_journal
 from robotctl.recording.format.journal import JournalEntry, decode
 from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.keep.listing import CLIPS_FOLDER
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Report, Verdict
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S, until
 

@@ -13,8 +13,8 @@ from shutil import rmtree
 
 import pytest
 
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Report, Verdict
+from robotctl.check.report import Report, Verdict
+from robotctl.check.run import check_recording
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.heard_drives import COMMANDS
 from tests.tampering.edits import Kind

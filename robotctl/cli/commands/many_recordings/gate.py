@@ -88,9 +88,9 @@ def gate(
       robotctl gate --baseline accepted.json --accept "a shorter ramp"
       robotctl gate --in /mnt/recordings --cluster tcp://10.0.0.5:8786
     """
+    from robotctl.check.what_if import check_scope, parse_settings
     from robotctl.collection.gate import Baseline, judge_all, junit_text, read_baseline
     from robotctl.collection.judging import ResultStore, judge_here
-    from robotctl.rerun.recorded_settings import check_scope, parse_settings
 
     if accept is not None and baseline is None:
         raise UsageError("--accept WHY needs a file to write to", "give --baseline FILE")

@@ -170,8 +170,8 @@ def _prove(items: Sequence[dict[str, Any]], *, quiet: bool) -> dict[str, Any] | 
 
     Return None if no recording is finished.
     """
+    from robotctl.check.many import check_recordings
     from robotctl.cli.commands.recordings.verify.report import verify_together
-    from robotctl.rerun.check_many import check_recordings
 
     finished = [item for item in items if "size_bytes" in item and item["state"] != _LIVE]
     if not finished:

@@ -31,7 +31,7 @@ from robotctl.ipc.advice import advice, cure_of, for_robot
 from robotctl.kernel.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from robotctl.rerun.incident import Incident
+    from robotctl.check.incident import Incident
 
 app = new_app()
 
@@ -165,7 +165,7 @@ def _find(
         Refused: No recording has an incident.
         UnreadableFile: The only recording cannot be read.
     """
-    from robotctl.rerun.incident import find_incident
+    from robotctl.check.incident import find_incident
 
     later: list[Path] = []
     for path in paths:
@@ -187,7 +187,7 @@ def _find(
 
 def why_lines(found: FoundIncident) -> Iterator[str]:
     """Yield the lines of the explanation."""
-    from robotctl.rerun.why import explain
+    from robotctl.check.why import explain
 
     incident, robot = found.incident, robot_of(found.path) or DEFAULT_ROBOT
     told = explain(incident)
@@ -219,8 +219,8 @@ def _later(found: FoundIncident) -> str:
 
 def as_object(found: FoundIncident) -> dict[str, Any]:
     """Return the object for `why --json`. Suffixes give the units; `log_ns` is since the epoch."""
-    from robotctl.rerun.journal import text_of
-    from robotctl.rerun.why import explain, rule_of
+    from robotctl.check.journal import text_of
+    from robotctl.check.why import explain, rule_of
 
     incident, robot = found.incident, robot_of(found.path) or DEFAULT_ROBOT
     told = explain(incident)

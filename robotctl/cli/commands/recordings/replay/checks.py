@@ -7,6 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from robotctl.base.errors import Divergence, RobotctlError, UnreadableFile, UsageError
+from robotctl.check.closed_loop import resimulate
+from robotctl.check.many import check_recordings
+from robotctl.check.report import Verdict
+from robotctl.check.what_if import Settings, check_scope, parse_settings, what_if
 from robotctl.cli.commands.recordings.replay.select_recordings import (
     LABEL_WIDTH,
     select_recordings,
@@ -15,11 +19,6 @@ from robotctl.cli.commands.recordings.replay.select_recordings import (
 from robotctl.cli.ui.output import Progress, print_answer, progress_bar
 from robotctl.cli.ui.text import duration, number, printable, row, short_path
 from robotctl.kernel.modes import Mode
-from robotctl.rerun.check_many import check_recordings
-from robotctl.rerun.check_report import Verdict
-from robotctl.rerun.closed_loop import resimulate
-from robotctl.rerun.recorded_settings import Settings, check_scope, parse_settings
-from robotctl.rerun.whatif import what_if
 
 _INDENT = " " * LABEL_WIDTH
 

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from robotctl.base.errors import UnreadableFile
+from robotctl.check.incident import find_incident
+from robotctl.check.many import check_recordings
+from robotctl.check.report import Verdict
 from robotctl.cli.commands.recordings.verify.report import verified
 from robotctl.cli.commands.recordings.why import FoundIncident, as_object
 from robotctl.cli.ui.output import progress_bar
 from robotctl.cli.ui.text import duration, size
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.names import EventKind
-from robotctl.rerun import find_incident
-from robotctl.rerun.check_many import check_recordings
-from robotctl.rerun.check_report import Verdict
 from robotctl.show.page import CommandVerdict, Explanation, ReportFindings, Tone
 from robotctl.show.traces import Recorded
 

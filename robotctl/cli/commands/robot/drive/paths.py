@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from robotctl.base.errors import Refused, UnreadableFile, UsageError
 from robotctl.base.files import open_regular
+from robotctl.check.driven_path import driven_path
 from robotctl.cli.targets.recordings import LAST, committed_recording, find_recording, with_earlier
 from robotctl.cli.targets.ros_view import ros_view
 from robotctl.cli.ui.text import printable, short_path
@@ -24,7 +25,6 @@ from robotctl.ipc.method_names import PARAM_LIST
 from robotctl.kernel.course import MAX_COORDINATE_M, MAX_POINTS, Frame, Point
 from robotctl.messages.definition import Definition, parse_definition
 from robotctl.messages.values import decode
-from robotctl.rerun.driven_path import driven_path
 
 if TYPE_CHECKING:
     import yaml

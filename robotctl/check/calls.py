@@ -1,0 +1,464 @@
+"""Checks the recorded calls of the mode services against the requests and replies of the journal.
+
+Each call that robotctl received is one request in the journal, in the same order, and each response
+that it sent says what the journal replied.
+
+An event (service_msgs/ServiceEventInfo, then request and response) is a call that a server received
+or a response that it sent; clients may publish theirs on the same topic.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+from robotctl.check.commands import LATE_NS
+from robotctl.check.ends import Ending, EndingOf, JournalEnd
+from robotctl.check.inputs import AFTER_NS
+from robotctl.check.journal import Moments
+from robotctl.check.report import Report
+from robotctl.check.times import ClockChanges
+from robotctl.check.topics import RecordedFilter, own_name
+from robotctl.kernel.codec import Snapshot
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import Effect, Event, ModeRequested, Reply
+from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.cdr import CdrReader
+from robotctl.recording import RecordingInfo
+from robotctl.recording.format.journal import TOPIC
+from robotctl.recording.read.messages import Message
+
+_GID_BYTES = 16
+
+
+class EventType(IntEnum):
+    """The event types of a server, as in ServiceEventInfo.msg; the two others are a client's."""
+
+    RECEIVED = 1
+    SENT = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """A service; `estop` has no field for a mode, and always requests EMERGENCY_STOP."""
+
+    name: str
+    type_name: str
+    has_mode: bool
+
+
+SERVICES = (
+    Service("set_mode", "robot_controller/srv/SetMode_Event", True),
+    Service("estop", "std_srvs/srv/Trigger_Event", False),
+)
+
+
+class RecordedAnswer(NamedTuple):
+    """A response: whether the request was granted, its text, and the mode after it if it has one.
+
+    `publish_ns` is when it was sent, since the epoch.
+    """
+
+    ok: bool
+    text: str
+    mode: int | None
+    publish_ns: int
+
+
+class ServiceEvent(NamedTuple):
+    """An event of a server; `call` identifies the call by client and number.
+
+    `requested` is the number of the mode in a request, None in a response.
+    """
+
+    call: tuple[bytes, int]
+    requested: int | None
+    answer: RecordedAnswer | None
+
+
+def read_service_event(service: Service, data: bytes, publish_ns: int) -> ServiceEvent | None:
+    """Return the event in a message, None if it is one of a client.
+
+    Raises:
+        struct.error: The message cannot be read.
+    """
+    reader = CdrReader(data)
+    (kind,) = reader.take("B")
+    reader.take("I", 2)  # the stamp
+    client = reader.octets(_GID_BYTES)
+    (number,) = reader.take("q")
+    if kind not in (EventType.RECEIVED, EventType.SENT):
+        return None
+    call = client, number
+    (has_request,) = reader.take("I")
+    requested = reader.take("B")[0] if has_request else None
+    (has_response,) = reader.take("I")
+    if kind == EventType.RECEIVED:
+        if requested is None:
+            raise struct.error("a call without a request")
+        return ServiceEvent(
+            call, requested if service.has_mode else Mode.EMERGENCY_STOP.value, None
+        )
+    if not has_response:
+        raise struct.error("a response without contents")
+    ok, text = bool(reader.take("B")[0]), reader.text()
+    mode = reader.take("B")[0] if service.has_mode else None
+    return ServiceEvent(call, None, RecordedAnswer(ok, text, mode, publish_ns))
+
+
+MAX_CALLS: Final = 100_000
+"""The number of calls of a service that are compared."""
+
+MAX_AHEAD: Final = 1_000
+"""The request of a call is searched among this many next ones; skipped ones have no call."""
+
+ANSWER_NS: Final = NS_PER_S
+"""A request at most this long before the end may lack its response, which waits for the disk."""
+
+MANY_IN_WORK: Final = 128
+"""A refusal as busy is believed only if more calls than this were open (robotctl accepts 256)."""
+
+_BUSY = re.compile(r"busy: \d+ requests wait for their reply; try again")
+
+
+@dataclass(slots=True)
+class Asked:
+    """A request in the journal: its entry's `seq`, the requested mode, its times, its reply."""
+
+    seq: int
+    requested: int
+    moments: Moments
+    reply: Reply | None = None
+
+
+@dataclass(slots=True)
+class Call:
+    """A recorded call: the requested mode, when it was received, its response.
+
+    `in_work` is the number of calls that had no response when it was received.
+    """
+
+    requested: int
+    publish_ns: int
+    in_work: int
+    answer: RecordedAnswer | None = None
+
+    @property
+    def was_refused_as_busy(self) -> bool:
+        """Whether the call was refused without a decision."""
+        answer = self.answer
+        return (
+            self.in_work > MANY_IN_WORK
+            and answer is not None
+            and not answer.ok
+            and _BUSY.fullmatch(answer.text) is not None
+        )
+
+
+class ServicePairs:
+    """Pairs the recorded calls of one service with its requests in the journal."""
+
+    def __init__(self, source: str, open_calls: dict[tuple[bytes, int], Call]) -> None:
+        """`source` is the service's name in the journal; all services share one `open_calls`."""
+        self.source = source
+        self.calls: list[Call] = []
+        self.asked: list[Asked] = []
+        self.unasked: list[Call] = []
+        """The calls without a request in the journal."""
+
+        self.unheard: list[Asked] = []
+        """The requests without a call that come before the last request with a call."""
+
+        self.last_unheard: list[Asked] = []
+        """The requests after the last one with a call."""
+
+        self.answers_alone = 0
+        """The number of responses whose call is not recorded."""
+
+        self.pairs: list[tuple[Asked, Call]] = []
+        self._open_calls = open_calls
+        self._open_requests: dict[int, Asked] = {}
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the limit MAX_CALLS is reached, so that later ones are not compared."""
+        return max(len(self.calls), len(self.asked)) >= MAX_CALLS
+
+    def event(self, event: ServiceEvent, publish_ns: int) -> None:
+        """Note a call, or a response to one."""
+        if event.requested is not None:
+            if not self.is_full:
+                call = Call(event.requested, publish_ns, len(self._open_calls))
+                self._open_calls[event.call] = call
+                self.calls.append(call)
+            return
+        answered = self._open_calls.pop(event.call, None)
+        if answered is None:
+            self.answers_alone += 1
+        else:
+            answered.answer = event.answer
+
+    def request(self, event: ModeRequested, seq: int, moments: Moments) -> None:
+        """Add a request of the journal; `seq` is the number of its entry."""
+        if event.source == self.source and not self.is_full:
+            asked = Asked(seq, event.requested, moments)
+            self._open_requests[event.request_id] = asked
+            self.asked.append(asked)
+
+    def reply(self, reply: Reply) -> None:
+        """Add a reply of the journal to its request."""
+        asked = self._open_requests.pop(reply.request_id, None)
+        if asked is not None:
+            asked.reply = reply
+
+    def pair(self, clock: ClockChanges) -> None:
+        """Pair calls and requests in order."""
+        first = 0
+        for call in self.calls:
+            if call.was_refused_as_busy:
+                continue
+            ahead = range(first, min(first + MAX_AHEAD, len(self.asked)))
+            at = next((at for at in ahead if _fits(self.asked[at], call, clock)), None)
+            if at is None:
+                self.unasked.append(call)
+                continue
+            self.unheard += self.asked[first:at]
+            self.pairs.append((self.asked[at], call))
+            first = at + 1
+        self.last_unheard = self.asked[first:]
+
+    def unanswered(self, end_ns: int) -> list[Asked]:
+        """Return the paired requests with a reply but no recorded response, except the last ones.
+
+        `end_ns` is the steady time of the journal's end.
+        """
+        return [
+            asked
+            for asked, call in self.pairs
+            if asked.reply is not None
+            and call.answer is None
+            and end_ns - asked.moments[0] > ANSWER_NS
+        ]
+
+
+def _fits(asked: Asked, call: Call, clock: ClockChanges) -> bool:
+    steady_ns, begin_ns, end_ns = asked.moments
+    return asked.requested == call.requested and (
+        begin_ns - LATE_NS <= call.publish_ns <= end_ns + LATE_NS or clock.is_near(steady_ns)
+    )
+
+
+MAX_UNDER_WAY: Final = 1_000
+"""At the end, at most this many recorded calls may have no request in the journal."""
+
+END_NS = 2 * NS_PER_S
+"""The call of a request at most this long before the end may be missing: it was under way."""
+
+
+class ServiceChecks:
+    """Checks all services that request a mode, from the first snapshot with a proof on."""
+
+    def __init__(
+        self, report: Report, info: RecordingInfo, journal_topic: str, clock: ClockChanges
+    ) -> None:
+        open_calls: dict[tuple[bytes, int], Call] = {}
+        self._all = [
+            _ServiceCheck(report, info, journal_topic, service, open_calls, clock)
+            for service in SERVICES
+        ]
+        self._is_on = False
+
+    def readers(self) -> dict[str, Callable[[Message], None]]:
+        """Return the message handler of each recorded topic."""
+        return {each.topic: each.message for each in self._all if each.is_recorded}
+
+    def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
+        """Start the comparison at this snapshot if it has a proof."""
+        if snapshot.proof is not None and not self._is_on:
+            self._is_on = True
+            for each in self._all:
+                each.begin(log_ns)
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        self._is_on = False
+
+    def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
+        """Compare an event with its effects; `seq` is the number of its entry."""
+        if not self._is_on:
+            return
+        if isinstance(event, ModeRequested):
+            for each in self._all:
+                each.pairs.request(event, seq, moments)
+        for effect in effects:
+            if isinstance(effect, Reply):
+                for each in self._all:
+                    each.pairs.reply(effect)
+
+    def end(self, ending: EndingOf, moment: JournalEnd) -> None:
+        """Report what differs."""
+        if self._is_on and ending(None).is_own:
+            for each in self._all:
+                each.end(ending(each.topic), moment)
+
+
+class _ServiceCheck:
+    """Compares the calls of one service with the journal."""
+
+    def __init__(
+        self,
+        report: Report,
+        info: RecordingInfo,
+        journal_topic: str,
+        service: Service,
+        open_calls: dict[tuple[bytes, int], Call],
+        clock: ClockChanges,
+    ) -> None:
+        name, self._is_told = own_name(info, journal_topic, f"service.{service.name}")
+        self.topic = f"{name}/_service_event"
+        types = {topic.name: topic.type_name for topic in info.topics}
+        self.is_recorded = types.get(self.topic) == service.type_name
+        namespace = journal_topic.removesuffix(f"/{TOPIC}")
+        self._source = f"the ROS service {namespace}/{service.name}"
+        self._open_calls = open_calls
+        self.pairs = ServicePairs(self._source, open_calls)
+        self._others = sorted(
+            topic.name
+            for topic in info.topics
+            if topic.type_name == service.type_name and topic.name != self.topic
+        )
+        self._is_left_out = not self.is_recorded and RecordedFilter(info, journal_topic).leaves_out(
+            self.topic, service.type_name
+        )
+        self._report = report
+        self._service = service
+        self._clock = clock
+        self._begin_ns: int | None = None
+        self._newest = 0
+        self._has_one_publisher = True
+        self._unreadable = 0
+
+    def begin(self, log_ns: int) -> None:
+        """Compare from the time `log_ns` on [ns since the epoch]."""
+        self._open_calls.clear()
+        self.pairs = ServicePairs(self._source, self._open_calls)
+        self._begin_ns = log_ns
+
+    def message(self, message: Message) -> None:
+        """Read a message of the topic."""
+        if self._begin_ns is None:
+            return
+        self._has_one_publisher &= message.sequence > self._newest
+        self._newest = max(message.sequence, self._newest)
+        try:
+            event = read_service_event(self._service, message.data, message.publish_ns)
+        except struct.error:
+            self._unreadable += 1
+            return
+        if event is not None:
+            self.pairs.event(event, message.publish_ns)
+
+    def end(self, ending: Ending, moment: JournalEnd) -> None:
+        """Report what differs."""
+        pairs, report = self.pairs, self._report
+        pairs.pair(self._clock)
+        if self._unreadable:
+            report.miss(f"{self._unreadable} messages of {self.topic} cannot be read")
+        if pairs.is_full:
+            report.miss(f"of the calls on {self.topic} only the first were compared")
+            return
+        self._tell_unasked(ending, moment.log_ns)
+        self._tell_unheard(ending, moment.t_ns)
+        self._tell_answers(ending, moment.t_ns)
+
+    def _tell_unasked(self, ending: Ending, end_log_ns: int) -> None:
+        begin_ns = (self._begin_ns or 0) + LATE_NS
+        unasked = [call for call in self.pairs.unasked if begin_ns < call.publish_ns]
+        if not (ending.is_whole and ending.ledger is not None):
+            judged = [call for call in unasked if not self._is_under_way(call, end_log_ns)]
+            if len(unasked) - len(judged) <= MAX_UNDER_WAY:
+                unasked = judged
+        if not unasked:
+            return
+        text = (
+            f"{len(unasked)} calls on {self.topic} are not requests in the journal, the first is "
+            f"for mode {unasked[0].requested}"
+        )
+        if self._has_one_publisher:
+            ending.accuse(text)
+        else:
+            self._report.notes.append(f"{text}: another node serves it as well")
+
+    def _is_under_way(self, call: Call, end_log_ns: int) -> bool:
+        """Return whether the request of a call may come after the end of the journal."""
+        after_ns = call.publish_ns - end_log_ns
+        return after_ns > -LATE_NS and (after_ns <= AFTER_NS or self._clock.has_changed)
+
+    def _tell_unheard(self, ending: Ending, end_ns: int) -> None:
+        report, pairs = self._report, self.pairs
+        recent = [each for each in pairs.last_unheard if end_ns - each.moments[0] <= END_NS]
+        unheard = pairs.unheard + pairs.last_unheard[: len(pairs.last_unheard) - len(recent)]
+        if ending.ledger is not None and ending.is_whole:
+            unheard += recent  # it was closed: they were recorded
+        if ending.is_clip or not ending.is_whole:
+            unheard = [each for each in unheard if not self._is_first(each)]
+        if not unheard:
+            return
+        text = (
+            f"{len(unheard)} requests of {pairs.source} are not recorded as calls, "
+            f"the first is entry {unheard[0].seq}"
+        )
+        is_counted = len(unheard) <= ending.lost
+        if self._is_left_out and not is_counted:
+            report.notes.append(f"{self.topic} was not recorded, as configured")
+        elif not (pairs.calls or self._is_told or is_counted) and self._others:
+            report.notes.append(f"{text}: its name may be remapped, as {self._others[0]} is of it")
+        else:
+            ending.lack(len(unheard), text)
+
+    def _is_first(self, asked: Asked) -> bool:
+        """Return whether a request came so early that its call may be in an earlier file."""
+        return asked.moments[1] <= (self._begin_ns or 0) + LATE_NS
+
+    def _tell_answers(self, ending: Ending, end_ns: int) -> None:
+        report, pairs = self._report, self.pairs
+        for asked, call in pairs.pairs:
+            if text := self._difference(asked, call):
+                ending.accuse(f"{self.topic}: {text}")
+                return
+        unanswered = len(pairs.unanswered(end_ns))
+        alone = pairs.answers_alone if ending.is_whole and not ending.is_clip else 0
+        if ending.ledger is None:
+            if alone:
+                text = f"{self.topic}: the calls of {alone} responses are not recorded"
+                report.miss(f"{text}; {ending.unknown_losses}")
+        elif unanswered + alone > ending.lost:
+            report.miss(
+                f"{self.topic}: of {unanswered} calls the response is not recorded, "
+                f"and of {alone} responses the call"
+            )
+
+    def _difference(self, asked: Asked, call: Call) -> str:
+        """Return how a response differs from the reply in the journal, "" if it does not."""
+        reply, answer = asked.reply, call.answer
+        if reply is None or answer is None:
+            return ""
+        name = f" --robot {self._report.robot}"
+        said, decided = answer.text.replace(name, ""), reply.message.replace(name, "")
+        rest = said.removeprefix(decided)
+        failed = rest.startswith(", but ")  # an effect before the reply failed
+        if not said.startswith(decided) or not (failed or bool(rest) is bool(reply.remedies)):
+            return f"a response says {answer.text[:80]!r}, and entry {asked.seq} got {decided!r}"
+        if answer.ok is not reply.ok and not (failed and reply.ok):
+            return f"a response says {answer.ok}, and entry {asked.seq} got {reply.ok}"
+        if answer.mode not in (None, reply.mode.value):
+            return f"a response shows mode {answer.mode}, and entry {asked.seq} got {reply.mode}"
+        if answer.publish_ns < asked.moments[1] - LATE_NS and not self._clock.is_near(
+            asked.moments[0]
+        ):
+            return f"the response to entry {asked.seq} was sent before the request"
+        return ""

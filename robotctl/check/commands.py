@@ -1,0 +1,549 @@
+"""Pairs each recorded velocity command with its decision in the journal, by number and value.
+
+Each decided command got the next sequence number of our publisher. So did each zero that the
+watchdog sent in between; the journal has their count. So it is known which number carries which
+velocity. A message with another number or velocity is another publisher's, or was not decided.
+
+The watchdog sends its zeros while the control loop stalls; the journal has their count after the
+stall. A daemon that fails sends its last zeros without a decision. If the recording ends too early,
+its journal explains neither these zeros nor those of the watchdog.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from math import inf
+from typing import Final, NamedTuple
+
+from robotctl.base.errors import UnreadableFile
+from robotctl.check.ends import Ending, EndingOf, JournalEnd
+from robotctl.check.journal import Moments
+from robotctl.check.pairs import Slot, Waiting
+from robotctl.check.report import Report
+from robotctl.check.times import ClockChanges
+from robotctl.check.topics import full_name
+from robotctl.kernel.codec import Proof, Snapshot
+from robotctl.kernel.command_types import COMMAND_TYPES
+from robotctl.kernel.types import (
+    CommandPublishersSeen,
+    Effect,
+    Event,
+    FaultReported,
+    ForeignCommandHeard,
+    LoopStalled,
+    PublishTwist,
+    Tick,
+    Twist,
+)
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording import RecordingInfo
+from robotctl.recording.format.records import MAX_SEQUENCE
+from robotctl.recording.read.messages import Message
+
+_NUMBERS = struct.Struct("<6d")
+_BIG_ENDIAN_NUMBERS = struct.Struct(">6d")
+"""The six velocities at the end of a CDR-serialized Twist, by byte order (OMG DDSI-RTPS 10.2)."""
+
+STILL = bytes(_NUMBERS.size)
+"""The six numbers of a zero command."""
+
+
+def command_topic(info: RecordingInfo, journal_topic: str) -> str | None:
+    """Return the command topic of the robot with this journal, None if it is not recorded."""
+    name = full_name(info, journal_topic, "command.topic", "cmd_vel")
+    recorded = {topic.name for topic in info.topics if topic.type_name in COMMAND_TYPES}
+    return name if name in recorded else None
+
+
+def numbers_of(data: bytes) -> bytes:
+    """Return the six numbers of a Twist as little-endian bytes.
+
+    Raises:
+        UnreadableFile: The message is too short.
+    """
+    numbers = data[-_NUMBERS.size :]
+    if len(numbers) < _NUMBERS.size:
+        raise UnreadableFile("a velocity command is cut short")
+    if data[1:2] == b"\x00":
+        return _NUMBERS.pack(*_BIG_ENDIAN_NUMBERS.unpack(numbers))
+    return numbers
+
+
+def is_zero(numbers: bytes) -> bool:
+    """Return whether these numbers command no motion; a negative zero commands none either."""
+    return numbers == STILL or not any(_NUMBERS.unpack(numbers))
+
+
+def serialized(twist: Twist) -> bytes:
+    """Return the six numbers of a command as little-endian bytes."""
+    return _NUMBERS.pack(twist.linear, 0.0, 0.0, 0.0, 0.0, twist.angular)
+
+
+def shown_command(numbers: bytes) -> str:
+    """Return the velocities of a command as text."""
+    linear, _, _, _, _, angular = _NUMBERS.unpack(numbers)
+    return f"{linear:.6g} m/s, {angular:.6g} rad/s"
+
+
+LATE_NS: Final = NS_PER_S // 2
+"""How long before or after its step a command may be sent."""
+
+MAX_LATE: Final = 20_000
+"""Of the commands sent outside of their step, only this many are kept, the newest ones."""
+
+NEAR_NS: Final = 5 * NS_PER_S
+"""A command this shortly before or after another publisher was noticed may be from that one."""
+
+LAST_ZEROS: Final = 2
+"""A daemon that fails while the robot moves may send this many zeros after the last decision."""
+
+ZERO_PERIOD_NS: Final = NS_PER_S // 25
+"""A lower bound of the time between two zeros of the watchdog, which sends one every 50 ms."""
+
+STALL_NS: Final = 10 * NS_PER_S
+"""The longest stall that may last until the end of the recording."""
+
+MAX_ZEROS: Final = 20_000
+"""At most this many zeros of a stall are compared."""
+
+JOURNAL_LAG_NS: Final = NS_PER_S
+"""How far a journal that a recorder only receives may lag behind the commands."""
+
+TAIL_NS: Final = 2 * NS_PER_S
+"""The message of a decision made at most this long before the journal's end may be under way."""
+
+RECENT: Final = 64
+"""The number of last commands that a stall may have withheld."""
+
+CUT: Final = 3
+"""How many commands at the end of a clip may have been decided after it."""
+
+SEND_FAILED: Final = f"{PublishTwist.__name__} failed"
+"""The detail of the fault for a command that could not be sent contains this text."""
+
+
+def follows(number: int, other: int) -> bool:
+    """Return whether `number` comes after `other`; numbers start again after MAX_SEQUENCE."""
+    return 0 < (number - other) & MAX_SEQUENCE <= MAX_SEQUENCE // 2
+
+
+@dataclass(slots=True)
+class DecidedCommand:
+    """A command of the journal: its six numbers, and when the step that decided it was handled.
+
+    `withheld` is when a zero was sent in its place, during a stall.
+    """
+
+    numbers: bytes
+    moments: Moments
+    withheld: Moments | None = None
+
+
+class SentCommand(NamedTuple):
+    """A message: its six numbers, publish time, the journal's time, and its place in the file."""
+
+    numbers: bytes
+    publish_ns: int
+    t_ns: int
+    place: int
+
+
+class OtherPublishers:
+    """When the journal noticed other publishers of the command, on its steady clock [ns]."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[int, float]] = deque(maxlen=10_000)
+        """Begin and end of each period."""
+
+    def step(self, event: Event) -> None:
+        """Note what an event says about other publishers."""
+        is_there = bool(self._seen) and self._seen[-1][1] == inf
+        if isinstance(event, ForeignCommandHeard) and not is_there:
+            self._seen.append((event.t_ns, event.t_ns))
+        elif isinstance(event, CommandPublishersSeen):
+            if is_there:
+                begin_ns, _ = self._seen.pop()
+                self._seen.append((begin_ns, event.t_ns))
+            if event.names:
+                self._seen.append((event.t_ns, inf))
+
+    def may_have_sent(self, t_ns: int) -> bool:
+        """Return whether one of them may have sent a command at this time."""
+        return any(begin - NEAR_NS <= t_ns <= end + NEAR_NS for begin, end in self._seen)
+
+
+@dataclass(slots=True)
+class CommandCounts:
+    """What the comparison found, with a first example."""
+
+    paired: int = 0
+    missing: int = 0
+    """Decided commands without a message, between others that have one."""
+
+    missing_example: str = ""
+    before_first: int = 0
+    """Decided commands without a message, before the first one with a message."""
+
+    extra: int = 0
+    """Messages without a decision and without a known sender."""
+
+    extra_example: str = ""
+    foreign: int = 0
+    """Messages that another publisher may have sent."""
+
+    foreign_example: str = ""
+    after_end: int = 0
+    """Messages after the end of a journal that was received."""
+
+    undecided: int = 0
+    """Messages at the end whose decision may come after the journal's end."""
+
+    old: int = 0
+    recent: int = 0
+    """Decided commands without a message at the end: older and younger than TAIL_NS."""
+
+    out_of_order: int = 0
+    resumed: int = 0
+    """How often a snapshot counts other commands than were decided before it."""
+
+    unsent: bool = False
+    """Whether the journal reports that a command could not be sent."""
+
+    late: deque[tuple[int, str]] = field(default_factory=lambda: deque(maxlen=MAX_LATE))
+    """The newest commands sent outside of their step: steady time [ns], and a description."""
+
+
+class CommandPairs:
+    """Compares the decided with the sent commands, from the first snapshot with a proof on."""
+
+    def __init__(self) -> None:
+        self.counts = CommandCounts()
+        self.is_counting = False
+        self._others = OtherPublishers()
+        self._waiting: Waiting[DecidedCommand, SentCommand] = Waiting()
+        self._recent: deque[DecidedCommand] = deque(maxlen=RECENT)
+        self._has_ended = False
+        """Whether the last snapshot counts zeros without decision: the daemon must have ended."""
+
+        self._number = 0
+        """The number of the last command that was decided in the journal or is in its counts."""
+
+        self._base = 0
+        """The number of the last command before counting began; 0 if there was none."""
+
+        self._paired: tuple[int, int] | None = None
+        """The first and the newest number that was paired since counting began."""
+
+        self._lacking = self._lacking_recent = 0
+        self._lacking_example = ""
+        """Decided commands without a message, after the newest one with a message."""
+
+        self._t_ns = self._log_ns = self._tick_ns = 0
+        """When the last event was handled, by steady and by wall clock, and the last tick."""
+
+        self._places = self._last_place = 0
+        """The number of messages, and the place of the newest one that was paired."""
+
+    # The wire
+
+    def message(self, number: int, data: bytes, publish_ns: int) -> None:
+        """Read a message of the command topic.
+
+        Raises:
+            UnreadableFile: The message is too short.
+        """
+        if self.is_counting:
+            self._places += 1
+            sent = SentCommand(numbers_of(data), publish_ns, self._t_ns, self._places)
+            self._waiting.slot(number, self._t_ns).sent.append(sent)
+
+    # The journal
+
+    def resume(self, proof: Proof) -> None:
+        """Continue from a snapshot, with the number of commands in its proof."""
+        number = proof.commands & MAX_SEQUENCE
+        more = (proof.commands - self._number) & MAX_SEQUENCE
+        was_moving = bool(self._recent) and not is_zero(self._recent[-1].numbers)
+        if self.is_counting and was_moving and 0 < more <= LAST_ZEROS:
+            self._has_ended = True
+            while number != self._number:
+                self._decide(STILL, (self._t_ns, 0, 0))
+            return
+        self.counts.resumed += self.is_counting and bool(more)
+        if not self.is_counting or more:
+            self.stop()
+            self._number = self._base = number
+            self.is_counting = True
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        for number, slot in self._waiting.rest():
+            lacking = self._pair(number, slot)
+            if lacking or not follows(number, self._number):
+                self._doubt(number, slot.sent)
+        self.is_counting = False
+        self._paired, self._last_place = None, 0
+        self._recent.clear()
+        self._lacking = self._lacking_recent = 0
+
+    def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
+        """Read a step: each command among its effects needs a recorded message."""
+        if not self.is_counting:
+            return
+        self._t_ns, self._log_ns, _ = moments
+        if self._has_ended:
+            self.counts.resumed += 1
+            self._has_ended = False
+        self._others.step(event)
+        if isinstance(event, Tick):
+            self._tick_ns = event.t_ns
+            for number, slot in self._waiting.ripe(event.t_ns):
+                self._judge(number, slot)
+        elif isinstance(event, LoopStalled):
+            self._stall(event, moments)
+        elif isinstance(event, FaultReported) and SEND_FAILED in event.detail:
+            self.counts.unsent = True  # which one is unknown; the next snapshot has the count
+            self.stop()
+            return
+        for effect in effects:
+            if isinstance(effect, PublishTwist):
+                self._decide(serialized(effect.twist), moments)
+
+    def _decide(self, numbers: bytes, moments: Moments) -> None:
+        self._number = (self._number + 1) & MAX_SEQUENCE
+        decided = DecidedCommand(numbers, moments)
+        self._recent.append(decided)
+        self._waiting.slot(self._number, self._t_ns).entries.append(decided)
+
+    def _stall(self, event: LoopStalled, moments: Moments) -> None:
+        """Expect the zeros of the watchdog, and zeros in place of the withheld commands."""
+        steady_ns, begin_ns, end_ns = moments
+        began_ns = max(begin_ns - round(event.stalled_s * NS_PER_S), 1) if begin_ns else 0
+        during = steady_ns, began_ns, end_ns
+        withheld = event.withheld
+        for decided in reversed(self._recent):
+            if withheld <= 0:
+                break
+            decided.withheld = during
+            withheld -= not is_zero(decided.numbers)
+        self._recent.clear()
+        for _ in range(min(event.zeros, MAX_ZEROS)):
+            self._decide(STILL, during)
+
+    # The comparison
+
+    def _judge(self, number: int, slot: Slot[DecidedCommand, SentCommand]) -> None:
+        """Count what one number tells."""
+        for decided in self._pair(number, slot):
+            self._lack(number, decided)
+        self._doubt(number, slot.sent)
+
+    def _pair(self, number: int, slot: Slot[DecidedCommand, SentCommand]) -> list[DecidedCommand]:
+        """Pair decisions and messages of one number; return the decisions without a message."""
+        lacking = []
+        for decided in slot.entries:
+            moments = decided.moments
+            sent = next((each for each in slot.sent if _same(decided, each)), None)
+            if sent is None and decided.withheld is not None:
+                moments = decided.withheld
+                sent = next((each for each in slot.sent if each.numbers == STILL), None)
+            if sent is None:
+                lacking.append(decided)
+            else:
+                slot.sent.remove(sent)
+                self._found(number, moments, sent)
+        return lacking
+
+    def _found(self, number: int, moments: Moments, sent: SentCommand) -> None:
+        """Count a pair; note whether the command was sent early, late or out of order."""
+        counts = self.counts
+        counts.paired += 1
+        is_newest = self._paired is None or follows(number, self._paired[1])
+        counts.out_of_order += is_newest is not (sent.place > self._last_place)
+        if is_newest:
+            if self._paired is None:
+                counts.before_first += self._lacking
+            elif self._lacking:
+                counts.missing += self._lacking
+                counts.missing_example = counts.missing_example or self._lacking_example
+            self._paired = number if self._paired is None else self._paired[0], number
+            self._last_place = sent.place
+            self._lacking = self._lacking_recent = 0
+        steady_ns, begin_ns, end_ns = moments
+        if end_ns and not begin_ns - LATE_NS <= sent.publish_ns <= end_ns + LATE_NS:
+            off_s = max(begin_ns - sent.publish_ns, sent.publish_ns - end_ns) / NS_PER_S
+            when = "before" if sent.publish_ns < begin_ns else "after"
+            counts.late.append((steady_ns, f"command {number}, {off_s:.3f} s {when} its decision"))
+
+    def _lack(self, number: int, decided: DecidedCommand) -> None:
+        """Count a decision without a message."""
+        counts, example = self.counts, f"command {number} ({shown_command(decided.numbers)})"
+        if self._paired is not None and follows(self._paired[0], number):
+            counts.before_first += 1
+        elif self._paired is not None and not follows(number, self._paired[1]):
+            counts.missing += 1
+            counts.missing_example = counts.missing_example or example
+        else:
+            self._lacking_example = self._lacking_example if self._lacking else example
+            self._lacking += 1
+            self._lacking_recent += self._t_ns - decided.moments[0] <= TAIL_NS
+
+    def _doubt(self, number: int, sent: Iterable[SentCommand], end_ns: float = inf) -> None:
+        """Count messages without a decision; the journal ends at `end_ns`."""
+        if self._paired is None and self._base and not follows(number, self._base):
+            return  # they were decided before the recording began
+        counts = self.counts
+        for each in sent:
+            example = shown_command(each.numbers)
+            if self._others.may_have_sent(each.t_ns):
+                counts.foreign += 1
+                counts.foreign_example = counts.foreign_example or example
+            elif each.t_ns < end_ns:
+                counts.extra += 1
+                counts.extra_example = counts.extra_example or example
+            else:
+                counts.after_end += 1
+
+    def end(self, cut: int = 0, *, is_own: bool = True) -> None:
+        """Judge what still waits.
+
+        Up to `cut` messages may belong to decisions after the end. A journal that the recorder did
+        not write itself may end before the recording.
+        """
+        end_ns = inf if is_own else self._t_ns - JOURNAL_LAG_NS
+        doubted: list[tuple[int, list[SentCommand]]] = []
+        lacking: list[tuple[int, DecidedCommand]] = []
+        for number, slot in self._waiting.rest():
+            for decided in slot.entries:
+                if decided.moments[0] >= self._tick_ns:  # the end may fall into a stall
+                    decided.withheld = decided.withheld or decided.moments
+            lacking += ((number, decided) for decided in self._pair(number, slot))
+            if not slot.entries and follows(number, self._number):
+                later = (number - self._number) & MAX_SEQUENCE
+                for each in slot.sent:
+                    if later <= cut or self._may_end_with(each, later, is_own):
+                        slot.sent.remove(each)
+                        self.counts.undecided += 1
+                        break
+            doubted.append((number, slot.sent))
+        for number, decided in lacking:
+            self._lack(number, decided)
+        for number, sent in doubted:
+            self._doubt(number, sent, end_ns)
+        self.counts.recent = self._lacking_recent
+        self.counts.old = self._lacking - self._lacking_recent
+
+    def _may_end_with(self, message: SentCommand, later: int, is_own: bool) -> bool:
+        """Return whether a message `later` numbers after the last command may follow its end."""
+        after_ns = message.publish_ns - self._log_ns
+        if not is_own:
+            return after_ns > -JOURNAL_LAG_NS
+        return message.numbers == STILL and (
+            later <= LAST_ZEROS or (later - LAST_ZEROS) * ZERO_PERIOD_NS <= after_ns <= STALL_NS
+        )
+
+
+def _same(decided: DecidedCommand, sent: SentCommand) -> bool:
+    """Return whether a message carries the decided command; a negative zero is a zero."""
+    return decided.numbers == sent.numbers or (sent.numbers == STILL and is_zero(decided.numbers))
+
+
+class CommandCheck:
+    """Compares commands with decisions by number; in a recording of 0.1.0, only counts commands."""
+
+    def __init__(
+        self, report: Report, info: RecordingInfo, journal_topic: str, clock: ClockChanges
+    ) -> None:
+        self._topic = command_topic(info, journal_topic)
+        self._report = report
+        self._clock = clock
+        self._pairs = CommandPairs()
+        self._by_number: bool | None = None
+        self._seen = 0
+
+    def readers(self) -> dict[str, Callable[[Message], None]]:
+        """Return the message handler of the topic, if it is recorded."""
+        return {} if self._topic is None else {self._topic: self._message}
+
+    def _message(self, message: Message) -> None:
+        """Read a message of the command topic."""
+        self._seen += 1
+        if self._by_number:
+            self._pairs.message(message.sequence, message.data, message.publish_ns)
+
+    def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
+        """Continue from a snapshot."""
+        if self._by_number is None:
+            self._by_number = snapshot.proof is not None
+        if snapshot.proof is not None:
+            self._pairs.resume(snapshot.proof)
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        self._pairs.stop()
+
+    def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
+        """Compare the commands of a step; `moments` is when it began and ended."""
+        if self._by_number:
+            self._clock.look(event.t_ns, moments[1])
+            self._pairs.step(event, effects, moments)
+
+    def end(self, ending_of: EndingOf, moment: JournalEnd) -> None:
+        """Report the differences between commands and decisions."""
+        self._report.commands = self._seen
+        if not self._by_number:
+            return
+        ending, notes, counts = ending_of(self._topic), self._report.notes, self._pairs.counts
+        self._pairs.end(CUT if ending.is_clip else 0, is_own=ending.is_own)
+        if counts.foreign:
+            names = ", ".join(sorted(ending.invariants.foreign))
+            text = _without_decision(counts.foreign, counts.foreign_example)
+            notes.append(f"{text}: {names} published as well")
+        if counts.extra:
+            ending.accuse(_without_decision(counts.extra, counts.extra_example))
+        self._tell_missing(ending, counts)
+        self._tell_end(ending, counts)
+        if not ending.is_own:
+            if after := counts.undecided + counts.after_end:
+                notes.append(f"{after} commands are later than the journal that was received")
+        elif counts.undecided and not ending.is_clip:
+            notes.append(
+                f"the last {counts.undecided} zeros have no decision: the recording ends before "
+                "its journal tells of a stall or a failure"
+            )
+        late = [text for steady_ns, text in counts.late if not self._clock.is_near(steady_ns)]
+        if late and ending.is_own:
+            ending.accuse(f"{len(late)} commands were not sent when decided: {late[0]}")
+        if counts.unsent:
+            notes.append("the journal tells of commands that could not be sent")
+        elif counts.resumed:
+            self._report.miss("a snapshot counts other commands than were decided before it")
+        if counts.out_of_order:
+            self._report.miss(
+                f"{counts.out_of_order} commands are not in the order of their number"
+            )
+
+    def _tell_missing(self, ending: Ending, counts: CommandCounts) -> None:
+        count = counts.missing + (0 if ending.is_clip else counts.before_first)
+        if count:
+            text = f"{count} decided commands are missing"
+            if counts.missing_example:
+                text += f", the first is {counts.missing_example}"
+            ending.lack(count, text)
+
+    def _tell_end(self, ending: Ending, counts: CommandCounts) -> None:
+        is_closed = ending.is_whole and ending.ledger is not None and not ending.invariants.foreign
+        count = counts.old + (counts.recent if is_closed else 0)
+        if count <= ending.lost:
+            return
+        if not counts.paired and is_closed and counts.old:
+            ending.accuse(f"none of {count} decided commands is recorded")
+        else:
+            self._report.miss(f"the last {count} decided commands are missing")
+
+
+def _without_decision(count: int, example: str) -> str:
+    return f"{count} commands without a decision, such as {example}"

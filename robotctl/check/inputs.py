@@ -1,0 +1,648 @@
+"""Compares the inputs of the kernel with the recorded messages, and says what differs.
+
+A control loop receives inputs with best effort: some may be lost, but not all over a longer time.
+It forwards each changed value of a safety input, and an unchanged one only from time to time; so
+most of many equal messages never become events. Wanted velocities become events in MOVING alone.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Callable, Hashable, Mapping
+from contextlib import suppress
+from functools import partial
+from math import inf, isfinite, nan
+from typing import Any, Final, NamedTuple
+
+from robotctl.check.ends import Ending, EndingOf, JournalEnd
+from robotctl.check.journal import Moments
+from robotctl.check.pairs import Slot, Waiting
+from robotctl.check.report import TOLERANCE, Report
+from robotctl.check.times import RecordedStalls
+from robotctl.check.topics import InputTopic, InputTopics, RepeatedLatched
+from robotctl.kernel.codec import Snapshot
+from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
+from robotctl.kernel.safety_inputs import REPEATS_PER_TIMEOUT, SafetyInput, SafetyInputParams, Use
+from robotctl.kernel.types import (
+    BatteryReceived,
+    Effect,
+    Event,
+    GuardedCommandReceived,
+    OdomReceived,
+    SafetyInputReceived,
+    ScanReceived,
+    Twist,
+)
+from robotctl.kernel.units import NS_PER_S
+from robotctl.messages import cdr
+from robotctl.messages.inputs import MESSAGE_TYPES, read_battery_level, read_sectors, reader_of
+from robotctl.messages.motion import decode_twist, decode_twist_stamped, read_sample, sample_of
+from robotctl.recording import RecordingInfo
+from robotctl.recording.format.names import INFO_RECORD
+from robotctl.recording.format.records import MAX_SEQUENCE
+from robotctl.recording.format.topics import LATCHED_QOS
+from robotctl.recording.read.messages import Message
+
+UNHEARD_NS = NS_PER_S // 2
+"""How long messages may go unheard; a stall of the control loop adds its time."""
+
+GAP_NS = NS_PER_S // 10
+"""The time between two messages counts as at most this, since nothing can be missed in a gap."""
+
+BEGIN_NS = 3 * NS_PER_S
+"""Like PATIENCE_NS, but at the beginning, when the control loop may not be connected yet."""
+
+MAX_WAITING = 100_000
+"""The number of messages, and of inputs, that may wait to be compared; the oldest are dropped."""
+
+
+class ShownValue(NamedTuple):
+    """A message: its number, its value as text (a nan is not equal to itself), and its log time."""
+
+    sequence: int
+    value: str
+    log_ns: int
+
+
+class UnheardChange:
+    """Finds messages of one publisher that should have become inputs in the journal and did not."""
+
+    def __init__(self, repeat_ns: int) -> None:
+        """`repeat_ns`: after this time [ns] an unchanged value becomes an input again."""
+        self.example = ""
+        """The first messages that should have become inputs and did not, "" if there are none."""
+
+        self._repeat_ns = repeat_ns
+        self._waiting: deque[ShownValue] = deque(maxlen=MAX_WAITING)
+        self._heard: set[int] = set()
+        self._last: ShownValue | None = None
+        """The last message that became an input; before there is one, the first of all messages."""
+
+        self._is_begin = True
+        self._since: ShownValue | None = None
+        self._before_ns = self._unheard_ns = 0
+
+    def message(self, shown: ShownValue) -> None:
+        """Store a message, whose input may follow."""
+        self._waiting.append(shown)
+
+    def heard(self, sequence: int) -> None:
+        """Note that the message with this number became an input in the journal."""
+        self._heard.add(sequence)
+
+    def forget(self) -> None:
+        """Start over, because journal entries are missing."""
+        self._waiting.clear()
+        self._heard.clear()
+        self._last = self._since = None
+        self._is_begin = True
+
+    def settle(self, stall_ns: int) -> None:
+        """Judge the messages up to the last input; a stall of `stall_ns` may have delayed some."""
+        newest = max(self._heard, default=0)
+        while self._waiting and self._waiting[0].sequence <= newest:
+            self._take(self._waiting.popleft(), stall_ns)
+        if len(self._heard) > MAX_WAITING:
+            self._heard.clear()
+
+    def end(self, log_ns: int, stall_ns: int) -> None:
+        """Judge the messages up to the end of the journal."""
+        self.settle(stall_ns)
+        for shown in self._waiting:
+            if shown.log_ns <= log_ns:
+                self._take(shown, stall_ns)
+
+    def _take(self, shown: ShownValue, stall_ns: int) -> None:
+        if shown.sequence in self._heard:
+            self._heard.discard(shown.sequence)
+            self._last, self._since, self._is_begin = shown, None, False
+            return
+        last = self._last = self._last or shown
+        if shown.value == last.value and shown.log_ns - last.log_ns < self._repeat_ns:
+            self._since = None
+        elif self._since is None:
+            self._since, self._unheard_ns = shown, 0
+        else:
+            self._unheard_ns += min(shown.log_ns - self._before_ns, GAP_NS)
+            patience_ns = stall_ns + (BEGIN_NS if self._is_begin else UNHEARD_NS)
+            if self._unheard_ns > patience_ns and not self.example:
+                self.example = f"messages {self._since.sequence} to {shown.sequence}"
+        self._before_ns = shown.log_ns
+
+
+EDGE_NS: Final = NS_PER_S // 2
+"""Inputs this close to the end of a journal may lack a message, which was still under way.
+
+The messages of the first inputs of a file may be in the file before, because the recorder
+receives a message earlier than the control loop does.
+"""
+
+UNFOUND_NS: Final = 2 * NS_PER_S
+"""How long the recorder may take to discover a publisher."""
+
+AFTER_NS: Final = 2 * NS_PER_S
+"""How long after the last journal entry a message may be recorded."""
+
+FEW: Final = 10
+"""This many messages may always be under way, in addition to those that BURST allows."""
+
+BURST: Final = 10.0
+"""The messages under way may be this multiple of those expected at the mean rate."""
+
+LOST: Final = 2
+"""The number of messages in a row that may be lost if no others are lost."""
+
+
+class Input(NamedTuple):
+    """An input in the journal: its time, publisher and value; `seq` is that of its entry."""
+
+    t_ns: int
+    source: Hashable
+    value: Any
+    seq: int
+
+
+class Heard(NamedTuple):
+    """A message: its value, and when it was recorded [ns since the epoch]."""
+
+    value: Any
+    log_ns: int
+
+
+class InputPairs:
+    """Compares the inputs of one topic with its messages, by number and value."""
+
+    def __init__(self) -> None:
+        self.tolerance = 0.0
+        """How far the numbers of a message may be from those of its input."""
+
+        self.paired = 0
+        self.lacking = 0
+        """Inputs without a message, except `before_first` and those near the end."""
+
+        self.lacking_example = ""
+        self.before_first = 0
+        """Inputs without a message, before the first one that has one."""
+
+        self.before_found = 0
+        """How many of `before_first` were sent before the recorder can have found the publisher."""
+
+        self.at_begin = 0
+        """Inputs near the begin without a message, and not after one that has one."""
+
+        self.differing = 0
+        """Inputs whose message holds another value."""
+
+        self.differing_example = ""
+        self.unheard = 0
+        """Messages between paired ones that never became an input."""
+
+        self.repeated = 0
+        """Messages whose number is not above that of the message before them."""
+
+        self.later_ns: list[int] = []
+        """The log times of the messages with higher numbers than all that were paired."""
+
+        self._waiting: Waiting[Input, Heard] = Waiting()
+        self._found: dict[Hashable, int] = {}
+        """The number that was paired last, for each publisher."""
+
+        self._lives: dict[Hashable, tuple[int, int]] = {}
+        """When the first and the last input of each publisher came."""
+
+        self._unfound: list[tuple[int, Input]] = []
+        """Inputs without a message, of publishers of which no message was paired yet."""
+
+        self._unheard: list[tuple[int, int]] = []
+        """Number and log time of each message without an input."""
+
+        self._paired: tuple[int, int] | None = None
+        """The lowest and the highest number that was paired."""
+
+        self._first_ns = self._last_ns = self._newest = self._t_ns = 0
+
+    @property
+    def has_one_publisher(self) -> bool:
+        """Whether all inputs came from one publisher, so that their numbers are unique."""
+        return len(self._lives) <= 1
+
+    @property
+    def rate_hz(self) -> float:
+        """The mean rate of the messages between the first and the last paired one."""
+        if self._paired is None or self._last_ns <= self._first_ns:
+            return 0.0
+        first, last = self._paired
+        return (last - first) * NS_PER_S / (self._last_ns - self._first_ns)
+
+    def message(self, number: int, value: Any, log_ns: int) -> None:
+        """Read a message of the topic."""
+        self.repeated += number <= self._newest
+        self._newest = number
+        self._waiting.slot(number, self._t_ns).sent.append(Heard(value, log_ns))
+
+    def received(self, number: int, found: Input) -> None:
+        """Read an input of the journal; it has no message if `number` is 0."""
+        self._t_ns = found.t_ns
+        if number:
+            begin_ns, _ = self._lives.get(found.source, (found.t_ns, 0))
+            self._lives[found.source] = begin_ns, found.t_ns
+            self._waiting.slot(number, found.t_ns).entries.append(found)
+        for each, slot in self._waiting.ripe(found.t_ns):
+            self._pair(each, slot)
+            self._judge(each, slot)
+
+    def forget(self) -> None:
+        """Drop what waits and has no counterpart, because journal entries are missing."""
+        for number, slot in self._waiting.rest():
+            self._pair(number, slot)
+
+    def end(self, t_ns: int, stalled_ns: int) -> None:
+        """Judge what waits at the end `t_ns`; stalls of `stalled_ns` delayed the last messages."""
+        left = []
+        for number, slot in self._waiting.rest():
+            self._pair(number, slot)
+            left.append((number, slot))
+        newest = max((number for number, slot in left if slot.sent), default=0)
+        newest = newest if self.has_one_publisher else 0
+        for number, slot in left:
+            if not slot.sent:
+                slot.entries = [
+                    each
+                    for each in slot.entries
+                    if number <= max(newest, self._found.get(each.source, 0))
+                    or t_ns - each.t_ns > EDGE_NS + stalled_ns
+                ]
+            self._judge(number, slot)
+        for number, each in self._unfound:
+            begin_ns, end_ns = self._lives[each.source]
+            if each.source in self._found or end_ns - begin_ns > UNFOUND_NS:
+                self._lack(number, each)
+        first, last = self._paired or (0, 0)
+        self.unheard += sum(first < number < last for number, _ in self._unheard)
+        self.later_ns = [log_ns for number, log_ns in self._unheard if number > last]
+
+    def _pair(self, number: int, slot: Slot[Input, Heard]) -> None:
+        """Remove the inputs and messages of a number that have the same value."""
+        for found in list(slot.entries):
+            for sent in slot.sent:
+                if _same(found.value, sent.value, self.tolerance):
+                    slot.entries.remove(found)
+                    slot.sent.remove(sent)
+                    self._note(number, found)
+                    break
+
+    def _note(self, number: int, found: Input) -> None:
+        self.paired += 1
+        self._found[found.source] = number
+        if self._paired is None:
+            self._first_ns = self._last_ns = found.t_ns
+            self._paired = number, number
+        elif number > self._paired[1]:
+            self._paired = self._paired[0], number
+            self._last_ns = found.t_ns
+
+    def _judge(self, number: int, slot: Slot[Input, Heard]) -> None:
+        """Count what of one number has no counterpart with its value."""
+        for found in slot.entries:
+            if slot.sent:  # it was received, with another value
+                self.differing += 1
+                self.differing_example = self.differing_example or (
+                    f"entry {found.seq} has {found.value}, "
+                    f"message {number} has {slot.sent.pop().value}"
+                )
+            elif found.source in self._found:
+                self._lack(number, found)
+            else:
+                self._unfound.append((number, found))
+        self._unheard += [(number, each.log_ns) for each in slot.sent]
+
+    def _lack(self, number: int, found: Input) -> None:
+        is_before = self._paired is not None and found.t_ns < self._first_ns
+        if is_before or self._paired is None:
+            earliest_ns = min(begin_ns for begin_ns, _ in self._lives.values())
+            self.at_begin += found.t_ns - earliest_ns <= EDGE_NS
+        if is_before:
+            begin_ns, _ = self._lives[found.source]
+            self.before_first += 1
+            self.before_found += found.t_ns - begin_ns <= UNFOUND_NS
+            return
+        self.lacking += 1
+        self.lacking_example = self.lacking_example or f"entry {found.seq}, message {number}"
+
+
+def _same(one: Any, other: Any, tolerance: float) -> bool:
+    if one == other or repr(one) == repr(other):  # nan differs from itself
+        return True
+    if not tolerance or not isinstance(one, tuple) or not isinstance(other, tuple):
+        return False
+    return len(one) == len(other) and all(
+        abs(mine - theirs) <= tolerance for mine, theirs in zip(one, other, strict=True)
+    )
+
+
+class InputCheck:
+    """Compares the inputs and messages of one topic, from the first snapshot with a proof on."""
+
+    def __init__(
+        self,
+        report: Report,
+        info: RecordingInfo,
+        name: str,
+        topic: InputTopic,
+        read: Callable[[bytes], Any],
+        *,
+        is_always_heard: bool = True,
+        repeat_ns: int = 0,
+    ) -> None:
+        """`read(data)` returns the value of a message.
+
+        Unless `is_always_heard`, some messages never become inputs; with a `repeat_ns`, those with
+        another value do, and equal ones after this time.
+        """
+        self.topic = topic.name
+        self._name = name
+        self._is_left_out = topic.is_left_out
+        self._is_latched = any(
+            each.name == topic.name and LATCHED_QOS in each.offered_qos for each in info.topics
+        )
+        self._repeats = RepeatedLatched(info)
+        self._report = report
+        self._read = read
+        self._is_always_heard = is_always_heard
+        self._repeat_ns = repeat_ns
+        self._pairs = InputPairs()
+        self._unheard = UnheardChange(repeat_ns) if repeat_ns else None
+        self._is_on = False
+
+    def message(self, message: Message) -> None:
+        """Read a message; skip a repeat of a latched message, as at the begin of a file."""
+        is_repeat = self._is_latched and self._repeats.observe(message)
+        if is_repeat or not self._is_on:
+            return
+        value = self._read(message.data)
+        self._pairs.message(message.sequence, value, message.log_ns)
+        if self._unheard is not None:
+            self._unheard.message(ShownValue(message.sequence, str(value), message.log_ns))
+
+    def received(self, event: _Input, value: Any, seq: int) -> None:
+        """Compare an input; `seq` is the number of its entry."""
+        if self._is_on:
+            number = event.sequence & MAX_SEQUENCE
+            self._pairs.received(number, Input(event.t_ns, _source(event), value, seq))
+            if self._unheard is not None:
+                self._unheard.heard(number)
+
+    def snapshot(self, has_proof: bool, stall_ns: int) -> None:
+        """Start the comparison at this snapshot if it has a proof."""
+        self._is_on = self._is_on or has_proof
+        self._pairs.tolerance = 0.0 if self._report.bitwise else TOLERANCE
+        self._repeats.snapshot()
+        if self._unheard is not None:
+            self._unheard.settle(stall_ns)
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        self._is_on = False
+        self._pairs.forget()
+        if self._unheard is not None:
+            self._unheard.forget()
+
+    def end(self, ending: Ending, moment: JournalEnd, stall_ns: int) -> None:
+        """Report the differences between inputs and messages; `stall_ns` is the longest stall."""
+        pairs, report, unheard = self._pairs, self._report, self._unheard
+        pairs.end(moment.t_ns, moment.stalled_ns)
+        pairs.repeated += self._repeats.excess
+        self._tell_differing(ending)
+        self._tell_lacking(ending)
+        if pairs.repeated and pairs.has_one_publisher:
+            report.miss(f"{pairs.repeated} messages of {self._name} are repeated or out of order")
+        if unheard is not None:
+            unheard.end(moment.log_ns, stall_ns)
+            if unheard.example and pairs.has_one_publisher:
+                report.miss(f"the journal does not hold {unheard.example} of {self._name}")
+            self._lost_at_end(ending, moment, stall_ns + self._repeat_ns, inf)
+        elif self._is_always_heard:
+            most = pairs.unheard + LOST
+            lost = pairs.unheard + self._lost_at_end(ending, moment, moment.stalled_ns, most)
+            if lost and pairs.has_one_publisher:
+                report.notes.append(
+                    f"{lost} messages of {self._name} did not reach the control loop"
+                )
+
+    def _tell_differing(self, ending: Ending) -> None:
+        pairs = self._pairs
+        if not pairs.differing:
+            return
+        text = f"{pairs.differing} messages are not what the control loop received as"
+        text = f"{text} {self._name}: {pairs.differing_example}"
+        if pairs.has_one_publisher or pairs.differing > ending.lost:
+            ending.accuse(text)
+        else:
+            self._report.notes.append(text)
+
+    def _tell_lacking(self, ending: Ending) -> None:
+        pairs, report = self._pairs, self._report
+        count = pairs.lacking + (0 if ending.is_clip else pairs.before_first)
+        if not (ending.is_clip or ending.has_begin) and pairs.at_begin:
+            count -= pairs.at_begin
+            report.notes.append(
+                f"the first {pairs.at_begin} messages of {self._name} are not here: the file "
+                "before has them"
+            )
+        elif ending.ledger is None and not ending.is_clip and pairs.before_found:
+            count -= pairs.before_found
+            report.notes.append(
+                f"the first {pairs.before_found} messages of {self._name} are not recorded: the "
+                "recorder finds a publisher later than the control loop"
+            )
+        if not count:
+            return
+        text = f"{count} messages of {self._name} that the control loop received are not recorded"
+        if pairs.lacking_example:
+            text += f", the first is of {pairs.lacking_example}"
+        if count > ending.lost and self._is_left_out:
+            report.notes.append(f"the topic of {self._name} was not recorded, as configured")
+        else:
+            ending.lack(count, text)
+
+    def _lost_at_end(self, ending: Ending, moment: JournalEnd, waited_ns: int, most: float) -> int:
+        """Return how many messages after the last input were lost, not under way at the end.
+
+        The control loop may have been `waited_ns` late. More than `most`, and messages that cannot
+        all have been under way, are reported.
+        """
+        pairs = self._pairs
+        if not (pairs.paired and pairs.has_one_publisher and ending.is_own) or moment.clock_changed:
+            return 0
+        window_ns = EDGE_NS + waited_ns
+        later = pairs.later_ns
+        earlier = sum(each < moment.log_ns - window_ns for each in later)
+        under_way = FEW + BURST * pairs.rate_hz * window_ns / NS_PER_S
+        if after := sum(each > moment.log_ns + AFTER_NS for each in later):
+            wrong = f"{after} messages are recorded after the end of the journal"
+        elif len(later) - earlier > under_way or earlier > most:
+            wrong = f"the last {len(later)} messages never became an input"
+        else:
+            return earlier
+        self._report.miss(f"{self._name}: {wrong}")
+        return 0
+
+
+_Input = (
+    OdomReceived | BatteryReceived | ScanReceived | GuardedCommandReceived | SafetyInputReceived
+)
+
+
+def _source(event: _Input) -> Hashable:
+    """Return which publisher an event is from."""
+    return event.source if isinstance(event, OdomReceived) else event.publisher
+
+
+def _value(event: _Input) -> Any:
+    """Return what was measured; None for a diagnosis: the journal has the worst of all names."""
+    match event:
+        case OdomReceived():
+            return sample_of(event.odometry)
+        case BatteryReceived():
+            return event.level
+        case ScanReceived():
+            return event.sectors
+        case GuardedCommandReceived():
+            return event.twist
+        case SafetyInputReceived():
+            return None if event.kind is SafetyInput.DIAGNOSTICS else event.value
+
+
+NAMES: Final = {
+    SafetyInput.ESTOP: "the emergency stop button",
+    SafetyInput.JOY: "the gamepad",
+    SafetyInput.BUMPER: "the bumper",
+    SafetyInput.TILT: "the tilt",
+    SafetyInput.DIAGNOSTICS: "the diagnostics",
+}
+
+
+class InputChecks:
+    """Compares all inputs that the configuration in the metadata uses."""
+
+    def __init__(
+        self, report: Report, info: RecordingInfo, journal_topic: str, stalls: RecordedStalls
+    ) -> None:
+        """`stalls` are those of the journal."""
+        self._report, self._info, self._stalls = report, info, stalls
+        self._values = info.metadata.get(INFO_RECORD, {})
+        self._topics = topics = InputTopics(info, journal_topic)
+        odometry = topics.of("odometry.topic", "odom", cdr.ODOMETRY)
+        battery = topics.of("battery.topic", "battery_state", "sensor_msgs/msg/BatteryState")
+        scan = InputTopic()
+        if self._values.get("parameter.scan.use", Use.OFF.value) != Use.OFF.value:
+            scan = topics.of("scan.topic", "scan", "sensor_msgs/msg/LaserScan")  # slow
+        wanted = topics.of("guard_topic", "cmd_vel_nav", *COMMAND_TYPES)
+        decode = decode_twist_stamped if wanted.type_name == TWIST_STAMPED else decode_twist
+        self._checks: dict[object, InputCheck] = {
+            OdomReceived: InputCheck(report, info, "odometry", odometry, read_sample),
+            BatteryReceived: InputCheck(report, info, "the battery", battery, read_battery_level),
+            ScanReceived: InputCheck(report, info, "the scan", scan, read_sectors),
+            GuardedCommandReceived: InputCheck(
+                report,
+                info,
+                "the wanted velocity",
+                wanted,
+                partial(_read_wanted, decode),
+                is_always_heard=False,
+            ),
+        }
+        self._checks |= {kind: self._safety_input(kind) for kind in SafetyInput if self._uses(kind)}
+
+    def _uses(self, kind: SafetyInput) -> bool:
+        use = self._values.get(f"parameter.inputs.{kind.value}.use", Use.OFF.value)
+        return use != Use.OFF.value
+
+    def _safety_input(self, kind: SafetyInput) -> InputCheck:
+        params = SafetyInputParams().of(kind)
+        topic = self._topics.of(f"inputs.{kind.value}.topic", params.topic, MESSAGE_TYPES[kind])
+        timeout_s = _number(
+            self._values, f"parameter.inputs.{kind.value}.timeout_s", params.timeout_s
+        )
+        read = reader_of(
+            kind,
+            button=int(_number(self._values, "parameter.inputs.joy.button", 0.0)),
+            robot=self._values.get("robot", ""),
+        )
+        if kind is SafetyInput.DIAGNOSTICS:
+            return _DiagnosticsCheck(
+                self._report, self._info, NAMES[kind], topic, _no_value, is_always_heard=False
+            )
+        return InputCheck(
+            self._report,
+            self._info,
+            NAMES[kind],
+            topic,
+            lambda data: read(data)[0],
+            is_always_heard=False,
+            repeat_ns=round(timeout_s * NS_PER_S / REPEATS_PER_TIMEOUT),
+        )
+
+    def readers(self) -> dict[str, Callable[[Message], None]]:
+        """Return the message handler of each recorded topic; inputs may share one."""
+        topics = {each.topic for each in self._checks.values() if each.topic is not None}
+        return {topic: partial(self._message, topic) for topic in topics}
+
+    def _message(self, topic: str, message: Message) -> None:
+        for each in self._checks.values():
+            if each.topic == topic:
+                each.message(message)
+
+    def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
+        """Compare an event of the journal; `seq` is the number of its entry."""
+        if not isinstance(event, _Input):
+            return
+        key: object = event.kind if isinstance(event, SafetyInputReceived) else type(event)
+        check = self._checks.get(key)
+        if check is not None:
+            check.received(event, _value(event), seq)
+
+    def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
+        """Compare from this snapshot on, if it has a proof."""
+        for each in self._checks.values():
+            each.snapshot(snapshot.proof is not None, self._stalls.longest_ns)
+
+    def stop(self) -> None:
+        """Pause until the next snapshot."""
+        for each in self._checks.values():
+            each.stop()
+
+    def end(self, ending: EndingOf, moment: JournalEnd) -> None:
+        """Report what differs."""
+        for each in self._checks.values():
+            each.end(ending(each.topic), moment, self._stalls.longest_ns)
+
+
+class _DiagnosticsCheck(InputCheck):
+    """Compares the numbers of diagnostics; robotctl publishes on their topic as well."""
+
+    def end(self, ending: Ending, moment: JournalEnd, stall_ns: int) -> None:
+        if not ending.is_clip:  # its messages begin later than its journal
+            self._pairs.repeated = -self._repeats.excess
+            super().end(ending, moment, stall_ns)
+
+
+def _no_value(data: bytes) -> None:
+    """Return no value."""
+
+
+def _number(values: Mapping[str, str], key: str, default: float) -> float:
+    """Return a parameter from the metadata, or `default` if it is not a number."""
+    with suppress(KeyError, ValueError):
+        value = float(values[key])
+        return value if isfinite(value) else default
+    return default
+
+
+def _read_wanted(decode: Callable[[bytes], Twist], data: bytes) -> Twist:
+    """Return a wanted velocity, NaN for an unreadable message."""
+    try:
+        return decode(data)
+    except struct.error:
+        return Twist(nan, nan)

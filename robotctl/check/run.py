@@ -1,0 +1,448 @@
+"""Checks a recording: does a new kernel decide the same, and do messages and invariants agree?"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, Protocol
+
+from robotctl.base.errors import UnreadableFile
+from robotctl.base.store.remote_file import RemoteFile
+from robotctl.check.calls import ServiceChecks
+from robotctl.check.commands import CommandCheck
+from robotctl.check.compare import Comparison, JournalFormat, Rerun, without_retired_fields
+from robotctl.check.ends import (
+    EndingOf,
+    JournalChain,
+    JournalEnd,
+    JournalOrigin,
+    RecordingEnds,
+    SnapshotProofs,
+    check_types,
+)
+from robotctl.check.groups import FileGroup, file_groups
+from robotctl.check.inputs import InputChecks
+from robotctl.check.invariants import Invariants
+from robotctl.check.journal import (
+    Gap,
+    LogTimes,
+    Moments,
+    Step,
+    read_effect,
+    read_event,
+    read_snapshot,
+    steps,
+)
+from robotctl.check.report import Divergence, Report
+from robotctl.check.statuses import StatusCheck
+from robotctl.check.times import ClockChanges, MeasurementOrder, RecordedStalls, TickSchedule
+from robotctl.kernel.codec import Snapshot
+from robotctl.kernel.types import (
+    Effect,
+    Event,
+    OdomReceived,
+)
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording import Recording, RecordingInfo
+from robotctl.recording.format.journal import EntryKind, JournalEntry
+from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY
+from robotctl.recording.read.files import recording_files
+from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic, journal_topics
+from robotctl.recording.read.messages import Message
+from robotctl.recording.read.seal_check import SealState
+from robotctl.recording.read.source import Source
+from robotctl.recording.read.whole_recording import VerifiedRecording, verify_recording
+
+
+class Compared(Protocol):
+    """One of the comparisons of messages with a journal."""
+
+    def readers(self) -> dict[str, Callable[[Message], None]]:
+        """Return the message handler of each topic that it reads."""
+
+    def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
+        """Continue from a snapshot at the steady time `t_ns`, which is `log_ns` since the epoch."""
+
+    def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
+        """Compare a step; `seq` is the number of its event, `moments` is when it was handled."""
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+
+    def end(self, ending_of: EndingOf, moment: JournalEnd, /) -> None:
+        """Report what differs."""
+
+
+class Comparisons:
+    """The invariants, and the comparisons of commands, inputs, services and statuses."""
+
+    def __init__(
+        self, report: Report, invariants: Invariants, info: RecordingInfo, journal_topic: str
+    ) -> None:
+        self._report = report
+        self._invariants = invariants
+        clock = self._clock = ClockChanges()
+        self._stalls = RecordedStalls()
+        self._ticks = TickSchedule()
+        self._order = MeasurementOrder()
+        about = report, info, journal_topic
+        self._of_all: tuple[Compared, ...] = (
+            InputChecks(*about, self._stalls),
+            StatusCheck(*about, clock),
+        )
+        """What compares each step."""
+
+        self._of_decisions: tuple[Compared, ...] = (
+            CommandCheck(*about, clock),
+            ServiceChecks(*about, clock),
+        )
+        """What compares all steps but odometry that led to nothing, which most steps are."""
+
+    @property
+    def _all(self) -> tuple[Compared, ...]:
+        return self._of_decisions + self._of_all
+
+    def readers(self) -> dict[str, Callable[[Message], None]]:
+        """Return the message handler of each topic that is compared."""
+        return {topic: read for each in self._all for topic, read in each.readers().items()}
+
+    def step_before_snapshot(self, event: Event, effects: tuple[Effect, ...]) -> None:
+        """Note a step before the first snapshot, when the kernel's state is not known."""
+        for each in self._of_decisions:
+            each.step(0, event, effects, (0, 0, 0))
+
+    def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
+        """Continue from a snapshot at the steady time `t_ns`, which is `log_ns` since the epoch."""
+        self._invariants.snapshot(snapshot)
+        self._ticks.begin(snapshot.params.rate_hz)
+        for each in self._all:
+            each.snapshot(snapshot, t_ns, log_ns)
+
+    def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
+        """Compare a step; `seq` is the number of its event, `moments` is when it was handled."""
+        self._order.step(event, seq)
+        self._stalls.step(event)
+        for each in self._of_all:
+            each.step(seq, event, effects, moments)
+        if not effects and isinstance(event, OdomReceived):
+            return
+        self._ticks.step(event, seq)
+        for each in self._of_decisions:
+            each.step(seq, event, effects, moments)
+        self._invariants.step(seq, event, effects)
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        self._invariants.stop()
+        self._ticks.stop()
+        self._order.stop()
+        for each in self._all:
+            each.stop()
+
+    def end(self, ending: EndingOf, end_ns: int, log_ns: int) -> None:
+        """Report what differs; the journal ends at `end_ns`, or at `log_ns` since the epoch."""
+        self._ticks.stop()
+        for found in self._ticks.missing:
+            self._invariants.violate(f"{found.ticks} ticks are missing before entry {found.seq}")
+        if swapped := self._order.swapped:
+            text = f"{swapped} measurements are earlier than one before them"
+            self._invariants.violate(f"{text}, the first is entry {self._order.first_seq}")
+        stalled_ns = self._stalls.recent_ns(end_ns)
+        moment = JournalEnd(end_ns, log_ns, stalled_ns, self._clock.has_changed)
+        for each in self._all:
+            each.end(ending, moment)
+        if self._clock.note and ending(None).is_own:
+            self._report.notes.append(self._clock.note)
+
+
+ALL_BYTES_BELOW: Final = 100_000_000
+"""A recording smaller than this [bytes] is always read completely, which takes about 1 s."""
+
+UNNUMBERED: Final = (
+    "its messages have no sequence numbers, as in every bag of rosbag2: not compared with the "
+    "journal are commands, inputs, statuses and calls"
+)
+
+_KEY_DIGITS = 16
+
+
+def is_small(path: Path) -> bool:
+    """Return whether a recording is so small that a check always reads every byte of it.
+
+    Raises:
+        OSError, UnreadableFile: There is no recording.
+    """
+    return sum(file.stat().st_size for file in recording_files(path)) < ALL_BYTES_BELOW
+
+
+def check_bytes(path: Path, report: Report, *, all_bytes: bool) -> None:
+    """Read every byte of the recording `path`, if it is small or `all_bytes` is set.
+
+    Flaws are added to `report.missing`: what was recorded there is unknown. The report also gets
+    a line about the seal, which does not change the verdict.
+    """
+    try:
+        if not all_bytes and not is_small(path):
+            report.notes.append("not every byte was read: --all-bytes reads them all")
+            return
+        found = verify_recording(path)
+    except (OSError, UnreadableFile):
+        return  # the check has told why
+    for sentence in (*found.whole.unreadable, *found.whole.wrong):
+        if sentence not in report.missing:
+            report.miss(sentence)
+    report.seal = _seal_line(found)
+
+
+def _seal_line(found: VerifiedRecording) -> str:
+    """Return one line about what the seals prove, or "" if there is no seal."""
+    states = [file.seal.state for file in found.files]
+    if set(states) <= {SealState.NONE}:
+        return ""
+    broken = next((sentence for file in found.files for sentence in file.seal.wrong), "")
+    if broken or found.chain.wrong:
+        return f"broken: {broken or found.chain.wrong[0]}"
+    sealed = states.count(SealState.SEALED)
+    opening = next(file.seal.opening for file in found.files if file.seal.opening is not None)
+    extent = "whole" if sealed == len(states) else f"{sealed} of {len(states)} files whole"
+    return f"{extent}, unbroken, by {opening.robot}'s key {opening.root[:_KEY_DIGITS]}"
+
+
+Progress = Callable[[int, int], None]
+"""Called with the bytes that are done and the bytes in total."""
+
+
+def check_recording(
+    path: Path,
+    on_progress: Progress = lambda done, total: None,
+    *,
+    all_bytes: bool = False,
+    source: Source | None = None,
+) -> Report:
+    """Check one recording, a file or a folder, and return the report.
+
+    A file that cannot be read is named in the report. Every byte is read if `all_bytes` is set, or
+    if the recording is small. If `source` is given, it is the content of one MCAP file, of which
+    only what the check needs is read; `path` is then only the name for the report.
+    """
+    report = Report(path)
+    began = time.perf_counter()
+    others: list[FileGroup] = []
+    try:
+        files: list[Path] = []
+        if source is None:
+            (_, files), *others = file_groups(path)
+        with Recording(path, source=source, files=files if others else ()) as recording:
+            _Check(recording, report, on_progress).run()
+    except UnreadableFile as error:
+        report.miss(str(error))
+    for group in others:
+        for file in group.files:
+            other = check_recording(file)
+            report.miss(
+                f"{file.name} is of another recording, of robot {other.robot or '(unknown)'}: "
+                f"checked on its own, it is {other.verdict}"
+            )
+    if source is None and not (isinstance(path, RemoteFile) and not all_bytes):
+        check_bytes(path, report, all_bytes=all_bytes)
+    else:
+        how = ": --all-bytes reads them all" if source is None else ", only what the check needs"
+        report.notes.append(f"not every byte was read{how}")
+    report.took_s = time.perf_counter() - began
+    return report
+
+
+class _Check:
+    """Re-runs and compares each item of one recording, in file order, and fills the report."""
+
+    def __init__(self, recording: Recording, report: Report, on_progress: Progress) -> None:
+        self._recording = recording
+        self._report = report
+        self._on_progress = on_progress
+        self._info = recording.info()
+        self._format = JournalFormat(report)
+        self._invariants = Invariants()
+        self._rerun: Rerun | None = None
+        self._before_snapshot = 0
+        self._decoder = EntryDecoder(recording)
+        self._has_numbers = True
+        """Whether messages have sequence numbers; rosbag2 writes 0."""
+
+        self._chain = JournalChain()
+        """The CRC of all entries so far."""
+
+        self._end_ns = 0
+        """The steady time of the last entry that was read."""
+
+        self._log_ns: LogTimes = (0, 0)
+        """When the last two events or snapshots so far were recorded, since the epoch [ns]."""
+
+        report.robot = self._info.metadata.get(INFO_RECORD, {}).get("robot", "")
+        report.version = _version(self._info)
+
+    def run(self) -> None:
+        """Fill the report.
+
+        Raises:
+            UnreadableFile: The recording has no journal, or cannot be read at all.
+        """
+        report, info = self._report, self._info
+        for sentence in self._recording.missing:
+            report.miss(sentence, is_outside=not self._recording.lacks_parts)
+        self._topic = topic = journal_topic(info)
+        if topic is None:
+            raise UnreadableFile("it holds no journal of robotctl: there are no decisions to check")
+        for other in sorted(journal_topics(info) - {topic}):
+            report.notes.append(f"the journal {other} of another robot was not checked")
+        invariants, origin = self._invariants, JournalOrigin(info, topic)
+        self._ends = RecordingEnds(self._recording, info, report, invariants, origin)
+        self._compared = Comparisons(report, invariants, info, topic)
+        self._proofs = SnapshotProofs(report, self._chain, invariants)
+        for item in steps(self._entries(topic)):
+            if isinstance(item, Step):
+                self._step(item)
+            elif isinstance(item, Gap):
+                report.miss(item.text)
+                self._stop()
+            else:
+                self._snapshot(item)
+        self._end()
+
+    def _entries(self, topic: str) -> Iterator[JournalEntry]:
+        """Yield each entry of the journal on `topic`, in the order of the file.
+
+        Each message of another topic is compared as it is read.
+
+        Raises:
+            UnreadableFile: The journal cannot be read.
+        """
+        readers, last_ns = self._compared.readers(), 0
+        for message in self._recording.in_order_written(
+            {topic, *readers}, self._report.miss, self._on_progress
+        ):
+            if message.topic != topic:
+                readers[message.topic](message)
+                continue
+            entry = self._decoder.decode(message.data)
+            self._begin_or_continue(entry, message)
+            last_ns = message.log_ns
+            if entry.kind is not EntryKind.EFFECT:
+                self._log_ns = self._log_ns[1], last_ns
+            yield entry
+        self._log_ns = self._log_ns[1], max(self._log_ns[1], last_ns)  # of the last step
+
+    def _begin_or_continue(self, entry: JournalEntry, message: Message) -> None:
+        if not self._report.begin_log_ns:
+            self._ends.origin.first(message)
+            self._has_numbers = bool(message.sequence)
+            self._report.begin_ns, self._report.begin_log_ns = entry.t_ns, message.log_ns
+        self._end_ns = entry.t_ns
+        self._chain.add(entry.seq, message.data)
+        self._ends.entry(entry.seq)
+
+    def _snapshot(self, entry: JournalEntry) -> None:
+        report, known = self._report, without_retired_fields(entry)
+        try:
+            if self._rerun is None:
+                self._format.begin(known)
+            self._format.compare(known)
+            if self._rerun is None:
+                report.made_by = read_snapshot(entry).made_by
+                version = report.version if report.same_version else report.other_version
+                comparison = Comparison(version, report.made_by)
+                report.bitwise = comparison.is_exact
+                report.notes += comparison.notes()
+                self._rerun = Rerun(comparison)
+                self._ends.begin(entry)
+            snapshot, divergence = self._rerun.snapshot(known)
+        except UnreadableFile as error:
+            self._interrupt_at(error)
+            return
+        self._note(divergence)
+        self._proofs.check(entry, snapshot.proof, self._ends.snapshot(entry, snapshot))
+        if not self._has_numbers:
+            snapshot = replace(snapshot, proof=None)
+        self._compared.snapshot(snapshot, entry.t_ns, self._log_ns[1])
+
+    def _step(self, step: Step) -> None:
+        entry, report, rerun = step.event, self._report, self._rerun
+        report.events += 1
+        report.effects += len(step.effects)
+        try:
+            if rerun is None:
+                self._before_snapshot += 1
+                if step.effects:
+                    self._compared.step_before_snapshot(
+                        read_event(entry), tuple(map(read_effect, step.effects))
+                    )
+                return
+            event, effects = self._decided(rerun, step)
+        except UnreadableFile as error:
+            self._interrupt_at(error)
+            return
+        self._compared.step(entry.seq, event, effects, (event.t_ns, *self._log_ns))
+
+    def _decided(self, rerun: Rerun, step: Step) -> tuple[Event, tuple[Effect, ...]]:
+        """Re-run one step. Return its event and effects (the recorded ones if it was not re-run).
+
+        Raises:
+            UnreadableFile: An entry cannot be read.
+        """
+        report = self._report
+        self._format.compare(step.event, *step.effects)
+        event, effects, divergence = rerun.step(step)
+        if effects is None or not report.bitwise:
+            self._note(divergence)
+            effects = tuple(map(read_effect, step.effects))
+        return event, effects
+
+    def _note(self, divergence: Divergence | None) -> None:
+        report = self._report
+        if divergence is None:
+            return
+        report.count_divergence(divergence)
+        if report.divergence is not None:
+            return
+        report.divergence = divergence
+        if not report.same_version:
+            report.miss_other_rules(divergence.sentence())
+
+    def _interrupt_at(self, error: UnreadableFile) -> None:
+        """Report an entry that this version cannot read, and pause until the next snapshot."""
+        report = self._report
+        (report.miss if report.same_version else report.miss_other_rules)(str(error))
+        self._stop()
+
+    def _stop(self) -> None:
+        """Pause re-run and comparisons until the next snapshot."""
+        self._compared.stop()
+        if self._rerun is not None:
+            self._rerun.stop()
+
+    def _end(self) -> None:
+        report, ends, invariants = self._report, self._ends, self._invariants
+        report.duration_s = (self._end_ns - report.begin_ns) / NS_PER_S
+        if self._rerun is None:
+            report.miss("its journal holds no snapshot of the kernel to begin from")
+            return
+        if self._before_snapshot:
+            report.notes.append(f"{self._before_snapshot} events before the first snapshot")
+        if not self._has_numbers:
+            report.miss(UNNUMBERED)
+        ends.check(self._before_snapshot)
+        check_types(self._recording, report, {self._topic, *self._compared.readers()})
+        kernel = self._rerun.kernel
+        if kernel is not None:
+            invariants.end(kernel.state.waiting)
+        self._compared.end(ends.ending, self._end_ns, self._log_ns[1])
+        report.violations, report.violation_count = invariants.violations, invariants.count
+
+
+def _version(info: RecordingInfo) -> str:
+    """Return the version of robotctl that made the recording, "" if it is not recorded."""
+    known = info.metadata.get(INFO_RECORD, {}).get("robotctl", "")
+    if known or not info.library.startswith(OWN_LIBRARY):
+        return known
+    return info.library.removeprefix(OWN_LIBRARY)

@@ -1,0 +1,231 @@
+"""The times of a journal: order of measurements, missing ticks, a clock that was set, stalls."""
+
+from __future__ import annotations
+
+from itertools import accumulate
+from typing import Final, NamedTuple
+
+from robotctl.kernel.types import (
+    BatteryReceived,
+    Event,
+    GuardedCommandReceived,
+    LoopStalled,
+    OdomReceived,
+    SafetyInputReceived,
+    ScanReceived,
+    Tick,
+)
+from robotctl.kernel.units import NS_PER_S
+
+MEASUREMENTS: Final = frozenset(
+    {OdomReceived, BatteryReceived, ScanReceived, GuardedCommandReceived, SafetyInputReceived}
+)
+"""The events whose time is that of their reception."""
+
+SLACK_NS: Final = NS_PER_S // 1_000
+"""A measurement may be this much earlier than the newest one before it."""
+
+
+class MeasurementOrder:
+    """Checks that the times of measurements increase, in the order in which they were received.
+
+    Ticks are not checked here, see `TickSchedule`.
+    """
+
+    def __init__(self) -> None:
+        self.swapped = 0
+        """The number of measurements that are earlier than one before them."""
+
+        self.first_seq = 0
+        """The `seq` of the first of these measurements."""
+
+        self._newest_ns: int | None = None
+
+    def step(self, event: Event, seq: int) -> None:
+        """Compare the time of an event with those before; `seq` is the number of its entry."""
+        if type(event) not in MEASUREMENTS:
+            return
+        if self._newest_ns is not None and event.t_ns < self._newest_ns - SLACK_NS:
+            self.first_seq = self.first_seq or seq
+            self.swapped += 1
+        self._newest_ns = max(event.t_ns, self._newest_ns or event.t_ns)
+
+    def stop(self) -> None:
+        """Begin again: events are missing."""
+        self._newest_ns = None
+
+
+WINDOW_NS: Final = NS_PER_S
+"""In any period of this length, even a busy loop handles at least one tick on time."""
+
+LATE_NS: Final = NS_PER_S // 200
+LATE_PERIODS: Final = 0.75
+"""Ticks are missing if lateness stays higher by more than LATE_NS and by this many periods."""
+
+
+class _Window(NamedTuple):
+    """A part of the journal: its first tick (entry `seq`, at `t_ns`) and its smallest lateness."""
+
+    late_ns: int
+    seq: int
+    t_ns: int
+
+
+class MissingTicks(NamedTuple):
+    """Ticks that are missing before an entry; `t_ns` is the steady time of that entry."""
+
+    ticks: int
+    seq: int
+    t_ns: int
+
+
+class TickSchedule:
+    """Finds missing ticks by the lateness of the others, from a snapshot on.
+
+    The control loop ticks at multiples of the period, each time a little late, and counts the ticks
+    that it missed. So the lateness often returns to its minimum. After a tick that was removed from
+    the journal, or was missed and not counted, it stays one period above that minimum.
+    """
+
+    def __init__(self) -> None:
+        self.missing: list[MissingTicks] = []
+        self._period_ns = 0
+        self._due_ns = 0
+        self._least: _Window | None = None
+        self._windows: list[_Window] = []
+
+    def begin(self, rate_hz: float) -> None:
+        """Note the rate of the ticks, which never changes in a recording."""
+        self._period_ns = round(NS_PER_S / rate_hz)
+
+    def step(self, event: Event, seq: int) -> None:
+        """Note how late a tick is; `seq` is the number of its entry."""
+        if not isinstance(event, Tick) or not self._period_ns:
+            return
+        self._due_ns += (event.missed + 1) * self._period_ns
+        late_ns, least = event.t_ns - self._due_ns, self._least
+        if least is None:
+            self._least = _Window(late_ns, seq, event.t_ns)
+        elif event.t_ns - least.t_ns >= WINDOW_NS:
+            self._windows.append(least)
+            self._least = _Window(late_ns, seq, event.t_ns)
+        elif late_ns < least.late_ns:
+            self._least = least._replace(late_ns=late_ns)
+
+    def stop(self) -> None:
+        """Look for missing ticks until here and start over: events are missing or the journal ends.
+
+        The last window is too short to be judged alone.
+        """
+        windows = self._windows if self._least is None else [*self._windows, self._least]
+        before = accumulate(windows, min)
+        after = [*accumulate(reversed(windows), min)][::-1]
+        limit_ns = max(round(LATE_PERIODS * self._period_ns), LATE_NS)
+        for earlier, window, later in zip(before, windows[1:-1], after[1:-1], strict=False):
+            late_ns = later.late_ns - earlier.late_ns
+            if late_ns > limit_ns:
+                ticks = max(round(late_ns / self._period_ns), 1)
+                self.missing.append(MissingTicks(ticks, window.seq, window.t_ns))
+                break
+        self._due_ns, self._least, self._windows = 0, None, []
+
+
+CLOCK_NS = NS_PER_S // 4
+"""If the offset between the clocks changes by more, the clock was set or the loop stalled."""
+
+EXCUSES_NS = 2 * NS_PER_S
+"""Wall-clock times are not compared if such a change is at most this far from them."""
+
+
+class _Step(NamedTuple):
+    """A change of the offset by `by_ns` from `level_ns`."""
+
+    by_ns: int
+    level_ns: int
+
+
+class ClockChanges:
+    """The changes of the wall clock against the steady clock of the journal.
+
+    An entry may be recorded later than its event was stamped, never earlier. So the clock was set
+    back where the wall clock goes back, and forward where the offset rises and stays high.
+    """
+
+    def __init__(self) -> None:
+        self._offset_ns: int | None = None
+        """Wall clock - steady clock at the last moment."""
+
+        self._wall_ns = 0
+        self._changed_ns: list[int] = []
+        self._set: list[_Step] = []
+
+    @property
+    def has_changed(self) -> bool:
+        """Whether there was a change at all, by a stall or because the clock was set."""
+        return bool(self._changed_ns)
+
+    @property
+    def set_by_ns(self) -> list[int]:
+        """Each setting of the clock [ns]."""
+        return [change.by_ns for change in self._set]
+
+    @property
+    def note(self) -> str:
+        """A sentence about how often the clock was set, "" if it was not."""
+        changes = self.set_by_ns
+        if not changes:
+            return ""
+        often = "once" if len(changes) == 1 else f"{len(changes)} times"
+        by_s = changes[0] / NS_PER_S
+        return (
+            f"the clock was set {often}, first by {by_s:+.2f} s: times around it are not compared"
+        )
+
+    def look(self, steady_ns: int, wall_ns: int) -> None:
+        """Compare both clocks at one moment."""
+        offset_ns, before_ns = wall_ns - steady_ns, self._offset_ns
+        went_back, self._wall_ns = wall_ns < self._wall_ns, wall_ns
+        self._offset_ns = offset_ns
+        if before_ns is None:
+            return
+        by_ns = offset_ns - before_ns
+        if abs(by_ns) > CLOCK_NS:
+            self._changed_ns.append(steady_ns)
+            if by_ns > 0 or went_back:
+                self._set.append(_Step(by_ns, before_ns))
+                return
+        while self._set and self._set[-1].by_ns > 0 and self._is_level(offset_ns):
+            self._set.pop()  # it was a stall
+
+    def _is_level(self, offset_ns: int) -> bool:
+        """Return whether the offset is what it was before its last rise."""
+        return offset_ns <= self._set[-1].level_ns + CLOCK_NS
+
+    def is_near(self, steady_ns: int) -> bool:
+        """Return whether the offset between the clocks changed within EXCUSES_NS of this time."""
+        return any(abs(steady_ns - at_ns) <= EXCUSES_NS for at_ns in self._changed_ns)
+
+
+RECENT_NS: Final = 2 * NS_PER_S
+"""A stall that ended at most this long before the journal did may have delayed its last inputs."""
+
+
+class RecordedStalls:
+    """Collects the stalls of the control loop; `longest_ns` is the duration of the longest."""
+
+    def __init__(self) -> None:
+        self.longest_ns = 0
+        self._ends: list[tuple[int, int]] = []
+        """The steady time at which each stall ended, and its duration [ns]."""
+
+    def step(self, event: Event) -> None:
+        """Note a stall; other events change nothing."""
+        if isinstance(event, LoopStalled):
+            stalled_ns = round(event.stalled_s * NS_PER_S)
+            self.longest_ns = max(self.longest_ns, stalled_ns)
+            self._ends.append((event.t_ns, stalled_ns))
+
+    def recent_ns(self, end_ns: int) -> int:
+        """Return how long the stalls lasted that ended just before `end_ns`, at most RECENT_NS."""
+        recent = (stalled_ns for t_ns, stalled_ns in self._ends if t_ns > end_ns - RECENT_NS)
+        return min(sum(recent), RECENT_NS)

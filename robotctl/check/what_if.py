@@ -1,0 +1,420 @@
+"""What-if: the decisions of a kernel with other parameters on the recorded events.
+
+The loop is open: the recorded robot does not react to the other commands. Each decision is compared
+given all that was really measured until then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from math import sqrt
+from pathlib import Path
+from typing import Any
+
+from robotctl.base.errors import ConfigError, UnreadableFile, UsageError
+from robotctl.check.journal import Gap, Step, decide, read_event, read_snapshot, steps, text_of
+from robotctl.config import Config, check_together, flat, with_text
+from robotctl.kernel.codec import Snapshot, finite_or_none
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.state import State
+from robotctl.kernel.types import DriveEnded, Effect, Event, Reply, Tick
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording import Recording, RecordingInfo
+from robotctl.recording.format.names import INFO_RECORD, PARAMETER_PREFIX
+from robotctl.recording.read.file_index import note_missing
+from robotctl.recording.read.journal_reader import read_journal
+
+_SECTIONS = frozenset(item.name for item in fields(Config))
+
+Settings = Mapping[str, str]
+"""Configuration keys and their values, as typed."""
+
+
+def parse_settings(texts: Iterable[str]) -> Settings:
+    """Return the settings of `key=value` texts.
+
+    Raises:
+        UsageError: A text is not `key=value`, or the value is not allowed for that key.
+    """
+    settings: dict[str, str] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not equals:
+            raise UsageError(f"--what-if {text}", "give key=value, such as tracking.k_y=8")
+        if key in settings:
+            raise UsageError(f"--what-if {key}: stands twice: keep one of them")
+        settings[key] = value
+        try:
+            with_text(Config(), key, value)
+        except ConfigError as error:
+            raise UsageError(f"--what-if {error}") from None
+    return settings
+
+
+def check_scope(settings: Settings, *, closed_loop: bool) -> None:
+    """Check that every key changes the decisions or, with `closed_loop`, the simulated robot.
+
+    Raises:
+        UsageError: A key changes neither.
+    """
+    for key in settings:
+        section = key.partition(".")[0]
+        if key == "rate_hz" and not closed_loop:
+            raise UsageError(
+                "--what-if rate_hz: the ticks stay as recorded; with --resim the kernel ticks at "
+                "that rate"
+            )
+        if section == "kernel" or section not in _SECTIONS or (closed_loop and section == "sim"):
+            continue
+        hint = "; with --resim it changes the simulated robot" if section == "sim" else ""
+        raise UsageError(f"--what-if {key}: no decision depends on it{hint}")
+
+
+def changed(config: Config, settings: Settings) -> Config:
+    """Return the configuration with the settings applied.
+
+    Raises:
+        ConfigError: The settings do not fit together.
+    """
+    for key, value in settings.items():
+        config = with_text(config, key, value)
+    check_together(config.kernel)
+    return config
+
+
+def simulated(config: Config, info: RecordingInfo) -> tuple[Config, list[str]]:
+    """Return the configuration with the recorded parameters of the simulated robot.
+
+    The second value lists the recorded keys that are unknown or not allowed in this version.
+    """
+    unknown = []
+    for name, value in info.metadata.get(INFO_RECORD, {}).items():
+        key = name.removeprefix(PARAMETER_PREFIX)
+        if key != name and key.startswith("sim."):
+            try:
+                config = with_text(config, key, value)
+            except ConfigError:
+                unknown.append(key)
+    return config, unknown
+
+
+@dataclass(slots=True)
+class DriveCommands:
+    """The commands of one kernel in one drive, which is first seen at `begin_ns` (steady)."""
+
+    begin_ns: int
+    in_mode_ns: dict[Mode, int] = field(default_factory=dict)
+    commanded_m: float = 0.0
+    largest_mps: float = 0.0
+    largest_rps: float = 0.0
+    end: DriveEnded | None = None
+    end_mode: Mode | None = None
+    has_path: bool = True
+
+    def as_object(self) -> dict[str, Any]:
+        """Return the commands of the drive as JSON values."""
+        end = self.end
+        return {
+            "modes_s": {mode.name: ns / NS_PER_S for mode, ns in self.in_mode_ns.items()},
+            "commanded_m": self.commanded_m,
+            "max_linear_mps": self.largest_mps,
+            "max_angular_rps": self.largest_rps,
+            "duration_s": None if end is None else finite_or_none(end.report.duration_s),
+            "completed": None if end is None else end.completed,
+            "ended": None if end is None else end.reason,
+            "cause": None if end is None or end.cause is None else end.cause.value,
+            "end_mode": None if self.end_mode is None else self.end_mode.name,
+        }
+
+    def measured(self) -> dict[str, Any] | None:
+        """Return what was measured until the end, as JSON values; None before the end."""
+        if self.end is None:
+            return None
+        report = self.end.report if self.has_path else self.end.report.without_errors()
+        return {
+            "laps": report.laps,
+            "distance_m": finite_or_none(report.distance_m),
+            "rms_error_m": finite_or_none(report.cross_track_rms_m),
+            "max_error_m": finite_or_none(report.cross_track_max_m),
+        }
+
+
+class DrivesOfKernel:
+    """Collects the drives of one kernel, by the id of the request that began each."""
+
+    def __init__(self) -> None:
+        self.drives: dict[int, DriveCommands] = {}
+
+    def add(
+        self, before: State, after: State, effects: Iterable[Effect], t_ns: int, elapsed_ns: int
+    ) -> None:
+        """Add a step at `t_ns` from one state to another, `elapsed_ns` after the step before."""
+        drive, following = before.drive, after.drive
+        if drive is not None:
+            self._add_time(self._of(drive.request_id, t_ns - elapsed_ns), before, elapsed_ns)
+        if following is not None:
+            if drive is not None and drive.request_id == following.request_id:
+                return
+            self._of(following.request_id, t_ns)
+        for effect in effects:
+            if isinstance(effect, DriveEnded):
+                ended = self._of(effect.request_id, t_ns)
+                ended.end, ended.end_mode = effect, after.mode
+                ended.has_path = drive is None or bool(drive.path.segments)
+
+    def _of(self, request_id: int, begin_ns: int) -> DriveCommands:
+        found = self.drives.get(request_id)
+        if found is None:
+            found = self.drives[request_id] = DriveCommands(begin_ns)
+        return found
+
+    @staticmethod
+    def _add_time(drive: DriveCommands, state: State, elapsed_ns: int) -> None:
+        linear, angular = abs(state.command.linear), abs(state.command.angular)
+        drive.in_mode_ns[state.mode] = drive.in_mode_ns.get(state.mode, 0) + elapsed_ns
+        drive.commanded_m += linear * elapsed_ns / NS_PER_S
+        drive.largest_mps = max(drive.largest_mps, linear)
+        drive.largest_rps = max(drive.largest_rps, angular)
+
+
+def drives_of_both(
+    recorded: Mapping[int, DriveCommands], other: Mapping[int, DriveCommands], begin_ns: int
+) -> list[dict[str, Any]]:
+    """Return the drives of two kernels, side by side, as JSON values, in their order.
+
+    A drive is `None` on the side that did not begin it. `measured` is what the robot did under the
+    recorded commands: how it would have followed others is not known.
+    """
+
+    def began_ns(request_id: int) -> int:
+        sides = recorded.get(request_id), other.get(request_id)
+        return min(each.begin_ns for each in sides if each is not None)
+
+    found = []
+    for number, request_id in enumerate(sorted(recorded.keys() | other.keys(), key=began_ns), 1):
+        mine, theirs = recorded.get(request_id), other.get(request_id)
+        found.append(
+            {
+                "drive": number,
+                "request_id": request_id,
+                "after_s": (began_ns(request_id) - begin_ns) / NS_PER_S,
+                "measured": None if mine is None else mine.measured(),
+                "recorded": None if mine is None else mine.as_object(),
+                "what_if": None if theirs is None else theirs.as_object(),
+            }
+        )
+    return found
+
+
+MAX_ANSWERS = 20
+"""The number of different answers that are listed; all are counted."""
+
+
+def what_if(
+    path: Path,
+    settings: Settings,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Compare the decisions, and return the JSON object of `replay --what-if --json`.
+
+    `on_progress` is called with the bytes that are done and the bytes in total.
+
+    Raises:
+        UnreadableFile: The journal has no snapshot to begin from.
+        ConfigError: The settings do not fit the recorded parameters.
+    """
+    missing: list[str] = []
+
+    def miss(sentence: str) -> None:
+        note_missing(missing, sentence)
+
+    comparison = _TwoKernels(settings)
+    with Recording(path) as recording:
+        for sentence in recording.missing:
+            miss(sentence)
+        for item in steps(each.entry for each in read_journal(recording, miss, on_progress)):
+            try:
+                if isinstance(item, Gap):
+                    raise UnreadableFile(item.text)
+                if isinstance(item, Step):
+                    comparison.step(read_event(item.event))
+                else:
+                    comparison.begin(item.t_ns, read_snapshot(item))
+            except UnreadableFile as error:
+                miss(str(error))
+                comparison.stop()
+    return {"path": str(path), **comparison.as_object(), "missing": missing}
+
+
+@dataclass(slots=True)
+class _Difference:
+    """The difference of two series of numbers: its RMS and its largest value."""
+
+    count: int = 0
+    squares: float = 0.0
+    largest: float = 0.0
+    largest_ns: int = 0
+
+    def add(self, difference: float, t_ns: int) -> None:
+        self.count += 1
+        self.squares += difference * difference
+        if abs(difference) > self.largest:
+            self.largest, self.largest_ns = abs(difference), t_ns
+
+    def as_object(self, begin_ns: int) -> dict[str, Any]:
+        return {
+            "rms": sqrt(self.squares / self.count) if self.count else 0.0,
+            "max": self.largest,
+            "max_after_s": (self.largest_ns - begin_ns) / NS_PER_S if self.largest else None,
+        }
+
+
+@dataclass(slots=True)
+class _Side:
+    """One of the two kernels: its time in each mode, its drives, and answers to be compared."""
+
+    kernel: Kernel | None = None
+    in_mode_ns: dict[Mode, int] = field(default_factory=lambda: dict.fromkeys(Mode, 0))
+    answers: dict[int, Reply] = field(default_factory=dict)
+    drives: DrivesOfKernel = field(default_factory=DrivesOfKernel)
+    refusal: str = ""
+    """The text of the last answer that refused a request."""
+
+    @property
+    def no_drive(self) -> str:
+        """Why the robot never moved, "" if it did."""
+        if self.in_mode_ns[Mode.MOVING]:
+            return ""
+        return f"refused: {self.refusal}" if self.refusal else "no motion was requested"
+
+    def step(self, kernel: Kernel, event: Event, elapsed_ns: int) -> tuple[Effect, ...]:
+        before = kernel.state
+        self.in_mode_ns[before.mode] += elapsed_ns
+        effects = decide(kernel, event)
+        self.drives.add(before, kernel.state, effects, event.t_ns, elapsed_ns)
+        for effect in effects:
+            if isinstance(effect, Reply):
+                self.answers[effect.request_id] = effect
+                if not effect.ok:
+                    self.refusal = effect.message
+        return effects
+
+
+class _TwoKernels:
+    """Two kernels that decide on the same events: with the recorded parameters, and with others."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._before: dict[str, object] = {}
+        self._recorded, self._other = _Side(), _Side()
+        self._begin_ns: int | None = None
+        self._t_ns = 0
+        self._apart_ns = 0
+        self._linear, self._angular = _Difference(), _Difference()
+        self._first: dict[str, Any] | None = None
+        self._failure: dict[str, Any] | None = None
+        """The first event on which only the kernel with other parameters failed."""
+
+        self._answers: list[dict[str, Any]] = []
+        self._answer_count = 0
+
+    def begin(self, t_ns: int, snapshot: Snapshot) -> None:
+        """Start both kernels from a snapshot; while they run, further snapshots are ignored."""
+        if self._recorded.kernel is not None:
+            return
+        config = Config(kernel=snapshot.params)
+        if self._begin_ns is None:
+            self._begin_ns = t_ns
+            self._before = {key: flat(config)[key] for key in self._settings}
+        self._t_ns = t_ns
+        self._recorded.kernel = snapshot.kernel()
+        self._other.kernel = Kernel(changed(config, self._settings).kernel, snapshot.state)
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        self._recorded.kernel = self._other.kernel = None
+
+    def step(self, event: Event) -> None:
+        """Step both kernels with an event."""
+        kernel, other = self._recorded.kernel, self._other.kernel
+        if kernel is None or other is None:
+            return
+        elapsed_ns, self._t_ns = event.t_ns - self._t_ns, event.t_ns
+        if kernel.state.mode is not other.state.mode:
+            self._apart_ns += elapsed_ns
+        effects = self._recorded.step(kernel, event, elapsed_ns)
+        try:
+            others = self._other.step(other, event, elapsed_ns)
+        except UnreadableFile as error:
+            self._failure = self._failure or {**self._moment(event), "text": str(error)}
+            raise
+        if self._first is None and effects != others:
+            self._first = {
+                **self._moment(event),
+                "event": text_of(event),
+                "recorded": [text_of(effect) for effect in effects],
+                "what_if": [text_of(effect) for effect in others],
+            }
+        if isinstance(event, Tick):
+            command, another = kernel.state.command, other.state.command
+            self._linear.add(another.linear - command.linear, event.t_ns)
+            self._angular.add(another.angular - command.angular, event.t_ns)
+        if self._recorded.answers and self._other.answers:
+            self._compare_answers(event)
+
+    def as_object(self) -> dict[str, Any]:
+        """Return the comparison as JSON values.
+
+        Raises:
+            UnreadableFile: There was no snapshot to begin from.
+        """
+        if self._begin_ns is None:
+            raise UnreadableFile("the journal holds no snapshot of the kernel to begin from")
+        return {
+            "duration_s": (self._t_ns - self._begin_ns) / NS_PER_S,
+            "settings": {
+                key: {"recorded": self._before[key], "what_if": value}
+                for key, value in self._settings.items()
+            },
+            "ticks": self._linear.count,
+            "linear_mps": self._linear.as_object(self._begin_ns),
+            "angular_rps": self._angular.as_object(self._begin_ns),
+            "modes_s": {
+                mode.name: {
+                    "recorded": self._recorded.in_mode_ns[mode] / NS_PER_S,
+                    "what_if": self._other.in_mode_ns[mode] / NS_PER_S,
+                }
+                for mode in Mode
+            },
+            "mode_differs_s": self._apart_ns / NS_PER_S,
+            "first_difference": self._first,
+            "failure": self._failure,
+            "drives": drives_of_both(
+                self._recorded.drives.drives, self._other.drives.drives, self._begin_ns
+            ),
+            "no_drive": {"recorded": self._recorded.no_drive, "what_if": self._other.no_drive},
+            "answers": self._answers,
+            "answer_count": self._answer_count,
+        }
+
+    def _compare_answers(self, event: Event) -> None:
+        recorded, other = self._recorded.answers, self._other.answers
+        for request_id in sorted(recorded.keys() & other.keys()):
+            reply, another = recorded.pop(request_id), other.pop(request_id)
+            if reply != another:
+                self._answer_count += 1
+                if len(self._answers) < MAX_ANSWERS:
+                    self._answers.append(
+                        {
+                            **self._moment(event),
+                            "request_id": request_id,
+                            "recorded": reply.message,
+                            "what_if": another.message,
+                        }
+                    )
+
+    def _moment(self, event: Event) -> dict[str, float]:
+        assert self._begin_ns is not None
+        return {"after_s": (event.t_ns - self._begin_ns) / NS_PER_S}

@@ -1,0 +1,115 @@
+"""Many recordings are checked in parallel, and no process is left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from robotctl.check import many as module
+from robotctl.check.many import check_recordings
+from robotctl.testing.drives import drive, record
+from tests.support.waiting import DEADLINE_S, until
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("many") / "run", drive(1.0))
+
+
+@pytest.fixture(autouse=True)
+def no_process_is_left() -> Iterator[None]:
+    before = set(psutil.Process().children())
+    yield
+    assert set(psutil.Process().children()) <= before
+
+
+def is_alive(process: psutil.Process) -> bool:
+    try:
+        return bool(process.status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False
+
+
+def test_reports_come_in_the_order_of_the_recordings(recording: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty.mcap").touch()
+    paths = [recording, tmp_path / "empty.mcap", recording, tmp_path / "nowhere"]
+    told: list[tuple[int, int]] = []
+    reports = check_recordings(paths, lambda done, total: told.append((done, total)))
+    assert [report["path"] for report in reports] == [str(path) for path in paths]
+    verdicts = [report["verdict"] for report in reports]
+    assert verdicts == ["same", "incomplete", "same", "incomplete"]
+    assert all(0 <= done <= total for done, total in told)
+
+
+def test_a_process_that_dies_costs_its_recording_alone(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = """
+import os, sys
+from robotctl.check import process
+check = process.check_recording
+process.check_recording = lambda path, tell, **options: (
+    os._exit(9) if "deadly" in str(path) else check(path, tell, **options)
+)
+process.main()
+"""
+    monkeypatch.setattr(module, "WORKER", (sys.executable, "-c", program))
+    deadly = tmp_path / "deadly"
+    reports = check_recordings([deadly, recording, deadly, recording, recording])
+    verdicts = [report["verdict"] for report in reports]
+    assert verdicts == ["incomplete", "same", "incomplete", "same", "same"]
+    assert reports[0]["missing"] == ["the process that checked it ended with 9"]
+
+
+def test_an_interrupted_check_ends_its_processes(tmp_path: Path) -> None:
+    long = record(tmp_path / "long", drive(120.0))
+    program = f"""
+from pathlib import Path
+from robotctl.check.many import check_recordings
+check_recordings([Path({str(long)!r})] * 200)
+"""
+    checking = subprocess.Popen(
+        [sys.executable, "-c", program], stderr=subprocess.PIPE, process_group=0
+    )
+    parent = psutil.Process(checking.pid)
+    workers: list[psutil.Process] = []
+
+    def are_working() -> bool:
+        workers[:] = parent.children()
+        return len(workers) >= min(2, len(os.sched_getaffinity(0)))
+
+    until(are_working)
+    checking.send_signal(signal.SIGINT)
+    _, told = checking.communicate(timeout=DEADLINE_S)
+    assert checking.returncode != 0
+    assert b"KeyboardInterrupt" in told
+    until(lambda: not any(map(is_alive, workers)))
+
+
+def test_a_killed_check_leaves_no_process_and_no_traceback_behind(tmp_path: Path) -> None:
+    long = record(tmp_path / "long", drive(60.0))
+    program = f"""
+from pathlib import Path
+from robotctl.check.many import check_recordings
+check_recordings([Path({str(long)!r})] * 200, lambda done, total: done and print(done, flush=True))
+"""
+    checking = subprocess.Popen(
+        [sys.executable, "-c", program],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        process_group=0,
+    )
+    assert checking.stdout is not None
+    checking.stdout.readline()
+    workers = psutil.Process(checking.pid).children()
+    checking.kill()
+    _, told = checking.communicate(timeout=DEADLINE_S)
+    assert told == b""
+    until(lambda: not any(map(is_alive, workers)))

@@ -1,0 +1,204 @@
+"""Each velocity command on the wire is a decision of the journal, in its order, and the reverse."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from robotctl.check.commands import numbers_of
+from robotctl.check.report import Report, Verdict
+from robotctl.check.run import check_recording
+from robotctl.kernel.types import ForeignCommandHeard, LoopStalled, ModeRequested, Twist
+from robotctl.messages.motion import encode_twist
+from robotctl.recording.format.journal import EntryKind, JournalEntry
+from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested
+from tests.support.checked_drives import altered, checked, rechained
+from tests.support.edited_recordings import Contents, edit, recorded, write_contents
+
+COMMANDS = "/cmd_vel"
+
+Edit = Callable[[list[Written]], list[Written]]
+
+ESTOP = ModeRequested(BEGIN_NS + 2_000_000_000, 2, 3, "operator")
+
+
+def moving(written: list[Written]) -> list[int]:
+    """Return the positions of the commands that are not zero."""
+    return [at for at, each in enumerate(written) if isinstance(each, Twist) and each != Twist()]
+
+
+@pytest.fixture(scope="module")
+def stopped_drive() -> list[Written]:
+    """A drive that an emergency stop ends after 2 s."""
+    return drive(6.0, requests=[drive_requested(), ESTOP])
+
+
+def found(tmp_path: Path, written: list[Written]) -> tuple[Verdict, str]:
+    report = checked(tmp_path, written)
+    return report.verdict, " ".join([*(each.text for each in report.violations), *report.missing])
+
+
+def with_motion_after_the_stop(written: list[Written]) -> list[Written]:
+    last = max(at for at, each in enumerate(written) if isinstance(each, Twist)) - 40
+    return [*written[:last], *[Twist(0.2, 0.0)] * 20, *written[last:]]
+
+
+def with_one_ulp_changed(written: list[Written]) -> list[Written]:
+    at = moving(written)[30]
+    command = written[at]
+    assert isinstance(command, Twist)
+    changed = replace(command, linear=command.linear * (1 + 2**-52))
+    return [*written[:at], changed, *written[at + 1 :]]
+
+
+def reversed_commands(written: list[Written]) -> list[Written]:
+    positions = moving(written)
+    edited = list(written)
+    for at, other in zip(positions, reversed(positions), strict=True):
+        edited[at] = written[other]
+    return edited
+
+
+EDITS: list[tuple[Edit, str]] = [
+    (with_motion_after_the_stop, "commands without a decision, such as 0.2 m/s"),
+    (
+        lambda written: [Twist() if isinstance(each, Twist) else each for each in written],
+        "decided commands are missing, the first is command",
+    ),
+    (lambda written: [each for each in written if not isinstance(each, Twist)], "none of"),
+    (with_one_ulp_changed, ""),
+    (reversed_commands, ""),
+]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"), EDITS, ids=["motion after the stop", "zeros", "none", "ulp", "reversed"]
+)
+def test_other_commands_than_the_decided_are_found(
+    tmp_path: Path, stopped_drive: list[Written], change: Edit, said: str
+) -> None:
+    verdict, text = found(tmp_path, change(stopped_drive))
+    assert verdict is Verdict.BROKEN
+    assert said in text
+
+
+@pytest.fixture(scope="module")
+def contents(tmp_path_factory: pytest.TempPathFactory, stopped_drive: list[Written]) -> Contents:
+    return recorded(tmp_path_factory.mktemp("whole") / "run", stopped_drive)
+
+
+@pytest.mark.parametrize("count", [1, 50])
+def test_removed_commands_are_found_by_their_number(
+    tmp_path: Path, contents: Contents, count: int
+) -> None:
+    gone = range(60, 60 + count)
+    edited = edit(contents, COMMANDS, lambda at, each: None if at in gone else each)
+    report = check_recording(write_contents(tmp_path / "run", edited))
+    assert report.verdict is Verdict.BROKEN
+    assert report.violations[0].text.startswith(
+        f"{count} decided commands are missing, the first is command 61 "
+    )
+
+
+def test_a_repeated_command_is_found(tmp_path: Path, contents: Contents) -> None:
+    edited = contents.copy()
+    at = [i for i, each in enumerate(edited.messages) if each.topic == COMMANDS][60]
+    edited.messages.insert(at + 3, edited.messages[at])
+    report = check_recording(write_contents(tmp_path / "run", edited))
+    assert (report.verdict, report.violation_count) == (Verdict.BROKEN, 1)
+    assert "1 commands without a decision" in report.violations[0].text
+
+
+def test_commands_that_are_sent_two_seconds_late_are_found(
+    tmp_path: Path, contents: Contents
+) -> None:
+    edited = edit(
+        contents,
+        COMMANDS,
+        lambda at, each: replace(each, publish_ns=each.publish_ns + 2_000_000_000),
+    )
+    report = check_recording(write_contents(tmp_path / "run", edited))
+    assert report.verdict is Verdict.BROKEN
+    assert "were not sent when decided: command 1, 1.9" in report.violations[0].text
+
+
+def test_the_last_commands_of_a_closed_recording_are_missed(
+    tmp_path: Path, stopped_drive: list[Written]
+) -> None:
+    last = [at for at, each in enumerate(stopped_drive) if isinstance(each, Twist)][-3:]
+    edited = [each for at, each in enumerate(stopped_drive) if at not in last]
+    assert found(tmp_path, edited) == (
+        Verdict.INCOMPLETE,
+        "the last 3 decided commands are missing",
+    )
+
+
+def test_another_publisher_explains_what_it_sent_and_nothing_else(tmp_path: Path) -> None:
+    heard = ForeignCommandHeard(BEGIN_NS + 1_000_000_000, "/teleop")
+    own = recorded(tmp_path / "own", drive(9.0, requests=[drive_requested(), heard]))
+    at = next(i for i, each in enumerate(own.messages) if b"/teleop" in each.data)
+    foreign = replace(own.messages[at], topic=COMMANDS, data=encode_twist(Twist(0.7, 0.1)))
+    for folder, place, verdict in (
+        ("near", at, Verdict.SAME),
+        ("far", len(own.messages), Verdict.BROKEN),
+    ):
+        edited = own.copy()
+        edited.messages.insert(place, foreign)
+        report = check_recording(write_contents(tmp_path / folder, edited))
+        assert report.verdict is verdict
+        assert ("/teleop published as well" in " ".join(report.notes)) is (folder == "near")
+
+
+def stalled(tmp_path: Path, zeros: int, withheld: int) -> Report:
+    """Check a drive in which three zeros were sent, and one command was withheld."""
+    stall = LoopStalled(BEGIN_NS + 1_200_000_000, 0.3, 3, 1, "somewhere")
+    written = drive(2.0, requests=[drive_requested(), stall])
+    at = next(i for i, each in enumerate(written) if "LoopStalled" in str(each))
+    command = max(i for i, each in enumerate(written[:at]) if isinstance(each, Twist))
+    assert written[command] != Twist()
+    edited = list(written)
+    edited[command] = Twist()
+    counts = f'"zeros":{zeros},"withheld":{withheld}'
+    changed, _ = altered(edited, "LoopStalled", '"zeros":3,"withheld":1', counts)
+    return checked(tmp_path, changed)
+
+
+def test_the_zeros_of_a_stall_are_explained(tmp_path: Path) -> None:
+    report = stalled(tmp_path, 3, 1)
+    assert (report.verdict, report.notes) == (Verdict.SAME, [])
+
+
+@pytest.mark.parametrize(("zeros", "withheld"), [(2, 1), (3, 0), (4, 1)])
+def test_zeros_that_no_stall_counts_are_found(tmp_path: Path, zeros: int, withheld: int) -> None:
+    assert stalled(tmp_path, zeros, withheld).verdict is not Verdict.SAME
+
+
+def counting_one_more(written: list[Written], snapshot: int) -> list[Written]:
+    """Return the recording with one more command counted by a snapshot, and that zero before it."""
+    at = [n for n, each in enumerate(written) if isinstance(each, JournalEntry)]
+    at = [n for n in at if written[n].kind is EntryKind.SNAPSHOT]  # type: ignore[union-attr]
+    entry = written[at[snapshot]]
+    assert isinstance(entry, JournalEntry)
+    data = re.sub(r'"commands":(\d+)', lambda found: f'"commands":{int(found[1]) + 1}', entry.data)
+    return rechained(
+        [*written[: at[snapshot]], Twist(), entry._replace(data=data), *written[at[snapshot] + 1 :]]
+    )
+
+
+def test_the_last_zero_of_a_daemon_that_failed_is_explained_by_the_last_snapshot_alone(
+    tmp_path: Path,
+) -> None:
+    written = drive(3.0, snapshots_s=(0.0, 2.0))
+    ended = checked(tmp_path / "ended", counting_one_more(written, -1))
+    assert (ended.verdict, ended.missing) == (Verdict.SAME, [])
+    assert checked(tmp_path / "amid", counting_one_more(written, 1)).verdict is not Verdict.SAME
+
+
+def test_a_big_endian_command_is_read() -> None:
+    little = encode_twist(Twist(0.1, 0.2))
+    values = b"".join(little[i : i + 8][::-1] for i in range(4, 52, 8))
+    assert numbers_of(b"\x00\x00\x00\x00" + values) == numbers_of(little)
