@@ -223,7 +223,7 @@ class CommandPairs:
         self.counts = CommandCounts()
         self.is_counting = False
         self._others = OtherPublishers()
-        self._waiting: Waiting[DecidedCommand, SentCommand] = Waiting()
+        self._waiting: Waiting[DecidedCommand, SentCommand] = Waiting(self._judge)
         self._recent: deque[DecidedCommand] = deque(maxlen=RECENT)
         self._has_ended = False
         """Whether the last snapshot counts zeros without decision: the daemon must have ended."""
@@ -300,8 +300,7 @@ class CommandPairs:
         self._others.step(event)
         if isinstance(event, Tick):
             self._tick_ns = event.t_ns
-            for number, slot in self._waiting.ripe(event.t_ns):
-                self._judge(number, slot)
+            self._waiting.settle(event.t_ns)
         elif isinstance(event, LoopStalled):
             self._stall(event, moments)
         elif isinstance(event, FaultReported) and SEND_FAILED in event.detail:

@@ -204,7 +204,7 @@ class InputPairs:
         self.later_ns: list[int] = []
         """The log times of the messages with higher numbers than all that were paired."""
 
-        self._waiting: Waiting[Input, Heard] = Waiting()
+        self._waiting: Waiting[Input, Heard] = Waiting(self._judge)
         self._found: dict[Hashable, int] = {}
         """The number that was paired last, for each publisher."""
 
@@ -248,9 +248,10 @@ class InputPairs:
             begin_ns, _ = self._lives.get(found.source, (found.t_ns, 0))
             self._lives[found.source] = begin_ns, found.t_ns
             self._waiting.slot(number, found.t_ns).entries.append(found)
-        for each, slot in self._waiting.ripe(found.t_ns):
-            self._pair(each, slot)
-            self._judge(each, slot)
+
+    def settle(self) -> None:
+        """Stop waiting for the messages of old inputs; called at each snapshot."""
+        self._waiting.settle(self._t_ns)
 
     def forget(self) -> None:
         """Drop what waits and has no counterpart, because journal entries are missing."""
@@ -273,7 +274,7 @@ class InputPairs:
                     if number <= max(newest, self._found.get(each.source, 0))
                     or t_ns - each.t_ns > EDGE_NS + stalled_ns
                 ]
-            self._judge(number, slot)
+            self._count(number, slot)
         for number, each in self._unfound:
             begin_ns, end_ns = self._lives[each.source]
             if each.source in self._found or end_ns - begin_ns > UNFOUND_NS:
@@ -303,6 +304,10 @@ class InputPairs:
             self._last_ns = found.t_ns
 
     def _judge(self, number: int, slot: Slot[Input, Heard]) -> None:
+        self._pair(number, slot)
+        self._count(number, slot)
+
+    def _count(self, number: int, slot: Slot[Input, Heard]) -> None:
         """Count what of one number has no counterpart with its value."""
         for found in slot.entries:
             if slot.sent:  # it was received, with another value
@@ -398,6 +403,7 @@ class InputCheck:
         self._is_on = self._is_on or has_proof
         self._pairs.tolerance = 0.0 if self._report.bitwise else TOLERANCE
         self._repeats.snapshot()
+        self._pairs.settle()
         if self._unheard is not None:
             self._unheard.settle(stall_ns)
 

@@ -170,6 +170,10 @@ class EntryOrder:
             yield Gap(f"the journal is not in order: entry {entry.seq} follows {self._first}")
             self._first = entry.seq
             return
+        if entry.seq == self._following and not self._held:
+            self._following += 1
+            yield entry
+            return
         self._accepted += 1
         heappush(self._held, (entry.seq, self._accepted, entry))
         yield from self._released(MAX_DISORDER)

@@ -6,7 +6,7 @@ stall or another publisher, may be recorded seconds later.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Final, Generic, TypeVar
 
@@ -34,7 +34,9 @@ class Slot(Generic[Entry, Sent]):
 class Waiting(Generic[Entry, Sent]):
     """The slots that are not judged yet, the oldest first."""
 
-    def __init__(self) -> None:
+    def __init__(self, judge: Callable[[int, Slot[Entry, Sent]], None]) -> None:
+        """`judge` gets each slot with its number, when nothing more is to be expected."""
+        self._judge = judge
         self._slots: dict[int, Slot[Entry, Sent]] = {}
 
     def slot(self, number: int, t_ns: int) -> Slot[Entry, Sent]:
@@ -42,19 +44,20 @@ class Waiting(Generic[Entry, Sent]):
         slot = self._slots.get(number)
         if slot is None:
             slot = self._slots[number] = Slot(t_ns)
+            if len(self._slots) > MAX_WAITING:
+                self._judge(*self._oldest())
         return slot
 
-    def ripe(self, t_ns: int) -> Iterator[tuple[int, Slot[Entry, Sent]]]:
-        """Remove and yield the slots that have waited long enough at `t_ns`."""
-        slots = self._slots
-        while slots:
-            number = next(iter(slots))
-            if len(slots) <= MAX_WAITING and t_ns - slots[number].since_ns <= WAIT_NS:
-                return
-            yield number, slots.pop(number)
+    def settle(self, t_ns: int) -> None:
+        """Judge the slots that have waited long enough at `t_ns`."""
+        while self._slots and t_ns - next(iter(self._slots.values())).since_ns > WAIT_NS:
+            self._judge(*self._oldest())
 
     def rest(self) -> Iterator[tuple[int, Slot[Entry, Sent]]]:
         """Remove and yield all slots, at the end or where journal entries are missing."""
         while self._slots:
-            number = next(iter(self._slots))
-            yield number, self._slots.pop(number)
+            yield self._oldest()
+
+    def _oldest(self) -> tuple[int, Slot[Entry, Sent]]:
+        number = next(iter(self._slots))
+        return number, self._slots.pop(number)

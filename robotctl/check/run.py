@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 from robotctl.base.errors import UnreadableFile
 from robotctl.base.store.remote_file import RemoteFile
@@ -55,24 +55,8 @@ from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.source import Source
 from robotctl.recording.read.whole_recording import VerifiedRecording, verify_recording
 
-
-class Compared(Protocol):
-    """One of the comparisons of messages with a journal."""
-
-    def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return the message handler of each topic that it reads."""
-
-    def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Continue from a snapshot at the steady time `t_ns`, which is `log_ns` since the epoch."""
-
-    def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Compare a step; `seq` is the number of its event, `moments` is when it was handled."""
-
-    def stop(self) -> None:
-        """Pause until the next snapshot: events are missing."""
-
-    def end(self, ending_of: EndingOf, moment: JournalEnd, /) -> None:
-        """Report what differs."""
+Compared = InputChecks | StatusCheck | CommandCheck | ServiceChecks
+"""A comparison of messages with the journal; `Comparisons` calls the same methods of each."""
 
 
 class Comparisons:
