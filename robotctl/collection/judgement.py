@@ -18,7 +18,7 @@ from robotctl.check.report import Divergence, Report, rounded
 from robotctl.check.run import check_recording
 from robotctl.check.what_if import what_if
 from robotctl.collection.content import Content, read_content, software_hash
-from robotctl.recording.read.damage import noted_read_failures
+from robotctl.recording.read.read_limits import noted_read_failures
 
 Kind = TypeVar("Kind")
 

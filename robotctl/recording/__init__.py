@@ -17,10 +17,15 @@ if TYPE_CHECKING:
     from robotctl.recording.keep.clip import Clip, Moment, cut_clip
     from robotctl.recording.keep.listing import ListedRecording, list_recordings
     from robotctl.recording.keep.recover import RecoveryReport, recover, recover_folder
-    from robotctl.recording.read.info import RecordingInfo, TopicInfo
     from robotctl.recording.read.journal_reader import RecordedEntry, read_journal
     from robotctl.recording.read.messages import Message
-    from robotctl.recording.read.reader import Recording, read_info, read_messages
+    from robotctl.recording.read.reader import (
+        Recording,
+        RecordingInfo,
+        TopicInfo,
+        read_info,
+        read_messages,
+    )
     from robotctl.recording.table.arrays import TopicArrays, read_arrays
     from robotctl.recording.write.recorder import Recorder, RecorderState, RecorderStats
     from robotctl.recording.write.recorder_options import RecorderOptions
@@ -65,10 +70,9 @@ _NAMES_OF_MODULE = {
     "keep.clip": ("Clip", "Moment", "cut_clip"),
     "keep.listing": ("ListedRecording", "list_recordings"),
     "keep.recover": ("RecoveryReport", "recover", "recover_folder"),
-    "read.info": ("RecordingInfo", "TopicInfo"),
     "read.journal_reader": ("RecordedEntry", "read_journal"),
     "read.messages": ("Message",),
-    "read.reader": ("Recording", "read_info", "read_messages"),
+    "read.reader": ("Recording", "RecordingInfo", "TopicInfo", "read_info", "read_messages"),
     "table.arrays": ("TopicArrays", "read_arrays"),
     "write.recorder": ("Recorder", "RecorderState", "RecorderStats"),
     "write.recorder_options": ("RecorderOptions",),

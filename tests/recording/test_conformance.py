@@ -40,9 +40,8 @@ from mcap.stream_reader import StreamReader
 from robotctl.recording import Message, Recording, read_info, read_messages
 from robotctl.recording.format.records import MAGIC, record_bytes
 from robotctl.recording.keep.recover import recover
-from robotctl.recording.read.file_index import read_attachment
 from robotctl.recording.read.indexing import index_of
-from robotctl.recording.read.mcap_input import InputFile
+from robotctl.recording.read.records import InputFile, read_attachment
 from tests.recording.mcap_files import CHANNEL, chunk, finished
 from tests.support.recordings import salvaged
 

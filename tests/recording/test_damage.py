@@ -22,9 +22,9 @@ from robotctl.recording import Compression, Recording, read_info, read_messages
 from robotctl.recording.format.records import MAGIC, MESSAGE_HEAD
 from robotctl.recording.keep.clip import Moment, cut_clip
 from robotctl.recording.keep.recover import recover, recover_folder
-from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.mcap_input import parse
 from robotctl.recording.read.messages import ALWAYS
+from robotctl.recording.read.read_limits import Damaged
+from robotctl.recording.read.records import parse
 from robotctl.testing.faults import PAGE, chunks_of, mutated, record_boundaries, zero
 from tests.support.recordings import (
     first_numbers,

@@ -51,16 +51,16 @@ from robotctl.recording.format.journal import (
 )
 from robotctl.recording.format.names import LIBRARY
 from robotctl.recording.format.records import MAGIC, MESSAGE_HEAD, record_bytes
-from robotctl.recording.read.damage import BeyondLimit
 from robotctl.recording.read.read_limits import (
     BYTES_PER_RECORD,
     FAST_CHUNK_DISCOUNT,
     RECORDS,
     UNPACKED_RATIO,
     VARIABLE,
+    BeyondLimit,
     ReadLimits,
+    UnpackBudget,
 )
-from robotctl.recording.read.stored_chunk import UnpackBudget
 from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile

@@ -40,7 +40,7 @@ from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, e
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.journal_reader import journal_topic, read_journal
-from robotctl.recording.read.mcap_input import InputFile
+from robotctl.recording.read.records import InputFile
 from robotctl.testing.drives import GID, JOURNAL, ODOMETRY, START_NS, TWIST, drive, record
 from tests.support.recordings import (
     first_numbers,

@@ -28,11 +28,9 @@ from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep import repair as repairing
 from robotctl.recording.keep.recover import recover
-from robotctl.recording.keep.repair import find_unfinished_commit
-from robotctl.recording.read.file_index import FileIndex, read_record_head
-from robotctl.recording.read.indexing import index_of
-from robotctl.recording.read.mcap_input import InputFile
-from robotctl.recording.read.summary_section import index_from_summary
+from robotctl.recording.read.file_index import FileIndex
+from robotctl.recording.read.indexing import find_unfinished_commit, index_from_summary, index_of
+from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.testing.drives import START_NS, TWIST
 from robotctl.testing.faults import FailingFile, mutated
@@ -401,7 +399,7 @@ def lack_memory_once(monkeypatch: pytest.MonkeyPatch) -> None:
                 raise MemoryError
             return ZstdDecompressor().decompress(data, max_output_size=max_output_size)
 
-    monkeypatch.setattr("robotctl.recording.read.stored_chunk.ZstdDecompressor", OnceNoMemory)
+    monkeypatch.setattr("robotctl.recording.read.chunks.ZstdDecompressor", OnceNoMemory)
 
 
 @pytest.mark.parametrize("torn", [False, True])
@@ -553,7 +551,7 @@ def test_a_foreign_record_among_the_chunks_cuts_off_none_of_them(tmp_path: Path)
     with InputFile(file) as source:
         place = index_of(source).places[1]
         offset = place.offset + place.length
-        assert read_record_head(source, offset)[0] == Opcode.MESSAGE_INDEX
+        assert source.record(offset).opcode == Opcode.MESSAGE_INDEX
     data[offset] = 0x90
     file.write_bytes(data)
     assert len(repair(tmp_path)) == 1

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from isal.isal_zlib import crc32
+from mcap.opcode import Opcode
 from mcap.records import Metadata
 from mcap.stream_reader import StreamReader
 
@@ -20,7 +21,7 @@ from robotctl.recording import Compression, Recorder, RecorderOptions, read_mess
 from robotctl.recording.format.seal_records import LINK_OPCODE, Link, LinkKind, Opening, SealOfFile
 from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.keep.repair import repair
-from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile
+from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.seal_chain import SealedFile, check_chain, find_head
 from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.whole_file import read_whole_file
@@ -115,7 +116,7 @@ def test_the_old_private_key_is_overwritten_on_the_disk(tmp_path: Path, keys: Ke
 def edit_consistently(path: Path) -> None:
     """Change a message of an uncompressed file, and make every checksum right again."""
     data = bytearray(path.read_bytes())
-    chunk = min(read_whole_file(path).data.chunk_indexes)
+    chunk = min(read_whole_file(path).data.listed[Opcode.CHUNK_INDEX])
     (length,) = struct.unpack_from("<Q", data, chunk + 1)
     head = 9 + 8 + 8 + 8 + 4 + 4 + 8
     end = chunk + 9 + length
@@ -279,11 +280,7 @@ def links_in(path: Path) -> list[Link]:
     """Return all links in the data of a file, signed or not."""
     with InputFile(path) as file:
         private = read_whole_file(path).data.private
-        return [
-            Link.read(file.read(offset + RECORD_HEAD.size, length))
-            for opcode, offset, length in private
-            if opcode == LINK_OPCODE
-        ]
+        return [Link.read(file.content(each)) for each in private if each.opcode == LINK_OPCODE]
 
 
 def test_a_recovered_file_says_repaired_and_forges_no_link(tmp_path: Path, keys: Keyring) -> None:

@@ -24,7 +24,7 @@ from robotctl.recording import Compression, RecorderOptions, Topic, read_message
 from robotctl.recording.disk.storage import Buffer, DiskFile
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.keep.repair import repair
-from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile, parse, walk_records
+from robotctl.recording.read.records import RECORD_HEAD, InputFile, parse, walk_records
 from robotctl.recording.read.seal_check import SealState, check_seal
 from robotctl.recording.read.whole_file import FileState, WholeFile, read_whole_file
 from robotctl.recording.write.buffer import pack

@@ -27,9 +27,9 @@ from robotctl.base.errors import ConfigError
 from robotctl.config import Config, with_setting
 from robotctl.recording import Compression, Recorder, RecorderOptions, Topic, read_messages
 from robotctl.recording.format.records import MESSAGE_HEAD, PlainMessage
-from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.mcap_input import walk_records
-from robotctl.recording.read.stored_chunk import decompressor_of
+from robotctl.recording.read.chunks import unpack
+from robotctl.recording.read.read_limits import Damaged
+from robotctl.recording.read.records import walk_records
 from robotctl.recording.write.bag_writer import BagWriter
 from robotctl.recording.write.buffer import OutOfMemory, PackBuffer, PackedMessages, pack
 from robotctl.recording.write.channel_state import ChannelState
@@ -438,4 +438,4 @@ def test_an_unknown_compression_is_refused_and_never_taken_for_none() -> None:
     with pytest.raises(ConfigError, match=r"recording\.compression: 'lz5'.*use zstd, lz4, none"):
         with_setting(Config(), "recording.compression", "lz5")
     with pytest.raises(Damaged, match="compressed by 'lz5', which is not supported"):
-        decompressor_of("lz5")
+        unpack("lz5", b"", 0)

@@ -24,23 +24,16 @@ from robotctl.recording.disk.access import size_of
 from robotctl.recording.format.names import PROFILE, natural_order
 from robotctl.recording.format.records import MAX_TIME_NS, PlainMessage
 from robotctl.recording.format.rosbag2 import metadata_text, total_count_in
-from robotctl.recording.read.compressed_messages import (
-    ZSTD,
-    MessageDecompressor,
-    message_compression,
-)
-from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.file_index import FileIndex
+from robotctl.recording.read.chunks import ZSTD, MessageDecompressor, message_compression
 from robotctl.recording.read.files import (
     SQLITE_SUFFIX,
     absent_files,
     recording_files,
 )
 from robotctl.recording.read.indexing import index_of
-from robotctl.recording.read.mcap_input import InputFile
-from robotctl.recording.read.messages import OpenFile, find_shortfalls
-from robotctl.recording.read.read_limits import ReadLimits, ReadTally
-from robotctl.recording.read.readable_file import ReadableFile
+from robotctl.recording.read.messages import OpenFile, ReadableFile, find_shortfalls
+from robotctl.recording.read.read_limits import Damaged, ReadLimits, Tally
+from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.source import SUFFIX, unpack_zstd_file
 
 _PREFIXES: Final = "AMENT_PREFIX_PATH"
@@ -124,38 +117,6 @@ class ConvertibleFile(Protocol):
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield the attachments, after the messages."""
-
-
-class McapSource:
-    """An MCAP file (see `ConvertibleFile`)."""
-
-    def __init__(
-        self, file: InputFile, index: FileIndex, on_progress: Callable[[int], None]
-    ) -> None:
-        """`on_progress` is called with the offset that is reached [bytes]."""
-        self.name = file.path.name
-        self.profile = index.profile
-        self.library = index.library
-        self._index = index
-        self._readable = ReadableFile(file, index, on_progress)
-        self.lost = self._readable.lost
-
-    def channels(self) -> Sequence[tuple[Channel, Schema | None]]:
-        """Return the channels of the file."""
-        schemas = self._index.schemas
-        return [(each, schemas.get(each.schema_id)) for each in self._index.channels.values()]
-
-    def metadata(self) -> Sequence[Metadata]:
-        """Return its metadata records."""
-        return self._index.metadata
-
-    def batches(self) -> Iterator[Sequence[PlainMessage]]:
-        """Yield its messages, chunk by chunk."""
-        return self._readable.batches()
-
-    def attachments(self) -> Iterator[Attachment]:
-        """Yield its attachments."""
-        return self._readable.attachments()
 
 
 _BATCH_BYTES: Final = 1 << 20
@@ -321,7 +282,7 @@ def _decompression(path: Path) -> Callable[[bytes], bytes]:
     if form != ZSTD:
         raise Damaged(f"its messages are compressed as {form}, which cannot be read")
     limits = ReadLimits.of(path.stat().st_size)
-    return MessageDecompressor(0, limits, ReadTally()).decompress
+    return MessageDecompressor(0, limits, Tally()).decompress
 
 
 Progress = Callable[[int, int], None]
@@ -379,7 +340,7 @@ class Sources:
                 self._text, [OpenFile(path, file, index)], all_files=False
             ):
                 index.miss(sentence)
-            yield McapSource(file, index, lambda done: share.tell(done / size))
+            yield ReadableFile(file, index, lambda done: share.tell(done / size))
 
 
 @dataclass(frozen=True, slots=True)

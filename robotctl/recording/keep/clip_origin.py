@@ -27,7 +27,6 @@ from robotctl.recording.format.rosbag2 import (
     serialized_metadata,
 )
 from robotctl.recording.keep.clip import clip_messages, records_of_clip, topic_of
-from robotctl.recording.read.info import metadata_in
 from robotctl.recording.read.messages import Message, OpenFile
 from robotctl.recording.read.reader import Recording
 
@@ -101,7 +100,7 @@ def _differences(
         yield "it names the files that it was cut from in another order"
     if clip.info().profile != source.info().profile:
         yield "its profile is not that of its source"
-    recorded = metadata_in(files)
+    recorded = [record for each in files for record in each.index.metadata]
     found = [(each.name, each.metadata) for each in clip.metadata()]
     if [name for name, _ in found].count(CLIP_RECORD) > 1:
         yield "it says more than once what it was cut from"

@@ -30,14 +30,13 @@ from robotctl.recording.format.seal_records import (
 )
 from robotctl.recording.format.trailer import WrittenFile
 from robotctl.recording.keep.retention import rewrite_metadata
-from robotctl.recording.read.compressed_messages import without_compression
-from robotctl.recording.read.damage import Damaged, Unreadable
-from robotctl.recording.read.file_index import FileIndex, read_content, read_record_head
+from robotctl.recording.read.chunks import without_compression
+from robotctl.recording.read.file_index import FileIndex
 from robotctl.recording.read.files import absent_files, recording_files
 from robotctl.recording.read.indexing import index_of
-from robotctl.recording.read.mcap_input import InputFile
-from robotctl.recording.read.messages import OpenFile, find_shortfalls
-from robotctl.recording.read.readable_file import ReadableFile
+from robotctl.recording.read.messages import OpenFile, ReadableFile, find_shortfalls
+from robotctl.recording.read.read_limits import Damaged, Unreadable
+from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.source import SUFFIX
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
@@ -83,12 +82,13 @@ def _seal_records(file: InputFile) -> Iterator[tuple[int, bytes]]:
     offset = len(MAGIC)
     with suppress(Damaged):
         for _ in range(file.limits.records):
-            opcode, length = read_record_head(file, offset)
-            if opcode == Opcode.FOOTER:
+            record = file.record(offset)
+            if record.opcode == Opcode.FOOTER:
                 return
-            if opcode in (OPENING_OPCODE, LINK_OPCODE) and length <= MAX_OPENING_BYTES:
-                yield opcode, read_content(file, offset, length)
-            offset += RECORD_HEAD_BYTES + length
+            is_seal = record.opcode in (OPENING_OPCODE, LINK_OPCODE)
+            if is_seal and record.length <= MAX_OPENING_BYTES:
+                yield record.opcode, file.content(record)
+            offset = record.end
 
 
 Progress = Callable[[int, int], None]
@@ -176,8 +176,8 @@ class _RecoveryWriter:
             OSError: The disk is full or fails.
         """
         index = self._index
-        library = f"{LIBRARY}, recovered from {index.library}"
-        mcap = McapFile(storage, profile=index.profile, library=library)
+        library = f"{LIBRARY}, recovered from {index.header.library}"
+        mcap = McapFile(storage, profile=index.header.profile, library=library)
         for sealed in seal_of_copy(self._file):
             mcap.add_sealed(sealed)
         for schema in index.schemas.values():

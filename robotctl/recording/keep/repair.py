@@ -20,89 +20,32 @@ from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.names import LEDGER_RECORD, RECOVERY_RECORD, Compression
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_FILE
-from robotctl.recording.format.seal_records import LINK_OPCODE, OPENING_OPCODE
 from robotctl.recording.format.trailer import WrittenFile
 from robotctl.recording.keep.listing import CatalogFolder, own_recordings
 from robotctl.recording.keep.recover import recover, seal_of_repair
 from robotctl.recording.keep.retention import TidyNote, rewrite_metadata
-from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.file_index import (
-    FileIndex,
-    Place,
-    PlaceKind,
-    read_header,
-    read_record_head,
+from robotctl.recording.read.chunks import read_chunk, read_chunk_head
+from robotctl.recording.read.file_index import FileIndex
+from robotctl.recording.read.indexing import (
+    find_unfinished_commit,
+    index_from_summary,
+    read_written_file,
 )
-from robotctl.recording.read.mcap_input import (
+from robotctl.recording.read.read_limits import Damaged
+from robotctl.recording.read.records import (
     MESSAGE_FIELDS,
-    RECORD_HEAD,
     InputFile,
     walk_records,
 )
-from robotctl.recording.read.summary_section import index_from_summary, read_written_file
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
-
-_DATA = (
-    Opcode.SCHEMA,
-    Opcode.CHANNEL,
-    Opcode.CHUNK,
-    Opcode.MESSAGE_INDEX,
-    Opcode.METADATA,
-    OPENING_OPCODE,
-    LINK_OPCODE,
-)
-"""The kinds of records that robotctl writes before DataEnd."""
-
-
-def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> int | None:
-    """Return the offset of the first record of an unfinished commit, or None.
-
-    The kind of this record is not in _DATA, or the summary lacks the record, or it ends after
-    `data_end`. Both `index` and `data_end`, the end of the data, are from the file's summary.
-
-    Raises:
-        Damaged: A record cannot be read, or a chunk in the summary follows that offset.
-    """
-    indexed = {place.offset for place in index.places}
-    last_indexed = max(indexed, default=0)
-    _, offset = read_header(file)
-    while offset < data_end:
-        opcode, length = read_record_head(file, offset)
-        end = offset + RECORD_HEAD.size + length
-        unindexed = not _is_listed(file, index, opcode, offset) or (
-            opcode == Opcode.CHUNK and offset not in indexed
-        )
-        if opcode not in _DATA or unindexed or end > data_end:
-            if offset < last_indexed:
-                raise Damaged("a record of another writer precedes its last chunk")
-            return offset
-        offset = end
-    return None
-
-
-def _is_listed(file: InputFile, index: FileIndex, opcode: int, offset: int) -> bool:
-    """Return whether the summary lists the record at `offset`; True for kinds it never lists.
-
-    Raises:
-        Damaged: The record cannot be read.
-    """
-    if opcode == Opcode.METADATA:
-        return offset in index.metadata_offsets
-    if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
-        return True
-    number = int.from_bytes(file.read(offset + RECORD_HEAD.size, 2), "little")
-    return number in (index.schemas if opcode == Opcode.SCHEMA else index.channels)
 
 
 def messages_of_chunk(file: InputFile, offset: int) -> list[PlainMessage]:
     """Return the messages of the chunk at `offset`; none if no complete chunk begins there."""
     try:
-        opcode, length = read_record_head(file, offset)
-        if opcode != Opcode.CHUNK:
-            return []
-        place = Place(PlaceKind.CHUNK, offset, RECORD_HEAD.size + length, 0, 0, None)
-        return list(_messages(place.read(file)))
+        head = read_chunk_head(file, offset, file.record(offset).end - offset)
+        return list(_messages(read_chunk(file, head)))
     except Damaged:
         return []
 

@@ -24,10 +24,10 @@ from robotctl.recording.keep.listing import (
     CatalogFolder,
     own_recordings,
 )
-from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import FileIndex
 from robotctl.recording.read.indexing import index_of
-from robotctl.recording.read.mcap_input import InputFile
+from robotctl.recording.read.read_limits import Damaged
+from robotctl.recording.read.records import InputFile
 
 
 def rewrite_metadata(folder: Path, files: Sequence[Path]) -> None:

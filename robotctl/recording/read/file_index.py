@@ -3,37 +3,20 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple
 
-from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap.records import Channel, Header, Metadata, Schema
 
-from robotctl.recording.format.records import MAGIC
-from robotctl.recording.read.damage import BeyondLimit, Damaged
-from robotctl.recording.read.mcap_input import (
-    MAX_RECORD_BYTES,
-    RECORD_HEAD,
-    InputFile,
-    parse,
-)
-from robotctl.recording.read.read_limits import ReadTally
-from robotctl.recording.read.stored_chunk import (
-    read_chunk,
-    read_chunk_ref,
-    read_torn_chunk,
-    stored_size_of,
-)
+from robotctl.recording.format.names import OWN_LIBRARY
+from robotctl.recording.read.chunks import read_chunk, read_chunk_head, stored_size_of
+from robotctl.recording.read.read_limits import BeyondLimit, Damaged, Tally
+from robotctl.recording.read.records import RECORD_HEAD, InputFile, head_blocks, parse
 
 MAX_SENTENCES = 20
 """Maximum number of sentences about missing parts."""
-
-
-_CRC = struct.Struct("<I")
-_ATTACHMENT_FIXED_BYTES = 8 + 8 + 4 + 4 + 8
-"""Log time, create time, lengths of name and media type, size of the data."""
 
 
 class PlaceKind(Enum):
@@ -74,7 +57,7 @@ class Place:
             return self.length
         if self.unpacked_bytes is not None:
             return self.unpacked_bytes
-        return read_chunk_ref(file, self.offset, self.length).uncompressed_size
+        return read_chunk_head(file, self.offset, self.length).uncompressed_size
 
     def read(self, file: InputFile) -> bytes:
         """Return the records at this place, decompressed.
@@ -84,12 +67,63 @@ class Place:
         """
         if self.kind is PlaceKind.LOOSE:
             return file.read(self.offset, self.length)
-        ref = read_chunk_ref(file, self.offset, self.length)
+        head = read_chunk_head(file, self.offset, self.length)
         if self.unpacked_bytes is not None:
             told = self.unpacked_bytes, self.compression, self.start_ns, self.end_ns
-            if (ref.uncompressed_size, ref.compression, ref.start_ns, ref.end_ns) != told:
+            if (head.uncompressed_size, head.compression, head.start_ns, head.end_ns) != told:
                 raise Damaged("a chunk is not the one that the summary describes")
-        return (read_chunk if self.kind is PlaceKind.CHUNK else read_torn_chunk)(file, ref)
+        return read_chunk(file, head, torn=self.kind is PlaceKind.TORN_CHUNK)
+
+
+class Contents:
+    """What a place was found to hold while its records are walked."""
+
+    def __init__(self) -> None:
+        self.records = 0
+        """The records that were walked."""
+
+        self.entries: dict[int, list[int]] = {}
+        """Log time [ns] and position of each message, alternately, by channel."""
+
+    def walk(
+        self,
+        data: bytes,
+        most: int,
+        define: Callable[[int, bytes], object],
+        begin: Callable[[int], None] = lambda channel: None,
+    ) -> None:
+        """Walk the records `data` of a place: at most `most` of them.
+
+        `define` gets opcode and content of each schema and channel, `begin` each channel before
+        its first message.
+
+        Raises:
+            Damaged: A record is cut off or malformed.
+            BeyondLimit: There are more records.
+        """
+        message, every = Opcode.MESSAGE.value, self.entries
+        for block in head_blocks(data, most):
+            self.records += len(block)
+            for position, (opcode, length, channel, _, log_ns, _) in block:
+                if opcode == message:
+                    entries = every.get(channel)
+                    if entries is None:
+                        begin(channel)
+                        entries = every[channel] = []
+                    entries += log_ns, position
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    start = position + RECORD_HEAD.size
+                    define(opcode, data[start : start + length])
+
+    @property
+    def counts(self) -> dict[int, int]:
+        """The number of messages by channel."""
+        return {channel: len(entries) // 2 for channel, entries in self.entries.items()}
+
+    def window(self) -> tuple[int, int]:
+        """Return the lowest and the highest log time [ns]; there must be a message."""
+        times = [entries[::2] for entries in self.entries.values()]
+        return min(map(min, times)), max(map(max, times))
 
 
 def note_missing(missing: list[str], sentence: str) -> None:
@@ -104,8 +138,7 @@ def note_missing(missing: list[str], sentence: str) -> None:
 class FileIndex:
     """The content of one file; `missing` says in sentences what cannot be read."""
 
-    profile: str
-    library: str
+    header: Header
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     places: list[Place] = field(default_factory=list)
@@ -133,7 +166,14 @@ class FileIndex:
     metadata_offsets: set[int] = field(default_factory=set)
     """Offsets of the records in `metadata`."""
 
-    tally: ReadTally = field(default_factory=ReadTally)
+    records: Tally = field(default_factory=Tally)
+    """The records that were walked, by the offset of their place."""
+
+    unpacked: Tally = field(default_factory=Tally)
+    """The cost of decompressing single messages, by the offset of their place."""
+
+    messages_read: dict[int, int] = field(default_factory=dict)
+    """The messages of each place that was read to its end, by its offset."""
 
     limit_reached: bool = False
     """Whether a part was left out that could be read with higher limits."""
@@ -147,14 +187,35 @@ class FileIndex:
         self.limit_reached = True
         self.miss(f"{what}: {limit}")
 
+    def define(self, opcode: int, content: bytes) -> None:
+        """Add a schema or a channel.
+
+        Raises:
+            Damaged: The record is malformed.
+        """
+        if opcode == Opcode.SCHEMA:
+            schema = parse(Schema, content)
+            self.schemas[schema.id] = schema
+        else:
+            channel = parse(Channel, content)
+            self.channels[channel.id] = channel
+
     def unaccounted(self) -> str:
         """Return a sentence if all was read and the summary's message count differs, else ""."""
-        found = self.tally.messages_in(place.offset for place in self.places)
+        read = self.messages_read
         if self.scanned or self.limit_reached or not self.places:
             return ""  # another sentence says why not all was read
-        if found is None or found == self.message_count:
+        if any(place.offset not in read for place in self.places):
+            return ""
+        found = sum(read[place.offset] for place in self.places)
+        if found == self.message_count:
             return ""
         return f"its summary counts {self.message_count} messages, and {found} are there"
+
+    @property
+    def own(self) -> bool:
+        """Whether robotctl wrote the file."""
+        return self.header.library.startswith(OWN_LIBRARY)
 
     def has_metadata(self, *names: str) -> bool:
         """Return whether there is a metadata record with one of these names."""
@@ -164,86 +225,6 @@ class FileIndex:
     def message_count(self) -> int:
         """The number of messages that can be read, of all channels."""
         return sum(self.counts.values())
-
-
-class ZeroedHeader(Damaged):
-    """The file begins with zeros, which a power cut can cause."""
-
-    def __init__(self) -> None:
-        super().__init__("it is not an MCAP file: it begins with zeros")
-
-
-LOST_HEADER = Header(profile="", library=""), len(MAGIC)
-"""What replaces a header of zeros: an empty header, and the offset where the data begins."""
-
-
-def read_record_head(file: InputFile, offset: int) -> tuple[int, int]:
-    """Return the opcode and the content length of the record at `offset`.
-
-    Raises:
-        Damaged: The file ends there.
-    """
-    opcode, length = RECORD_HEAD.unpack(file.read(offset, RECORD_HEAD.size))
-    return opcode, length
-
-
-def read_content(file: InputFile, offset: int, length: int) -> bytes:
-    """Return the content of the record at `offset`.
-
-    Raises:
-        Damaged: The file ends there, or the length is not plausible.
-    """
-    if length > MAX_RECORD_BYTES:
-        raise Damaged(f"a record at byte {offset} claims {length} bytes")
-    return file.read(offset + RECORD_HEAD.size, length)
-
-
-def read_attachment(file: InputFile, offset: int) -> Attachment:
-    """Return the attachment whose record is at `offset`.
-
-    Fields after the checksum, which a later version of the format may add, are ignored.
-
-    Raises:
-        Damaged: There is no attachment, its checksum is wrong, or it is too large.
-    """
-    opcode, length = read_record_head(file, offset)
-    if opcode != Opcode.ATTACHMENT:
-        raise Damaged("there is no attachment")
-    if length > file.limits.attachment_bytes:
-        raise BeyondLimit(f"it has {length} bytes, more than {file.limits.attachment_bytes}")
-    content = file.read(offset + RECORD_HEAD.size, length)
-    attachment: Attachment = parse(Attachment, content)
-    covered = _attachment_bytes(attachment)
-    (crc,) = _CRC.unpack_from(content, covered)
-    if crc and crc != crc32(memoryview(content)[:covered]):
-        raise Damaged("its checksum is wrong")
-    return attachment
-
-
-def _attachment_bytes(attachment: Attachment) -> int:
-    """Return how many bytes of its record the checksum of an attachment covers."""
-    texts = len(attachment.name.encode()) + len(attachment.media_type.encode())
-    return _ATTACHMENT_FIXED_BYTES + texts + len(attachment.data)
-
-
-def read_header(file: InputFile) -> tuple[Header, int]:
-    """Return the header, and the offset after it.
-
-    Raises:
-        ZeroedHeader: The file begins with zeros; it may be an MCAP file.
-        Damaged: It is not an MCAP file.
-    """
-    if file.size == 0:
-        raise Damaged("it is empty")
-    if not any(file.read(0, min(file.size, len(MAGIC) + RECORD_HEAD.size))):
-        raise ZeroedHeader
-    if file.size < len(MAGIC) or file.read(0, len(MAGIC)) != MAGIC:
-        raise Damaged("it is not an MCAP file")
-    opcode, length = read_record_head(file, len(MAGIC))
-    if opcode != Opcode.HEADER:
-        raise Damaged("it does not begin with a header")
-    header = parse(Header, read_content(file, len(MAGIC), length))
-    return header, len(MAGIC) + RECORD_HEAD.size + length
 
 
 _BEGIN = struct.Struct("<QQQQI")
@@ -258,15 +239,10 @@ _SIZES = struct.Struct("<QQ")
 """Compressed and uncompressed size."""
 
 
-class ChunkEntry(NamedTuple):
-    """A chunk, and the offset after the message indexes that follow it."""
+def read_chunk_index(data: bytes, position: int, end: int) -> tuple[Place, int]:
+    """Return the chunk that a chunk index describes, and the offset after its message indexes.
 
-    place: Place
-    end: int
-
-
-def read_chunk_index(data: bytes, position: int, end: int) -> ChunkEntry:
-    """Return the chunk that a chunk index describes, whose content is `data[position:end]`.
+    The content of the record is `data[position:end]`.
 
     Raises:
         Damaged: The record contradicts itself.
@@ -298,4 +274,4 @@ def read_chunk_index(data: bytes, position: int, end: int) -> ChunkEntry:
         unpacked,
         compression,
     )
-    return ChunkEntry(place, offset + length + indexes_length)
+    return place, offset + length + indexes_length

@@ -1,96 +1,269 @@
-"""The index of any MCAP file: from its summary if there is a valid one, else by a scan."""
+"""The index of any MCAP file: from its summary if there is a valid one, else by a scan.
+
+A summary is read in milliseconds for a file of any size. A scan walks every record.
+"""
 
 from __future__ import annotations
 
-import re
-import struct
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
+from operator import attrgetter
 
+from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema, Statistics
+from mcap.records import AttachmentIndex, DataEnd, Footer, Metadata, MetadataIndex, Statistics
 
-from robotctl.recording.format.names import OWN_LIBRARY
-from robotctl.recording.format.records import FIRST_PRIVATE_OPCODE, MAGIC
-from robotctl.recording.read.compressed_messages import ZSTD, message_compression
-from robotctl.recording.read.damage import BeyondLimit, Damaged
+from robotctl.recording.format.records import (
+    DATA_END_BYTES,
+    FIRST_PRIVATE_OPCODE,
+    FOOTER_CONTENT_BYTES,
+    MAGIC,
+)
+from robotctl.recording.format.seal_records import LINK_OPCODE, OPENING_OPCODE
+from robotctl.recording.format.trailer import FOOTER_BYTES, WrittenFile
+from robotctl.recording.read.chunks import ZSTD, find_chunk, message_compression, read_chunk_head
 from robotctl.recording.read.file_index import (
-    LOST_HEADER,
+    Contents,
     FileIndex,
     Place,
     PlaceKind,
-    ZeroedHeader,
-    read_content,
-    read_header,
-    read_record_head,
+    read_chunk_index,
 )
-from robotctl.recording.read.mcap_input import (
+from robotctl.recording.read.read_limits import BeyondLimit, Damaged, UnpackBudget
+from robotctl.recording.read.records import (
+    LOST_HEADER,
     MESSAGE_FIELDS,
     RECORD_HEAD,
     TOO_MANY_RECORDS,
+    ZEROS,
     InputFile,
+    Record,
     parse,
+    read_header,
     walk_records,
 )
-from robotctl.recording.read.stored_chunk import (
-    DECOMPRESSORS,
-    UnpackBudget,
-    read_chunk,
-    read_chunk_ref,
-)
-from robotctl.recording.read.summary_section import index_from_summary
 
-_WINDOW_BYTES = 4 << 20
-_COMPRESSIONS = [struct.pack("<I", len(name)) + name.encode() for name in DECOMPRESSORS]
-_HEAD = re.compile(
-    rb"\x06(?=.{8}.{28}(?:%b))" % b"|".join(map(re.escape, _COMPRESSIONS)), re.DOTALL
-)
-"""The opcode of a chunk, followed by lengths, times, sizes and a known compression."""
+MAX_SUMMARY_BYTES = 256 << 20
+"""Enough for about 600,000 chunks. A larger summary counts as damage; the file is then scanned."""
 
-_NAME_OFFSET = RECORD_HEAD.size + 28
-_HEAD_BYTES = _NAME_OFFSET + max(map(len, _COMPRESSIONS)) + 8
-"""The maximum length of a chunk's fields before its data, from the opcode on [bytes]."""
+_CRC_BYTES = 4
 
 
-def find_chunk(file: InputFile, offset: int, budget: UnpackBudget) -> int | None:
-    """Return the offset of the first valid chunk at or after `offset`, or None.
+def read_summary(file: InputFile) -> tuple[bytes, int]:
+    """Return the summary records after checking their checksum, and the offset where they begin.
 
     Raises:
-        BeyondLimit: The search would cost more than `budget`.
+        Damaged: There is no valid summary.
     """
-    while offset < file.size:
-        window = file.read(offset, min(_WINDOW_BYTES + _HEAD_BYTES, file.size - offset))
-        for match in _HEAD.finditer(window):
-            at = offset + match.start()
-            if _lengths_agree(window, match.start()) and _is_whole(file, at, budget):
-                return at
-        offset += _WINDOW_BYTES
+    file.refresh()  # as late as possible, since the file may be growing
+    footer_offset = file.size - FOOTER_BYTES
+    data = file.read(footer_offset, FOOTER_BYTES)
+    if data[0] != Opcode.FOOTER or not data.endswith(MAGIC):
+        raise Damaged("it has no footer")
+    footer = parse(Footer, data[RECORD_HEAD.size :][:FOOTER_CONTENT_BYTES])
+    start = footer.summary_start
+    if start == 0:
+        raise Damaged("it has no summary")
+    if start > footer_offset or footer_offset - start > MAX_SUMMARY_BYTES:
+        raise Damaged("its footer is corrupt")
+    summary = file.read(start, footer_offset - start)
+    if not footer.summary_crc:
+        return _before_own_footer(summary), start
+    if footer.summary_crc != crc32(data[: -len(MAGIC) - _CRC_BYTES], crc32(summary)):
+        raise Damaged("its summary is corrupt")
+    return summary, start
+
+
+def _before_own_footer(data: bytes) -> bytes:
+    """Return the summary at the beginning of `data`: all before the first footer, or everything.
+
+    A footer in `data` is that of the summary; after it follows a commit that was not finished.
+
+    Raises:
+        Damaged: The footer does not belong to the summary.
+    """
+    for opcode, start, end in walk_records(data):
+        if opcode == Opcode.FOOTER:
+            footer = parse(Footer, data[start:end])
+            if footer.summary_crc != crc32(data[: end - _CRC_BYTES]):
+                raise Damaged("its summary is corrupt")
+            return data[: start - RECORD_HEAD.size]
+    return data
+
+
+def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
+    """Return the index that the file's summary gives.
+
+    Without `places`, this takes a fraction of the time, but messages cannot be read with the index.
+
+    Raises:
+        Damaged: The summary is missing or not valid.
+    """
+    header, data_start = read_header(file)
+    data, data_end = read_summary(file)
+    index = FileIndex(header)
+    statistics: Statistics | None = None
+    metadata: dict[int, MetadataIndex] = {}
+    chunks: list[tuple[Place, int]] = []
+    chunk_count = 0
+    for opcode, start, end in walk_records(data):
+        if opcode == Opcode.CHUNK_INDEX:
+            chunk_count += 1
+            if places:
+                chunks.append(read_chunk_index(data, start, end))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            index.define(opcode, data[start:end])
+        elif opcode == Opcode.METADATA_INDEX:
+            entry = parse(MetadataIndex, data[start:end])
+            metadata[entry.offset] = entry
+        elif opcode == Opcode.ATTACHMENT_INDEX:
+            index.attachments.append(parse(AttachmentIndex, data[start:end]).offset)
+        elif opcode == Opcode.STATISTICS:
+            statistics = parse(Statistics, data[start:end])
+    if statistics is None or statistics.chunk_count != chunk_count:
+        raise Damaged("its summary is incomplete")
+    counts = statistics.channel_message_counts
+    if statistics.message_count != sum(counts.values()):
+        raise Damaged("its summary does not count its messages")
+    if statistics.message_count and not chunk_count:
+        raise Damaged("its summary does not say where its messages are")
+    if not index.channels.keys() >= counts.keys():
+        raise Damaged("its summary does not name all its channels")
+    index.counts = dict(counts)
+    index.start_ns, index.end_ns = statistics.message_start_time, statistics.message_end_time
+    index.declared_metadata = statistics.metadata_count
+    index.declared_attachments = statistics.attachment_count
+    index.attachments = sorted(set(index.attachments))
+    if places:
+        chunks.sort(key=lambda chunk: chunk[0].offset)
+        index.gaps = _gaps(chunks, data_start, data_end)
+        index.places = _affordable([place for place, _ in chunks], file, index)
+    _read_metadata(file, index, metadata.values())
+    return index
+
+
+def _gaps(chunks: list[tuple[Place, int]], begin: int, data_end: int) -> list[tuple[int, int]]:
+    """Return the start and end of each part of the data that is no chunk and no message index.
+
+    Raises:
+        Damaged: Chunks overlap.
+    """
+    gaps = []
+    position = begin
+    for place, end in chunks:
+        if place.offset < position:
+            raise Damaged("its summary lists overlapping chunks")
+        if place.offset > position:
+            gaps.append((position, place.offset))
+        position = end
+    if position > data_end:
+        raise Damaged("its summary points beyond its data")
+    if position < data_end:
+        gaps.append((position, data_end))
+    return gaps
+
+
+def _affordable(places: list[Place], file: InputFile, index: FileIndex) -> list[Place]:
+    """Return the first places, as many as the limits allow to decompress; report the others."""
+    budget = UnpackBudget(file.limits)
+    for number, place in enumerate(places):
+        try:
+            budget.spend(place.unpacked_bytes or 0)
+        except BeyondLimit as limit:
+            index.miss_beyond(f"only {number} of {len(places)} chunks are read", limit)
+            return places[:number]
+    return places
+
+
+def _read_metadata(file: InputFile, index: FileIndex, entries: Iterable[MetadataIndex]) -> None:
+    """Add each metadata record to `index`; report those that cannot be read or overlap."""
+    room = file.size
+    for entry in entries:
+        try:
+            record = file.record(entry.offset)
+            if record.opcode != Opcode.METADATA:
+                raise Damaged("there is no metadata record")
+            room -= record.length
+            if room < 0:
+                raise Damaged("the records overlap")
+            index.metadata.append(parse(Metadata, file.content(record)))
+        except Damaged as damage:
+            index.miss(f"metadata {entry.name[:80]!r} cannot be read: {damage}")
+        else:
+            index.metadata_offsets.add(entry.offset)
+
+
+def read_written_file(file: InputFile) -> WrittenFile:
+    """Return what is needed to continue the file.
+
+    Raises:
+        Damaged: Its summary is not valid, or not as robotctl writes it.
+    """
+    data, start = read_summary(file)
+    groups: dict[Opcode, bytes] = {}
+    statistics = None
+    seal = b""
+    for code, begin, end in walk_records(data):
+        record = data[begin - RECORD_HEAD.size : end]
+        if code == LINK_OPCODE:
+            seal = record
+        if code not in _OPCODES or code >= FIRST_PRIVATE_OPCODE:
+            continue
+        opcode = Opcode(code)
+        groups[opcode] = groups.get(opcode, b"") + record
+        if opcode is Opcode.STATISTICS:
+            statistics = parse(Statistics, data[begin:end])
+    last = file.record(start - DATA_END_BYTES)
+    if statistics is None or statistics.attachment_count or last.opcode != Opcode.DATA_END:
+        raise Damaged("its end is not as robotctl writes it")
+    content = file.read(last.content, DATA_END_BYTES - RECORD_HEAD.size)
+    crc = parse(DataEnd, content).data_section_crc
+    return WrittenFile(last.offset, crc, groups, statistics, seal)
+
+
+_DATA = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.CHUNK,
+    Opcode.MESSAGE_INDEX,
+    Opcode.METADATA,
+    OPENING_OPCODE,
+    LINK_OPCODE,
+)
+"""The kinds of records that robotctl writes before DataEnd."""
+
+
+def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> int | None:
+    """Return the offset of the first record of an unfinished commit, or None.
+
+    The kind of this record is not in _DATA, or the summary lacks the record, or it ends after
+    `data_end`. Both `index` and `data_end`, the end of the data, are from the file's summary.
+
+    Raises:
+        Damaged: A record cannot be read, or a chunk in the summary follows that offset.
+    """
+    chunks = {place.offset for place in index.places}
+    listed: dict[int, Collection[int]] = {
+        Opcode.CHUNK: chunks,
+        Opcode.METADATA: index.metadata_offsets,
+        Opcode.SCHEMA: index.schemas.keys(),
+        Opcode.CHANNEL: index.channels.keys(),
+    }
+    _, offset = read_header(file)
+    while offset < data_end:
+        record = file.record(offset)
+        key = offset
+        if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            key = int.from_bytes(file.read(record.content, 2), "little")
+        is_listed = record.opcode in _DATA and key in listed.get(record.opcode, (key,))
+        if not is_listed or record.end > data_end:
+            if offset < max(chunks, default=0):
+                raise Damaged("a record of another writer precedes its last chunk")
+            return offset
+        offset = record.end
     return None
-
-
-def _lengths_agree(window: bytes, start: int) -> bool:
-    """Return whether the length of a chunk record fits the length of its data."""
-    try:
-        _, length = RECORD_HEAD.unpack_from(window, start)
-        (name,) = struct.unpack_from("<I", window, start + _NAME_OFFSET)
-        (data,) = struct.unpack_from("<Q", window, start + _NAME_OFFSET + 4 + name)
-    except struct.error:
-        return False
-    return bool(length == _NAME_OFFSET - RECORD_HEAD.size + 4 + name + 8 + data)
-
-
-def _is_whole(file: InputFile, offset: int, budget: UnpackBudget) -> bool:
-    try:
-        _, length = RECORD_HEAD.unpack(file.read(offset, RECORD_HEAD.size))
-        ref = read_chunk_ref(file, offset, RECORD_HEAD.size + length)
-        budget.spend(ref.uncompressed_size + ref.data_size)
-        return any(True for _ in walk_records(read_chunk(file, ref)))
-    except BeyondLimit:
-        raise
-    except Damaged:
-        return False
 
 
 _LOOSE_RUN_BYTES = 1 << 20
@@ -107,159 +280,161 @@ def index_by_scanning(
     Raises:
         Damaged: Not even the header can be read.
     """
+    header, offset = read_header(file)
+    index = FileIndex(header, scanned=True)
+    scan = _Scan(file, index, offset)
     try:
-        header, offset = read_header(file)
-    except ZeroedHeader:
-        header, offset = LOST_HEADER
-    index = FileIndex(profile=header.profile, library=header.library, scanned=True)
-    scan = _Scan(file, index)
-    while True:
-        try:
-            while scan.step(offset):
-                offset = scan.next_offset
-                on_progress(offset)
-            break
-        except BeyondLimit as limit:
-            index.miss_beyond(f"the data after byte {offset} is not read", limit)
-            break
-        except Damaged as damage:
-            if scan.data_ended:
-                index.miss("its end is damaged: the last messages may be lost")
-                break
+        while not scan.ended:
             try:
-                found = find_chunk(file, offset + 1, scan.budget)
-            except BeyondLimit as limit:
-                index.miss_beyond(f"the data after byte {offset} is not read", limit)
-                break
-            end = file.size if found is None else found
-            index.miss(f"bytes {offset} to {end} are lost: {damage}")
-            if found is None:
-                break
-            offset = found
+                scan.step()
+                on_progress(scan.offset)
+            except BeyondLimit:
+                raise
+            except Damaged as damage:
+                if scan.data_ended:
+                    index.miss("its end is damaged: the last messages may be lost")
+                    break
+                scan.skip(damage)
+    except BeyondLimit as limit:
+        index.miss_beyond(f"the data after byte {scan.offset} is not read", limit)
     scan.finish()
-    if header is LOST_HEADER[0] and not index.places:
-        raise ZeroedHeader
+    if header is LOST_HEADER and not index.places:
+        raise Damaged(ZEROS)
     return index
 
 
 def read_gaps(file: InputFile, index: FileIndex) -> None:
     """Add what is in the gaps of the summary: records and loose messages that it does not list."""
-    counts, start_ns, end_ns = dict(index.counts), index.start_ns, index.end_ns
+    of_summary = dict(index.counts), index.start_ns, index.end_ns
     scan = _Scan(file, index)
     for start, end in index.gaps:
-        offset = start
+        scan.offset, scan.ended = start, False
         try:
-            while offset < end and scan.step(offset):
-                offset = scan.next_offset
+            while scan.offset < end and not scan.ended:
+                scan.step()
         except BeyondLimit as limit:
-            index.miss_beyond(f"bytes {offset} to {end} are not read", limit)
+            index.miss_beyond(f"bytes {scan.offset} to {end} are not read", limit)
         except Damaged as damage:
-            index.miss(f"bytes {offset} to {end} are lost: {damage}")
+            index.miss(f"bytes {scan.offset} to {end} are lost: {damage}")
     scan.finish()
-    index.places.sort(key=lambda place: place.offset)
+    index.places.sort(key=attrgetter("offset"))
     index.attachments.sort()
-    index.counts, index.start_ns, index.end_ns = (
-        counts,
-        start_ns,
-        end_ns,
-    )  # keep those of the summary
+    index.counts, index.start_ns, index.end_ns = of_summary
 
 
 class _Scan:
-    def __init__(self, file: InputFile, index: FileIndex) -> None:
+    """Walks a file from `offset` on, and adds to the index what is found.
+
+    `ended` becomes True at the end of the file.
+    """
+
+    def __init__(self, file: InputFile, index: FileIndex, offset: int = 0) -> None:
         self._file = file
         self._index = index
-        self.budget = UnpackBudget(file.limits)
+        self._budget = UnpackBudget(file.limits)
         self._records = 0
         self._definitions: dict[tuple[int, int], bytes] = {}
-        self._loose_start = 0
-        self._loose_end = 0
+        self._loose = (0, 0)  # start and end of a run of messages
         self._empty = True
         self._counted = 0
         self._attachments = frozenset(index.attachments)
-        self.next_offset = 0
+        self.offset = offset
+        self.ended = False
         self.data_ended = False
-        self.own = index.library.startswith(OWN_LIBRARY)
 
-    def step(self, offset: int) -> bool:
-        """Read the record at `offset`; return False at the end.
+    def step(self) -> None:
+        """Read the record at `offset`, and move behind it.
 
         Raises:
-            Damaged: There is no valid record.
+            Damaged: There is no valid record; `offset` stays.
         """
         file, index = self._file, self._index
-        if offset == file.size and not self.data_ended:
+        if self.offset == file.size and not self.data_ended:
             index.miss("it was never finished: messages that its writer still held are lost")
-            return False
-        opcode, length = read_record_head(file, offset)
+            self.ended = True
+            return
+        record = file.record(self.offset)
+        opcode = record.opcode
         if opcode not in _OPCODES:
             raise Damaged("they are not MCAP records" if opcode else "they are zeros")
         self._records += 1
         if self._records > file.limits.records:
             raise BeyondLimit(TOO_MANY_RECORDS)
-        self.next_offset = end = offset + RECORD_HEAD.size + length
         if opcode == Opcode.CHUNK:
             self.data_ended = False
-            self._chunk(offset, end)
-        elif end > file.size:
+            self._chunk(record)
+        elif record.end > file.size:
             raise Damaged("the file ends in the middle of a record")
         elif opcode == Opcode.FOOTER:
-            if not self.data_ended or end + len(MAGIC) < file.size:
+            if not self.data_ended or record.end + len(MAGIC) < file.size:
                 raise Damaged("they are not MCAP records")
-            return False
+            self.ended = True
+            return
         elif opcode == Opcode.MESSAGE:
-            if self.own or length < MESSAGE_FIELDS.size:  # robotctl writes only chunks
+            if index.own or record.length < MESSAGE_FIELDS.size:  # robotctl writes only chunks
                 raise Damaged("they are not MCAP records")
-            self._loose(offset, end)
+            self._message(record)
         elif opcode == Opcode.METADATA:
-            if offset not in index.metadata_offsets:
-                index.metadata.append(parse(Metadata, read_content(file, offset, length)))
+            if record.offset not in index.metadata_offsets:
+                index.metadata.append(parse(Metadata, file.content(record)))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            self._define(opcode, read_content(file, offset, length))
+            self._define(opcode, file.content(record))
         elif opcode == Opcode.ATTACHMENT:
-            if offset not in self._attachments:
-                index.attachments.append(offset)
+            if record.offset not in self._attachments:
+                index.attachments.append(record.offset)
         elif opcode == Opcode.DATA_END:
             self.data_ended = True
         elif opcode == Opcode.STATISTICS:
-            statistics = parse(Statistics, read_content(file, offset, length))
-            self._counted = statistics.message_count
-        return True
+            self._counted = parse(Statistics, file.content(record)).message_count
+        self.offset = record.end
+
+    def skip(self, damage: Damaged) -> None:
+        """Move to the next chunk, or to the end of the file; report that the bytes are lost.
+
+        Raises:
+            BeyondLimit: The search would cost too much.
+        """
+        found = find_chunk(self._file, self.offset + 1, self._budget)
+        end = self._file.size if found is None else found
+        self._index.miss(f"bytes {self.offset} to {end} are lost: {damage}")
+        self.offset, self.ended = end, found is None
 
     def finish(self) -> None:
         """Add the last loose run, and report messages that have no channel or are missing."""
         self._end_loose_run()
-        for channel in self._index.counts.keys() - self._index.channels.keys():
-            count = self._index.counts.pop(channel)
-            self._index.miss(f"{count} messages are lost: no record describes their channel")
-        if not self._index.missing and self._counted > self._index.message_count:
-            self._index.miss(f"its summary counts {self._counted} messages")
+        index = self._index
+        for channel in index.counts.keys() - index.channels.keys():
+            count = index.counts.pop(channel)
+            index.miss(f"{count} messages are lost: no record describes their channel")
+        if not index.missing and self._counted > index.message_count:
+            index.miss(f"its summary counts {self._counted} messages")
 
-    def _chunk(self, offset: int, end: int) -> None:
-        if end <= self._file.size:
+    def _chunk(self, record: Record) -> None:
+        if record.end <= self._file.size:
             try:
-                self._add(PlaceKind.CHUNK, offset, end)
+                self._add(PlaceKind.CHUNK, record.offset, record.end)
             except BeyondLimit:
                 raise
             except Damaged as damage:
-                self._index.miss(f"bytes {offset} to {end} are lost: {damage}")
+                self._index.miss(f"bytes {record.offset} to {record.end} are lost: {damage}")
             return
         # A writer that only appends leaves the beginning of its chunk. robotctl overwrites its
         # trailer, so bytes of the old trailer may follow the beginning of the chunk.
-        if not self.own:
-            self._add(PlaceKind.TORN_CHUNK, offset, end)
+        if not self._index.own:
+            self._add(PlaceKind.TORN_CHUNK, record.offset, record.end)
         raise Damaged("the file ends in the middle of a chunk")
 
-    def _loose(self, offset: int, end: int) -> None:
-        if offset != self._loose_end or end - self._loose_start > _LOOSE_RUN_BYTES:
+    def _message(self, record: Record) -> None:
+        start, end = self._loose
+        if record.offset != end or record.end - start > _LOOSE_RUN_BYTES:
             self._end_loose_run()
-            self._loose_start = offset
-        self._loose_end = end
+            start = record.offset
+        self._loose = start, record.end
 
     def _end_loose_run(self) -> None:
-        if self._loose_end > self._loose_start:
-            self._add(PlaceKind.LOOSE, self._loose_start, self._loose_end)
-        self._loose_start = self._loose_end = 0
+        (start, end), self._loose = self._loose, (0, 0)
+        if end > start:
+            self._add(PlaceKind.LOOSE, start, end)
 
     def _add(self, kind: PlaceKind, offset: int, end: int) -> None:
         """Add the place if it has messages, and count them.
@@ -268,60 +443,42 @@ class _Scan:
             Damaged: The place cannot be read.
         """
         place = Place(kind, offset, end - offset, 0, 0, None)
+        most = sys.maxsize  # the records of a loose run are counted already
         if kind is not PlaceKind.LOOSE:
-            ref = read_chunk_ref(self._file, offset, end - offset)
-            self.budget.spend(ref.uncompressed_size)
-        data = place.read(self._file)
-        counts: dict[int, int] = {}
-        definitions: list[tuple[int, bytes]] = []
-        times: list[int] = []
-        records, most = 0, sys.maxsize
-        if kind is not PlaceKind.LOOSE:  # the records of a loose run are counted already
+            head = read_chunk_head(self._file, offset, end - offset)
+            self._budget.spend(head.uncompressed_size)
             most = self._file.limits.records - self._records
+        data = place.read(self._file)
+        found = Contents()
+        definitions: list[tuple[int, bytes]] = []
         try:
-            for opcode, start, stop in walk_records(data, most):
-                records += 1
-                if opcode == Opcode.MESSAGE:
-                    channel, _, log_ns, _ = MESSAGE_FIELDS.unpack_from(data, start)
-                    counts[channel] = counts.get(channel, 0) + 1
-                    times.append(log_ns)
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    definitions.append((opcode, data[start:stop]))
-        except BeyondLimit:
-            raise
-        except Damaged:
-            if kind is not PlaceKind.TORN_CHUNK:
+            found.walk(data, most, lambda *record: definitions.append(record))
+        except Damaged as damage:
+            if kind is not PlaceKind.TORN_CHUNK or isinstance(damage, BeyondLimit):
                 raise
         finally:
             if kind is not PlaceKind.LOOSE:
-                self._records += records
+                self._records += found.records
         for opcode, content in definitions:
             self._define(opcode, content)
-        if counts:
-            self._take_in(place, counts, min(times), max(times))
+        if found.entries:
+            self._count(place, found)
 
-    def _take_in(self, place: Place, counts: dict[int, int], start_ns: int, end_ns: int) -> None:
-        index = self._index
+    def _count(self, place: Place, found: Contents) -> None:
+        index, (start_ns, end_ns) = self._index, found.window()
         index.start_ns = start_ns if self._empty else min(index.start_ns, start_ns)
         index.end_ns = max(index.end_ns, end_ns)
         self._empty = False
-        for channel, count in counts.items():
+        for channel, count in found.counts.items():
             index.counts[channel] = index.counts.get(channel, 0) + count
-        index.places.append(
-            replace(place, start_ns=start_ns, end_ns=end_ns, channels=frozenset(counts))
-        )
+        channels = frozenset(found.entries)
+        index.places.append(replace(place, start_ns=start_ns, end_ns=end_ns, channels=channels))
 
     def _define(self, opcode: int, content: bytes) -> None:
         known = opcode, int.from_bytes(content[:2], "little")
-        if self._definitions.get(known) == content:
-            return  # some writers repeat it in each chunk
-        self._definitions[known] = content
-        if opcode == Opcode.SCHEMA:
-            schema = parse(Schema, content)
-            self._index.schemas[schema.id] = schema
-        else:
-            channel = parse(Channel, content)
-            self._index.channels[channel.id] = channel
+        if self._definitions.get(known) != content:  # some writers repeat it in each chunk
+            self._definitions[known] = content
+            self._index.define(opcode, content)
 
 
 _GROWING_S = 2.0
@@ -378,7 +535,7 @@ def _complete(file: InputFile, index: FileIndex) -> None:
     records, and what a killed commit left in a gap is no part of the file. So its gaps are only
     read if it counts more metadata records than it lists.
     """
-    if not index.library.startswith(OWN_LIBRARY) or index.declared_metadata > len(index.metadata):
+    if not index.own or index.declared_metadata > len(index.metadata):
         read_gaps(file, index)
     for told, found, noun in (
         (index.declared_attachments, len(index.attachments), "attachments"),

@@ -18,10 +18,9 @@ from robotctl.recording.format.journal import (
     decode,
 )
 from robotctl.recording.format.names import INFO_RECORD
-from robotctl.recording.read.info import RecordingInfo
 from robotctl.recording.read.messages import Message
 from robotctl.recording.read.read_limits import CURE
-from robotctl.recording.read.reader import Recording
+from robotctl.recording.read.reader import Recording, RecordingInfo
 
 _FIRST_STEP_NS = 15 * NS_PER_S
 """How far back the first search for a snapshot goes; daemons write one every 10 s."""

@@ -1,4 +1,4 @@
-"""Reads the messages at one place of a file, and compares their number with declared counts.
+"""Reads the messages of a file place by place, and compares their number with declared counts.
 
 The counts in `metadata.yaml` and the ledger reveal that a file was cut or replaced, even if it is
 valid in itself.
@@ -6,26 +6,26 @@ valid in itself.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Schema
 
 from robotctl.recording.format.names import (
     CLIP_RECORD,
     LEDGER_RECORD,
-    OWN_LIBRARY,
     RECOVERY_RECORD,
 )
 from robotctl.recording.format.records import PlainMessage, type_name_of
 from robotctl.recording.format.rosbag2 import message_counts_in, total_count_in
 from robotctl.recording.format.topics import read_ledger
-from robotctl.recording.read.compressed_messages import MessageDecompressor
-from robotctl.recording.read.damage import BeyondLimit, Damaged
-from robotctl.recording.read.file_index import FileIndex, Place, PlaceKind
-from robotctl.recording.read.mcap_input import (
+from robotctl.recording.read.chunks import MessageDecompressor
+from robotctl.recording.read.file_index import FileIndex, Place, PlaceKind, note_missing
+from robotctl.recording.read.read_limits import BeyondLimit, Damaged
+from robotctl.recording.read.records import (
     MESSAGE_FIELDS,
     RECORD_HEAD,
     TOO_MANY_RECORDS,
@@ -33,6 +33,7 @@ from robotctl.recording.read.mcap_input import (
     InputFile,
     RecordHead,
     head_blocks,
+    read_attachment,
 )
 
 Window = tuple[int, int]
@@ -41,7 +42,6 @@ Window = tuple[int, int]
 ALWAYS: Final[Window] = (0, (1 << 64) - 1)
 
 
-_RECORD_HEAD_BYTES: Final = RECORD_HEAD.size
 _HEAD_BYTES: Final = RECORD_HEAD.size + MESSAGE_FIELDS.size
 
 _new: Final = tuple.__new__
@@ -102,9 +102,8 @@ class PlaceReader:
         self._data = b""
         self._decompressor: MessageDecompressor | None = None
         if file.index.message_compression:
-            self._decompressor = MessageDecompressor(
-                place.offset, file.file.limits, file.index.tally
-            )
+            limits, unpacked = file.file.limits, file.index.unpacked
+            self._decompressor = MessageDecompressor(place.offset, limits, unpacked)
 
     def may_hold(self, topics: Collection[str]) -> bool:
         """Return whether the place may hold a selected message of one of the topics."""
@@ -141,42 +140,26 @@ class PlaceReader:
         """
         _, position, length = self.entries[self.next]
         self.next += 1
-        begin = position + _RECORD_HEAD_BYTES
+        begin = position + RECORD_HEAD.size
         channel, sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(self._data, begin)
         content = self._data[position + _HEAD_BYTES : begin + length]
         if self._decompressor is not None:
             content = self._decompressor.decompress(content)
         return Message(*self._names[channel], content, log_ns, publish_ns, sequence)
 
-    def as_written(self) -> Iterator[list[Message]]:
-        """Yield the selected channels' messages in file order, in lists; `load` need not be called.
+    def contents(self) -> Iterator[list[tuple[RecordHead, bytes]]]:
+        """Yield head and data of the selected channels' messages in file order, in lists.
 
-        Raises:
-            Damaged: After the last message, if some are missing.
-        """
-        names = self._names
-        for contents in self._contents(self._read()):
-            yield [
-                _new(Message, names[channel] + (content, log_ns, publish_ns, sequence))
-                for (_, _, channel, sequence, log_ns, publish_ns), content in contents
-            ]
-
-    def plain_messages(self) -> Iterator[PlainMessage]:
-        """Yield messages as `as_written` does, one by one, with the channel's number."""
-        for contents in self._contents(self._read()):
-            for (_, _, channel, sequence, log_ns, publish_ns), content in contents:
-                yield channel, content, log_ns, publish_ns, sequence
-
-    def _contents(self, data: bytes) -> Iterator[list[tuple[RecordHead, bytes]]]:
-        """Yield head and content of the messages of selected channels, in lists.
+        `load` need not be called.
 
         Raises:
             Damaged: After the last message, if some are missing.
         """
         failure: Damaged | None = None
+        data = self._read()
         for wanted in self._wanted(data):
             contents = [
-                (head, data[position + _HEAD_BYTES : position + _RECORD_HEAD_BYTES + head[1]])
+                (head, data[position + _HEAD_BYTES : position + RECORD_HEAD.size + head[1]])
                 for position, head in wanted
             ]
             if self._decompressor is None:
@@ -192,6 +175,19 @@ class PlaceReader:
         if failure is not None:
             raise failure
 
+    def as_written(self) -> Iterator[list[Message]]:
+        """Yield the selected channels' messages in file order, in lists.
+
+        Raises:
+            Damaged: After the last message, if some are missing.
+        """
+        names = self._names
+        for contents in self.contents():
+            yield [
+                _new(Message, names[channel] + (content, log_ns, publish_ns, sequence))
+                for (_, _, channel, sequence, log_ns, publish_ns), content in contents
+            ]
+
     def _read(self) -> bytes:
         """Return the records at the place.
 
@@ -203,8 +199,8 @@ class PlaceReader:
         return self.place.read(self.file.file)
 
     def _records_left(self) -> int:
-        limit = self.file.file.limits.records
-        return self.file.index.tally.records_left(self.place.offset, limit)
+        others = self.file.index.records.others(self.place.offset)
+        return self.file.file.limits.records - others
 
     def _wanted(self, data: bytes) -> Iterator[HeadBlock]:
         """Yield position and head of the messages of selected channels, in lists.
@@ -213,8 +209,8 @@ class PlaceReader:
             Damaged: After the last message, if the place is damaged.
         """
         records = others = unknown = 0
-        names, known, message = self._names, self.file.index.channels, Opcode.MESSAGE.value
-        offset, tally = self.place.offset, self.file.index.tally
+        offset, index = self.place.offset, self.file.index
+        names, known, message = self._names, index.channels, Opcode.MESSAGE.value
         try:
             for block in head_blocks(data, self._records_left()):
                 records += len(block)
@@ -227,14 +223,14 @@ class PlaceReader:
                     elif head[2] not in known:
                         unknown += 1
                 yield wanted
-            tally.note_messages(offset, records - others)
+            index.messages_read[offset] = records - others
         except Damaged as damage:
             # The tear was already reported.
             if self.place.kind is not PlaceKind.TORN_CHUNK or isinstance(damage, BeyondLimit):
                 raise
         finally:
-            tally.note_records(offset, records)
-        if unknown and not self.file.index.scanned:  # else already reported
+            index.records.note(offset, records)
+        if unknown and not index.scanned:  # else already reported
             raise Damaged(f"{unknown} messages belong to no channel")
 
     def loss(self, damage: Damaged) -> str:
@@ -272,6 +268,77 @@ def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[in
     }
 
 
+_BATCH_BYTES: Final = 8 << 20
+"""About this many bytes of messages become one chunk of the copy; original chunks may be larger."""
+
+
+class ReadableFile:
+    """The messages and attachments of a file in file order; `lost` has a sentence for each loss."""
+
+    def __init__(
+        self,
+        file: InputFile,
+        index: FileIndex,
+        on_progress: Callable[[int], None] = lambda done: None,
+    ) -> None:
+        """`on_progress` gets the offset [bytes] that was reached."""
+        self.name = file.path.name
+        self.profile, self.library = index.header.profile, index.header.library
+        self._file = OpenFile(file.path, file, index)
+        self._names = names_of(index)
+        self._on_progress = on_progress
+        self.lost = list(index.missing)
+
+    def channels(self) -> Sequence[tuple[Channel, Schema | None]]:
+        """Return the channels, and the schema of each."""
+        index = self._file.index
+        return [(each, index.schemas.get(each.schema_id)) for each in index.channels.values()]
+
+    def metadata(self) -> Sequence[Metadata]:
+        """Return the metadata records in their order."""
+        return self._file.index.metadata
+
+    def batches(self) -> Iterator[list[PlainMessage]]:
+        """Yield all messages in batches: those of one chunk, or of a part of a large chunk."""
+        for place in self._file.index.places:
+            yield from self._read(place)
+            self._on_progress(place.offset)
+        if sentence := self._file.index.unaccounted():
+            note_missing(self.lost, sentence)
+
+    def attachments(self) -> Iterator[Attachment]:
+        """Yield the attachments, one at a time in memory."""
+        behind, file = 0, self._file.file
+        for offset in sorted(self._file.index.attachments):
+            try:
+                if offset < behind:
+                    raise Damaged("it overlaps another attachment")
+                behind = file.record(offset).end
+                yield read_attachment(file, offset)
+            except Damaged as damage:
+                self._lose(f"the attachment at byte {offset} is lost", damage)
+
+    def _lose(self, what: str, damage: Damaged) -> None:
+        self._file.index.limit_reached |= isinstance(damage, BeyondLimit)
+        note_missing(self.lost, f"{what}: {damage}")
+
+    def _read(self, place: Place) -> Iterator[list[PlainMessage]]:
+        messages: list[PlainMessage] = []
+        size = 0
+        try:
+            for contents in PlaceReader(self._file, place, self._names, ALWAYS).contents():
+                for (_, _, channel, sequence, log_ns, publish_ns), data in contents:
+                    messages.append((channel, data, log_ns, publish_ns, sequence))
+                    size += len(data)
+                    if size >= _BATCH_BYTES:
+                        yield messages
+                        messages, size = [], 0
+        except Damaged as damage:
+            self._lose(f"bytes {place.offset} to {place.offset + place.length} are lost", damage)
+        if messages:
+            yield messages
+
+
 def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) -> Iterator[str]:
     """Yield a sentence for each file or recording that holds fewer messages than declared.
 
@@ -285,7 +352,7 @@ def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) ->
         f"{each.path.name}: metadata.yaml counts {told[each.path.name]} messages, "
         f"and {each.index.message_count} are there"
         for each in files
-        if _is_own(each) and told.get(each.path.name, 0) > each.index.message_count
+        if each.index.own and told.get(each.path.name, 0) > each.index.message_count
     ]
     # The counts per file of rosbag2 include messages that its cache dropped; the total does not.
     total = total_count_in(text)
@@ -296,10 +363,6 @@ def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) ->
         if written > there:
             found.append(f"its ledger counts {written} messages, and {there} are there")
     yield from found
-
-
-def _is_own(each: OpenFile) -> bool:
-    return each.index.library.startswith(OWN_LIBRARY)
 
 
 def _is_whole(files: Sequence[OpenFile]) -> bool:

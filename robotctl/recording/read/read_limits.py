@@ -1,14 +1,16 @@
-"""Limits of the work that a file may cause, depending on its size on the disk.
+"""Limits of the work that a file may cause, and the errors for what cannot be read.
 
-A compressed file may claim any size. Each limit is checked before the work is done. What exceeds a
-limit is not read; the report names it together with `CURE`.
+A compressed file may claim any size. Each limit depends on the size on the disk and is checked
+before the work is done. What exceeds a limit is not read; the report names it with `CURE`.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
 from math import isfinite
 from typing import Final, Self
 
@@ -131,46 +133,82 @@ def _factor() -> float:
     return factor
 
 
-class ReadTally:
-    """Counts records, messages and work by place, so that a place read twice counts once."""
+@dataclass(slots=True)
+class Tally:
+    """Adds up numbers by place, so that a place that is read twice counts once."""
 
-    def __init__(self) -> None:
-        self._records: dict[int, int] = {}
-        self._unpacked: dict[int, int] = {}
-        self._messages: dict[int, int] = {}
-        self._record_total = 0
-        self._unpacked_total = 0
+    of: dict[int, int] = field(default_factory=dict)
+    total: int = 0
 
-    def records_left(self, offset: int, limit: int) -> int:
-        """Return how many records the place at `offset` may hold; `limit` is for all places."""
-        return limit - self._record_total + self._records.get(offset, 0)
+    def note(self, place: int, number: int) -> None:
+        """Set the number of a place, unless it is known to be higher."""
+        known = self.of.get(place, 0)
+        if number > known:
+            self.total += number - known
+            self.of[place] = number
 
-    def note_records(self, offset: int, count: int) -> None:
-        """Set the number of records found at a place, up to its end or to damage."""
-        self._record_total += count - self._records.get(offset, 0)
-        self._records[offset] = count
+    def others(self, place: int) -> int:
+        """Return the sum of the other places."""
+        return self.total - self.of.get(place, 0)
 
-    def unpacked_left(self, offset: int, limit: int) -> int:
-        """Return how much of `limit` is left for decompressing single messages at a place."""
-        return limit - self._unpacked_total + self._unpacked.get(offset, 0)
 
-    def note_unpacked(self, offset: int, cost: int) -> None:
-        """Set the cost of decompressing single messages at a place, if it is the highest so far."""
-        known = self._unpacked.get(offset, 0)
-        if cost > known:
-            self._unpacked_total += cost - known
-            self._unpacked[offset] = cost
+class UnpackBudget:
+    """How many bytes of chunks may still be decompressed."""
 
-    def note_messages(self, offset: int, count: int) -> None:
-        """Set the number of messages at a place that was read to its end."""
-        self._messages[offset] = count
+    def __init__(self, limits: ReadLimits) -> None:
+        self._limit = limits.unpacked_cost
+        self._left = limits.unpacked_cost
 
-    def messages_in(self, offsets: Iterable[int]) -> int | None:
-        """Return the message count of these places; None if one was not read to its end."""
-        total = 0
-        for offset in offsets:
-            count = self._messages.get(offset)
-            if count is None:
-                return None
-            total += count
-        return total
+    def spend(self, unpacked_bytes: int) -> None:
+        """Count a chunk of this size.
+
+        Raises:
+            BeyondLimit: The budget is exhausted.
+        """
+        self._left -= unpacking_cost(unpacked_bytes)
+        if self._left < 0:
+            raise beyond_unpacking(self._limit)
+
+
+def beyond_unpacking(limit: int) -> BeyondLimit:
+    """Return the error for what would take more than `limit` bytes."""
+    return BeyondLimit(f"unpacked it would take more than {limit >> 20} MiB")
+
+
+class Damaged(Exception):
+    """A part of the file cannot be read. The text says what is wrong, without the file name."""
+
+
+class Unreadable(Damaged):
+    """The disk or the memory failed; the same part may be readable later."""
+
+
+class BeyondLimit(Damaged):
+    """Reading on would exceed the limits of `read_limits`. The text says how to raise them."""
+
+    def __init__(self, what: str) -> None:
+        """Append to `what` how to raise the limits."""
+        super().__init__(f"{what} ({CURE})")
+
+
+_failures: ContextVar[list[str] | None] = ContextVar("failures", default=None)
+
+
+@contextmanager
+def noted_read_failures() -> Iterator[list[str]]:
+    """Yield a list that collects a sentence for each read that fails in this thread in the block.
+
+    Without it, code that continues after such a failure would report damage of the file.
+    """
+    found: list[str] = []
+    token = _failures.set(found)
+    try:
+        yield found
+    finally:
+        _failures.reset(token)
+
+
+def note_read_failure(sentence: str) -> None:
+    """Add the sentence to the list of `noted_read_failures`, if a caller uses it."""
+    if (found := _failures.get()) is not None:
+        found.append(sentence)

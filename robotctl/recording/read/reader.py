@@ -7,18 +7,19 @@ A file without a valid summary is scanned. Parts that cannot be read are always 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
-from itertools import chain
 from pathlib import Path
 from typing import Self
 
 from mcap.records import Channel, Metadata, Schema
 
 from robotctl.base.errors import UnreadableFile
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.names import CLIP_RECORD, LEDGER_RECORD
+from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.records import type_name_of
-from robotctl.recording.read.damage import BeyondLimit, Damaged
-from robotctl.recording.read.file_index import note_missing
+from robotctl.recording.read.file_index import FileIndex, note_missing
 from robotctl.recording.read.files import (
     absent_files,
     absent_names,
@@ -27,8 +28,6 @@ from robotctl.recording.read.files import (
     recording_files,
 )
 from robotctl.recording.read.indexing import index_of
-from robotctl.recording.read.info import RecordingInfo, describe, metadata_in
-from robotctl.recording.read.mcap_input import InputFile
 from robotctl.recording.read.messages import (
     ALWAYS,
     Message,
@@ -38,141 +37,104 @@ from robotctl.recording.read.messages import (
     find_shortfalls,
     place_readers,
 )
-from robotctl.recording.read.read_limits import ReadLimits
+from robotctl.recording.read.read_limits import BeyondLimit, Damaged, ReadLimits
+from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.source import Source
 
-_Placed = tuple[int, int, int, Message]
-"""Log time, rank of the place, number in the place, and the message, sorted as in `merge`."""
+_QOS_KEY = "offered_qos_profiles"
+_HASH_KEY = "topic_type_hash"
 
 
-def last_before(
-    files: Sequence[OpenFile],
-    wanted: Mapping[str, int],
-    moment_ns: int,
-    on_missing: Callable[[str], None],
-) -> list[Message]:
-    """Return the last `wanted[topic]` messages of each topic before `moment_ns`, in log order.
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """What a recording says about a topic; `rate_hz` is the mean over the whole recording."""
 
-    Only places that may hold them are read. `on_missing` gets a sentence about each lost part.
+    name: str
+    type_name: str
+    message_count: int
+    rate_hz: float
+    encoding: str
+    offered_qos: str
+    type_hash: str
+    schema_encoding: str
+    definition: str
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingInfo:
+    """What a recording holds; times in nanoseconds since the epoch, 0 without messages.
+
+    `missing` has a sentence for each part that cannot be read. `indexed` is False if a file without
+    a valid summary was scanned. `metadata` has the last record of each name.
     """
-    found = list(enumerate(place_readers(files, wanted, (0, moment_ns - 1))))
-    found.sort(key=lambda ranked: ranked[1].place.end_ns, reverse=True)
-    held: dict[str, list[_Placed]] = {topic: [] for topic in wanted}
-    for rank, source in found:
-        end_ns = source.place.end_ns
-        unsettled = {
-            topic
-            for topic, count in wanted.items()
-            if len(held[topic]) < count or held[topic][0][0] <= end_ns
+
+    path: Path
+    files: tuple[Path, ...]
+    size_bytes: int
+    start_ns: int
+    end_ns: int
+    message_count: int
+    topics: tuple[TopicInfo, ...]
+    profile: str
+    library: str
+    metadata: dict[str, dict[str, str]]
+    events: tuple[RecordedEvent, ...]
+    indexed: bool
+    missing: tuple[str, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first message to the last."""
+        return (self.end_ns - self.start_ns) / NS_PER_S
+
+
+def _describe(path: Path, files: Sequence[OpenFile], missing: Sequence[str]) -> RecordingInfo:
+    """Return what these files of the recording `path` hold; there must be at least one."""
+    indexes = [each.index for each in files]
+    metadata = [record for index in indexes for record in index.metadata]
+    with_messages = [index for index in indexes if index.message_count]
+    start_ns = min((index.start_ns for index in with_messages), default=0)
+    end_ns = max((index.end_ns for index in with_messages), default=0)
+    return RecordingInfo(
+        path=path,
+        files=tuple(each.path for each in files),
+        size_bytes=sum(each.file.size for each in files),
+        start_ns=start_ns,
+        end_ns=end_ns,
+        message_count=sum(index.message_count for index in indexes),
+        topics=_topics(indexes, (end_ns - start_ns) / NS_PER_S),
+        profile=indexes[0].header.profile,
+        library=indexes[0].header.library,
+        metadata={record.name: record.metadata for record in metadata},
+        events=tuple(events_in(metadata)),
+        indexed=not any(index.scanned for index in indexes),
+        missing=tuple(missing),
+    )
+
+
+def _topics(indexes: list[FileIndex], duration_s: float) -> tuple[TopicInfo, ...]:
+    topics: dict[tuple[str, str], TopicInfo] = {}
+    for index in indexes:
+        definitions = {  # decoded once, since channels may share them
+            schema.id: schema.data.decode(errors="replace") for schema in index.schemas.values()
         }
-        if not unsettled:
-            break
-        if source.may_hold(unsettled):
-            placed: dict[str, list[_Placed]] = {topic: [] for topic in unsettled}
-            for number, message in enumerate(_messages(source, on_missing)):
-                if message.topic in placed:
-                    placed[message.topic].append((message.log_ns, rank, number, message))
-            for topic, mine in placed.items():
-                held[topic] = sorted(mine + held[topic])[-wanted[topic] :]
-    return [each[-1] for each in sorted(each for topic in held.values() for each in topic)]
-
-
-def _messages(source: PlaceReader, on_missing: Callable[[str], None]) -> list[Message]:
-    try:
-        source.load()
-    except Damaged as damage:
-        on_missing(source.loss(damage))
-    messages = []
-    while source.next < len(source.entries):
-        try:
-            messages.append(source.take())
-        except Damaged as damage:
-            on_missing(source.loss(damage))
-    source.unload()
-    return messages
-
-
-_AFTER_ALL = (1 << 64, 0)
-
-
-def merge(
-    files: Sequence[OpenFile],
-    topics: Collection[str] | None,
-    on_missing: Callable[[str], None],
-    window: Window = ALWAYS,
-) -> Iterator[Message]:
-    """Yield the messages of `topics` (None: all) in the window, in the order of their log time.
-
-    Places outside of the window are not read. `on_missing` gets a sentence about each lost part.
-    """
-    found = list(place_readers(files, topics, window))
-    heap = [(source.place.start_ns, rank) for rank, source in enumerate(found)]
-    heapify(heap)
-    held = 0
-    most = max((file.file.limits.open_bytes for file in files), default=0)
-    while heap:
-        _, rank = heappop(heap)
-        source = found[rank]
-        if not source.loaded:
-            _load(source, most - held if held else None, on_missing)
-            held += source.size
-        entries = source.entries
-        ahead = heap[0] if heap else _AFTER_ALL
-        while source.next < len(entries) and (entries[source.next][0], rank) < ahead:
-            try:
-                message = source.take()
-            except Damaged as damage:
-                on_missing(source.loss(damage))
-                continue
-            yield message
-        if source.next < len(entries):
-            heappush(heap, (entries[source.next][0], rank))
-        else:
-            held -= source.size
-            source.unload()
-    _tell_unaccounted(files, on_missing)
-
-
-def in_order_written(
-    files: Sequence[OpenFile],
-    topics: Collection[str] | None,
-    on_missing: Callable[[str], None],
-    on_progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Iterator[list[Message]]:
-    """Yield messages as `merge` does, but in file order and in lists.
-
-    `on_progress` gets the bytes done and in total.
-    """
-    done, total = 0, sum(file.file.size for file in files)
-    for file in files:
-        for source in place_readers([file], topics, ALWAYS):
-            try:
-                yield from source.as_written()
-            except Damaged as damage:
-                on_missing(source.loss(damage))
-            on_progress(done + source.place.offset + source.place.length, total)
-        done += file.file.size
-        on_progress(done, total)
-    _tell_unaccounted(files, on_missing)
-
-
-def _tell_unaccounted(files: Sequence[OpenFile], on_missing: Callable[[str], None]) -> None:
-    """Report files whose summary counts another number of messages than were read."""
-    for file in files:
-        sentence = file.index.unaccounted()
-        if sentence:
-            on_missing(f"{file.path.name}: {sentence}")
-
-
-def _load(source: PlaceReader, room: int | None, on_missing: Callable[[str], None]) -> None:
-    """Load a place if it fits into `room` [bytes]; None means no limit."""
-    try:
-        if room is not None and source.place.size_in_memory(source.file.file) > room:
-            source.loaded = True
-            raise BeyondLimit("too many chunks overlap in time")
-        source.load()
-    except Damaged as damage:
-        on_missing(source.loss(damage))
+        for channel in index.channels.values():
+            schema = index.schemas.get(channel.schema_id)
+            type_name = type_name_of(channel, schema)
+            known = topics.get((channel.topic, type_name))
+            count = index.counts.get(channel.id, 0) + (known.message_count if known else 0)
+            topics[channel.topic, type_name] = TopicInfo(
+                name=channel.topic,
+                type_name=type_name,
+                message_count=count,
+                rate_hz=count / duration_s if duration_s > 0 else 0.0,
+                encoding=channel.message_encoding,
+                offered_qos=channel.metadata.get(_QOS_KEY, ""),
+                type_hash=channel.metadata.get(_HASH_KEY, ""),
+                schema_encoding=schema.encoding if schema else "",
+                definition=definitions.get(channel.schema_id, ""),
+            )
+    return tuple(topics[key] for key in sorted(topics))
 
 
 def read_info(path: Path) -> RecordingInfo:
@@ -275,7 +237,7 @@ class Recording:
 
     def info(self) -> RecordingInfo:
         """Return what the recording holds."""
-        return describe(self.path, self._files, self.missing)
+        return _describe(self.path, self._files, self.missing)
 
     @property
     def is_live(self) -> bool:
@@ -296,11 +258,11 @@ class Recording:
 
     def metadata(self) -> list[Metadata]:
         """Return all metadata records, in the order of the files."""
-        return metadata_in(self._files)
+        return [record for each in self._files for record in each.index.metadata]
 
     def metadata_of_file(self, number: int) -> dict[str, dict[str, str]]:
         """Return the last metadata record of each name in one file: 0 is the first, -1 the last."""
-        return {record.name: record.metadata for record in metadata_in([self._files[number]])}
+        return {record.name: record.metadata for record in self._files[number].index.metadata}
 
     def channels(self) -> dict[tuple[str, str], tuple[Channel, Schema | None]]:
         """Return channel and schema by topic and type, from the first file that has them."""
@@ -318,17 +280,37 @@ class Recording:
         on_missing: Callable[[str], None],
         window: Window = ALWAYS,
     ) -> Iterator[Message]:
-        """Yield the messages in log order; `on_missing` gets a sentence about each lost part.
+        """Yield the messages of `topics` (None: all) in the order of their log time.
 
-        Only log times in `window` (ns, both ends included) are read.
+        Only log times in `window` (ns, both ends included) are read. `on_missing` gets a sentence
+        about each lost part.
         """
-        return merge(self._files, topics, on_missing, window)
-
-    def last_before(
-        self, moment_ns: int, wanted: Mapping[str, int], on_missing: Callable[[str], None]
-    ) -> list[Message]:
-        """Return the last `wanted[topic]` messages of each topic before a moment, in log order."""
-        return last_before(self._files, wanted, moment_ns, on_missing)
+        found = list(place_readers(self._files, topics, window))
+        heap = [(source.place.start_ns, rank) for rank, source in enumerate(found)]
+        heapify(heap)
+        held = 0
+        most = max(each.file.limits.open_bytes for each in self._files)
+        while heap:
+            _, rank = heappop(heap)
+            source = found[rank]
+            if not source.loaded:
+                _load(source, most - held if held else None, on_missing)
+                held += source.size
+            entries = source.entries
+            ahead = heap[0] if heap else _AFTER_ALL
+            while source.next < len(entries) and (entries[source.next][0], rank) < ahead:
+                try:
+                    message = source.take()
+                except Damaged as damage:
+                    on_missing(source.loss(damage))
+                    continue
+                yield message
+            if source.next < len(entries):
+                heappush(heap, (entries[source.next][0], rank))
+            else:
+                held -= source.size
+                source.unload()
+        self._report_unaccounted(on_missing)
 
     def in_order_written(
         self,
@@ -340,29 +322,84 @@ class Recording:
 
         `on_progress` gets bytes done and in total.
         """
-        blocks = in_order_written(self._files, topics, on_missing, on_progress)
-        return chain.from_iterable(blocks)
+        done, total = 0, sum(each.file.size for each in self._files)
+        for each in self._files:
+            for source in place_readers([each], topics, ALWAYS):
+                yield from _as_written(source, on_missing)
+                on_progress(done + source.place.offset + source.place.length, total)
+            done += each.file.size
+            on_progress(done, total)
+        self._report_unaccounted(on_missing)
+
+    def last_before(
+        self, moment_ns: int, wanted: Mapping[str, int], on_missing: Callable[[str], None]
+    ) -> list[Message]:
+        """Return the last `wanted[topic]` messages of each topic before a moment, in log order.
+
+        Only places that may hold them are read.
+        """
+        found = list(enumerate(place_readers(self._files, wanted, (0, moment_ns - 1))))
+        found.sort(key=lambda ranked: ranked[1].place.end_ns, reverse=True)
+        held: dict[str, list[tuple[int, int, int, Message]]] = {topic: [] for topic in wanted}
+        for rank, source in found:
+            end_ns = source.place.end_ns
+            unsettled = {
+                topic
+                for topic, count in wanted.items()
+                if len(held[topic]) < count or held[topic][0][0] <= end_ns
+            }
+            if not unsettled:
+                break
+            if source.may_hold(unsettled):
+                for number, message in enumerate(_as_written(source, on_missing)):
+                    if message.topic in unsettled and message.log_ns < moment_ns:
+                        held[message.topic].append((message.log_ns, rank, number, message))
+                for topic in unsettled:
+                    held[topic] = sorted(held[topic])[-wanted[topic] :]
+        return [each[-1] for each in sorted(each for topic in held.values() for each in topic)]
+
+    def _report_unaccounted(self, on_missing: Callable[[str], None]) -> None:
+        """Report files whose summary counts another number of messages than were read."""
+        for each in self._files:
+            if sentence := each.index.unaccounted():
+                on_missing(f"{each.path.name}: {sentence}")
 
     def _open(self, path: Path, *, only: bool, on_progress: Callable[[int, int], None]) -> None:
         try:
             file = InputFile(path, on_progress, self._source)
-        except OSError as error:
-            self._give_up(path, reason_of(error), only=only)
-            return
-        except Damaged as damage:
-            self._give_up(path, str(damage), only=only)
-            return
-        try:
-            index = index_of(file, lambda done: on_progress(done, file.size))
-        except Damaged as damage:
-            file.close()
-            self._give_up(path, str(damage), only=only)
+            try:
+                index = index_of(file, lambda done: on_progress(done, file.size))
+            except BaseException:
+                file.close()
+                raise
+        except (OSError, Damaged) as error:
+            reason = reason_of(error) if isinstance(error, OSError) else str(error)
+            self.lost_files.append(path.name)
+            note_missing(self.missing, reason if only else f"{path.name}: {reason}")
             return
         self._files.append(OpenFile(path, file, index))
         prefix = "" if only else f"{path.name}: "
         for sentence in index.missing:
             note_missing(self.missing, prefix + sentence)
 
-    def _give_up(self, path: Path, reason: str, *, only: bool) -> None:
-        self.lost_files.append(path.name)
-        note_missing(self.missing, reason if only else f"{path.name}: {reason}")
+
+_AFTER_ALL = (1 << 64, 0)
+
+
+def _load(source: PlaceReader, room: int | None, on_missing: Callable[[str], None]) -> None:
+    """Load a place if it fits into `room` [bytes]; None means no limit."""
+    try:
+        if room is not None and source.place.size_in_memory(source.file.file) > room:
+            source.loaded = True
+            raise BeyondLimit("too many chunks overlap in time")
+        source.load()
+    except Damaged as damage:
+        on_missing(source.loss(damage))
+
+
+def _as_written(source: PlaceReader, on_missing: Callable[[str], None]) -> Iterator[Message]:
+    try:
+        for block in source.as_written():
+            yield from block
+    except Damaged as damage:
+        on_missing(source.loss(damage))

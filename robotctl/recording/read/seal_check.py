@@ -19,7 +19,7 @@ from robotctl.recording.format.seal_records import (
     Opening,
     chained,
 )
-from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile
+from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.whole_data import WholeData
 from robotctl.recording.read.whole_file import FileState, WholeFile
 from robotctl.recording.seal.keyring import is_signed
@@ -103,12 +103,13 @@ def _records(file: InputFile, data: WholeData) -> tuple[Opening | None, list[Lin
     """
     opening: Opening | None = None
     links: list[Link] = []
-    for opcode, offset, length in data.private:
+    for record in data.private:
+        opcode, offset, _ = record
         if opcode not in (OPENING_OPCODE, LINK_OPCODE):
             continue
-        if length > MAX_OPENING_BYTES:
-            raise ValueError(f"a record of the seal has {length} bytes")
-        content = file.read(offset + RECORD_HEAD.size, length)
+        if record.length > MAX_OPENING_BYTES:
+            raise ValueError(f"a record of the seal has {record.length} bytes")
+        content = file.content(record)
         if opcode == LINK_OPCODE:
             link = Link.read(content)
             if link.covered > offset or (link.kind is LinkKind.LINK and link.covered != offset):

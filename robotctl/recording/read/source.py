@@ -6,9 +6,8 @@ import errno
 import os
 import stat
 import tempfile
-from collections.abc import Callable
-from contextlib import closing
-from io import FileIO
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -16,8 +15,7 @@ from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
 from robotctl.base.store.remote_file import RemoteFile
 from robotctl.recording.disk.storage import is_locked
-from robotctl.recording.read.damage import BeyondLimit, Damaged
-from robotctl.recording.read.read_limits import ReadLimits
+from robotctl.recording.read.read_limits import Damaged, ReadLimits, beyond_unpacking
 
 SUFFIX: Final = ".zstd"
 """Suffix of a file that rosbag2 compressed."""
@@ -44,8 +42,16 @@ def unpack_zstd_file(fd: int, on_progress: Callable[[int, int], None]) -> int:
     """
     total = os.fstat(fd).st_size
     limit = ReadLimits.of(total).zstd_file_bytes
-    _check_claim(os.pread(fd, _HEAD_BYTES, 0), limit)
-    with closing(_temporary_file()) as target, os.fdopen(os.dup(fd), "rb") as source:
+    try:
+        claimed = frame_content_size(os.pread(fd, _HEAD_BYTES, 0))
+    except ZstdError as error:
+        raise Damaged("it is not a zstd file") from error
+    if claimed > limit:
+        raise beyond_unpacking(limit)
+    with ExitStack() as stack:
+        with _room():
+            target = stack.enter_context(tempfile.TemporaryFile(buffering=0))
+        source = stack.enter_context(os.fdopen(os.dup(fd), "rb"))
         source.seek(0)
         size = 0
         try:
@@ -53,8 +59,10 @@ def unpack_zstd_file(fd: int, on_progress: Callable[[int, int], None]) -> int:
                 while piece := reader.read(_PIECE_BYTES):
                     size += len(piece)
                     if size > limit:
-                        raise _beyond(limit)
-                    _write(target.fileno(), piece)
+                        raise beyond_unpacking(limit)
+                    with _room():
+                        while piece:
+                            piece = piece[target.write(piece) :]
                     on_progress(source.tell(), total)
         except ZstdError as error:
             if not size:
@@ -62,38 +70,15 @@ def unpack_zstd_file(fd: int, on_progress: Callable[[int, int], None]) -> int:
         return os.dup(target.fileno())
 
 
-def _check_claim(head: bytes, limit: int) -> None:
+@contextmanager
+def _room() -> Iterator[None]:
+    """Say of an OSError in the block that there is no room for the decompressed file."""
     try:
-        claimed = frame_content_size(head)
-    except ZstdError as error:
-        raise Damaged("it is not a zstd file") from error
-    if claimed > limit:
-        raise _beyond(limit)
-
-
-def _beyond(limit: int) -> BeyondLimit:
-    return BeyondLimit(f"unpacked it would take more than {limit >> 20} MiB")
-
-
-def _temporary_file() -> FileIO:
-    try:
-        return tempfile.TemporaryFile(buffering=0)
+        yield
     except OSError as error:
-        raise _no_room(error) from error
-
-
-def _write(fd: int, piece: bytes) -> None:
-    try:
-        while piece:
-            piece = piece[os.write(fd, piece) :]
-    except OSError as error:
-        raise _no_room(error) from error
-
-
-def _no_room(error: OSError) -> OSError:
-    folder = tempfile.gettempdir()
-    reason = f"it cannot be unpacked into {folder}: {error.strerror} (another folder: TMPDIR)"
-    return OSError(error.errno, reason)
+        folder = tempfile.gettempdir()
+        reason = f"it cannot be unpacked into {folder}: {error.strerror} (another folder: TMPDIR)"
+        raise OSError(error.errno, reason) from error
 
 
 class Source(Protocol):

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex, Footer, MetadataIndex
+from mcap.records import ChunkIndex, Footer
 
 from robotctl.base.errors import UnreadableFile
 from robotctl.recording.format.names import (
@@ -26,19 +26,21 @@ from robotctl.recording.format.names import (
     RECOVERY_RECORD,
 )
 from robotctl.recording.format.records import DATA_END_BYTES, FOOTER_CONTENT_BYTES, MAGIC
-from robotctl.recording.format.seal_records import LINK_OPCODE, OPENING_OPCODE
-from robotctl.recording.format.trailer import WrittenFile
-from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.data_section import read_data_section
-from robotctl.recording.read.file_index import read_chunk_index, read_header, read_record_head
+from robotctl.recording.format.trailer import FOOTER_BYTES
 from robotctl.recording.read.files import reason_of
-from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile, parse, walk_records
-from robotctl.recording.read.summary_section import read_written_file
-from robotctl.recording.read.whole_data import Flaws, WholeData
-from robotctl.recording.read.whole_summary import compare_summary
-
-_DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
-_ID_BYTES = 2
+from robotctl.recording.read.indexing import (
+    find_unfinished_commit,
+    index_from_summary,
+    read_written_file,
+)
+from robotctl.recording.read.read_limits import Damaged
+from robotctl.recording.read.records import RECORD_HEAD, InputFile, parse, walk_records
+from robotctl.recording.read.whole_data import (
+    Flaws,
+    WholeData,
+    compare_summary,
+    read_data_section,
+)
 
 
 class FileEnd(NamedTuple):
@@ -73,53 +75,19 @@ def find_end(file: InputFile, data_end: int) -> FileEnd:
     while True:
         if offset + RECORD_HEAD.size > file.size:
             raise BadEnd("it ends without a footer")
-        opcode, length = RECORD_HEAD.unpack(file.read(offset, RECORD_HEAD.size))
-        after = offset + RECORD_HEAD.size + length
-        if after > file.size:
-            raise BadEnd(f"a record claims to have {length} bytes")
-        if offset == data_end and after != summary:
+        record = file.record(offset)
+        if record.end > file.size:
+            raise BadEnd(f"a record claims to have {record.length} bytes")
+        if offset == data_end and record.end != summary:
             raise BadEnd("the record that ends the data has another length")
-        if opcode == Opcode.FOOTER:
+        if record.opcode == Opcode.FOOTER:
             break
-        offset = after
-    if length != FOOTER_CONTENT_BYTES:
+        offset = record.end
+    if record.length != FOOTER_CONTENT_BYTES:
         raise BadEnd("the footer has another length")
-    if after + len(MAGIC) > file.size:
+    if record.end + len(MAGIC) > file.size:
         raise BadEnd("it ends within the mark of MCAP")
-    return FileEnd(summary, offset, after)
-
-
-def end_of_listed(file: InputFile, written: WrittenFile) -> int:
-    """Return where the data of a growing file ended when its summary was written.
-
-    After that, there may be records of the next commit, and space for more.
-
-    Raises:
-        Damaged: The summary or the file cannot be read.
-    """
-    _, offset = read_header(file)
-    groups = written.groups
-    for _, start, end in walk_records(groups.get(Opcode.METADATA_INDEX, b"")):
-        metadata = parse(MetadataIndex, groups[Opcode.METADATA_INDEX][start:end])
-        offset = max(offset, metadata.offset + metadata.length)
-    chunks = groups.get(Opcode.CHUNK_INDEX, b"")
-    for _, start, end in walk_records(chunks):
-        offset = max(offset, read_chunk_index(chunks, start, end).end)
-    defined = {
-        (opcode, groups[opcode][start : start + _ID_BYTES])
-        for opcode in _DEFINITIONS
-        for _, start, _ in walk_records(groups.get(opcode, b""))
-    }
-    while offset < written.data_end:
-        opcode, length = read_record_head(file, offset)
-        content = offset + RECORD_HEAD.size
-        if opcode in _DEFINITIONS:
-            if (opcode, file.read(content, _ID_BYTES)) not in defined:
-                break
-        elif opcode not in (OPENING_OPCODE, LINK_OPCODE):
-            break
-        offset = content + length
-    return offset
+    return FileEnd(summary, offset, record.end)
 
 
 def ends_in_commit(file: InputFile, end: FileEnd) -> bool:
@@ -128,12 +96,11 @@ def ends_in_commit(file: InputFile, end: FileEnd) -> bool:
     Such a file ends with a footer that points back to this end or to a copy of it: the writer
     writes that footer first (see `McapFile`).
     """
-    size = RECORD_HEAD.size + FOOTER_CONTENT_BYTES
     try:
-        last = file.read(file.size - size - len(MAGIC), size + len(MAGIC))
+        last = file.read(file.size - FOOTER_BYTES, FOOTER_BYTES)
         if RECORD_HEAD.unpack_from(last) != (Opcode.FOOTER, FOOTER_CONTENT_BYTES):
             return False
-        footer: Footer = parse(Footer, last[RECORD_HEAD.size : size])
+        footer = parse(Footer, last[RECORD_HEAD.size : -len(MAGIC)])
     except Damaged:
         return False
     points_back = footer.summary_start == end.summary and not footer.summary_crc
@@ -145,9 +112,10 @@ def forget_unlisted_chunk(data: WholeData, summary: bytes) -> int:
 
     A kill between writing the chunk and the summary leaves such a chunk.
     """
-    if not data.chunk_indexes:
+    chunks = data.listed[Opcode.CHUNK_INDEX]
+    if not chunks:
         return 0
-    last = max(data.chunk_indexes)
+    last = max(chunks)
     try:
         listed = {
             parse(ChunkIndex, summary[start:end]).chunk_start_offset
@@ -156,11 +124,11 @@ def forget_unlisted_chunk(data: WholeData, summary: bytes) -> int:
         }
     except Damaged:
         return 0
-    entry = data.chunk_indexes[last]
+    entry: ChunkIndex = chunks[last]
     end = last + entry.chunk_length + entry.message_index_length
     if last in listed or end != (data.end if data.unfinished is None else data.unfinished):
         return 0
-    del data.chunk_indexes[last]
+    del chunks[last]
     data.counts, data.start_ns, data.end_ns = data.before_last_chunk
     return end - last
 
@@ -254,7 +222,7 @@ def check_bytes(
     if file.is_changing():
         return _live(file, Flaws(), lambda offset: on_progress(offset, file.size))
     flaws = Flaws()
-    data = read_data_section(file, flaws, None, lambda offset: on_progress(offset, file.size))
+    data = read_data_section(file, flaws, on_progress=lambda offset: on_progress(offset, file.size))
     found = WholeFile(file.path, file.size, _state(data), data, flaws)
     if data.told_crc is None:
         if not flaws.count and not data.unread:
@@ -270,14 +238,17 @@ def _live(file: InputFile, flaws: Flaws, on_progress: Callable[[int], None]) -> 
     deadline = time.monotonic() + _GROWING_S
     while True:
         try:
-            written = read_written_file(file)
-            end = end_of_listed(file, written)
+            index, written = index_from_summary(file), read_written_file(file)
+            if index.limit_reached:
+                raise Damaged("; ".join(index.missing))
+            end = find_unfinished_commit(file, index, written.data_end)
             if read_written_file(file) == written:
                 break
         except Damaged:
             if time.monotonic() > deadline:
                 raise
         time.sleep(_LOOK_AGAIN_S)
+    end = written.data_end if end is None else end
     data = read_data_section(file, flaws, end, on_progress)
     found = WholeFile(file.path, end, FileState.LIVE, data, flaws)
     data.told_crc = written.data_crc

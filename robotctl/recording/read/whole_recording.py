@@ -20,9 +20,9 @@ from robotctl.recording.format.rosbag2 import (
     total_count_in,
 )
 from robotctl.recording.format.topics import LATCHED_QOS, read_ledger
-from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.files import absent_files, metadata_of_folder, recording_files
-from robotctl.recording.read.mcap_input import InputFile
+from robotctl.recording.read.read_limits import Damaged
+from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.seal_chain import Chain, SealedFile, check_chain
 from robotctl.recording.read.seal_check import SealState, check_seal
 from robotctl.recording.read.whole_data import WholeData
@@ -95,7 +95,7 @@ def read_whole_recording(
 
 def _miscounted(file: WholeFile) -> Iterator[str]:
     """Yield a sentence for each count of a rosbag2 record that the messages contradict."""
-    texts = [r.metadata for r in file.data.metadata.values() if r.name == METADATA_RECORD]
+    texts = [r.metadata for r in file.data.metadata if r.name == METADATA_RECORD]
     if file.state is FileState.FINISHED and texts:
         told = topic_counts_in(texts[-1].get("serialized_metadata", ""))
         yield from _differences("its rosbag2 record", told, _counts([file.data]))
@@ -137,7 +137,7 @@ def _ledger_differences(files: Sequence[WholeFile]) -> Iterator[str]:
     for number, file in enumerate(files, start=1):
         if file.state is not FileState.FINISHED:
             return
-        record = next(r for r in file.data.metadata.values() if r.name == LEDGER_RECORD)
+        record = next(r for r in file.data.metadata if r.name == LEDGER_RECORD)
         ledger = read_ledger({LEDGER_RECORD: record.metadata})
         found = _counts([each.data for each in files[:number]])
         latched = _latched([each.data for each in files[:number]]) if number > 1 else set()
@@ -162,7 +162,7 @@ def _differences(
 def _counts(parts: Sequence[WholeData]) -> dict[_TopicKey, int]:
     counts: Counter[_TopicKey] = Counter()
     for data in parts:
-        for key, channel in data.topics.items():
+        for key, channel in data.channels.items():
             counts[_key(data, channel)] += data.counts.get(key, 0)
     return dict(counts)
 
@@ -171,13 +171,14 @@ def _latched(parts: Sequence[WholeData]) -> set[_TopicKey]:
     return {
         _key(data, channel)
         for data in parts
-        for channel in data.topics.values()
+        for channel in data.channels.values()
         if LATCHED_QOS in channel.metadata.get("offered_qos_profiles", "")
     }
 
 
 def _key(data: WholeData, channel: Channel) -> _TopicKey:
-    return channel.topic, data.type_names.get(channel.schema_id, "")
+    schema = data.schemas.get(channel.schema_id)
+    return channel.topic, schema.name if schema else ""
 
 
 class RecordingProof(StrEnum):

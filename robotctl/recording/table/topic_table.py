@@ -15,9 +15,8 @@ from robotctl.base.unknown_name import unknown_name
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.definition import Definition, UnreadableType, parse_definition
 from robotctl.messages.fields import Column, ColumnKind, FlatDecoder
-from robotctl.recording.read.info import RecordingInfo, TopicInfo
 from robotctl.recording.read.messages import ALWAYS, Window
-from robotctl.recording.read.reader import Recording
+from robotctl.recording.read.reader import Recording, RecordingInfo, TopicInfo
 
 _ENCODING = "cdr"
 

@@ -24,8 +24,8 @@ from robotctl.cli.ui.output import Progress, print_answer, progress_bar
 from robotctl.cli.ui.text import printable, short_path
 
 if TYPE_CHECKING:
-    from robotctl.recording.read.info import RecordingInfo
     from robotctl.recording.read.messages import Window
+    from robotctl.recording.read.reader import RecordingInfo
     from robotctl.recording.table.topic_table import Row, TopicTable
 
 app = new_app()

@@ -1,6 +1,7 @@
-"""Reads parts of an MCAP file that may be damaged or hostile.
+"""Walks the records of an MCAP file that may be damaged or hostile.
 
-Any damage raises `Damaged`; every length is checked before memory is allocated.
+A record of a file is read by `InputFile.record`, the records of a decompressed chunk by
+`head_blocks`. Any damage raises `Damaged`; every length is checked before memory is allocated.
 """
 
 from __future__ import annotations
@@ -9,18 +10,26 @@ import struct
 import sys
 from collections.abc import Callable, Iterator
 from io import BytesIO
-from itertools import chain
 from pathlib import Path
-from typing import Final, Protocol, Self, TypeVar
+from typing import Final, NamedTuple, Protocol, Self, TypeVar
 
+from isal.isal_zlib import crc32
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import McapRecord
+from mcap.records import Attachment, Header, McapRecord
 
+from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.records import RECORD_HEAD as RECORD_HEAD
-from robotctl.recording.read.damage import BeyondLimit, Damaged, Unreadable, note_read_failure
-from robotctl.recording.read.read_limits import BYTES_PER_RECORD, RECORDS, ReadLimits
+from robotctl.recording.read.read_limits import (
+    BYTES_PER_RECORD,
+    RECORDS,
+    BeyondLimit,
+    Damaged,
+    ReadLimits,
+    Unreadable,
+    note_read_failure,
+)
 from robotctl.recording.read.source import Source, open_source
 
 MESSAGE_FIELDS: Final = struct.Struct("<HIQQ")
@@ -45,6 +54,9 @@ MAX_RECORD_BYTES: Final = 64 << 20
 TOO_MANY_RECORDS: Final = (
     f"it holds more than {RECORDS} messages, and more than one for every {BYTES_PER_RECORD} bytes"
 )
+
+_ATTACHMENT_FIXED_BYTES: Final = 8 + 8 + 4 + 4 + 8
+"""Log time, create time, lengths of name and media type, size of the data."""
 
 _Record = TypeVar("_Record", bound=McapRecord, covariant=True)
 
@@ -75,6 +87,24 @@ def parse(kind: _RecordClass[_Record], data: bytes) -> _Record:
         return kind.read(_ExactStream(BytesIO(data)))
     except (McapError, ValueError, struct.error, OverflowError) as error:
         raise Damaged(f"a {kind.__name__.lower()} record is malformed") from error  # type: ignore[attr-defined]
+
+
+class Record(NamedTuple):
+    """Where a record of a file is; `end` is the offset after it, which the file may not reach."""
+
+    opcode: int
+    offset: int
+    end: int
+
+    @property
+    def content(self) -> int:
+        """The offset of the content."""
+        return self.offset + RECORD_HEAD.size
+
+    @property
+    def length(self) -> int:
+        """The length of the content [bytes]."""
+        return self.end - self.content
 
 
 class InputFile:
@@ -146,6 +176,25 @@ class InputFile:
             raise self.failed(reason) from error
         return data
 
+    def record(self, offset: int) -> Record:
+        """Return the record at `offset`.
+
+        Raises:
+            Damaged: The file ends before its content.
+        """
+        opcode, length = RECORD_HEAD.unpack(self.read(offset, RECORD_HEAD.size))
+        return Record(opcode, offset, offset + RECORD_HEAD.size + length)
+
+    def content(self, record: Record) -> bytes:
+        """Return the content of a record other than a chunk or an attachment.
+
+        Raises:
+            Damaged: The file ends there, or the length is not plausible.
+        """
+        if record.length > MAX_RECORD_BYTES:
+            raise Damaged(f"a record at byte {record.offset} claims {record.length} bytes")
+        return self.read(record.content, record.length)
+
     def failed(self, reason: str) -> Unreadable:
         """Return the error for a failure of disk or memory; `failure` keeps the first error."""
         note_read_failure(f"{self.path}: {reason}")
@@ -167,29 +216,20 @@ class InputFile:
 
 
 def walk_records(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, content start and content end of each record in a chunk.
+    """Yield opcode, content start and content end of each record in a chunk or summary.
 
     Raises:
         Damaged: A record is cut off or malformed.
         BeyondLimit: There are more than `most` records.
     """
-    for position, head in walk_heads(data, most):
-        start = position + RECORD_HEAD.size
-        yield head[0], start, start + head[1]
-
-
-def walk_heads(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, RecordHead]]:
-    """Yield position and head of each record in a chunk.
-
-    Raises:
-        Damaged: A record is cut off or malformed.
-        BeyondLimit: There are more than `most` records.
-    """
-    return chain.from_iterable(head_blocks(data, most))
+    for block in head_blocks(data, most):
+        for position, head in block:
+            start = position + RECORD_HEAD.size
+            yield head[0], start, start + head[1]
 
 
 def head_blocks(data: bytes, most: int = sys.maxsize) -> Iterator[HeadBlock]:
-    """Yield what `walk_heads` yields, in lists.
+    """Yield position and head of each record in a chunk, in lists.
 
     Raises:
         Damaged: After the last record, if the next one is cut off or malformed.
@@ -233,3 +273,50 @@ def _short_head(data: bytes, position: int) -> RecordHead:
         raise Damaged("a chunk ends in the middle of a record")
     opcode, length = RECORD_HEAD.unpack_from(data, position)
     return opcode, length, 0, 0, 0, 0
+
+
+LOST_HEADER: Final = Header(profile="", library="")
+"""What stands for a header of zeros, which a power cut can cause."""
+
+ZEROS: Final = "it is not an MCAP file: it begins with zeros"
+
+
+def read_header(file: InputFile) -> tuple[Header, int]:
+    """Return the header, and the offset after it; LOST_HEADER if the file begins with zeros.
+
+    Raises:
+        Damaged: It is not an MCAP file.
+    """
+    if file.size == 0:
+        raise Damaged("it is empty")
+    if not any(file.read(0, min(file.size, len(MAGIC) + RECORD_HEAD.size))):
+        return LOST_HEADER, len(MAGIC)
+    if file.size < len(MAGIC) or file.read(0, len(MAGIC)) != MAGIC:
+        raise Damaged("it is not an MCAP file")
+    record = file.record(len(MAGIC))
+    if record.opcode != Opcode.HEADER:
+        raise Damaged("it does not begin with a header")
+    return parse(Header, file.content(record)), record.end
+
+
+def read_attachment(file: InputFile, offset: int) -> Attachment:
+    """Return the attachment whose record is at `offset`.
+
+    Fields after the checksum, which a later version of the format may add, are ignored.
+
+    Raises:
+        Damaged: There is no attachment, its checksum is wrong, or it is too large.
+    """
+    record, most = file.record(offset), file.limits.attachment_bytes
+    if record.opcode != Opcode.ATTACHMENT:
+        raise Damaged("there is no attachment")
+    if record.length > most:
+        raise BeyondLimit(f"it has {record.length} bytes, more than {most}")
+    content = file.read(record.content, record.length)
+    attachment: Attachment = parse(Attachment, content)
+    texts = len(attachment.name.encode()) + len(attachment.media_type.encode())
+    covered = _ATTACHMENT_FIXED_BYTES + texts + len(attachment.data)
+    crc = int.from_bytes(content[covered : covered + 4], "little")
+    if crc and crc != crc32(memoryview(content)[:covered]):
+        raise Damaged("its checksum is wrong")
+    return attachment
