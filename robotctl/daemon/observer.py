@@ -14,14 +14,8 @@ from robotctl.daemon.api.warnings import Warnings
 from robotctl.daemon.host import Diagnostics, Host, Ready, running
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.ipc.answers import RobotFacts
-from robotctl.ipc.method_names import DRIVE, PARAM_SET, PATH, PREFLIGHT, RESET, SET_MODE
-from robotctl.ipc.method_params import (
-    DriveParams,
-    NoParams,
-    ParamSetParams,
-    ResetParams,
-    SetModeParams,
-)
+from robotctl.ipc.method_names import OF_A_ROBOT
+from robotctl.ipc.method_params import AnyParams
 from robotctl.ipc.request_handler import Method
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.remedies import Remedy
@@ -58,13 +52,8 @@ class Observer:
             **common_methods(self._status, self._host.stop),
             **recording_methods(self.recorder, self._host.options.robot),
             **list_method(lambda: self._host.config),
-            PARAM_SET: Method(ParamSetParams, self._refuse),
             **graph_methods(self.recorder.tap),
-            PATH: Method(NoParams, self._refuse),
-            PREFLIGHT: Method(NoParams, self._refuse),
-            SET_MODE: Method(SetModeParams, self._refuse),
-            RESET: Method(ResetParams, self._refuse),
-            DRIVE: Method(DriveParams, self._refuse),
+            **dict.fromkeys(OF_A_ROBOT, Method(AnyParams, self._refuse)),
         }
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:

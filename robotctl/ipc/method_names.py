@@ -67,3 +67,9 @@ SIM_FAULT: Final[MethodName[SimFaulted]] = MethodName("sim_fault")
 GRAPH: Final[MethodName[Graph]] = MethodName("graph")
 GRAPH_TOPIC: Final[MethodName[GraphTopic]] = MethodName("graph_topic")
 GRAPH_NODE: Final[MethodName[GraphNode]] = MethodName("graph_node")
+
+OF_A_ROBOT: Final = (
+    *(PREFLIGHT, PATH, SET_MODE, RESET, DRIVE, DRIVE_PATH, DRIVE_VELOCITY, END_DRIVE, HOLD),
+    *(LEASE_TAKE, LEASE_KEEP, LEASE_RELEASE, LEASE_STATUS, PARAM_SET, SIM_SET, SIM_FAULT),
+)
+"""The methods of a daemon that drives; one that only observes refuses each of them."""

@@ -53,6 +53,10 @@ class NoParams(Struct, frozen=True, forbid_unknown_fields=True):
     """The empty parameters of a method that has none."""
 
 
+class AnyParams(Struct, frozen=True):
+    """Any parameters: their method refuses each call."""
+
+
 class HelloParams(Struct, frozen=True, forbid_unknown_fields=True):
     """The parameters of `hello`: the protocol version of the client."""
 

@@ -63,10 +63,12 @@ def _live(world: World, peer: Peer) -> Observed:
     assert watching.stdout is not None
     _, line = watching.stdout.readline(), watching.stdout.readline()
     refused = (
-        ("set-mode", "moving"),
-        ("estop",),
-        ("reset",),
-        ("drive", "square"),
+        *(("set-mode", "moving"), ("estop",), ("reset",), ("drive", "square")),
+        *(
+            ("drive", "velocity", "0.1", "0", "--for", "1s"),
+            ("lease", "status"),
+            ("sim", "fault", "slip"),
+        ),
     )
     seen = Observed(
         started=started,

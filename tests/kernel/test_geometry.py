@@ -301,10 +301,8 @@ def test_the_exponential_function_is_exact_to_the_last_bit(x: float) -> None:
 
 
 def test_what_is_no_number_is_none_and_an_infinite_angle_is_refused() -> None:
-    nan = math.nan
-    for value in (trigonometry.sin(nan), trigonometry.cos(nan), trigonometry.atan2(nan, 1.0)):
-        assert math.isnan(value)
-    assert math.isnan(trigonometry.hypot(nan, 1.0))
+    assert all(math.isnan(each(math.nan)) for each in (trigonometry.sin, trigonometry.cos))
+    assert all(math.isnan(each(math.nan, 1.0)) for each in (trigonometry.atan2, trigonometry.hypot))
     assert trigonometry.sin(1e15) == pytest.approx(math.sin(1e15 % math.tau), abs=1e-15)
     for function in (trigonometry.sin, trigonometry.cos, trigonometry.tan, trigonometry.exp):
         with pytest.raises(ValueError, match=r"infinite|between"):
