@@ -1,6 +1,6 @@
 """The long-lived journal of decisions: who changed mode, parameters or software, for years.
 
-- `journal`: its entries and files, and the check of their hash chain.
+- `journal`: its entries and files.
 - `log`: the writer.
 - `evidence`: the report that is made from the journal.
 """

@@ -1,21 +1,28 @@
-"""The journal of decisions: its entries, chained lines of JSON, in numbered files."""
+"""The journal of decisions: lines of JSON that are appended under a lock, in numbered files.
+
+A line `opened` holds the SHA-256 of the lines before it and of the file before, signed
+(`robotctl.recording.seal`): that shows later whether a line was changed or removed. File 0 keeps
+the lines about sealed files that were in removed files. Early versions wrote the hash of the line
+before into each line (`prev`).
+"""
 
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import os
 import re
 import stat
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from enum import StrEnum
+from fcntl import LOCK_EX, flock
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 
-from robotctl.base.files import open_regular, sync_folder
+from robotctl.base.files import open_folder, open_regular, sync_folder
 from robotctl.base.paths import make_private, robot_state_folder
 from robotctl.kernel.units import DAY_S
 
@@ -25,7 +32,26 @@ MAX_LINE_BYTES: Final = 32_768
 MAX_TEXT: Final = 500
 """Limit on the characters of a text in an entry, such as a reason; longer texts are cut."""
 
-_HASH_CHARACTERS: Final = 16
+FILE_BYTES: Final = 1_000_000
+"""When a file has grown to this size, the next file is begun."""
+
+MAX_FILE_BYTES: Final = 2 * FILE_BYTES
+"""Readers read no more than this of a file; robotctl does not write larger files."""
+
+MAX_KEPT_BYTES: Final = 256 << 20
+"""Readers read no more than this of the lines that outlive their files."""
+
+YEAR_S: Final = 365.25 * DAY_S
+"""The unit of `decisions.keep_years` in seconds."""
+
+KEPT_FILES: Final = 2
+"""The number of newest files that are never removed."""
+
+FOLDER: Final = "decisions"
+"""The name of the journal's folder, in the state folder of the robot."""
+
+_NAME: Final = re.compile(r"decisions-(?!000000)\d{6}\.jsonl")
+_OLD_HASH_CHARACTERS: Final = 16
 _RESERVED: Final = ("time_ns", "kind", "prev")
 
 
@@ -62,6 +88,19 @@ class DecisionKind(StrEnum):
     MORE = "more"
     """Entries were not written: `counts` by kind, in the time from `first_ns` to `last_ns`."""
 
+    OPENED = "opened"
+    """A sealed file was opened: `opened`, `journal` (`digests` before this line), `signature`."""
+
+    CLOSED = "closed"
+    """A sealed file was closed: `closed`, its last head."""
+
+    ROTATED = "rotated"
+    """A new chain of keys was begun: `rotated`."""
+
+
+ABOUT_SEALS: Final = (DecisionKind.OPENED, DecisionKind.CLOSED, DecisionKind.ROTATED)
+"""The kinds of entries that are never removed, and that no budget limits."""
+
 
 @dataclass(frozen=True, slots=True)
 class Entry:
@@ -74,20 +113,21 @@ class Entry:
     kind: str
     values: Mapping[str, Any]
 
-    def line(self, prev: str) -> bytes:
-        """Return the entry as a line without newline; `prev` is the hash of the line before it."""
-        head = {"time_ns": self.time_ns, "kind": self.kind, "prev": prev}
+    def line(self) -> bytes:
+        """Return the entry as a line."""
+        head = {"time_ns": self.time_ns, "kind": self.kind}
         values = {key: _bounded(value) for key, value in self.values.items()}
-        return json.dumps({**head, **values, **head}, separators=(",", ":")).encode()
+        return json.dumps({**head, **values, **head}, separators=(",", ":")).encode() + b"\n"
 
 
-def hash_of(line: bytes) -> str:
-    """Return the hash of a line; the next line of the log has this hash as its `prev`."""
-    return hashlib.sha256(line).hexdigest()[:_HASH_CHARACTERS]
+def _bounded(value: object) -> object:
+    if isinstance(value, str) and len(value) > MAX_TEXT:
+        return f"{value[: MAX_TEXT - 1]}…"
+    return value
 
 
-def parse(line: bytes) -> tuple[Entry, str]:
-    """Return a line's entry and its `prev`, the hash of the line before it.
+def parse(line: bytes) -> Entry:
+    """Return the entry in a line.
 
     Raises:
         ValueError: The line is not an entry.
@@ -97,191 +137,239 @@ def parse(line: bytes) -> tuple[Entry, str]:
     try:
         found = json.loads(line)
         values = {key: value for key, value in found.items() if key not in _RESERVED}
-        time_ns, kind, prev = found["time_ns"], found["kind"], found["prev"]
+        time_ns, kind = found["time_ns"], found["kind"]
     except (KeyError, AttributeError, TypeError, RecursionError) as error:
         raise ValueError("no entry") from error
-    if type(time_ns) is not int or type(kind) is not str or type(prev) is not str:
+    if type(time_ns) is not int or type(kind) is not str:
         raise ValueError("no entry")
-    return Entry(time_ns, kind, values), prev
-
-
-def _bounded(value: object) -> object:
-    if isinstance(value, str) and len(value) > MAX_TEXT:
-        return f"{value[: MAX_TEXT - 1]}…"
-    return value
-
-
-FILE_BYTES: Final = 1_000_000
-"""When a file has grown to this size, the next file is begun."""
-
-MAX_FILE_BYTES: Final = 2 * FILE_BYTES
-"""Readers read no more than this of a file; robotctl does not write larger files."""
-
-YEAR_S: Final = 365.25 * DAY_S
-"""The unit of `decisions.keep_years` in seconds."""
-
-KEPT_FILES: Final = 2
-"""The number of newest files that are never removed."""
-
-_NAME: Final = re.compile(r"decisions-(\d{6})\.jsonl")
+    return Entry(time_ns, kind, values)
 
 
 def log_folder(robot: str) -> Path:
-    """Return the folder of the robot's decision log."""
-    return robot_state_folder(robot) / "decisions"
+    """Return the folder of the robot's journal."""
+    return robot_state_folder(robot) / FOLDER
 
 
 def files_of(folder: Path) -> list[Path]:
-    """Return the files of the log, the oldest first; none if there is no such folder."""
+    """Return the files from number 1 on, the oldest first; none if there is no such folder."""
     with suppress(OSError):
         return sorted(path for path in folder.iterdir() if _NAME.fullmatch(path.name))
     return []
 
 
-def number_of(path: Path) -> int:
-    """Return the number of a file of the log; the first file of a robot has number 1."""
-    match = _NAME.fullmatch(path.name)
-    assert match is not None, path
-    return int(match[1])
+def kept_file(folder: Path) -> Path:
+    """Return the path of file 0, which has the lines about sealed files that outlive the others."""
+    return folder / _name(0)
 
 
-def content_of(path: Path) -> bytes:
-    """Return the content of a file of the log, at most MAX_FILE_BYTES.
+def entries_in(path: Path, *kinds: str) -> Iterator[Entry]:
+    """Yield the entries of these kinds in a file, all of them if none is given.
 
     Raises:
         OSError: It cannot be read, or is not a regular file.
     """
+    marks = [f'"kind":"{kind}"'.encode() for kind in kinds]
+    for line in _content_of(path).splitlines():
+        if not kinds or any(mark in line for mark in marks):
+            with suppress(ValueError):
+                yield parse(line)
+
+
+def _content_of(path: Path) -> bytes:
     with open_regular(path) as file:
-        return file.read(MAX_FILE_BYTES)
-
-
-def open_last(folder: Path) -> int:
-    """Open the log's last file to append to, or begin one (0600), and return its descriptor.
-
-    Raises:
-        OSError: It cannot be opened, or it is not a regular file.
-        UsageError: Another user could change the folder.
-    """
-    make_private(folder)
-    files = files_of(folder)
-    path = files[-1] if files else folder / _name(1)
-    if files and path.lstat().st_size >= FILE_BYTES:
-        path = _next(path)
-    begun = not os.path.lexists(path)
-    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-    descriptor = os.open(path, flags, 0o600)
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):  # a FIFO that has a reader
-        os.close(descriptor)
-        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
-    if begun:
-        sync_folder(folder)
-    return descriptor
-
-
-def remove_oldest(folder: Path, keep_s: float, now_s: float) -> Path | None:
-    """Remove and return the oldest file if it was last written more than `keep_s` seconds ago.
-
-    With `keep_s` 0 nothing is removed. One call removes one file, but never one of the last
-    KEPT_FILES: a clock that is years ahead must not remove a log.
-
-    Raises:
-        OSError: It cannot be removed.
-    """
-    files = files_of(folder)
-    if len(files) <= KEPT_FILES or not keep_s or now_s - files[0].lstat().st_mtime <= keep_s:
-        return None
-    files[0].unlink()
-    return files[0]
+        return file.read(MAX_FILE_BYTES if _NAME.fullmatch(path.name) else MAX_KEPT_BYTES)
 
 
 def _name(number: int) -> str:
     return f"decisions-{number:06}.jsonl"
 
 
-def _next(path: Path) -> Path:
-    return path.with_name(_name(number_of(path) + 1))
+def _number_of(path: Path) -> int:
+    return int(path.name[-12:-6])
+
+
+# Writing: all of it under the lock
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Create the folder if it is missing, and let no other process write to it in the block.
+
+    Raises:
+        OSError: It cannot be opened.
+        UsageError: Another user could change the folder, or it cannot be created.
+    """
+    make_private(folder)
+    with open_folder(folder) as descriptor:
+        with suppress(OSError):  # some network file systems have no locks
+            flock(descriptor, LOCK_EX)
+        yield
+
+
+def last_file(folder: Path) -> Path:
+    """Return the file to append to, which ends with a whole line; begin the next if it is full.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    files = files_of(folder)
+    number = _number_of(files[-1]) if files else 1
+    if files and files[-1].lstat().st_size >= FILE_BYTES:
+        number += 1
+    append(folder / _name(number), [])
+    return folder / _name(number)
+
+
+def append(path: Path, entries: Iterable[Entry]) -> None:
+    """Append entries to a file (0600) in one write, and wait for the disk.
+
+    The end of a line that a kill or a power cut has torn does not spoil the entries.
+
+    Raises:
+        OSError: Nothing was written: no space, or it is not a regular file of this user.
+    """
+    begins = not os.path.lexists(path)
+    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    descriptor = os.open(path, flags, 0o600)
+    try:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode) or found.st_uid != os.getuid():
+            raise OSError(errno.EINVAL, "it is not a regular file of this user", str(path))
+        torn = found.st_size and os.pread(descriptor, 1, found.st_size - 1) != b"\n"
+        data = (b"\n" if torn else b"") + b"".join(entry.line() for entry in entries)
+        if os.write(descriptor, data) < len(data):
+            os.ftruncate(descriptor, found.st_size)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+    if begins:
+        sync_folder(path.parent)
+
+
+def remove_oldest(folder: Path, keep_s: float, now_s: float) -> None:
+    """Remove the oldest file if it was last written more than `keep_s` seconds ago.
+
+    Its lines about sealed files are kept in file 0. With `keep_s` 0 nothing is removed. One call
+    removes one file, but never one of the last KEPT_FILES: a clock that is years ahead must not
+    remove a journal.
+
+    Raises:
+        OSError: It cannot be removed.
+    """
+    files = files_of(folder)
+    if len(files) > KEPT_FILES and keep_s and now_s - files[0].lstat().st_mtime > keep_s:
+        if kept := [*entries_in(files[0], *ABOUT_SEALS)]:
+            append(kept_file(folder), kept)
+        files[0].unlink()
+
+
+# Reading
+
+
+def digests(folder: Path) -> list[str]:
+    """Return the digests of the last file's whole lines, and before it that of the file before.
+
+    The lines are on the disk then: what keeps the digests does not outlive them in a power cut.
+
+    Raises:
+        OSError: A file cannot be read.
+    """
+    found = []
+    for path in files_of(folder)[-2:]:
+        with open_regular(path) as file:
+            os.fsync(file.fileno())
+            found.append(_digest(file.read(MAX_FILE_BYTES)))
+    return found
+
+
+def _digest(content: bytes) -> str:
+    return sha256(content[: content.rfind(b"\n") + 1]).hexdigest()
+
+
+def head_of(folder: Path) -> str:
+    """Return the digest of the newest file, "" if there is none.
+
+    Recordings store this digest: it shows later whether lines were changed, or cut off the end.
+    """
+    with suppress(OSError, IndexError):
+        return digests(folder)[-1]
+    return ""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedLine:
+    """A line `opened`, with the `digests` that it must hold; "" for a file that is not there."""
+
+    entry: Entry
+    place: str
+    before: Sequence[str]
 
 
 @dataclass(slots=True)
 class LogContent:
-    """The content of a log, and what a check of its hash chain found."""
+    """The content of a journal, and what a comparison of its files found."""
 
     files: list[Path] = field(default_factory=list)
     entries: list[Entry] = field(default_factory=list)
+    """The entries in the order of writing, without those about sealed files."""
+
+    opened: list[OpenedLine] = field(default_factory=list)
     broken: list[str] = field(default_factory=list)
     """Sentences about entries that were changed, removed or added."""
     notes: list[str] = field(default_factory=list)
     """Sentences about what is no manipulation: torn lines, and files removed by robotctl."""
     heads: set[str] = field(default_factory=set)
-    """The hash of each entry, and that of the line before the first entry."""
+    """What recordings may know: the digest behind each line, and the old hash of each line."""
 
     @property
     def begins_later(self) -> bool:
-        """Whether the first files of the log are missing, as after `remove_oldest`."""
-        return bool(self.files) and number_of(self.files[0]) > 1
+        """Whether the first files of the journal are missing, as after `remove_oldest`."""
+        return bool(self.files) and _number_of(self.files[0]) > 1
 
 
 def read_log(folder: Path) -> LogContent:
-    """Return the content of the log in `folder`, with entries in the order of writing.
+    """Return the content of the journal in `folder`.
 
-    A line that was torn by a kill or a full disk causes a note. Entries that were removed from the
-    end are not detected here: compare `heads` with the hashes in recordings (`head_of`).
+    A line that was torn by a kill or a full disk causes a note. Entries that were changed, or
+    removed from the end, are not detected here: compare `opened`, and `heads` with the digests in
+    recordings.
     """
     log = LogContent(files_of(folder))
-    prev: str | None = None
-    for path in log.files:
-        number = 0
-        for number, line in enumerate(_lines(path, log), 1):
-            try:
-                entry, told = parse(line)
-            except ValueError:
-                log.notes.append(f"{path.name}: line {number} is torn, or no entry")
-                continue
-            if prev is None:
-                _note_begin(log, told)
-            elif told != prev:
-                log.broken.append(
-                    f"{path.name}: line {number} does not follow the entry before it: "
-                    "something was changed, removed or added"
-                )
-            if prev is None:
-                log.heads.add(told)
-            prev = hash_of(line)
-            log.heads.add(prev)
-            log.entries.append(entry)
+    numbers = [_number_of(path) for path in log.files]
+    if log.begins_later:  # `remove_oldest` keeps the last KEPT_FILES
+        name, few = log.files[0].name, len(numbers) < KEPT_FILES
+        log.broken += [f"{name}: the entries before it were removed, not by robotctl"] * few
+        log.notes += [f"{name}: the entries before it are removed"] * (not few)
+    if numbers and numbers[-1] - numbers[0] >= len(numbers):
+        log.broken.append("a file between others was removed, not by robotctl")
+    before = {0: ""}
+    for number, path in zip(numbers, log.files, strict=True):
+        try:
+            content = _content_of(path)
+        except OSError as error:
+            log.broken.append(f"{path.name} cannot be read: {error.strerror or error}")
+            continue
+        _read_lines(path.name, content, [before.get(number - 1, "")] * (number > 1), log)
+        before[number] = _digest(content)
     return log
 
 
-def _note_begin(log: LogContent, told: str) -> None:
-    """Note in `log` if entries before its first one are missing; `told` is the first one's `prev`.
-
-    `remove_oldest` removes only whole files, the oldest first, and keeps the last KEPT_FILES.
-    """
-    name = log.files[0].name
-    if bool(told) != log.begins_later or (log.begins_later and len(log.files) < KEPT_FILES):
-        log.broken.append(f"{name}: entries before its first one were removed, not by robotctl")
-    elif told:
-        log.notes.append(f"{name}: the entries before it are removed")
-
-
-def head_of(folder: Path) -> str:
-    """Return the hash of the last entry of the log in `folder`, "" if there is none.
-
-    Recordings store this hash: it shows later whether entries were removed from the end.
-    """
-    for path in reversed(files_of(folder)):
-        with suppress(OSError):
-            for line in reversed(content_of(path).splitlines()):
-                with suppress(ValueError):
-                    parse(line)
-                    return hash_of(line)
-    return ""
-
-
-def _lines(path: Path, log: LogContent) -> Iterator[bytes]:
-    try:
-        content = content_of(path)
-    except OSError as error:
-        log.broken.append(f"{path.name} cannot be read: {error.strerror or error}")
-        return
-    yield from filter(None, content.splitlines())
+def _read_lines(name: str, content: bytes, before: Sequence[str], log: LogContent) -> None:
+    running = sha256()
+    log.heads.add(running.hexdigest())
+    for number, line in enumerate(content.splitlines(keepends=True), 1):
+        digest = running.hexdigest()
+        running.update(line)
+        text = line.rstrip(b"\r\n")
+        log.heads |= {running.hexdigest(), sha256(text).hexdigest()[:_OLD_HASH_CHARACTERS]}
+        place = f"{name}: line {number}"
+        try:
+            entry = parse(text)
+        except ValueError:
+            log.notes += [f"{place} is torn, or no entry"] * bool(text)
+            continue
+        if entry.kind == DecisionKind.OPENED:
+            log.opened.append(OpenedLine(entry, place, [*before, digest]))
+        elif entry.kind not in ABOUT_SEALS:
+            log.entries.append(entry)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import logging
-import os
 import threading
 import time
 from collections import Counter
@@ -15,13 +13,14 @@ from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from robotctl.decisions.journal import (
-    FILE_BYTES,
+    ABOUT_SEALS,
     DecisionKind,
     Entry,
-    content_of,
+    append,
+    entries_in,
     files_of,
-    hash_of,
-    open_last,
+    last_file,
+    locked,
     parse,
     remove_oldest,
 )
@@ -43,60 +42,6 @@ RESERVED: Final[dict[str, float]] = {
 """The share of DAY_BYTES that entries of a kind must leave free for other kinds: a flood of
 requests, or a daemon that crashes and restarts each second, must not crowd out the stops."""
 
-
-class Budget:
-    """Limits how many bytes are written: the budget grows at a constant rate, up to DAY_BYTES.
-
-    It also counts by kind the entries that are not written; an entry MORE contains these counts.
-    """
-
-    def __init__(self, now_s: Callable[[], float]) -> None:
-        """`now_s` is a steady clock [s]."""
-        self._now_s = now_s
-        self._at_s = now_s()
-        self._left: float = DAY_BYTES
-        self._folded: Counter[str] = Counter()
-        self._first_ns = self._last_ns = 0
-
-    def grants(self, entry: Entry, size: int) -> bool:
-        """Reserve `size` bytes for an entry; return False if too few are left: then `fold` it."""
-        now_s = self._now_s()
-        grown = self._left + (now_s - self._at_s) * DAY_BYTES / DAY_S
-        self._left, self._at_s = min(grown, DAY_BYTES), now_s
-        if self._left - size < DAY_BYTES * RESERVED.get(entry.kind, 0.0):
-            return False
-        self._left -= size
-        return True
-
-    def fold(self, entry: Entry, number: int = 1) -> None:
-        """Count `number` entries of the kind of `entry` that are not written."""
-        if not self._folded:
-            self._first_ns = entry.time_ns
-        self._folded[entry.kind] += number
-        self._last_ns = entry.time_ns
-
-    def begin(self, used: int) -> None:
-        """Start with the budget of one day, less the `used` bytes that were written already."""
-        self._left = max(DAY_BYTES - used, 0.0)
-
-    @property
-    def has_folded(self) -> bool:
-        """Whether there are counts that are not written yet."""
-        return bool(self._folded)
-
-    def counts(self) -> Entry:
-        """Return the entry that contains the counts."""
-        counts: dict[str, Any] = {str(kind): count for kind, count in self._folded.items()}
-        values = {"counts": counts, "first_ns": self._first_ns, "last_ns": self._last_ns}
-        return Entry(self._last_ns, DecisionKind.MORE, values)
-
-    def forget_counts(self) -> None:
-        """Count from 0 again."""
-        self._folded.clear()
-
-
-_log = logging.getLogger(__name__)
-
 MAX_WAITING: Final = 1000
 """Limit on entries that wait while the disk hangs or is full; further ones are only counted."""
 
@@ -112,9 +57,15 @@ COUNTS_PERIOD_S: Final = 3600.0
 END_S: Final = 2.0
 """How long the end of the daemon waits for the disk, at most."""
 
+_log = logging.getLogger(__name__)
+
 
 class DecisionLog:
-    """Writes the log of one robot. `add` may be called from any thread, and does not block."""
+    """Writes the journal of one robot. `add` may be called from any thread, and does not block.
+
+    The bytes that may be written grow at a constant rate, up to DAY_BYTES. Entries that are not
+    written are counted by kind; an entry MORE has the counts.
+    """
 
     def __init__(
         self,
@@ -127,7 +78,7 @@ class DecisionLog:
     ) -> None:
         """Write entries into `folder`; keep its files for `keep_s` seconds, or forever if it is 0.
 
-        `now_ns` is the wall clock of the entries, `steady_s` the clock of the budget.
+        `now_ns` is the wall clock of the entries, `steady_s` the clock of the limit.
         """
         self._folder = folder
         self._keep_s = keep_s
@@ -138,16 +89,16 @@ class DecisionLog:
         self._problem = ""
         # A daemon thread: a disk that hangs must not delay the end of the process.
         self._thread = threading.Thread(target=self._run, name="decisions", daemon=True)
+        self._ending = threading.Event()
         self._unqueued = 0
         """How many entries did not fit into the queue; changed by the threads that call `add`."""
-        self._unqueued_told = 0
-        self._waiting: list[Entry] = []
-        self._ending = False
-        self._descriptor = -1
-        self._size = 0
-        self._prev = ""
-        self._torn = False
-        self._budget = Budget(steady_s)
+        self._file: Path | None = None
+        """The file of the last entry."""
+        self._left = 0.0
+        self._left_at_s = 0.0
+        self._counts: Counter[str] = Counter()
+        self._counted_ns = (0, 0)
+        """The times of the first and the last entry that was counted."""
         self._counts_due_s = 0.0
 
     def add(self, kind: DecisionKind, **values: Any) -> None:
@@ -181,124 +132,100 @@ class DecisionLog:
     def close(self) -> None:
         """Write what is queued, for END_S at most."""
         if self._thread.ident is not None:
+            self._ending.set()
             self._queue.put(None)
             self._thread.join(END_S)
 
     # In the thread
 
     def _run(self) -> None:
+        entry: Entry | None = None
         while True:
-            try:
-                self._turn()
-            except Exception as error:  # noqa: BLE001 - the log must go on, whatever fails
-                self._fail(error)
-            if self._ending:
-                with suppress(OSError):  # what is written was synced
-                    self._close()
+            timeout_s = max(self._counts_due_s - self._steady_s(), 0.0) if self._counts else None
+            with suppress(Empty):
+                entry = self._queue.get(timeout=timeout_s)
+                if entry is not None:
+                    self._retried(self._write, entry)
+            is_end = entry is None
+            if self._counts and (is_end or self._steady_s() >= self._counts_due_s):
+                self._retried(self._write_counts)
+            if is_end:
                 return
 
-    def _turn(self) -> None:
-        """Wait for entries and write them; also write the counts if they are due."""
-        self._take()
-        if self._descriptor < 0:
-            self._open()
-        unqueued = self._unqueued
-        if unqueued > self._unqueued_told:
-            self._budget.fold(Entry(self._now_ns(), UNQUEUED, {}), unqueued - self._unqueued_told)
-            self._unqueued_told = unqueued
-        while self._waiting:
-            self._write(self._waiting[0])
-            del self._waiting[0]
-        if self._budget.has_folded and (self._ending or self._steady_s() >= self._counts_due_s):
-            self._append(self._budget.counts())
-            self._budget.forget_counts()
-            self._counts_due_s = self._steady_s() + COUNTS_PERIOD_S
-        os.fsync(self._descriptor)
-        self._tell("")
-
-    def _take(self) -> None:
-        """Wait for queued entries, and move them to `_waiting`; count those beyond MAX_WAITING."""
-        timeout_s = None
-        if self._waiting:
-            timeout_s = self._retry_s
-        elif self._budget.has_folded:
-            timeout_s = max(self._counts_due_s - self._steady_s(), self._retry_s)
-        with suppress(Empty):
-            entry = self._queue.get(timeout=timeout_s)
-            while entry is not None:
-                if len(self._waiting) < MAX_WAITING:
-                    self._waiting.append(entry)
-                else:
-                    self._budget.fold(entry)
-                entry = self._queue.get_nowait()
-            self._ending = True
-
-    def _open(self) -> None:
-        """Open the last file; read the last entry's hash and the bytes written in the last 24 h."""
-        now_s = self._now_ns() / NS_PER_S
-        remove_oldest(self._folder, self._keep_s, now_s)
-        self._descriptor = open_last(self._folder)
-        used = 0
-        for path in files_of(self._folder)[-2:]:
-            content = content_of(path)
-            for line in content.splitlines():
-                with suppress(ValueError):
-                    entry, _ = parse(line)
-                    self._prev = hash_of(line)
-                    used += len(line) if abs(now_s - entry.time_ns / NS_PER_S) < DAY_S else 0
-            self._torn = bool(content) and not content.endswith(b"\n")
-        self._size = os.fstat(self._descriptor).st_size
-        self._budget.begin(used)
+    def _retried(self, write: Callable[..., None], *arguments: Entry) -> None:
+        """Call `write` until it succeeds, or once at the end; entries wait in the queue."""
+        is_done = False
+        while not is_done:
+            try:
+                write(*arguments)
+            except Exception as error:  # noqa: BLE001 - the log must go on, whatever fails
+                reason = error.strerror if isinstance(error, OSError) else None
+                self._tell(reason or str(error) or type(error).__name__)
+                is_done = self._ending.wait(self._retry_s)
+            else:
+                self._tell("")
+                is_done = True
 
     def _write(self, entry: Entry) -> None:
-        """Write an entry, or only count it if it exceeds the budget.
+        """Write an entry, or only count it if it exceeds the limit.
 
         A SOFTWARE or CONFIGURATION entry that `_is_known` is left out.
         """
+        if self._unqueued:
+            unqueued, self._unqueued = self._unqueued, 0
+            self._count(UNQUEUED, unqueued)
         if entry.kind in (DecisionKind.SOFTWARE, DecisionKind.CONFIGURATION) and self._is_known(
             entry
         ):
             return
-        if self._budget.grants(entry, len(entry.line(self._prev)) + 1):
-            self._append(entry)
+        if self._file is None:
+            self._left, self._left_at_s = DAY_BYTES - self._used(), self._steady_s()
+        now_s, size = self._steady_s(), len(entry.line())
+        grown = self._left + (now_s - self._left_at_s) * DAY_BYTES / DAY_S
+        self._left, self._left_at_s = min(grown, DAY_BYTES), now_s
+        if self._left - size < DAY_BYTES * RESERVED.get(entry.kind, 0.0):
+            self._count(entry.kind, 1)
         else:
-            self._budget.fold(entry)
+            self._append(entry)
+            self._left -= size
+
+    def _count(self, kind: str, number: int) -> None:
+        now_ns = self._now_ns()
+        self._counted_ns = (self._counted_ns[0] if self._counts else now_ns, now_ns)
+        self._counts[kind] += number
+
+    def _write_counts(self) -> None:
+        first_ns, last_ns = self._counted_ns
+        values = {"counts": dict(self._counts), "first_ns": first_ns, "last_ns": last_ns}
+        self._append(Entry(last_ns, DecisionKind.MORE, values))
+        self._counts.clear()
+        self._counts_due_s = self._steady_s() + COUNTS_PERIOD_S
 
     def _append(self, entry: Entry) -> None:
-        if self._size >= FILE_BYTES:
-            self._close()
-            self._open()
-        line = entry.line(self._prev)
-        data = b"\n" * self._torn + line + b"\n"
-        if os.write(self._descriptor, data) < len(data):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        self._torn = False
-        self._prev = hash_of(line)
-        self._size += len(data)
+        with locked(self._folder):
+            path = last_file(self._folder)
+            if path != self._file:
+                with suppress(OSError):  # tried again at the next start, or with the next file
+                    remove_oldest(self._folder, self._keep_s, self._now_ns() / NS_PER_S)
+            append(path, [entry])
+            self._file = path
+
+    def _used(self) -> int:
+        """Return how many bytes of the limit were written in the last 24 h."""
+        now_s = self._now_ns() / NS_PER_S
+        return sum(
+            len(entry.line())
+            for path in files_of(self._folder)[-2:]
+            for entry in entries_in(path)
+            if entry.kind not in ABOUT_SEALS and abs(now_s - entry.time_ns / NS_PER_S) < DAY_S
+        )
 
     def _is_known(self, entry: Entry) -> bool:
         """Return whether the last written entry of the same kind has the same values."""
-        marker = f'"kind":"{entry.kind}"'.encode()
-        same = parse(entry.line(""))[0].values
         for path in reversed(files_of(self._folder)):
-            for line in reversed(content_of(path).splitlines()):
-                if marker in line:
-                    with suppress(ValueError):
-                        last, _ = parse(line)
-                        if last.kind == entry.kind:
-                            return last.values == same
+            for last in reversed([*entries_in(path, entry.kind)]):
+                return last.values == parse(entry.line()).values
         return False
-
-    def _fail(self, error: Exception) -> None:
-        reason = error.strerror if isinstance(error, OSError) else None
-        self._tell(reason or str(error) or type(error).__name__)
-        with suppress(OSError):
-            self._close()
-
-    def _close(self) -> None:
-        descriptor, self._descriptor = self._descriptor, -1
-        if descriptor >= 0:
-            os.close(descriptor)
 
     def _tell(self, problem: str) -> None:
         changed, self._problem = problem != self._problem, problem

@@ -9,6 +9,7 @@ import pytest
 from mcap.writer import Writer
 
 from robotctl.base.paths import make_private, seal_folder
+from robotctl.decisions.journal import files_of, log_folder
 from robotctl.recording import Recorder
 from robotctl.recording.seal.keyring import KEY_FILE, Keyring
 from robotctl.testing.drives import TWIST, drive, record
@@ -111,10 +112,11 @@ def test_a_file_whose_end_this_machine_knows_otherwise_was_cut(
     cli: Cli, keys: Keyring, tmp_path: Path
 ) -> None:
     record_sealed(tmp_path / "run", keys)
-    heads = seal_folder("robot") / "heads.jsonl"
-    lines = [json.loads(line) for line in heads.read_text().splitlines()]
-    lines[-1]["closed"]["digest"] = "0" * 64
-    heads.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    (journal,) = files_of(log_folder("robot"))
+    *lines, closed = [json.loads(line) for line in journal.read_text().splitlines()]
+    closed["closed"]["digest"] = "0" * 64
+    text = "\n".join(json.dumps(line, separators=(",", ":")) for line in (*lines, closed))
+    journal.write_text(f"{text}\n")
     ran = cli("verify", str(tmp_path / "run"))
     assert ran.exit_code == 7
     assert "a tail was cut or changed" in ran.out

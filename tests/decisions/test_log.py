@@ -1,28 +1,34 @@
 """The journal of decisions: append-only, bounded, tolerant of a torn end, and never in the way.
 
-The journal of decisions removes whole files, the oldest first; what else is missing is told.
+It removes whole files, the oldest first, but no line about a sealed file; what else is missing or
+changed before such a line is told. Several processes may append to it at once.
 """
 
 from __future__ import annotations
 
 import errno
-import json
 import os
+import shutil
 import stat
 import threading
 from collections.abc import Callable, Iterator
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from robotctl.base.paths import make_private
 from robotctl.decisions import journal as files
 from robotctl.decisions import log as writer
-from robotctl.decisions.journal import MAX_TEXT, DecisionKind, LogContent, hash_of, read_log
+from robotctl.decisions.journal import MAX_TEXT, DecisionKind, log_folder, read_log
 from robotctl.decisions.log import DAY_BYTES, RESERVE_BYTES, DecisionLog
 from robotctl.kernel.units import DAY_S
+from robotctl.recording.seal.heads import known_heads, wrong_openings
+from robotctl.recording.seal.keyring import Keyring
 
 PATIENCE_S = 30.0
+GOLDEN_STATE = Path(__file__).parents[1] / "golden" / "sealed_state"
 BEGIN_NS = 1_800_000_000_000_000_000
 
 
@@ -45,8 +51,9 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return tmp_path / "decisions"
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    return make_private(log_folder("robot"))
 
 
 @pytest.fixture
@@ -130,32 +137,98 @@ def test_a_torn_end_costs_the_torn_entry_only(
     assert len(found.notes) == (cut > 1)
 
 
-def edited(path: Path, edit: Callable[[list[bytes]], list[bytes]]) -> LogContent:
-    path.write_bytes(b"".join(line + b"\n" for line in edit(path.read_bytes().splitlines())))
-    return read_log(path.parent)
+@pytest.fixture
+def keys(folder: Path) -> Keyring:
+    return Keyring(folder.with_name("seal"), "robot")
+
+
+def broken(folder: Path) -> list[str]:
+    """Return what `evidence` finds in the journal."""
+    log = read_log(folder)
+    return [*log.broken, *wrong_openings(log.opened)]
 
 
 @pytest.mark.parametrize(
     "edit",
     [
         lambda lines: [*lines[:1], *lines[2:]],
-        lambda lines: [lines[0], lines[2], lines[1], lines[3]],
         lambda lines: [lines[0], lines[1].replace(b"ERROR", b"IDLE"), *lines[2:]],
-        lambda lines: [*lines[:2], lines[1], *lines[2:]],
         lambda lines: [lines[0], b"garbage", *lines[2:]],
+        lambda lines: [*lines[:3], lines[3].replace(b'"signature"', b'"other"')],
     ],
-    ids=["removed", "swapped", "changed", "repeated", "overwritten"],
+    ids=["removed", "changed", "overwritten", "not signed"],
 )
-def test_an_edit_in_the_middle_is_found(
-    begin: Callable[[], DecisionLog], folder: Path, edit: Callable[[list[bytes]], list[bytes]]
+def test_an_edit_before_an_opening_is_found(
+    begin: Callable[[], DecisionLog],
+    folder: Path,
+    keys: Keyring,
+    edit: Callable[[list[bytes]], list[bytes]],
 ) -> None:
     log = begin()
-    for number in range(4):
+    for number in range(3):
         log.add(DecisionKind.MODE, to="ERROR", number=number)
     log.close()
+    keys.open_file("run_0")
+    assert broken(folder) == []
     (path,) = files.files_of(folder)
-    assert read_log(folder).broken == []
-    assert "does not follow" in edited(path, edit).broken[0]
+    path.write_bytes(b"".join(line + b"\n" for line in edit(path.read_bytes().splitlines())))
+    (sentence,) = broken(folder)
+    assert "does not sign the lines before it" in sentence
+
+
+def test_an_opening_signs_a_torn_line_and_old_lines_too(
+    begin: Callable[[], DecisionLog], folder: Path, keys: Keyring
+) -> None:
+    old, torn = b'{"time_ns":1,"kind":"start","prev":""}\n', b'{"time_ns":2,"kind":"end","prev":"01'
+    (folder / "decisions-000001.jsonl").write_bytes(old + torn)
+    keys.open_file("run_0")
+    log = begin()
+    log.add(DecisionKind.END)
+    log.close()
+    assert broken(folder) == []
+    (path,) = files.files_of(folder)
+    path.write_bytes(path.read_bytes().replace(b'"prev":"01', b'"prev":"02'))
+    assert len(broken(folder)) == 1
+
+
+def append_many(folder: Path, name: str, count: int) -> None:
+    """Append entries and openings of files, as a daemon does."""
+    log = DecisionLog(folder, 0.0)
+    keys = Keyring(folder.with_name("seal"), "robot")
+    for number in range(count):
+        log.add(DecisionKind.MODE, by=name, number=number)
+        if number % 5 == 0:
+            keys.open_file(f"{name}_{number}")
+    log.close()
+
+
+def test_two_processes_append_at_once_and_a_third_is_killed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = get_context("fork")
+    monkeypatch.setattr(files, "FILE_BYTES", 20_000)
+    monkeypatch.setattr(writer, "END_S", PATIENCE_S)
+    one, two, killed = (
+        context.Process(target=append_many, args=(folder, name, count))
+        for name, count in (("one", 100), ("two", 100), ("killed", 1 << 30))
+    )
+    for process in (one, two, killed):
+        process.start()
+    one.join(PATIENCE_S)
+    killed.kill()
+    two.join(PATIENCE_S)
+    killed.join(PATIENCE_S)
+    assert (one.exitcode, two.exitcode) == (0, 0)
+    for process in (one, two, killed):
+        process.close()
+    assert broken(folder) == []
+    log = read_log(folder)
+    for name in ("one", "two"):
+        mine = [each.values["number"] for each in log.entries if each.values["by"] == name]
+        assert mine == list(range(100))
+    opened = [line.entry.values["opened"]["file"] for line in log.opened]
+    assert {f"{name}_{n}" for name in ("one", "two") for n in range(0, 100, 5)} <= {*opened}
+    assert len(log.files) > 2
 
 
 def test_software_and_configuration_are_written_where_they_changed(
@@ -177,9 +250,19 @@ def test_software_and_configuration_are_written_where_they_changed(
 
 
 def test_a_flood_is_counted_and_leaves_room_for_stops(
-    begin: Callable[[], DecisionLog], folder: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    begin: Callable[[], DecisionLog], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writer, "MAX_WAITING", 1 << 30)
+    failed: list[bytes] = []
+    write = os.write
+
+    def once_full(descriptor: int, data: bytes) -> int:
+        if b'"kind":"more"' in data and not failed:
+            failed.append(data)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(descriptor, data)
+
+    monkeypatch.setattr(os, "write", once_full)
     log = begin()
     flood = 5000
     for _ in range(flood):
@@ -187,6 +270,7 @@ def test_a_flood_is_counted_and_leaves_room_for_stops(
             DecisionKind.REFUSED, asked="MOVING", by="a node that asks again and again", answer="no"
         )
     log.add(DecisionKind.MODE, to="EMERGENCY_STOP", reason="the operator")
+    wait_for(lambda: failed)
     log.close()
     found = written(folder)
     assert ("mode", {"to": "EMERGENCY_STOP", "reason": "the operator"}) in found
@@ -224,7 +308,6 @@ def test_files_are_bounded_and_chained(
     begin: Callable[[], DecisionLog], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(files, "FILE_BYTES", 2000)
-    monkeypatch.setattr(writer, "FILE_BYTES", 2000)
     log = begin()
     for number in range(40):
         log.add(DecisionKind.MODE, number=number, reason="r" * 100)
@@ -233,15 +316,17 @@ def test_files_are_bounded_and_chained(
     assert len(made) > 2
     assert max(path.stat().st_size for path in made) < 2300
     assert [values["number"] for _, values in written(folder)] == list(range(40))
-    made[1].unlink()
-    assert read_log(folder).broken
 
 
-def test_only_files_that_are_years_old_are_removed(
-    begin: Callable[..., DecisionLog], folder: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+def test_only_files_that_are_years_old_are_removed_and_no_line_about_a_sealed_file(
+    begin: Callable[..., DecisionLog],
+    folder: Path,
+    keys: Keyring,
+    clock: Clock,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(files, "FILE_BYTES", 100)
-    monkeypatch.setattr(writer, "FILE_BYTES", 100)
+    opened = keys.open_file("run_0").opening
     log = begin()
     for number in range(10):
         log.add(DecisionKind.MODE, number=number, reason="r" * 100)
@@ -253,9 +338,34 @@ def test_only_files_that_are_years_old_are_removed(
     log.add(DecisionKind.END)
     log.close()
     assert files.files_of(folder)[: len(made) - 1] == made[1:]
-    found = read_log(folder)
-    assert found.broken == []
-    assert "before it are removed" in found.notes[0]
+    assert broken(folder) == []
+    assert "before it are removed" in read_log(folder).notes[0]
+    assert known_heads().opened == {opened.key: opened}
+
+
+def test_the_list_of_an_early_version_is_taken_over_whatever_interrupts_it(
+    folder: Path, keys: Keyring, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heads = folder.with_name("seal")
+    old = heads / "heads.jsonl"
+    shutil.copytree(GOLDEN_STATE / "seal", heads, copy_function=shutil.copyfile)
+    said, write = known_heads(), os.write
+    assert len(said.opened) == 7
+    monkeypatch.setattr(os, "write", lambda fd, data: write(fd, data[:700]))  # the disk is full
+    with pytest.raises(OSError, match="No space left"):
+        keys.open_file("run_0")
+    monkeypatch.setattr(os, "write", write)
+    assert known_heads() == said
+    list_ = old.read_bytes()
+    keys.create()
+    assert not old.exists()
+    old.write_bytes(list_)  # as if it was killed before the list was renamed
+    assert known_heads() == said
+    opened = keys.open_file("run_0").opening
+    assert (old.exists(), old.with_name("heads.jsonl.old").read_bytes()) == (False, list_)
+    said.opened[opened.key] = opened
+    assert known_heads().opened == said.opened
+    assert (broken(folder), read_log(folder).notes) == ([], [])
 
 
 def test_a_full_disk_is_said_and_the_entries_follow_later(
@@ -282,30 +392,6 @@ def test_a_full_disk_is_said_and_the_entries_follow_later(
     wait_for(lambda: not log.warning() and len(read_log(folder).entries) == 2)
     log.close()
     assert [values["number"] for _, values in written(folder)] == [0, 1]
-
-
-def test_counts_that_could_not_be_written_follow_later(
-    begin: Callable[[], DecisionLog], folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(writer, "MAX_WAITING", 1 << 30)
-    failed: list[bytes] = []
-    write = os.write
-
-    def once_full(descriptor: int, data: bytes) -> int:
-        if b'"kind":"more"' in data and not failed:
-            failed.append(data)
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return write(descriptor, data)
-
-    monkeypatch.setattr(os, "write", once_full)
-    log = begin()
-    flood = 3000
-    for _ in range(flood):
-        log.add(DecisionKind.REFUSED, asked="MOVING", by="a node that asks for ever", answer="no")
-    wait_for(lambda: failed)
-    log.close()
-    counts = [values["counts"]["refused"] for kind, values in written(folder) if kind == "more"]
-    assert sum(counts) + sum(kind == "refused" for kind, _ in written(folder)) == flood
 
 
 def test_a_disk_that_hangs_delays_nobody(
@@ -339,7 +425,6 @@ def test_a_disk_that_hangs_delays_nobody(
 def test_what_stands_in_the_place_of_a_file_is_said_and_not_written(
     begin: Callable[[], DecisionLog], folder: Path, tmp_path: Path, planted: str
 ) -> None:
-    folder.mkdir(mode=0o700)
     place = folder / "decisions-000001.jsonl"
     if planted == "fifo":
         os.mkfifo(place)
@@ -354,92 +439,42 @@ def test_what_stands_in_the_place_of_a_file_is_said_and_not_written(
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_lines_of_a_later_version_are_kept_in_the_chain(
-    begin: Callable[[], DecisionLog], folder: Path
-) -> None:
-    log = begin()
-    log.add(DecisionKind.MODE, number=0)
-    log.close()
-    (path,) = files.files_of(folder)
-    later = {"time_ns": 1, "kind": "later", "prev": hash_of(path.read_bytes().splitlines()[-1])}
-    with path.open("a") as file:
-        file.write(json.dumps(later) + "\n")
-    log = begin()
-    log.add(DecisionKind.END)
-    log.close()
-    assert [kind for kind, _ in written(folder)] == ["mode", "later", "end"]
-
-
 @pytest.mark.parametrize(
     "line", [b"[]", b"{}", b"null", b"\xff", b"[" * 10_000, b'{"time_ns":"1"}', b"x" * 100_000]
 )
-def test_a_line_of_any_bytes_is_a_note(
+def test_a_line_of_any_bytes_is_a_note_and_one_of_a_later_version_an_entry(
     begin: Callable[[], DecisionLog], folder: Path, line: bytes
 ) -> None:
+    (folder / "decisions-000001.jsonl").write_bytes(line + b'\n{"time_ns":1,"kind":"later"}\n')
     log = begin()
     log.add(DecisionKind.END)
     log.close()
-    (path,) = files.files_of(folder)
-    path.write_bytes(path.read_bytes() + line + b"\n")
-    found = read_log(folder)
-    assert (len(found.entries), len(found.notes), found.broken) == (1, 1, [])
-
-
-@pytest.fixture
-def several(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """The files of a journal of several files."""
-    monkeypatch.setattr(files, "FILE_BYTES", 300)
-    monkeypatch.setattr(writer, "FILE_BYTES", 300)
-    monkeypatch.setattr(writer, "END_S", 30.0)
-    log = DecisionLog(tmp_path / "decisions", 0.0)
-    for number in range(10):
-        log.add(DecisionKind.MODE, number=number, reason="r" * 50)
-    log.close()
-    return files.files_of(tmp_path / "decisions")
-
-
-def first_lines(made: list[Path]) -> None:
-    made[0].write_bytes(b"".join(made[0].read_bytes().splitlines(keepends=True)[1:]))
-
-
-def all_but_the_last_file(made: list[Path]) -> None:
-    for path in made[:-1]:
-        path.unlink()
-
-
-def all_and_the_last_is_called_the_first(made: list[Path]) -> None:
-    all_but_the_last_file(made)
-    made[-1].rename(made[0])
-
-
-def the_chain_begins_in_a_later_file(made: list[Path]) -> None:
-    for number, path in reversed(list(enumerate(made, 2))):
-        path.rename(path.with_name(f"decisions-{number:06}.jsonl"))
-
-
-def test_whole_files_at_the_beginning_are_removed_with_a_note(
-    several: list[Path],
-) -> None:
-    assert len(several) > 3
-    assert read_log(several[0].parent).notes == []
-    several[0].unlink()
-    found = read_log(several[0].parent)
-    assert (found.broken, found.begins_later) == ([], True)
-    assert found.notes == [f"{several[1].name}: the entries before it are removed"]
+    assert [kind for kind, _ in written(folder)] == ["later", "end"]
+    assert len(read_log(folder).notes) == 1
 
 
 @pytest.mark.parametrize(
-    "remove",
+    ("change", "says"),
     [
-        first_lines,
-        all_but_the_last_file,
-        all_and_the_last_is_called_the_first,
-        the_chain_begins_in_a_later_file,
+        (lambda made: made[1].unlink(), "a file between others was removed, not by robotctl"),
+        (lambda made: [path.unlink() for path in made[:-1]], "removed, not by robotctl"),
+        (lambda made: made[-2].write_bytes(b""), "does not sign the lines before it"),
     ],
 )
-def test_entries_that_the_journal_never_removes_itself_break_it(
-    several: list[Path], remove: Callable[[list[Path]], None]
+def test_files_that_the_journal_never_changes_itself_break_it(
+    begin: Callable[[], DecisionLog],
+    folder: Path,
+    keys: Keyring,
+    monkeypatch: pytest.MonkeyPatch,
+    change: Callable[[list[Path]], object],
+    says: str,
 ) -> None:
-    remove(several)
-    (sentence,) = read_log(several[0].parent).broken
-    assert "entries before its first one were removed, not by robotctl" in sentence
+    monkeypatch.setattr(files, "FILE_BYTES", 300)
+    log = begin()
+    for number in range(10):
+        log.add(DecisionKind.MODE, number=number, reason="r" * 50)
+    log.close()
+    keys.open_file("run_0")
+    assert broken(folder) == []
+    change(files.files_of(folder))
+    assert says in broken(folder)[0]

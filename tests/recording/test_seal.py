@@ -17,6 +17,8 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 from mcap.stream_reader import StreamReader
 
+from robotctl.base.paths import seal_folder
+from robotctl.decisions.journal import files_of, log_folder
 from robotctl.recording import Compression, Recorder, RecorderOptions, read_messages
 from robotctl.recording.format.seal_records import LINK_OPCODE, Link, LinkKind, Opening, SealOfFile
 from robotctl.recording.keep.recover import recover, recover_folder
@@ -26,7 +28,7 @@ from robotctl.recording.read.seal_chain import SealedFile, check_chain, find_hea
 from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.whole_file import read_whole_file
 from robotctl.recording.read.whole_recording import RecordingProof, verify_recording
-from robotctl.recording.seal.heads import read_heads
+from robotctl.recording.seal.heads import known_heads
 from robotctl.recording.seal.keyring import KEY_FILE, Keyring, SigningKey, is_signed
 from robotctl.recording.write import file_seal
 from robotctl.testing.drives import TWIST
@@ -175,15 +177,20 @@ def test_a_tail_that_was_cut_is_found_by_a_later_head(tmp_path: Path, keys: Keyr
     assert "tail was cut" in check_chain([cut, *sealed(second)]).wrong[0]
 
 
-def test_the_list_of_heads_outlives_the_recordings(tmp_path: Path, keys: Keyring) -> None:
+def test_what_is_known_of_heads_outlives_the_recordings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    keys = Keyring(seal_folder("robot"), "robot")
     files = record_sealed(tmp_path / "run", keys, splits=1)
-    heads = read_heads(tmp_path / "keys")
+    heads = known_heads()
     for file in files:
         seal = sealed(file)[0].seal
         assert seal.opening is not None
         assert heads.opened[seal.opening.key] == seal.opening
         assert seal.knows(heads.closed[seal.opening.key].digest)
-    assert "seed" not in (tmp_path / "keys" / "heads.jsonl").read_text()
+    (journal,) = files_of(log_folder("robot"))
+    assert "seed" not in journal.read_text()
 
 
 def test_a_rotation_begins_a_new_chain_at_the_next_file(tmp_path: Path, keys: Keyring) -> None:

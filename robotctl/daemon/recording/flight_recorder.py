@@ -13,12 +13,12 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
-from robotctl.base.paths import log_path
+from robotctl.base.paths import log_path, seal_folder
 from robotctl.config import Config, flat
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.daemon.recording.disk_reserve import DiskReserve
-from robotctl.daemon.recording.head_forwarder import HeadForwarder, RobotSealer
+from robotctl.daemon.recording.head_forwarder import HeadForwarder
 from robotctl.daemon.recording.indexer import Indexer
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.recording.recordings_folder import open_recorder, retention_policy
@@ -30,6 +30,7 @@ from robotctl.recording import RecorderStats, Topic
 from robotctl.recording.format import foxglove
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
+from robotctl.recording.seal.keyring import Keyring
 from robotctl.recording.write.recorder_options import TopicFilter
 from robotctl.ros.executor import UNKNOWN_GID
 from robotctl.ros.nodes import mode_service, publishers
@@ -95,7 +96,7 @@ class FlightRecorder:
             in_loop(self._file_begun),
             in_loop(self._file_full),
             present=lambda: self._config,
-            sealer=RobotSealer(options.robot, in_loop(self._heads.take)),
+            sealer=Keyring(seal_folder(options.robot), options.robot, in_loop(self._heads.take)),
             evidence=frozenset(evidence),
             names={} if options.observe else names,
         )

@@ -10,43 +10,7 @@ from contextlib import suppress
 from subprocess import DEVNULL
 
 from robotctl.base.errors import ConfigError
-from robotctl.base.paths import make_private, seal_folder
-from robotctl.recording.format.seal_records import Link, Opening, SealOfFile
-from robotctl.recording.seal.keyring import Head, Keyring
-
-
-class RobotSealer:
-    """The `Sealer` of a daemon; it creates the robot's key when the first file needs it.
-
-    Only the recorder's thread uses it.
-    """
-
-    def __init__(self, robot: str, on_head: Callable[[Head], None] = lambda head: None) -> None:
-        """`on_head` is called in the recorder's thread with each head that was saved."""
-        self._robot = robot
-        self._on_head = on_head
-        self._keyring: Keyring | None = None
-
-    def open_file(self, file: str) -> SealOfFile:
-        """Return the seal of a new file.
-
-        Raises:
-            RobotctlError: The state folder cannot be trusted or created.
-            OSError, ValueError: The key cannot be read or created.
-        """
-        folder = make_private(seal_folder(self._robot))
-        self._keyring = Keyring(folder, self._robot, self._on_head)
-        return self._keyring.open_file(file)
-
-    def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
-        """Save a link of the chain in the state folder.
-
-        Raises:
-            OSError, ValueError: It cannot be saved.
-        """
-        if self._keyring is not None:
-            self._keyring.keep(opening, link, closed=closed)
-
+from robotctl.recording.seal.keyring import Head
 
 _log = logging.getLogger(__name__)
 

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from robotctl.base.errors import RobotctlError
-from robotctl.base.paths import check_robot_name, seal_folder, state_folder
 from robotctl.recording.format.seal_records import Opening
 from robotctl.recording.read.seal_check import SealOfRead
 from robotctl.recording.read.source import SUFFIX
 from robotctl.recording.read.whole_file import FileState
-from robotctl.recording.seal.heads import HeadsList, read_heads
+from robotctl.recording.seal.heads import KnownHeads
 
 MAX_MISSING: Final = 20
 """Maximum number of missing files that are named."""
@@ -111,71 +108,42 @@ _AS_RECORDED: Final = (FileState.FINISHED, FileState.LIVE, FileState.NOT_CLOSED)
 
 @dataclass(frozen=True, slots=True)
 class KnownFile:
-    """What this user's lists of sealed files say about a file."""
+    """What this machine knows about a file."""
 
     listed: bool = False
-    """Whether a list has the file's opening."""
+    """Whether it knows the file's opening."""
 
     wrong: str = ""
-    """Why the file cannot be the one in a list, or ""."""
+    """Why the file cannot be the known one, or ""."""
 
     unproved: str = ""
-    """Which part of the listed seal a repair or a conversion did not keep, or ""."""
+    """Which part of the known seal a repair or a conversion did not keep, or ""."""
 
 
-class KnownHeads:
-    """The robots' lists of sealed files in this user's state folder; each is read on first use."""
-
-    def __init__(self) -> None:
-        """Find the robots that have a list."""
-        self._lists: dict[str, HeadsList] = {}
-        self._robots: list[str] = []
-        with suppress(RobotctlError, OSError):
-            self._robots = sorted(each.name for each in state_folder().iterdir() if each.is_dir())
-
-    def of_robot(self, robot: str) -> HeadsList:
-        """Return a robot's list of sealed files, an empty one if it is missing or unreadable."""
-        if robot not in self._lists:
-            try:
-                self._lists[robot] = read_heads(seal_folder(check_robot_name(robot)))
-            except RobotctlError:
-                self._lists[robot] = HeadsList()
-        return self._lists[robot]
-
-    def compare(self, file: SealedFile) -> KnownFile:
-        """Return what the lists say about a file's key, its name, and the name in its seal."""
-        opening = file.seal.opening
-        name = file.path.name.removesuffix(SUFFIX)
-        lists = list(self._lists_for(name, opening))
-        if opening is None:
-            if not any(name in heads.signed for heads in lists):
-                return KnownFile()
-            text = "this machine's list of keys knows a seal of it, which is not there"
-            if file.state in _AS_RECORDED:
-                return KnownFile(wrong=text)
-            return KnownFile(unproved=text)
-        for known in dict.fromkeys((name, opening.file)):
-            keys = {key for heads in lists for key in heads.keys_of(known)}
-            if keys and opening.key not in keys:
-                return KnownFile(
-                    wrong=f"this machine's list of keys knows {known} with another key: it was "
-                    "replaced, or is of another robot of the same name"
-                )
-        heads = self.of_robot(opening.robot)
-        listed = heads.opened.get(opening.key) == opening
-        closed = heads.closed.get(opening.key)
-        if closed is None or file.seal.knows(closed.digest):
-            return KnownFile(listed)
-        if file.seal.is_copy:
-            return KnownFile(listed, unproved="this machine knows its end, which no copy proves")
-        return KnownFile(
-            listed, wrong="this machine knows another end of it: a tail was cut or changed"
-        )
-
-    def _lists_for(self, name: str, opening: Opening | None) -> Iterator[HeadsList]:
-        """Yield the lists that may know a file, by its name and by the robot in its seal."""
-        robots = [robot for robot in self._robots if name.startswith(f"{robot}_")]
-        if opening is not None:
-            robots.append(opening.robot)
-        for robot in dict.fromkeys(robots):
-            yield self.of_robot(robot)
+def compare_known(file: SealedFile, heads: KnownHeads) -> KnownFile:
+    """Return what `heads` say about a file's key, its name, and the name in its seal."""
+    opening = file.seal.opening
+    name = file.path.name.removesuffix(SUFFIX)
+    if opening is None:
+        if name not in heads.signed:
+            return KnownFile()
+        text = "this machine's list of keys knows a seal of it, which is not there"
+        if file.state in _AS_RECORDED:
+            return KnownFile(wrong=text)
+        return KnownFile(unproved=text)
+    for known in (name, opening.file):
+        keys = heads.keys_of(known)
+        if keys and opening.key not in keys:
+            return KnownFile(
+                wrong=f"this machine's list of keys knows {known} with another key: it was "
+                "replaced, or is of another robot of the same name"
+            )
+    listed = heads.opened.get(opening.key) == opening
+    closed = heads.closed.get(opening.key)
+    if closed is None or file.seal.knows(closed.digest):
+        return KnownFile(listed)
+    if file.seal.is_copy:
+        return KnownFile(listed, unproved="this machine knows its end, which no copy proves")
+    return KnownFile(
+        listed, wrong="this machine knows another end of it: a tail was cut or changed"
+    )

@@ -1,23 +1,36 @@
-"""The list of a robot's sealed files in its state folder, which outlives the recordings."""
+"""What this machine knows of sealed files: lines in the journals, which outlive recordings."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Set
+from collections.abc import Iterable, Iterator, Set
+from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Final
 
-from robotctl.base.files import open_regular
+from robotctl.base.errors import RobotctlError
+from robotctl.base.paths import state_folder
+from robotctl.decisions.journal import (
+    FOLDER,
+    DecisionKind,
+    Entry,
+    OpenedLine,
+    entries_in,
+    files_of,
+    kept_file,
+)
 from robotctl.recording.format.seal_records import Opening
-from robotctl.recording.seal.keyring import HEADS_FILE, Head
-
-_MAX_BYTES: Final = 256 << 20
+from robotctl.recording.seal.keyring import (
+    OLD_LIST,
+    Head,
+    entries_of_list,
+    is_signed,
+    signed_journal,
+)
 
 
 @dataclass(slots=True)
-class HeadsList:
-    """The sealed files of a robot: their openings and last heads, by the file's public key.
+class KnownHeads:
+    """The sealed files of all robots: their openings and last heads, by the file's public key.
 
     `signed` names the files that have at least one signed link.
     """
@@ -27,17 +40,23 @@ class HeadsList:
     signed: set[str] = field(default_factory=set)
     _keys: dict[str, set[str]] = field(default_factory=dict)
 
-    def add_opened(self, opening: Opening) -> None:
-        """Add an opened file. It continues a signed link, so the previous file is in `signed`."""
-        self.opened[opening.key] = opening
-        self._keys.setdefault(opening.file, set()).add(opening.key)
-        if opening.previous_file:
-            self.signed.add(opening.previous_file)
+    def add(self, entry: Entry) -> None:
+        """Add what a line of a journal says.
 
-    def add_closed(self, key: str, head: Head) -> None:
-        """Add the last head of a file."""
-        self.closed[key] = head
-        self.signed.add(head.file)
+        Raises:
+            ValueError, TypeError, KeyError: The line is malformed.
+        """
+        if entry.kind == DecisionKind.OPENED:
+            opening = _opening(entry)
+            self.opened[opening.key] = opening
+            self._keys.setdefault(opening.file, set()).add(opening.key)
+            if opening.previous_file:  # it continues a signed link
+                self.signed.add(opening.previous_file)
+        elif entry.kind == DecisionKind.CLOSED:
+            values = dict(entry.values[entry.kind])
+            key = str(values.pop("key"))
+            self.closed[key] = Head(**values)
+            self.signed.add(self.closed[key].file)
 
     def keys_of(self, file: str) -> Set[str]:
         """Return the public keys of the files that had this name when they were opened.
@@ -56,27 +75,40 @@ class HeadsList:
         return next(found, "")
 
 
-def read_heads(folder: Path) -> HeadsList:
-    """Return the list in a robot's folder of keys; malformed lines are skipped."""
-    heads = HeadsList()
-    try:
-        with open_regular(folder / HEADS_FILE) as stream:
-            lines = stream.read(_MAX_BYTES).decode(errors="replace").splitlines()
-    except OSError:
-        return heads
-    for line in lines:
-        try:
-            _take(json.loads(line), heads)
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-            continue
+def _opening(entry: Entry) -> Opening:
+    return Opening.read(json.dumps(entry.values[entry.kind]).encode())
+
+
+def known_heads() -> KnownHeads:
+    """Return what the state folder of this user says; what cannot be read is skipped."""
+    heads = KnownHeads()
+    with suppress(RobotctlError, OSError):
+        for robot in state_folder().iterdir():
+            journal = robot / FOLDER
+            paths = kept_file(journal), *files_of(journal)
+            for entries in (
+                entries_of_list(robot / "seal" / OLD_LIST),
+                *(entries_in(path, DecisionKind.OPENED, DecisionKind.CLOSED) for path in paths),
+            ):
+                with suppress(OSError):
+                    for entry in entries:
+                        with suppress(ValueError, TypeError, KeyError):
+                            heads.add(entry)
     return heads
 
 
-def _take(entry: dict[str, dict[str, object]], heads: HeadsList) -> None:
-    if "opened" in entry:
-        opening = Opening.read(json.dumps(entry["opened"]).encode())
-        heads.add_opened(opening)
-    elif "closed" in entry:
-        values = dict(entry["closed"])
-        key = str(values.pop("key"))
-        heads.add_closed(key, Head(**values))  # type: ignore[arg-type]
+def wrong_openings(lines: Iterable[OpenedLine]) -> Iterator[str]:
+    """Yield a sentence for each line `opened` that does not sign the lines before it."""
+    for line in lines:
+        proved = False
+        with suppress(ValueError, TypeError, KeyError):
+            opening, told = _opening(line.entry), line.entry.values["journal"]
+            signature = bytes.fromhex(line.entry.values["signature"])
+            proved = is_signed(signed_journal(opening, told), signature, opening.key) and all(
+                found in (digest, "") for digest, found in zip(told, line.before, strict=True)
+            )
+        if not proved:
+            yield (
+                f"{line.place} does not sign the lines before it: "
+                "something was changed, removed or added"
+            )

@@ -1,10 +1,9 @@
 """The keys of a robot in its state folder, and the newest head of its chain.
 
 Each file of a recording has a different key, which the key of the previous file signs. Then the old
-private key is overwritten: a thief of the present key cannot sign older files. The folder has:
-
-- `key.json` (0600): the present private key, the number of files, the newest head;
-- `heads.jsonl`: a line for each file that was opened or closed, without secrets.
+private key is overwritten: a thief of the present key cannot sign older files. The folder has
+`key.json` (0600): the present private key, the number of files, the newest head. The journal of
+decisions, in the folder next to it, has a line for each file that was opened or closed.
 
 PyNaCl is imported on first use: it needs 10 ms and 1.1 MB. The package `cryptography` needs 8.6 MB.
 """
@@ -15,14 +14,26 @@ import json
 import os
 import secrets
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
-from fcntl import LOCK_EX, flock
 from pathlib import Path
 from typing import Any, Final, Self
 
 from robotctl.base.files import open_regular
+from robotctl.base.paths import make_private
+from robotctl.decisions.journal import (
+    ABOUT_SEALS,
+    FOLDER,
+    MAX_KEPT_BYTES,
+    DecisionKind,
+    Entry,
+    append,
+    digests,
+    kept_file,
+    last_file,
+    locked,
+)
 from robotctl.recording.disk.access import open_private
 from robotctl.recording.format.seal_records import NO_DIGEST, Link, Opening, SealOfFile
 
@@ -60,8 +71,12 @@ def is_signed(data: bytes, signature: bytes, public: str) -> bool:
     return True
 
 
+def signed_journal(opening: Opening, digests: Sequence[str]) -> bytes:
+    """Return the bytes that the key of a file signs for `digests` of the journal of decisions."""
+    return f"robotctl seal: journal\0{opening.certificate} {' '.join(digests)}".encode()
+
+
 KEY_FILE: Final = "key.json"
-HEADS_FILE: Final = "heads.jsonl"
 _MAX_KEY_BYTES = 1 << 16
 
 
@@ -98,11 +113,15 @@ class StoredKey:
 
 
 class Keyring:
-    """The keys of one robot. Their folder must exist, and be private to the user."""
+    """The keys of one robot, made when they are first needed. A `Sealer` for the recorder.
+
+    All but `load` raise also `RobotctlError`, if a folder cannot be trusted or created.
+    """
 
     def __init__(self, folder: Path, robot: str, on_head: Callable[[Head], None] = lambda _: None):
         """Use `folder`. `keep` calls `on_head` with each head that it has stored."""
         self._folder = folder
+        self._journal = folder.with_name(FOLDER)
         self._robot = robot
         self._on_head = on_head
 
@@ -158,7 +177,10 @@ class Keyring:
             )
             before = SigningKey(bytes.fromhex(stored.seed))
             opening = replace(opening, certificate=before.sign(opening.signed()).hex())
-            self._note({"opened": asdict(opening)})
+            last_file(self._journal)  # it ends with a whole line from here on
+            found = digests(self._journal)
+            signature = key.sign(signed_journal(opening, found)).hex()
+            self._note(DecisionKind.OPENED, asdict(opening), journal=found, signature=signature)
             self._save(replace(stored, key=key.public, seed=seed.hex(), files=opening.number))
         return SealOfFile(opening, key.sign)
 
@@ -179,7 +201,7 @@ class Keyring:
                 raise ValueError("another recorder has taken over the chain of this robot")
             self._save(replace(stored, head=head))
             if closed:
-                self._note({"closed": asdict(head) | {"key": opening.key}})
+                self._note(DecisionKind.CLOSED, asdict(head) | {"key": opening.key})
         self._on_head(head)
 
     def rotate(self) -> StoredKey:
@@ -194,7 +216,7 @@ class Keyring:
             text = f"robotctl seal: rotated\0{stored.root} {new.root}".encode()
             signature = SigningKey(bytes.fromhex(stored.seed)).sign(text)
             rotated = {"from": stored.root, "by": stored.key, "to": new.root}
-            self._note({"rotated": rotated | {"certificate": signature.hex()}})
+            self._note(DecisionKind.ROTATED, rotated | {"certificate": signature.hex()})
             self._save(replace(new, files=stored.files))
         return new
 
@@ -225,26 +247,43 @@ class Keyring:
         finally:
             os.close(old)
 
-    def _note(self, line: dict[str, Any]) -> None:
-        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW
-        with open(open_private(self._folder / HEADS_FILE, flags), "a", encoding="ascii") as stream:
-            stream.write(json.dumps(line) + "\n")
+    def _note(self, kind: DecisionKind, values: dict[str, Any], **proof: Any) -> None:
+        entry = Entry(time.time_ns(), kind, {kind: values, **proof})
+        append(last_file(self._journal), [entry])
 
-    def _locked(self) -> _Lock:
-        return _Lock(self._folder)
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Keep other processes from changing keys or journal during the block."""
+        make_private(self._folder)
+        with locked(self._journal):
+            with suppress(OSError):  # it stays, and is read where it is
+                self._take_over(self._folder / OLD_LIST)
+            yield
+
+    def _take_over(self, old: Path) -> None:
+        """Move the list of an early version into the journal; after a kill, some lines are twice.
+
+        Raises:
+            OSError: It cannot be moved.
+        """
+        if old.exists():
+            append(kept_file(self._journal), entries_of_list(old))
+            old.replace(old.with_name(f"{OLD_LIST}.old"))
 
 
-class _Lock:
-    """Keeps other processes from changing the key during a `with` block."""
+OLD_LIST: Final = "heads.jsonl"
+"""The list of opened and closed files that early versions kept in the folder of the keys."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._fd = -1
 
-    def __enter__(self) -> None:
-        self._fd = os.open(self._folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        with suppress(OSError):  # some network file systems have no locks
-            flock(self._fd, LOCK_EX)
+def entries_of_list(path: Path) -> Iterator[Entry]:
+    """Yield what an early version's list says, as entries of the journal; skip malformed lines.
 
-    def __exit__(self, *_: object) -> None:
-        os.close(self._fd)
+    Raises:
+        OSError: There is no list, or it cannot be read.
+    """
+    with open_regular(path) as stream:
+        for line in stream.read(MAX_KEPT_BYTES).splitlines():
+            with suppress(ValueError, AttributeError, RecursionError):
+                for kind, values in json.loads(line).items():
+                    if kind in ABOUT_SEALS:
+                        yield Entry(0, kind, {kind: values})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -64,6 +65,7 @@ def evidence(
     """
     from robotctl.decisions.evidence import KILLED, RUNS, collect
     from robotctl.decisions.journal import log_folder, read_log
+    from robotctl.recording.seal.heads import wrong_openings
 
     folder = log_folder(check_robot_name(robot))
     since_ns = 0 if since is None else parse_since(since, time.time_ns())
@@ -71,6 +73,7 @@ def evidence(
     if not log.files:
         start = command_for(robot, "start")
         raise Refused(f"robot {robot!r} has no journal of decisions in {folder}", f"begin: {start}")
+    log.broken += wrong_openings(log.opened)
     told, found = collect(log.entries), collect(log.entries, since_ns)
     items = list(_recordings(robot, told, found, recordings, since_ns))
     for item in items:
@@ -187,11 +190,7 @@ def _prove(items: Sequence[dict[str, Any]], *, quiet: bool) -> dict[str, Any] | 
 
 
 def _as_object(
-    robot: str,
-    since_ns: int,
-    folder: Path,
-    log: LogContent,
-    found: Evidence,
+    robot: str, since_ns: int, folder: Path, log: LogContent, found: Evidence
 ) -> dict[str, Any]:
     times = [entry.time_ns for entry in log.entries]
     return {
@@ -206,17 +205,7 @@ def _as_object(
             "broken": log.broken,
             "notes": log.notes,
         },
-        "software": dict(found.software),
-        "software_changes": found.software_changes,
-        "configuration": dict(found.configuration),
-        "configuration_changes": found.configuration_changes,
-        "daemons": found.daemons,
-        "interventions": found.interventions,
-        "stops": found.stops,
-        "releases": found.releases,
-        "refusals": found.refusals,
-        "removed": found.removed,
-        "unwritten": found.unwritten,
+        **asdict(found),
     }
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from robotctl.base.errors import Refused
-from robotctl.base.paths import DEFAULT_ROBOT, chain_to, make_private, seal_folder
+from robotctl.base.paths import DEFAULT_ROBOT, chain_to, seal_folder
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import moment, printable, short_path
@@ -76,7 +76,7 @@ def rotate(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 
     _stored(robot)  # a new robot gets its key when it starts
     try:
-        stored = Keyring(make_private(seal_folder(robot)), robot).rotate()
+        stored = Keyring(seal_folder(robot), robot).rotate()
     except (OSError, ValueError) as error:
         raise Refused(f"the key cannot be changed: {error}", "see `robotctl key show`") from error
     print_answer(_as_object(robot, stored), _lines(robot, stored), as_json=as_json)

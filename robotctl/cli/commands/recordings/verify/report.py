@@ -10,7 +10,7 @@ from typing import Any
 from robotctl.base.errors import Divergence, NotSealed, RobotctlError, UnreadableFile
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import moment, row, short_path, size
-from robotctl.recording.read.seal_chain import Chain, KnownHeads, SealedFile, check_chain, find_head
+from robotctl.recording.read.seal_chain import SealedFile, check_chain, compare_known, find_head
 from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.source import SUFFIX
 from robotctl.recording.read.whole_file import WholeFile
@@ -19,6 +19,7 @@ from robotctl.recording.read.whole_recording import (
     VerifiedRecording,
     verify_recording,
 )
+from robotctl.recording.seal.heads import KnownHeads, known_heads
 
 
 def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
@@ -116,7 +117,7 @@ def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> Ve
 
     If `head` is given, one of the recordings must contain it.
     """
-    heads = KnownHeads()
+    heads = known_heads()
     found: list[VerifiedRecording] = []
     reports = []
     for path in paths:
@@ -127,7 +128,7 @@ def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> Ve
 
 def verified(path: Path, on_progress: Callable[[int, int], None]) -> dict[str, Any]:
     """Return the result for one recording, as its object in `--json`."""
-    return _verify(path, on_progress, KnownHeads(), [])
+    return _verify(path, on_progress, known_heads(), [])
 
 
 def _verify(
@@ -159,7 +160,7 @@ NOT_PROVED = (
 def recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, Any]:
     """Return the object of one recording; `heads` are this machine's lists of keys."""
     whole = found.whole
-    known = [(file.path.name, heads.compare(file)) for file in found.files]
+    known = [(file.path.name, compare_known(file, heads)) for file in found.files]
     wrong = [*found.wrong, *(f"{name}: {each.wrong}" for name, each in known if each.wrong)]
     unproved = [f"{name}: {each.unproved}" for name, each in known if each.unproved]
     return {
@@ -222,8 +223,10 @@ def summary_object(
         else:
             notes.append(f"the given head is in {holder.path.name}")
     sealed = [file for file in files if file.seal.state is not SealState.NONE]
-    notes += _named_here(chain, sealed, heads)
-    known = sum(heads.compare(file).listed for file in sealed)
+    for root, number in chain.missing:
+        if name := heads.named(root, number):
+            notes.append(f"this machine's list of keys knows file {number}: it was {name}")
+    known = sum(compare_known(file, heads).listed for file in sealed)
     if known:
         notes.append(f"this machine's list of keys knows {known} of {len(sealed)} files")
     return {
@@ -291,16 +294,3 @@ def _seal_object(sealed: SealedFile) -> dict[str, Any]:
         "from_ns": 0 if opening is None else opening.time_ns,
         "to_ns": 0 if head is None else head.time_ns,
     }
-
-
-def _named_here(chain: Chain, files: Sequence[SealedFile], heads: KnownHeads) -> Iterator[str]:
-    """Yield a sentence for each missing file that this user's lists of keys name."""
-    robots = {
-        file.seal.opening.root: file.seal.opening.robot
-        for file in files
-        if file.seal.opening is not None
-    }
-    for root, number in chain.missing:
-        name = heads.of_robot(robots[root]).named(root, number)
-        if name:
-            yield f"this machine's list of keys knows file {number}: it was {name}"
