@@ -61,8 +61,7 @@ def discovery_range() -> str:
 def wider_discovery() -> str:
     """Return the setting that makes this process discover other machines, or "" if none does.
 
-    Static peers and a discovery server are also used in the range LOCALHOST. ROS treats an unknown
-    range as LOCALHOST.
+    Static peers and a discovery server also count in the range LOCALHOST and in an unknown range.
     """
     if discovery_range() == "OFF":
         return ""
@@ -95,7 +94,7 @@ def participants_here(domain_id: int) -> int | None:
 
 @contextmanager
 def reserved_domain() -> Iterator[int]:
-    """Reserve a domain that is not in use on this machine, until the block ends.
+    """Reserve an unused domain of this machine until the block ends, and yield its number.
 
     The reservation is a bound port: the system releases it when the process ends in any way.
 

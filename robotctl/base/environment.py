@@ -36,11 +36,11 @@ _MARKS = {
 
 
 def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
-    """Prepare the environment for the import of rclpy; return a note on the changes, or "".
+    """Prepare the environment for the import of rclpy; return a note on a restart, else "".
 
-    If another ROS precedes ours, call `before_restart` and restart the process without that ROS;
-    `prepare` returns the note in the new process. Unless the user has chosen otherwise, also limit
-    discovery to this machine and announce this process more often.
+    If another ROS precedes ours, call `before_restart` and restart the process without that ROS. In
+    the new process, `prepare` returns a note on what was changed. Unless the user has chosen
+    otherwise, also limit discovery to this machine and announce this process more often.
     """
     note = os.environ.pop(_NOTE, "")
     if _has_own_rclpy():

@@ -104,7 +104,7 @@ class NotSealed(RobotctlError):
 
 
 class AlreadyRunning(RobotctlError):
-    """A start while another process has the robot's lock or socket; its pid is named if known."""
+    """A refused start: the robot's lock or socket has another owner. Its pid is given if known."""
 
     exit_code = 5
     kind = "already_running"

@@ -1,4 +1,4 @@
-"""The names of the modes as users write them. Quick commands need it, so it imports nothing."""
+"""The names of the modes as users write them. No imports: quick commands load this module."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ MODES = {"idle": 0, "moving": 1, "error": 2, "emergency-stop": 3}
 
 
 def find_mode(text: str) -> int | None:
-    """Return the number of the mode with this name (any case, - or _) or number, or None."""
+    """Return the mode number for `text`, a name (any case, - or _) or a number; None for others."""
     given = text.strip().lower().replace("_", "-")
     for name, number in MODES.items():
         if given in (name, str(number)):

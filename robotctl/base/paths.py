@@ -53,7 +53,7 @@ def check_namespace(text: str) -> str:
     """Return a ROS namespace as robotctl uses it: `/NAME`, or "" for none.
 
     Raises:
-        UsageError: ROS does not allow it.
+        UsageError: ROS does not allow `text`.
     """
     parts = [part for part in text.strip("/").split("/") if text.strip("/")]
     if not all(_NAMESPACE_PART.fullmatch(part) and "__" not in part for part in parts):
@@ -104,7 +104,7 @@ def make_private(folder: Path) -> Path:
     """Create `folder` with access for this user only, and return it.
 
     Raises:
-        UsageError: Another user could change it, or it cannot be created.
+        UsageError: Another user could change the folder, or it cannot be created.
     """
     chain_to(folder).make()
     return folder

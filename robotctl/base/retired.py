@@ -1,8 +1,8 @@
 """Features of earlier versions that were removed, each with what a user does instead.
 
-A retired command or option is refused with that text. A retired configuration key causes one
+A retired command or option is refused with this advice. A retired configuration key causes one
 warning and is ignored. A retired journal field is ignored if it has its default.
-An entry is kept for one version; one about journals forever, as old recordings stay readable.
+An entry is kept for one version, or forever for journals: old recordings stay readable.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ CONFIG_KEYS: Mapping[str, str] = {
 """Removed keys of configuration files and launch arguments, with what replaces them."""
 
 JOURNAL_FIELDS: Mapping[str, object] = {"Snapshot.params.standalone": False}
-"""Removed fields of a journal's snapshots as `Snapshot.path`, with the default to ignore."""
+"""Removed fields of a journal's snapshots, as `Snapshot.path`, each with its default."""
 
 CAUSES: Mapping[str, str] = {
     "gate lost": "the daemon commands the robot itself, without a gate in another process",

@@ -44,7 +44,7 @@ def read_log_level(text: str) -> LogLevel:
 
 
 def level_name(level: int) -> str:
-    """Return the name of the highest ROS level that is at most `level`, or "UNSET"."""
+    """Return the name of the highest ROS level that is at most `level`, "UNSET" if none is."""
     return max((each, name) for name, each in {"UNSET": UNSET, **LEVELS}.items() if each <= level)[
         1
     ]

@@ -1,7 +1,6 @@
 """The console script: runs one command line and maps every error to an exit code.
 
-Imports are inside the `try`, because they take half of a quick command's time and Ctrl-C may
-interrupt them.
+Imports are inside the `try`: they take half of a quick command's time, and Ctrl-C may come then.
 """
 
 from __future__ import annotations

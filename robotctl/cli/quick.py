@@ -134,7 +134,11 @@ def stop(robot: str, as_json: bool) -> None:
 
 
 def stop_daemon(robot: str) -> Stopped:
-    """Ask the daemon to end, and return its answer when its process has ended."""
+    """Ask the daemon to end, and return its answer when its process has ended.
+
+    Raises:
+        RobotctlError: The process is still running after STOP_DEADLINE_S.
+    """
     from robotctl.base.processes import pidfd_of, readable_within
 
     with Client(robot) as client, pidfd_of(client.daemon_pid) as process:

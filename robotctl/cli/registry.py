@@ -118,9 +118,9 @@ class LazyGroup(TyperGroup):
                 )
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return the command of that name, or None if there is none.
+        """Return the command of that name.
 
-        In that case all commands are loaded, so that typer can suggest one of them.
+        If there is none, load all commands, so that typer can suggest one, and return None.
 
         Raises:
             UsageError: It is a retired name or one of `other_words`; the error names the right one.

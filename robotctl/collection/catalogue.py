@@ -71,7 +71,7 @@ _TYPES_IN_FILES: Final = {
 
 
 def stamps_in(path: Path | str) -> Stamps:
-    """Return the stamps of the recordings in an index or a catalogue, {} if the file is wrong.
+    """Return the stamps of the recordings in an index or a catalogue, {} for a wrong file.
 
     Raises:
         UsageError: duckdb is not installed.
@@ -155,7 +155,7 @@ def _verified_stamps(
 def write_catalogue(
     targets: Iterable[Path], before: str | None, kept: Collection[str], indexes: Sequence[Path]
 ) -> Path:
-    """Write a catalogue: the recordings in `indexes`, and from the catalogue `before` the `kept`.
+    """Write a catalogue: recordings in `indexes`, and the `kept` ones of the catalogue `before`.
 
     Write it to the first of `targets` that can be written, and return this path.
 
@@ -257,7 +257,7 @@ def _is_text(path: str) -> bool:
 
 
 def _opened(path: Path, stack: ExitStack) -> str | None:
-    """Open a catalogue; return a path that stays valid if another process replaces the file."""
+    """Open a catalogue; return a path that stays valid if the file is replaced, None on failure."""
     try:
         if path.is_symlink():
             return None

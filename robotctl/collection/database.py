@@ -69,7 +69,7 @@ _CLOSED: Final[Mapping[str, str]] = {
 def write_parquet(
     target: Path, query: str, sources: Sequence[Path | str], options: str = ""
 ) -> None:
-    """Write the rows of a query over the files `sources` to `target`, completely or not at all.
+    """Write to `target` all rows of `query`, which reads the files `sources`, or nothing at all.
 
     Raises:
         OSError: The file cannot be written, or a source cannot be read.
@@ -93,12 +93,12 @@ def write_parquet(
 
 
 def file_of(stream: IO[bytes]) -> str:
-    """Return a path of an open file that stays valid if the file is renamed or replaced."""
+    """Return a path that names an open file even after the file is renamed or replaced."""
     return f"/proc/self/fd/{stream.fileno()}"
 
 
 def _remove_abandoned(target: Path) -> None:
-    """Remove unfinished copies of `target` that killed processes left, and `target` if a link."""
+    """Remove unfinished copies of `target` by killed processes, and `target` if it is a link."""
     with suppress(OSError):
         if target.is_symlink():
             target.unlink()

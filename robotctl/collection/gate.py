@@ -33,7 +33,7 @@ from robotctl.collection.judging import Engine, Judging, ResultStore, judge_here
 MAX_BYTES: Final = 64 << 20
 
 FORMAT: Final = 2
-"""The format of a baseline. Files without one are older, and may accept changes nobody has seen."""
+"""The format of a baseline. A file without one is older, and may accept changes nobody has seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ class Baseline:
         }
 
     def find(self, result: Judgement) -> Accepted | None:
-        """Return the entry that accepts this result, or None."""
+        """Return the entry that accepts this result, None if there is none."""
         return self._accepted.get(_key(result.recording, result.settings, result.outcome))
 
     def accept(self, name: str, result: Judgement, *, by: str, why: str, at: str) -> None:
@@ -139,7 +139,7 @@ CHANGED: Final = "changed"
 
 @dataclass(slots=True)
 class GateReport:
-    """The judgement of each recording by its path, in the order in which they were given.
+    """The judgement of each recording by its path, in the order of the given recordings.
 
     `lost` are the recordings whose process was killed twice, or that cannot be read. `live` are
     those still being written: they are not judged. `stored` counts the results found in the store.
@@ -152,7 +152,7 @@ class GateReport:
     stored: int = 0
 
     def pass_accepted(self, baseline: Baseline) -> None:
-        """Add the results that the baseline accepts to `accepted`."""
+        """Add to `accepted` each result that the baseline accepts."""
         for path, result in self.results.items():
             if (by := baseline.find(result)) is not None:
                 self.accepted[path] = by
@@ -191,7 +191,7 @@ class GateReport:
         return groups
 
     def totals(self) -> Totals | None:
-        """Return the totals with other parameters over all drives; None without such results."""
+        """Return the totals with other parameters over all drives, None if none were tried."""
         changes = [each.other for each in self.results.values() if each.other is not None]
         return totals_of(changes) if changes else None
 
@@ -200,7 +200,7 @@ class GateReport:
 
 
 def cause_of(result: Judgement) -> str:
-    """Return `verdict: cause`; the verdict is CHANGED if it fails only with other parameters."""
+    """Return `verdict: cause`; the verdict is CHANGED if only other parameters make it fail."""
     if result.verdict not in FAILED and result.differs:
         failure = None if result.other is None else result.other.failure
         if failure is not None:

@@ -190,7 +190,7 @@ def files_of(recording: Path | str) -> list[str]:
 
 
 def closed_files(files: Iterable[Path | str]) -> list[Path]:
-    """Return the files of a recording that no process is writing, in natural order.
+    """Return those files of a recording that no process is writing, in natural order.
 
     Raises:
         OSError: A file cannot be opened.

@@ -283,7 +283,7 @@ NOT_CHECKED: Final = "not checked"
 
 
 def index_recording(recording: Path) -> str:
-    """Write the index of a recording, with its verdicts; return why that failed, or "".
+    """Write the index of a recording, with its verdicts; return the error as text, "" for none.
 
     If the recording is still being made, only its closed files are indexed. The error is returned
     as text because this runs in another process.

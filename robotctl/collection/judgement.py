@@ -74,7 +74,7 @@ class FirstDifference:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """The first event at which the kernel fails with the other parameters only."""
+    """The first event at which the kernel fails, but only with the other parameters."""
 
     after_s: float
     text: str
@@ -122,7 +122,7 @@ class Commanded:
 
 @dataclass(frozen=True, slots=True)
 class DriveChange:
-    """A drive by the `recorded` parameters and by others (`what_if`), None if it did not begin."""
+    """A drive with `recorded` and with other parameters (`what_if`); None if it did not begin."""
 
     drive: int
     request_id: int
@@ -133,7 +133,7 @@ class DriveChange:
 
     @property
     def ends_otherwise(self) -> bool:
-        """Whether it begins on one side only, or its ends differ in completion, cause or mode."""
+        """Whether one of the two did not begin, or they differ in completion, cause or end mode."""
         mine, theirs = self.recorded, self.what_if
         return mine is None or theirs is None or mine.end != theirs.end
 
@@ -227,8 +227,7 @@ def outcome_of(
 ) -> str:
     """Return the SHA-256 over a verdict, all findings of the check, and what settings change.
 
-    It does not depend on the recording's folder. Two versions of robotctl that find the same give
-    the same hash.
+    It is the same in any folder, and for any version of robotctl that finds the same.
     """
     found = None if report is None else report.divergence
     parts = {
@@ -311,7 +310,7 @@ class Judgement:
 
 
 def judge(path: Path, settings: Mapping[str, str], content: Content | None = None) -> Judgement:
-    """Repeat a recording's decisions, and again with other parameters if there are `settings`.
+    """Repeat a recording's decisions and, if there are `settings`, once more with these.
 
     `content` is the recording's content if it has been read already.
 

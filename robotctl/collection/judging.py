@@ -200,7 +200,7 @@ class Judging:
         return Judged(self.store.put(found))
 
     def stored(self, path: Path) -> Judged | None:
-        """Return the stored result, or why the recording cannot be read, or None if none is stored.
+        """Return the stored result, None if there is none, or why the recording cannot be read.
 
         Raises:
             Refused: The store cannot be read.

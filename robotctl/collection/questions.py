@@ -175,7 +175,7 @@ def columns_of(table: str) -> tuple[str, ...]:
 def find(
     catalogue: Catalogue, table: str, condition: str, sort: str = "", limit: int = 0
 ) -> Answer:
-    """Return the rows of a table that meet a condition, or all rows if it is "".
+    """Return those rows of a table that meet `condition`, all rows if that is "".
 
     `sort` is a column, with "-" before it for descending order. If it is "", rows are sorted by
     `start_ns`, or by recording in a table without it. A `limit` of 0 means no limit.

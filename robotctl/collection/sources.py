@@ -1,7 +1,6 @@
 """What `sync` copies: the recordings of a folder, or those below a URL.
 
-Recordings of other recorders are copied, too, but never removed. Each file that cannot be copied is
-reported.
+Recordings of other recorders are copied, too, but never removed. Files not copied are reported.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ REPLACED: Final = (METADATA_FILE, INDEX_FILE)
 """Files that are generated from the data; a newer one replaces an older copy."""
 
 YOUNG_NS: Final = 60 * NS_PER_S
-"""Other recorders hold no lock: a file without end counts as finished if this long unchanged."""
+"""Other recorders hold no lock: a file without end is finished if unchanged for this time."""
 
 OF_THE_SYSTEM: Final = "lost+found"
 """A folder at the top of many disks that only root can read; it is no recording."""
@@ -233,7 +232,7 @@ def _is_copied(key: str) -> bool:
 
 
 def local_recordings(place: Path, now_ns: int) -> list[OfferedRecording]:
-    """Return the recordings in the folder `place`, ordered by name, or `place` if it is one.
+    """Return the recordings in the folder `place` by name, or `place` itself if it is a recording.
 
     A single file is a recording named like the file without `.mcap`. Links are not followed.
     `now_ns` is since the epoch.

@@ -47,7 +47,7 @@ Stored = dict[str, list[StoredObject]]
 
 @dataclass(frozen=True, slots=True)
 class CopiedFile:
-    """A file that was copied, or would be in a dry run."""
+    """A file that was copied or, in a dry run, would be copied."""
 
     recording: str
     name: str

@@ -82,7 +82,7 @@ class Trial:
     motions: list[Motion] = field(default_factory=list)
 
     def begin(self, held: Held, t_s: float) -> None:
-        """Begin the next motion; its first sample is the newest so far, from before it moves."""
+        """Begin the next motion; its first sample is the newest so far: the base still stands."""
         self.motions.append(Motion(held, t_s, samples=self.samples[-1:]))
 
     def sample(self, sample: TrialSample) -> None:
@@ -140,7 +140,7 @@ MOVES_SHARE = 0.2
 """A base moves if its speed is at least this share of the commanded one."""
 
 NEAR_S = 0.02
-"""A base stands once its distance to the final position is less than its way in this time."""
+"""A base stands when it is nearer to its final position than it drives in this time."""
 
 MIN_SAMPLES = 3
 
@@ -197,7 +197,7 @@ class _Line:
 
 
 def measured(trial: Trial) -> Measured:
-    """Measure a base from two straight motions, stopped by zero and by silence, then a turn.
+    """Measure a base from three motions: two straight, stopped by zero and by silence, one turn.
 
     Raises:
         Refused: There are other motions or too few samples, or the base did not move or stop.

@@ -74,7 +74,7 @@ def proposals(base: Measured, present: KernelParams) -> list[Proposal]:
 
 
 def configuration(settings: Mapping[str, object], proposed: list[Proposal]) -> dict[str, object]:
-    """Return `settings` with the proposed values in place of their own."""
+    """Return `settings`, in which each proposed value replaces the value of its key."""
     return {**settings, **{each.key: each.value for each in proposed}}
 
 

@@ -32,7 +32,7 @@ MAX_FILE_BYTES = 1_000_000
 
 
 def load(path: Path, warn: Callable[[str], object] = log_warning) -> Config:
-    """Return the configuration in the file `path`; a retired key is ignored after a call of `warn`.
+    """Return the configuration in the file `path`; call `warn` for a retired key, and ignore it.
 
     Raises:
         ConfigError: The file cannot be read, or a key or value is not allowed.

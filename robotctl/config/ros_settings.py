@@ -137,7 +137,7 @@ def apply_arguments(
 ) -> RosSettings:
     """Return the configuration changed by the arguments, for nodes in `namespace`.
 
-    A retired key is ignored, after a call of `warn` with a sentence.
+    If a key is retired, `warn` is called with a sentence, and the key is ignored.
 
     Raises:
         ConfigError: A key, a value or a file is wrong, or is meant for another node.

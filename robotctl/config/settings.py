@@ -254,10 +254,7 @@ def check_together(kernel: KernelParams) -> None:
 
 
 def warn_of_retired(key: str, warn: Callable[[str], object], where: str = "") -> bool:
-    """Return whether `key` is retired; if so, call `warn` with a sentence about its replacement.
-
-    The sentence begins with `where`.
-    """
+    """If `key` is retired, call `warn` with a text beginning with `where`; return whether it is."""
     instead = retired.CONFIG_KEYS.get(key)
     if instead is not None:
         warn(f"{where}{key} is retired and ignored: {instead}")
@@ -282,7 +279,7 @@ def with_setting(config: Config, key: str, value: object) -> Config:
 
 
 def check_all(config: Config) -> None:
-    """Check every value of a configuration that a program made, and `load` has not checked.
+    """Check every value of a configuration that a program made: `load` has not checked it.
 
     Raises:
         ConfigError: A value is not allowed.
@@ -380,7 +377,7 @@ class Declaration:
 
 @cache
 def declarations() -> Mapping[str, Declaration]:
-    """Return the declaration of every key, in the order of the schema."""
+    """Return the declaration of every key, in the order of the fields of `Config`."""
     config = Config()
     found = {}
     for key, leaf in keyed_leaves(config):

@@ -172,7 +172,7 @@ async def noted(
 async def serve(
     options: DaemonOptions, notes: list[str], on_ready: Ready, at_end: ExitStack
 ) -> None:
-    """Run the daemon until it is stopped; call `on_ready` once with the summary.
+    """Run the daemon until it is stopped; when it is ready, call `on_ready` with the summary.
 
     The exit of `at_end` leaves the ROS domain. The caller owns the robot's lock.
 

@@ -19,7 +19,7 @@ from robotctl.kernel.patterns import PatternKind
 
 @dataclass(frozen=True, slots=True)
 class DaemonOptions:
-    """The options of a start; with `sim` None, simulate if the odometry topic has no publisher."""
+    """The options of a start. If `sim` is None, simulate unless odometry has a publisher."""
 
     robot: str
     config: Path | None
@@ -35,7 +35,7 @@ class DaemonOptions:
     """`include` and `exclude` are topic patterns, added to those of the configuration."""
 
     ros_namespace: str | None = None
-    """The value of `--namespace`; if None, `--ros-args` or else the robot's name gives one."""
+    """The value of `--namespace`; if None, `--ros-args` or the robot's name gives the namespace."""
 
     allow_same_names: bool = False
     """Start although another daemon runs whose nodes have the same names."""
@@ -122,7 +122,7 @@ def absolute(recordings: Path) -> Path:
     """Return the absolute path of the folder.
 
     Raises:
-        UsageError: It is relative, and the working folder was removed.
+        UsageError: The path is relative, and the working folder was removed.
     """
     try:
         return recordings.absolute()
@@ -132,7 +132,11 @@ def absolute(recordings: Path) -> Path:
 
 
 def _patterns(option: str, given: list[str]) -> tuple[str, ...]:
-    """Return the patterns of a repeatable option; each use may have several, split by commas."""
+    """Return the patterns of a repeatable option; each use may have several, split by commas.
+
+    Raises:
+        UsageError: A pattern is not allowed.
+    """
     patterns = [pattern for text in given for pattern in text.split(",")]
     for pattern in patterns:
         if not is_topic_pattern(pattern):
@@ -141,7 +145,7 @@ def _patterns(option: str, given: list[str]) -> tuple[str, ...]:
 
 
 def parse_ready_fd(arguments: list[str]) -> int | None:
-    """Return the value of `--ready-fd`, or None; errors in other options are ignored here."""
+    """Return the value of `--ready-fd`, None if it is not given; ignore errors in other options."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--ready-fd", type=int)
     others, _ = ros_arguments.split(arguments)

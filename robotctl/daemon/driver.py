@@ -135,7 +135,11 @@ class Driver:
         }
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
-        """Run every task until the daemon is stopped."""
+        """Run every task until the daemon is stopped.
+
+        Raises:
+            RobotctlError: The daemon was stopped before it was ready.
+        """
         self._journal_snapshot()
         # Without a last snapshot, a check could not detect that the last entries are missing.
         self.host.session.last.callback(self._journal_snapshot)

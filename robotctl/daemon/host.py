@@ -40,7 +40,7 @@ class Host:
 
     supervisor: Supervisor
     discovered_by_s: float
-    """The steady time [s] until which a start waits for the discovery of other nodes at most."""
+    """Until this steady time [s] at the latest, a start waits for the discovery of other nodes."""
 
     stop: asyncio.Event
     """Set to end the daemon."""

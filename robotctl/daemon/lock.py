@@ -14,7 +14,7 @@ from robotctl.base.paths import make_private
 from robotctl.ipc.client import command_for
 
 PID_S = 1.0
-"""How long the owner may take to write its pid into the file after it has locked it."""
+"""How long the owner, after it has locked the file, may take to write its pid into it."""
 
 
 @contextmanager

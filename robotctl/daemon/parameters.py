@@ -58,7 +58,7 @@ class Parameters:
         return Setting(key, flat(with_text(self.config, key, text))[key])
 
     def request(self, settings: Sequence[Setting], source: str) -> Reply:
-        """Change all the parameters, or none; return the last reply, or the first refusal.
+        """Change all parameters, or none if one is refused; return the last reply or the refusal.
 
         Raises:
             ConfigError: There is no such key, or a value is not allowed.
@@ -145,9 +145,7 @@ def serve_parameters(session: Session, parameters: Parameters, robot: str) -> No
 
 
 def _served_by(key: str, nodes: Container[str]) -> str:
-    """Return the node that declares a key: `node_of(key)` if it is in `nodes`, else `mode_service`.
-
-    The exception: `mode_service` never declares the keys of the simulated robot.
-    """
+    """Return the node that declares a key: `node_of(key)` if that is in `nodes` or is the simulated
+    robot, else `mode_service`."""
     node = node_of(key)
     return node if node in nodes or node == SIMULATED_ROBOT else MODE_SERVICE

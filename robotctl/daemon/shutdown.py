@@ -37,7 +37,7 @@ async def stand_still(
     """Ramp down, or command zero at once if that takes too long; then send one more zero.
 
     From now on the kernel starts no motion. `published()` returns the number of commands sent: if
-    it does not grow, from lack of memory or in the middleware, zero is retried for LAST_ZERO_S.
+    it does not grow, because memory or the middleware fails, zero is retried for LAST_ZERO_S.
     """
     control.dispatch(FaultReported(now_ns(), Cause.DAEMON_ENDS, _ENDING))
     for mode in (Mode.IDLE, Mode.ERROR):
@@ -58,9 +58,9 @@ async def stand_still(
 
 
 def send_zero(control: Control, velocity: VelocityPublisher) -> None:
-    """Send a zero now: by the kernel if the robot stands and the kernel works, otherwise directly.
+    """Report DAEMON_ENDS to the kernel, then send a zero: by the kernel if it can, else directly.
 
-    First report DAEMON_ENDS to the kernel: this fault in the journal shows later checks the end.
+    It can if it works and the robot stands. In the journal, this fault shows later checks the end.
     """
     sent = velocity.published
     with suppress(Exception):  # the kernel may be what has failed

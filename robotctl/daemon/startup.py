@@ -39,7 +39,7 @@ class StartReport:
     def send(self, report: Mapping[str, Any]) -> None:
         """Send a report; on `ready_fd`, send only the first one.
 
-        The daemon ends itself with SIGTERM if it is ready, but the reader of the report is gone.
+        If the report of a ready daemon finds no reader, the daemon ends itself with SIGTERM.
         """
         line = f"{json.dumps(report)}\n".encode()
         if not self._in_background:  # stdout may block: the loop must not wait
@@ -70,7 +70,7 @@ class StartReport:
 
 
 def _write(descriptor: int, line: bytes) -> bool:
-    """Write the line; return whether it was written: if not, its reader no longer exists."""
+    """Write the line; return whether that worked: if not, its reader no longer exists."""
     try:
         os.write(descriptor, line)
     except OSError as error:

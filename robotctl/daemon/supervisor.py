@@ -46,7 +46,7 @@ class Supervisor:
         """Check that the daemon has not run out of memory.
 
         Raises:
-            RobotctlError: It has.
+            RobotctlError: The daemon has run out of memory.
         """
         if self._reserve is None:
             raise RobotctlError(OUT_OF_MEMORY)

@@ -102,7 +102,7 @@ def advice(text: str, remedies: Iterable[Remedy], robot: str) -> Advice:
 
 
 def for_robot(text: str, robot: str) -> str:
-    """Return `text` with `--robot NAME` after each command; unchanged for the default robot."""
+    """Return `text` with `--robot NAME` after each command, or as it is for the default robot."""
     return _COMMAND.sub(lambda match: command_for(robot, match[1]), text)
 
 

@@ -70,7 +70,7 @@ class DriveAnswer(ModeAnswer, total=False):
 
 
 class HoldAnswer(ModeAnswer):
-    """The answer of `hold`; `message` is the reason for the mode, also if the motion has ended."""
+    """The answer of `hold`; `message` is the kernel's reply, and later the reason for the mode."""
 
     hold: int
     """The number of the held motion, for the next request; 0: the motion has ended."""

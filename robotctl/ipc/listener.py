@@ -146,9 +146,8 @@ def _has(sock: socket.socket, events: int) -> bool:
 _log = logging.getLogger(__name__)
 
 BACKLOG = 1024
-"""How many clients may wait to be accepted; a burst of this size must not fail.
-
-With a full backlog, asyncio's connect returns a socket that is not connected."""
+"""How many clients may wait to be accepted; a burst of this size must not fail. With a full
+backlog, asyncio's connect returns a socket that is not connected."""
 
 LOOK_S = 1.0
 """The period of the check that the socket file was not removed or replaced."""
@@ -238,7 +237,7 @@ class Listener:
             await asyncio.sleep(LOOK_S)
 
     async def reopen(self, on_failure: Callable[[str], None]) -> None:
-        """Retry `open` until it succeeds; call `on_failure` each time the reason changes."""
+        """Retry `open` until it succeeds; when it fails for a new reason, call `on_failure`."""
         self._sock.close()
         said = ""
         while True:

@@ -315,7 +315,7 @@ def peer_of(sock: socket.socket) -> Peer:
 
 
 def groups_of(sock: socket.socket) -> frozenset[int]:
-    """Return the gids of the process at the other end; if more than 256, only the primary one."""
+    """Return the gids of the process at the other end; above 256, return only the primary one."""
     primary = peer_of(sock).gid
     try:
         raw = sock.getsockopt(socket.SOL_SOCKET, SO_PEERGROUPS, _GROUPS_BYTES)

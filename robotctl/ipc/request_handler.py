@@ -40,12 +40,11 @@ class ClientLimits:
     """The maximum number of connections beyond `clients`; each may send one emergency stop.
 
     To accept one more, the daemon closes the oldest idle one of them. `clients` + `overflow` is
-    well below 1,024 open files, the usual limit of a process.
-    """
+    well below 1,024 open files, the usual limit of a process."""
     request_s: float = 10.0
     """Time from the connection's start, or the last reply, until a whole request is received."""
     overflow_request_s: float = 1.0
-    """The same for a connection beyond `clients`."""
+    """As `request_s`, for a connection beyond `clients`."""
     write_s: float = 5.0
     """Time to send a reply; a client that does not read it in time is disconnected."""
     hangup_poll_s: float = 0.1
@@ -175,7 +174,7 @@ class RequestHandler:
         *,
         over_cap: bool,
     ) -> None:
-        """With `over_cap`, accept only hello and an emergency stop. Nothing is read from `sock`."""
+        """With `over_cap`, accept only hello and an emergency stop. `sock` is polled, not read."""
         self._deadline = deadline
         self._sock = sock
         self._methods = methods

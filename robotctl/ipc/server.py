@@ -172,7 +172,7 @@ class ControlServer:
         limits: ClientLimits = DEFAULT_LIMITS,
         on_unreachable: Callable[[str], None] = lambda problem: None,
     ) -> None:
-        """Call `on_unreachable(problem)` if clients cannot connect; with "" once they can again."""
+        """Call `on_unreachable(problem)` if clients cannot connect, with "" when they can again."""
         self._path = path
         self._group = group
         self._listener = Listener(path, group)

@@ -32,7 +32,7 @@ def healthy(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def reported(cause: Cause) -> Check:
-    """Return the check for a cause that the daemon reports."""
+    """Return the check that finds `cause` among the faults that the daemon reported."""
 
     def check(health: Health, params: KernelParams, t_ns: int) -> str:
         for reported, detail in health.reported:
@@ -84,9 +84,9 @@ def battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def odometry_wrong(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return why the received odometry is unusable, or "".
+    """Return a sentence if the received odometry is unusable, else "".
 
-    A frame other than `odometry.frame_id` is reported at once, other faults once odometry is lost.
+    A frame other than `odometry.frame_id` is reported at once, faults only when odometry is lost.
     """
     wanted, sources = params.odometry.frame_id, health.odometry_sources
     if wanted:

@@ -148,13 +148,13 @@ def _tuple_reader(items: tuple[Any, ...]) -> Callable[[Any], tuple[Any, ...]]:
 
 
 def finite_or_none(value: float) -> float | None:
-    """Return a number, None if it is NaN or infinite."""
+    """Return `value`, None if it is NaN or infinite."""
     return value if isfinite(value) else None
 
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """What was sent and written before a snapshot; a check compares it to find what is missing.
+    """What was sent and written before a snapshot, so that a check finds what a recording lacks.
 
     `commands` counts the velocity commands, `journal_crc` is the CRC-32 of the serialized entries.
     """

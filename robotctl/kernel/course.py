@@ -60,7 +60,7 @@ class Held:
         return ""
 
     def begun(self, t_ns: int) -> Held:
-        """Return this velocity for a motion that begins at `t_ns`; hold-to-run counts from then."""
+        """Return this velocity as begun at `t_ns`; a hold-to-run client counts as heard then."""
         return replace(self, heard_t_ns=t_ns) if self.is_held_to_run else self
 
     @property

@@ -55,7 +55,7 @@ class Progress:
 
 
 def begun(speed: float, ticks: int, dt_s: float, legs: tuple[Leg, ...], *, turns: bool) -> Progress:
-    """Return the progress of a reference that begins at `speed`; at 0 on a turn or a short leg."""
+    """Return the progress of a reference that begins at `speed`, or at 0 on a turn or short leg."""
     ahead = 0.5 * speed * dt_s * (ticks - 1)
     if turns or speed <= 0.0 or legs[0].length <= ahead:
         return Progress()
@@ -181,7 +181,7 @@ class Drive:
         return held is not None and held.quiet_s > 0.0 and self.progress.length >= held.for_s
 
     def ending(self) -> str:
-        """Return why a drive ends that has finished or is no longer held to run."""
+        """Return why this drive ends: it has finished, or is no longer held to run."""
         held = self.course.held
         if held is not None and held.is_held_to_run:
             return "let go" if held.is_let_go else f"not held for {held.for_s * 1e3:g} ms"
@@ -212,7 +212,7 @@ class Drive:
         return Reference(pose, rate, segment.curvature_at(length), 0.0)
 
     def command(self, pose: Pose, gains: TrackingParams, limits: VelocityLimits) -> Twist:
-        """Return the velocity that brings a robot at `pose` to the reference, or the one held."""
+        """Return the held velocity, or the one that brings a robot at `pose` to the reference."""
         if self.course.held is not None:
             return Twist(self.course.held.linear_mps, self.course.held.angular_rps)
         reference = self.reference(gains.lag_s)

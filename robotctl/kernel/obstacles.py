@@ -67,7 +67,7 @@ def free_beside_m(sectors: tuple[float, ...], params: ScanParams, reach_m: float
 
 
 def is_free(free_m: float, command: Twist, params: ScanParams, reach_m: float) -> bool:
-    """Return whether the path is free because each obstacle has a |y| of at least `free_m`.
+    """Return whether obstacles with a |y| of `free_m` or more are certainly beside the path.
 
     If this is False, an obstacle may be in the path: call `distance_ahead`.
     """

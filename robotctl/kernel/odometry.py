@@ -71,7 +71,7 @@ def odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -
 
 
 def is_repeated(health: Health, odometry: Odometry) -> bool:
-    """Return whether this sample equals the last usable one, as a source that hangs repeats it.
+    """Return whether this sample equals the last usable one: a source that hangs repeats it.
 
     A sample without a stamp (0) counts as new: it may be from a robot that stands still.
     """
@@ -104,7 +104,7 @@ def source_found(sources: OdometrySources, event: OdometrySourceFound) -> Odomet
 def may_follow(health: Health, event: OdomReceived, params: OdometryParams) -> bool:
     """Return whether a robot that is not MOVING may switch to the publisher of this sample.
 
-    It may if the followed publisher has sent nothing usable yet, or for `odometry.timeout_s`.
+    It may if the followed publisher sent no usable sample for `odometry.timeout_s`, or never.
     """
     age_s = abs(event.t_ns - health.odometry_t_ns) / NS_PER_S
     return health.odometry is None or age_s > params.timeout_s

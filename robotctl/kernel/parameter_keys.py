@@ -84,7 +84,7 @@ def with_text(params: KernelParams, key: str, text: str) -> KernelParams:
 
 
 def conflict(params: KernelParams) -> Conflict | None:
-    """Return the first value that conflicts with another one, or None."""
+    """Return the first value that conflicts with another one, None if there is no conflict."""
     battery, two_periods_s = params.battery, 2.0 / params.rate_hz
     taken: dict[str, str] = {}
     topics = {f"{part}.topic": getattr(params, part).topic for part in _WITH_TOPIC}

@@ -133,7 +133,7 @@ class OdometryParams:
 
 
 class BatteryScale(Enum):
-    """The value of a full battery: 1 (REP-147) or 100. AUTO: 100 after a level above 1.05."""
+    """The value of a full battery: 1 (REP-147) or 100. AUTO: 1, or 100 after a level above 1.05."""
 
     AUTO = "auto"
     ONE = "1"

@@ -34,7 +34,7 @@ class Segment(Protocol):
         """Return the signed curvature [1/m], left positive; for a turn, 1 to the left or -1."""
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance to the nearest point of the segment [m] near the length `guess`."""
+        """Return the distance to the segment's nearest point [m], which is near length `guess`."""
 
 
 @dataclass(frozen=True, slots=True)

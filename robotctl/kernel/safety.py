@@ -227,14 +227,14 @@ def raised(mode: Mode, health: Health, params: KernelParams, t_ns: int) -> Findi
 
 
 def failed_start_condition(health: Health, params: KernelParams, t_ns: int) -> Finding | None:
-    """Return the most severe finding that forbids the start of a motion, or None."""
+    """Return the most severe finding that forbids the start of a motion, None if there is none."""
     return _first_that_applies(RULES, health, params, t_ns)
 
 
 def start_conditions(
     health: Health, params: KernelParams, t_ns: int
 ) -> tuple[tuple[Rule, str], ...]:
-    """Return each rule that can forbid the start of a motion, and what is wrong now, or ""."""
+    """Return the rules that can forbid the start of a motion, each with what is wrong, else ""."""
     return tuple(
         (rule, rule.check(health, params, t_ns))
         for rule in RULES

@@ -36,7 +36,7 @@ REPEATS_PER_TIMEOUT = 4
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """The last message of an input; `value` is NaN if unreadable, `detail` the sender's text."""
+    """The last message of an input; `value` is NaN if unreadable, `detail` is the sender's text."""
 
     kind: SafetyInput
     value: float
@@ -55,7 +55,7 @@ class EstopParams:
 
 @dataclass(frozen=True, slots=True)
 class JoyParams:
-    """A button of a sensor_msgs/Joy topic, by its number from 0, as an emergency stop."""
+    """A button of a sensor_msgs/Joy topic that is an emergency stop; `button` counts from 0."""
 
     use: Use = setting(Use.OFF, "emergency stop on a gamepad", Change.START)
     topic: str = topic("joy", "its topic")

@@ -34,8 +34,8 @@ class SecondOdometry:
 class OdometrySources:
     """The publishers of odometry. The robot follows one at a time; `followed` is its number.
 
-    `names` has the number and the node name of each of the last publishers found, `frames` the
-    number and the frame. `dropped` counts the samples that were not used.
+    `names` has the number and the node name of each of the last publishers found, and `frames` has
+    the number and the frame. `dropped` counts the samples that were not used.
     """
 
     followed: int = 0
@@ -55,7 +55,7 @@ class CommandTopic:
 
     `foreign_t_ns` and `foreign_by` are the time and the publisher of another node's last command,
     None and "" if there was none. `listeners` counts the subscriptions with the type that robotctl
-    sends (`type_name`), None before discovery; `other_types` are the types of all others.
+    sends (`type_name`), None before discovery; `other_types` are the other subscriptions' types.
     """
 
     foreign_t_ns: int | None = None
@@ -79,7 +79,7 @@ class Stalls:
 class Scan:
     """The last laser scan: the nearest ranges by direction [m], () if it was not readable.
 
-    `nearest_m` is the smallest range, and `ahead_m` the distance to the nearest obstacle in the
+    `nearest_m` is the smallest range. `ahead_m` is the distance to the nearest obstacle in the
     path of the present command, inf if there is none.
     """
 
@@ -182,7 +182,7 @@ FULLEST_LEVEL = 1.05
 
 
 def counts_in_percent(raw: float, before: bool, scale: BatteryScale) -> bool:
-    """Return whether the gauge that reports `raw` uses percent; `before` is the last answer."""
+    """Return whether the gauge that reports `raw` uses percent; `before` is the previous result."""
     if scale is BatteryScale.AUTO:
         return before or FULLEST_LEVEL < raw <= 100.0 * FULLEST_LEVEL
     return scale is BatteryScale.PERCENT

@@ -42,7 +42,7 @@ def cos(angle_rad: float) -> float:
 
 
 def direction(angle_rad: float) -> tuple[float, float]:
-    """Return cosine and sine, in little more time than one of them; ValueError as they raise."""
+    """Return cosine and sine, almost as fast as one of them; ValueError for an infinite angle."""
     quadrant, head, tail = _reduced(angle_rad)
     x, y = _cos(head, tail), _sin(head, tail)
     if quadrant & 1:
@@ -109,14 +109,14 @@ _ATAN_PARTS = (
     (9.82793723247329054082e-01, 1.39033110312309984516e-17),
     (1.57079632679489655800e00, 6.12323399573676603587e-17),
 )
-"""The arc tangents of 0.5, 1, 1.5 and infinity, and what these numbers lack."""
+"""The arc tangents of 0.5, 1, 1.5 and infinity, each with the part that rounding cut off."""
 
 _A0, _A1, _A2 = 3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.42857142725034663711e-01
 _A3, _A4, _A5 = -1.11111104054623557880e-01, 9.09088713343650656196e-02, -7.69187620504482999495e-02
 _A6, _A7, _A8 = 6.66107313738753120669e-02, -5.83357013379057348645e-02, 4.97687799461593236017e-02
 _A9, _A10 = -3.65315727442169155270e-02, 1.62858201153657823623e-02
 _PI_LOW = 1.22464679914735317720e-16
-"""What `pi` lacks."""
+"""The part of pi that rounding cut off from `pi`."""
 
 
 def atan2(y: float, x: float) -> float:

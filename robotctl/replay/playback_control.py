@@ -26,7 +26,7 @@ RATES: Final = tuple(
 class Schedule:
     """Maps recorded time to steady time: `at_ns` (recorded) is due at `moment_ns` (steady).
 
-    From there on, `rate` seconds of the recording are due per second, or all at once if it is None.
+    From there on, `rate` seconds of the recording are due per second; if it is None, all at once.
     While `paused`, nothing is due.
     """
 
@@ -87,7 +87,7 @@ class PlaybackControl:
         return self._schedule
 
     def begin(self, moment_ns: int) -> None:
-        """Make recorded time 0 due at the steady time `moment_ns`; in a pause, when it ends.
+        """Make recorded time 0 due at the steady time `moment_ns`, or at the end of a pause.
 
         Nothing was played before this call, so the position of the schedule is discarded.
         """
@@ -124,7 +124,7 @@ class PlaybackControl:
             self._steps += self._schedule.paused
 
     def takes_step(self, at_ns: int) -> bool:
-        """Use up one step for the message at `at_ns`; return False if there is none."""
+        """Use up one step for the message at `at_ns`; return False if no step is left."""
         with self._changing:
             if not (self._steps and self._schedule.paused):
                 return False

@@ -57,7 +57,11 @@ def daemons_in(domain_id: int) -> list[RunningDaemon]:
 
 
 def domain_to_play_in(requested: int | None, robot: str) -> int:
-    """Return `requested` or, if it is None, the domain of the robot's daemon; 0 if unknown."""
+    """Return `requested` or, if it is None, the domain of the robot's daemon; 0 if unknown.
+
+    Raises:
+        Refused: A process of another user listens in place of the daemon.
+    """
     if requested is not None:
         return requested
     daemon = ask(robot)

@@ -151,7 +151,7 @@ class Replay:
         self._stopped.set()
 
     def control(self, command: Command) -> None:
-        """Carry out a command now, or when the player is created if there is none yet."""
+        """Carry out a command now or, if there is no player yet, as soon as it is created."""
         with self._controlling:
             if self._player is None:
                 self._early.append(command)

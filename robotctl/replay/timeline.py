@@ -66,7 +66,7 @@ def recorded(
     *,
     loop: bool,
 ) -> Iterator[Entry]:
-    """Return the messages of a span to send, those latched at its start first.
+    """Return the messages to send for a span, those latched at its start first.
 
     `topics` has the type of each topic to play; messages of another type are left out. `latched`
     has, for each latched topic, how many of its messages from before the span are sent at most.
@@ -158,7 +158,7 @@ class ReadAhead:
             self._changed.notify_all()
 
     def __iter__(self) -> Iterator[list[Entry]]:
-        """Yield each batch once it is read. Afterwards raise an exception of the thread, if any."""
+        """Yield each batch when it is read. Afterwards raise an exception of the thread, if any."""
         while True:
             with self._changed:
                 while not (self._batches or self._ended or self._closed):

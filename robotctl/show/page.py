@@ -40,7 +40,7 @@ RATE_WIDTH, RATE_HEIGHT = 120, 18
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[Content]]) -> Markup:
-    """Return a table, and a note on how many rows its limits have left out."""
+    """Return a table; if its limits leave out rows, a note below it says how many."""
     body: list[Markup] = []
     characters = 0
     for row in rows[:MAX_ROWS]:
@@ -171,7 +171,7 @@ def provenance_table(recorded: Recorded) -> Markup:
 
 
 def parameters_table(recorded: Recorded) -> Markup | None:
-    """Return a table of the parameters at the start of the last file, None if it lists none."""
+    """Return a table of the parameters at the start of the last file, None if there are none."""
     told = recorded.info.metadata.get(INFO_RECORD, {})
     rows = [
         (key.removeprefix(PARAMETER_PREFIX), value)

@@ -200,7 +200,7 @@ class _Wanted:
 
 
 def number_fields(topic: TopicInfo, paths: Sequence[str]) -> list[tuple[str, Steps]]:
-    """Return path and steps of each number at `paths`; the path of a message gives all its numbers.
+    """Return path and steps of each number at `paths`; a message's path gives all its numbers.
 
     Raises:
         UsageError: A path leads to no number, no path is given, or there are too many numbers.

@@ -145,7 +145,7 @@ class Traces:
         self.rates = Rates(self.duration_s)
 
     def enter_mode(self, t_s: float, mode: str, reason: str) -> None:
-        """End the previous mode, and begin a new one; the same mode and reason continue the old."""
+        """End the previous mode and begin a new one, unless mode and reason are the same."""
         if self.modes:
             self.modes[-1].end_s = t_s
             if self.modes[-1].mode == mode and self.modes[-1].reason == reason:
@@ -164,7 +164,7 @@ class Traces:
             self.drives.append(drive)
 
     def want(self, outline: list[Point]) -> None:
-        """Add a wanted path, or count it as left out if it is empty, out of range or too long."""
+        """Add a wanted path; if it is empty, out of range or without room, count it as left out."""
         has_room = sum(map(len, self.wanted)) + len(outline) <= MAX_WANTED_POINTS
         if outline and has_room and all(is_on_earth(x, y) for x, y in outline):
             self.wanted.append(outline)
@@ -194,8 +194,8 @@ MS_PER_NS: Final = 1e-6
 class JournalTraces:
     """Fills traces from the entries of a journal, in their order.
 
-    Commands, modes and ends of drives are as recorded. Only a kernel knows the wanted path, so one
-    repeats the decisions. After missing entries, the next snapshot replaces it by a new one.
+    Commands, modes and ends of drives are as recorded. Only a kernel knows the wanted path, so a
+    kernel repeats the decisions; after missing entries, a new one begins at the next snapshot.
     """
 
     def __init__(self, traces: Traces) -> None:

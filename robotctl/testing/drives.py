@@ -90,7 +90,7 @@ Written = JournalEntry | Twist | bytes
 
 
 def drive_requested(after_s: float = 0.1, laps: int = 0) -> DriveRequested:
-    """Return a request to drive a square."""
+    """Return a request to drive a square, `after_s` seconds after BEGIN_NS."""
     t_ns = BEGIN_NS + round(after_s * NS_PER_S)
     return DriveRequested(t_ns, 1, Pattern(), laps, False, "operator")
 

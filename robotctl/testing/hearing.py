@@ -82,7 +82,7 @@ class HearingKernel(Kernel):
     """
 
     def __init__(self, config: Config) -> None:
-        """Begin standing, with the parameters of the configuration."""
+        """Begin in IDLE, with the parameters of the configuration."""
         super().__init__(config.kernel)
         self.heard: Event | None = None
         self.messages: dict[tuple[str, int], bytes] = {}
@@ -93,7 +93,7 @@ class HearingKernel(Kernel):
     def step(self, event: Event) -> tuple[Effect, ...]:
         """Serialize and number the message of an input, then decide.
 
-        It decides on odometry, battery and scans as read from the message, on others as given.
+        Odometry, battery and scans are read back from the message; other events are used as given.
         """
         if isinstance(event, OdomReceived):
             self._odometry_count += 1

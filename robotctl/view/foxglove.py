@@ -158,7 +158,7 @@ class Unsubscribe:
 
 @dataclass(frozen=True, slots=True)
 class ServiceCall:
-    """A request to call a service, which has no parameters."""
+    """A request to call a service; there are no parameters."""
 
     service_id: int
     call_id: int

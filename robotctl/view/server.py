@@ -164,7 +164,7 @@ class OfferedChannels:
         return True
 
     def unsubscribe(self, viewer: Viewer, subscription: int) -> int | None:
-        """End a subscription; return the channel's id if that was its last one, otherwise None."""
+        """End a subscription; return the channel's id if it has no viewer left, otherwise None."""
         channel_id = viewer.subscriptions.pop(subscription, None)
         if channel_id is None:
             return None
@@ -315,7 +315,7 @@ class ViewServer:
             viewer.abort()
 
     def admit(self, viewer: Viewer) -> None:
-        """Send a new viewer greeting, offers and notes; if there are MAX_VIEWERS, refuse it."""
+        """Refuse a new viewer if there are MAX_VIEWERS, else send it greeting, offers and notes."""
         if len(self._viewers) >= MAX_VIEWERS:
             viewer.close(TRY_LATER, f"{MAX_VIEWERS} viewers are connected already")
             return
@@ -387,7 +387,7 @@ class ViewServer:
 
 
 def _tell_dropped(viewer: Viewer) -> None:
-    """Tell a viewer how many messages were dropped, if more were, and no control frame waits."""
+    """Tell a viewer how many messages were dropped, if that is new and no control frame waits."""
     dropped = viewer.outbox.dropped
     if dropped != viewer.told_dropped and not viewer.outbox.waits_for_control:
         viewer.told_dropped = dropped

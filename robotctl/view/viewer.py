@@ -252,7 +252,7 @@ class Viewer(asyncio.Protocol):
         self.since_s = time.monotonic()
 
     def resume_writing(self) -> None:
-        """Schedule `flush`: if it closed the transport within this call, that would end twice."""
+        """Schedule `flush`: a call here could close the transport, which would then end twice."""
         self._full = False
         asyncio.get_running_loop().call_soon(self.flush)
 

@@ -145,8 +145,8 @@ def start(
 
     With a `log`, the child's stdout and stderr go there; it runs in a new session, outlives this
     process and inherits no other descriptors. Without a log, both go to our stderr; the child runs
-    in a new process group, so that Ctrl-C in the terminal reaches only this process. Its stdin is
-    a pipe with `with_stdin`, and /dev/null without.
+    in a new process group, so that Ctrl-C in the terminal reaches only this process. The
+    child's stdin is a pipe if `with_stdin` is set, otherwise /dev/null.
     """
     ours: list[int] = []
     theirs: list[int] = []

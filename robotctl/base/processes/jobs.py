@@ -34,7 +34,7 @@ async def run_job(command: Sequence[str]) -> list[dict[str, Any]]:
 
 
 async def job_reports(command: Sequence[str]) -> AsyncGenerator[dict[str, Any]]:
-    """Run the command of a job, and yield its reports. If cancelled or closed, kill the process.
+    """Run the command of a job, and yield its reports; kill the process when cancelled or closed.
 
     Raises:
         JobFailed: The process could not be started, reported an error, or failed otherwise.

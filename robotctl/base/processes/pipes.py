@@ -17,7 +17,7 @@ nothing overwrites our ends, even in a process that was started without stdin, s
 
 
 def open_pipe() -> tuple[int, int]:
-    """Return the read and write ends of a pipe that other children do not inherit."""
+    """Return the read and write ends of a pipe; a child does not inherit them by itself."""
     ends = os.pipe()
     try:
         reading = _moved(ends[0])
@@ -77,7 +77,7 @@ Report = Callable[[dict[str, Any]], None]
 
 
 class LineSplitter:
-    """A splitter of a byte stream into lines; an incomplete line waits for the next piece."""
+    """Splits a byte stream into lines; an incomplete line waits for the next piece."""
 
     def __init__(self) -> None:
         self._rest = b""

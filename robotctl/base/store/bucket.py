@@ -174,7 +174,7 @@ class RemoteStore:
         return self._run(asked, key)
 
     def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
-        """Return bytes `begin` to `end` (excluded) of an object unchanged since `found`."""
+        """Return bytes `begin` to `end` (excluded) of the object `found`, if it is unchanged."""
         return requests().run(self._range(found, begin, end))
 
     async def _range(self, found: StoredObject, begin: int, end: int) -> bytes:
@@ -337,7 +337,7 @@ class RequestLoop:
             raise
 
     def end(self) -> None:
-        """Cancel all requests, end the thread, and wait until the library's threads have ended."""
+        """Cancel all requests, end the thread, and give the library time to end its threads."""
 
         def cancel_all() -> None:
             for task in asyncio.all_tasks(self.loop):

@@ -75,7 +75,7 @@ class FolderStore:
             return _described(key, os.fstat(descriptor))
 
     def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
-        """Return bytes `begin` to `end` (excluded) of a file that did not change since `found`."""
+        """Return bytes `begin` to `end` (excluded) of the file `found`, if it is unchanged."""
         key = found.key
         with self._told(key), self._opened(key) as descriptor:
             if _described(key, os.fstat(descriptor)) != found:
@@ -184,7 +184,7 @@ class UnfinishedFile:
         _sync_folder(target.parent)
 
     def name_over(self, target: Path) -> None:
-        """Name the file `target`, replacing that file; return when it is on the disk (fsync).
+        """Name the file `target`, replacing an existing one; return when it is on disk (fsync).
 
         Raises:
             OSError: The disk is full or fails.

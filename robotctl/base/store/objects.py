@@ -36,7 +36,7 @@ class StoreFailed(StoreError):
 
 
 class BrokenAnswer(StoreFailed):
-    """An answer of a server that ended before its last byte."""
+    """A server's answer that ended before its last byte."""
 
 
 def changed(where: str) -> ObjectChanged:
@@ -121,8 +121,7 @@ class ObjectStore(Protocol):
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
         """Store an object as `put` does, unless the key is in use; return whether it was stored.
 
-        False may also mean that a first try succeeded but its answer was lost: if that matters,
-        compare the contents.
+        If False matters, compare contents: a first try may have succeeded without an answer.
         """
 
     def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:

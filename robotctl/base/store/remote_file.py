@@ -64,7 +64,7 @@ class RemoteFile(PosixPath):
         return super().__str__().replace(":/", "://", 1)
 
     def reader(self) -> RangeReader:
-        """Return the reader of the file, which caches recent ranges.
+        """Return the reader, which caches recent ranges of the file.
 
         Raises:
             StoreError: There is no such file, or the store fails.

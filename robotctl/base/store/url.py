@@ -94,7 +94,7 @@ def without_hashes(key: str) -> str:
 
 
 def hash_in(key: str) -> str:
-    """Return the SHA256 in a key of the form RECORDING/SHA256/FILE, or ""."""
+    """Return the SHA256 in a key of the form RECORDING/SHA256/FILE, "" in any other."""
     found = _HASH_FOLDER.search(key)
     return "" if found is None else found[0].rstrip("/")
 

@@ -138,7 +138,7 @@ class HeldLease:
         return self._holding.result()
 
     def __enter__(self) -> Self:
-        """Acquire the lease; return once it is held."""
+        """Acquire the lease; return as soon as it is held."""
         try:
             self._holding.start()
             with Client(self._robot) as client:

@@ -91,10 +91,9 @@ class StartOptions:
 def launch(
     options: StartOptions, on_ready: Callable[[StartSummary], None] = lambda ready: None
 ) -> StartSummary:
-    """Start a daemon in its own session, and return what it reports when it is ready.
+    """Start a daemon in its own session; pass its report `ready` to `on_ready`, and return it.
 
-    The report is passed to `on_ready` first. If a signal comes before `on_ready` has returned, the
-    daemon is ended, so that no daemon runs without the user knowing.
+    A signal before `on_ready` has returned ends the daemon: none runs without the user knowing.
 
     Raises:
         RobotctlError: The daemon did not start; the error has its reason and exit code.
@@ -137,7 +136,7 @@ def launch(
 
 
 def _put_in_place(own_log: Path, log: Path) -> None:
-    """Make `own_log` the robot's log, and keep the previous log beside it."""
+    """Keep the robot's previous log under another name, then put `own_log` in its place."""
     with suppress(FileNotFoundError):
         log.replace(log.with_name(f"{log.name}.1"))
     own_log.replace(log)
@@ -181,7 +180,7 @@ def _failure(ended: str, said: dict[str, Any], log: Path, see: str) -> RobotctlE
 
 
 def _end(daemon: Child, *, patiently: bool) -> str:
-    """End the daemon, and return how it ended; if `patiently`, first give it time to exit."""
+    """If `patiently`, give the daemon time to exit; then end it, and return how it ended."""
     if not (patiently and daemon.wait(END_DEADLINE_S) is not None):
         daemon.kill(signal.SIGTERM)
     exit_code = daemon.close(END_DEADLINE_S)
@@ -259,9 +258,10 @@ def start_view(job: ViewJob, log: Path | None = None) -> tuple[Child, dict[str, 
 
 
 def show_view(job: ViewJob, *, as_json: bool) -> None:
-    """Serve a view until Ctrl-C or its own end, and print where to connect.
+    """Start a view, print where to connect, and wait until it ends.
 
     Raises:
+        Interrupted: Ctrl-C or a signal ended the view.
         NoDaemon: The daemon has ended.
         RobotctlError: The view cannot be served.
     """

@@ -152,8 +152,7 @@ def cure_of_damage(path: Path) -> str:
 def recordings_of(robot: str | None, folder: Path) -> list[Path]:
     """Return the recordings of `robot`, or of any robot, in `folder`, newest first.
 
-    A recording is a folder whose name has the form that a daemon gives it, with the time of its
-    start.
+    A recording is a folder with a name of the form ROBOT_DATE_TIME, which daemons give it.
     """
     try:
         found = [(_NAME.fullmatch(path.name), path) for path in folder.iterdir()]
@@ -210,7 +209,7 @@ COMMIT_DEADLINE_S = 8.0
 
 
 def committed_recording(robot: str, missing: list[str]) -> Path | None:
-    """Make the robot's daemon commit its recording; return the folder, or None on failure.
+    """Make the robot's daemon commit its recording; return the folder, None if that fails.
 
     A sentence about messages that the daemon did not write is added to `missing`.
     """

@@ -55,6 +55,10 @@ def checked_reason(reason: str) -> str:
 
 
 def lease_of_shell() -> dict[str, str]:
-    """Return the lease for which the commands of this shell act, as parameters of a request."""
+    """Return the lease token in ROBOTCTL_LEASE as a request's parameter, {} if it is not set.
+
+    Raises:
+        UsageError: The text cannot be a token: its length is wrong.
+    """
     token = own_token()
     return {"lease": token} if token else {}

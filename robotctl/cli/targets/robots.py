@@ -87,7 +87,7 @@ class StoppedRobot(TypedDict):
 
 
 def stop_all(params: dict[str, str]) -> tuple[list[StoppedRobot], RobotctlError | None]:
-    """Latch the emergency stop of all robots in parallel; return results and first failure.
+    """Latch the emergency stop of all robots in parallel; return results and first failure, if any.
 
     Raises:
         NoDaemon: There is no daemon.

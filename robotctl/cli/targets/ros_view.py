@@ -193,9 +193,9 @@ class MessageListener:
 
 
 def ros_view(robot: str, domain_id: int | None) -> RosView:
-    """Return the view of `domain_id`.
+    """Return the view of the ROS domain `domain_id`.
 
-    If it is None, the domain is the daemon's; without a daemon it is ROS_DOMAIN_ID, or else 0.
+    If this is None, use the daemon's domain; without a daemon, use ROS_DOMAIN_ID or else 0.
 
     Raises:
         UsageError: The number is not a ROS domain.

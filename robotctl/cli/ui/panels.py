@@ -117,7 +117,7 @@ class History:
         self.errors: deque[float] = deque(maxlen=HISTORY)
 
     def add(self, status: Mapping[str, Any]) -> None:
-        """Add speed and cross-track error of a status; if it has no error, drop earlier ones."""
+        """Add speed and cross-track error of a status; if it has none, drop the earlier errors."""
         self.speeds.append(_finite((status.get("velocity") or {}).get("linear")))
         error_m = (status.get("drive") or {}).get("cross_track_m")
         if error_m is None:

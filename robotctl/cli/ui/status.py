@@ -26,7 +26,7 @@ _INDENT_AND_GAPS = 5
 
 
 class TopicLines:
-    """Formats a table of topics: names get the width they need; on a terminal, types the rest."""
+    """Formats a table of topics; on a terminal, types get the width that the names do not need."""
 
     def __init__(self, topics: Iterable[tuple[object, object]]) -> None:
         """Fit the columns to `topics`, the names and types of the rows."""

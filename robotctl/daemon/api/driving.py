@@ -228,7 +228,11 @@ class DrivingMethods:
         laps: int,
         course: Course,
     ) -> DriveAnswer:
-        """Request a drive, and wait for its end if `params.wait` is set."""
+        """Request a drive, wait for its end if `params.wait` is set, and return the answer.
+
+        Raises:
+            Refused: The kernel refused the drive, or the drive ended early.
+        """
         request_id = self._control.new_request_id()
         event = DriveRequested(
             time.monotonic_ns(),
@@ -269,7 +273,7 @@ class DrivingMethods:
         return granted(await self._control.request(self._idle_request(params.source)), self._robot)
 
     def ramp_down(self, request_id: int, source: str) -> bool:
-        """Ramp down the drive that this request began; return whether it was still running."""
+        """Ramp down the drive that `request_id` began; return whether it was still running."""
         state = self._control.state
         is_it = state.drive is not None and state.drive.request_id == request_id
         if not is_it or state.mode is not Mode.MOVING:
@@ -286,7 +290,7 @@ class DrivingMethods:
         """Check a speed against the configured limit.
 
         Raises:
-            UsageError: It is above the limit.
+            UsageError: The speed is above the limit.
         """
         limit_mps = self._control.params.limits.linear_mps
         if speed_mps is not None and speed_mps > limit_mps:

@@ -153,8 +153,8 @@ class LeaseMethods:
     async def _until_silent(self, holder: _Holder) -> None:
         """Wait until the lease is released, or SILENT_PERIODS periods pass without a `lease_keep`.
 
-        It counts periods, not seconds: while the loop is stalled, no period ends, and the calls
-        that arrive then count in the next one.
+        The limit is in periods, not seconds: while the loop is stalled, no period ends, and the
+        calls that arrive during the stall still count.
         """
         silent = 0
         while silent < SILENT_PERIODS and not holder.ended.done():

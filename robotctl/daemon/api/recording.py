@@ -35,7 +35,7 @@ def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[
         }
 
     async def commit(_: NoParams) -> Committed:
-        """Answer once the file has all messages received so far, or after COMMIT_DEADLINE_S."""
+        """Answer when the file has all messages received so far, or after COMMIT_DEADLINE_S."""
         received = recorder.stats().received
 
         def uncommitted() -> int:

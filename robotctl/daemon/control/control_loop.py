@@ -67,7 +67,7 @@ STALL_S = 0.1
 """The loop has stalled after this time without a tick, or STALL_TICKS if that is longer."""
 
 CONFIRM_S = 0.02
-"""A tick in this time after the limit prevents a stall: a process that was paused catches up."""
+"""After the limit, the watchdog waits this long for a late tick: a paused process may catch up."""
 
 STALL_TICKS = 2.5
 """The loop has stalled after this many tick periods, or STALL_S if that is longer."""
@@ -152,9 +152,9 @@ class Watchdog:
             self._thread.start()
 
     def take(self) -> LoopStalled | FaultReported | None:
-        """Open the gate after a stall; return the event of a stall or a watchdog failure, or None.
+        """Open the gate after a stall; return the event of the stall or of a watchdog failure.
 
-        The kernel must handle this event first. Each is returned once. Called in the loop's thread.
+        None if there is no new event. The kernel must handle it first. For the loop's thread.
         """
         if self._holding:
             return self._end_stall()
@@ -202,7 +202,7 @@ class Watchdog:
         return self._due_s() <= 0.0 and not self._ended.is_set()
 
     def _due_s(self) -> float:
-        """Return the seconds until the loop counts as stalled; negative if it does already."""
+        """Return the time [s] until the loop counts as stalled; negative if it does already."""
         return (self._last_ns + self._limit_ns - self._now_ns()) / NS_PER_S
 
     def _hold(self) -> None:
@@ -264,7 +264,7 @@ class ControlLoop:
         )
 
     async def run(self, look_at_odometry: Callable[[], None]) -> None:
-        """Look for commands and odometry, then dispatch a tick, in each period until cancelled."""
+        """In each period until cancelled, look for commands and odometry, then dispatch a tick."""
 
         def decide(tick: LoopTick) -> None:
             self.look_at_commands()
@@ -276,7 +276,7 @@ class ControlLoop:
 
 
 def urgent_event(watchdog: Watchdog) -> LoopStalled | FaultReported | None:
-    """Return the event of `Watchdog.take`, or None; log a stall."""
+    """Return what `Watchdog.take` returns; log it if it is a stall."""
     event = watchdog.take()
     if isinstance(event, LoopStalled):
         _log.warning("the loop stalled for %.2f s: %s", event.stalled_s, event.detail)

@@ -74,7 +74,7 @@ def granted(reply: Reply, robot: str) -> ModeAnswer:
     """Return the answer to a request that was granted; the cures in errors name `robot`.
 
     Raises:
-        Refused: The kernel refused it.
+        Refused: The kernel refused the request.
         RobotctlError: The robot has stopped, but the stop could not be saved.
     """
     if isinstance(reply, UnsavedReply):
@@ -228,7 +228,7 @@ class Control:
         return self._requests.new_id()
 
     def begin(self, event: Request) -> asyncio.Future[Reply]:
-        """Dispatch a request now; return the future of its reply, set after its effects."""
+        """Dispatch a request now; return the future of its reply, which comes after its effects."""
         reply = self._requests.expect_reply(event.request_id)
         self._asked(event)
         try:

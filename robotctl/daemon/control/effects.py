@@ -50,8 +50,9 @@ class Effects:
     ) -> None:
         """`decided(effect)` is called for each effect except velocity commands.
 
-        When a drive ends, `measured(ended)` returns it, without its errors if none was measured.
-        Then `true_errors(request_id)` returns a simulated robot's errors by its true pose, or None.
+        When a drive ends, `measured(ended)` returns `ended` or, if no error was measured, a copy in
+        which the errors are NaN. Then `true_errors(request_id)` returns the errors of a simulated
+        robot by its true pose, or None if they are unknown.
         """
         self._measured = measured
         self._true_errors = true_errors
@@ -65,7 +66,7 @@ class Effects:
         self._decided = decided
 
     def carry_out(self, effect: Effect) -> None:
-        """Carry out an effect, or begin to save the latch; a reply waits until that is saved."""
+        """Carry out an effect or begin to save the latch; replies wait until the latch is saved."""
         if isinstance(effect, PublishTwist):
             self._publish_twist(effect.twist)
             return

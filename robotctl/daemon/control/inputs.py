@@ -214,9 +214,9 @@ class RemoteRequests:
     def is_remote(self) -> bool:
         """Return whether the request that is handled now may come from another host.
 
-        The discovery range LOCALHOST of this process does not exclude other hosts: a client there
-        can name this machine as a static peer. An unknown client counts as remote unless
-        discovery is limited to this machine.
+        That may be so even if discovery is limited to this machine: a client on another host can
+        name it as a static peer. A client without a known gid counts as remote unless discovery is
+        limited to this machine.
         """
         gid = requester()
         if gid is None:

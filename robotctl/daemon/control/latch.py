@@ -38,8 +38,8 @@ class LatchedStop(NamedTuple):
 def read(path: Path) -> LatchedStop | None:
     """Return the latched stop, or None if there is none; never wait for a FIFO or a device.
 
-    A file that cannot be read is a stop by the operator, with the problem as its reason. A file
-    without a cause, which the first version wrote, is a stop by the operator as well.
+    A file that cannot be read counts as a stop by the operator, with the problem as its reason. A
+    file without a cause, which the first version wrote, counts as a stop by the operator as well.
 
     Raises:
         UsageError: Another user could have removed the file.

@@ -55,7 +55,7 @@ class GroundTruth:
         self._closure_m = nan
 
     def follow(self, drive: Drive, measured: Pose) -> None:
-        """Score the present true pose; `measured` is the pose of odometry at the same time."""
+        """Add the error of the present true pose; `measured` is the present pose of odometry."""
         true = self.truth()
         if true is None or not drive.path.segments:
             return
@@ -85,7 +85,7 @@ class GroundTruth:
             self._closure_m = end.distance(self._seen_from_odometry(true))
 
     def errors(self, request_id: int) -> TrueErrors | None:
-        """Return the errors of the drive that this request began, or None if they are unknown."""
+        """Return the errors of the drive that `request_id` began, or None if they are unknown."""
         if self._drive is None or request_id != self._drive.request_id:
             return None
         score = self._score
@@ -140,7 +140,7 @@ class RobotReport:
         self._measured_id: int | None = None
 
     def drove_to(self, pose: Pose) -> None:
-        """Score a measured pose of the present drive, and add it to the driven path."""
+        """Add a measured pose of the present drive to the driven path; update the true errors."""
         drive = self._control.state.drive
         assert drive is not None
         self.ground_truth.follow(drive, pose)
@@ -156,7 +156,7 @@ class RobotReport:
                 del self._driven[1::2]
 
     def drive_ended(self, ended: DriveEnded) -> DriveEnded:
-        """Note the end of a drive; return `ended`, without its errors if no error was measured."""
+        """Note a drive's end; return `ended`, or a copy with NaN errors if none was measured."""
         self.ground_truth.end(ended)
         if ended.request_id == self._measured_id:
             return ended

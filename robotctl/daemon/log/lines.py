@@ -44,7 +44,7 @@ class PlainFormatter(logging.Formatter):
     """A formatter whose output can neither control a terminal nor contain a forged log line."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's own name
-        """Return the message without colours, control characters escaped, extra lines indented."""
+        """Remove colours, escape control characters and indent extra lines; return the text."""
         lines = without_colours(super().formatMessage(record)).split("\n")
         return "\n    ".join(printable(line) for line in lines)
 
@@ -180,7 +180,7 @@ class _StderrListener(QueueListener):
                 return
 
     def stop(self) -> None:
-        """Write the rest for FLUSH_S at most; drop what is left then, and all later output."""
+        """Write the queued lines for FLUSH_S at most; then drop the others and all later output."""
         self._is_ending = True
         with suppress(BlockingIOError):
             os.write(self.writing, _END)  # fd 2 keeps the pipe open, so there is no end of file
@@ -212,7 +212,7 @@ class _StderrHandler(LineHandler):
         """Queue a line.
 
         Raises:
-            BlockingIOError: It does not fit.
+            BlockingIOError: The line does not fit.
         """
         untold = self._untold()
         note = f"log: {untold} lines are missing here, stderr did not take them\n" if untold else ""

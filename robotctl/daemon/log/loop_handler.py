@@ -13,7 +13,7 @@ from typing import Any, Final
 from robotctl.daemon.log.lines import LineHandler, PlainFormatter
 
 CAPACITY: Final = 500
-"""Lines that may wait for the loop."""
+"""Limit on the lines that wait for the loop."""
 
 LINES_PER_TURN: Final = 10
 """Limit on lines published in one turn of the loop: a control tick must not wait for a burst."""
@@ -55,7 +55,7 @@ class LoopHandler(LineHandler):
         """Queue a line, and schedule its publication in the loop.
 
         Raises:
-            queue.Full: It does not fit.
+            queue.Full: The line does not fit.
             RuntimeError: The loop is closed.
         """
         if len(self._waiting) >= CAPACITY:

@@ -63,10 +63,8 @@ class BlackBox:
         now_ns: Callable[[], int] = time.time_ns,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
-        """`command` returns the command line that cuts a clip out of the folder `recording`.
-
-        `now_ns` is the wall clock of the events.
-        """
+        """`command` returns the command line that cuts a clip out of the folder `recording`;
+        `now_ns` is the wall clock of the events."""
         self._command = command
         self._limits = limits
         self._now_ns = now_ns
@@ -103,7 +101,7 @@ class BlackBox:
             await self._came.wait()
 
     async def finish(self) -> None:
-        """Cut the remaining clips of the closed recording; start none after `end_s`."""
+        """Cut the remaining clips of the closed recording; begin none after `end_s` seconds."""
         until = time.monotonic() + self._limits.end_s
         if self._cutting is not None:
             await asyncio.wait({self._cutting}, timeout=self._limits.end_s)

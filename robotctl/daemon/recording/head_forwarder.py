@@ -22,12 +22,12 @@ LAST_TIMEOUT_S = 2.0
 class HeadForwarder:
     """Publishes each head, and runs a program with it. For the loop's thread.
 
-    The last arguments of the program are the head (hex) and the file's name. One runs at a time: of
-    the heads that arrive meanwhile, only the newest gets a run.
+    The last arguments of the program are the head (hex) and the file's name. Runs do not overlap:
+    of the heads that arrive during a run, only the newest gets the next run.
     """
 
     def __init__(self, command: str, publish: Callable[[str], None] | None) -> None:
-        """`command` is a command line without a shell, "" for none; `publish` sends to ROS.
+        """`command` is a command line, run without a shell, "" for none; `publish` sends to ROS.
 
         Raises:
             ConfigError: The command line is malformed.
@@ -61,7 +61,7 @@ class HeadForwarder:
             await self._forward(COMMAND_TIMEOUT_S)
 
     async def finish(self) -> None:
-        """Run the program for the last head, unless it has run for that already."""
+        """Run the program for the last head, unless this was done already."""
         await self._forward(LAST_TIMEOUT_S)
 
     async def _forward(self, timeout_s: float) -> None:

@@ -108,7 +108,7 @@ class _Row:
 
 
 class TopicRows:
-    """Makes the list of topics in the status, with a row for each name and type, in this order."""
+    """Makes the list of topics in the status: a row for each name and type, sorted by these."""
 
     def __init__(self) -> None:
         self._rows: list[_Row] = []

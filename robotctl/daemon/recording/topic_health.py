@@ -34,11 +34,11 @@ SILENT_PERIODS: Final = 3.0
 WINDOW_S: Final = 0.8
 WINDOW_PERIODS: Final = 3.5
 SLOW, SLOW_END = 0.5, 0.6
-"""Slow begins below the first share of the messages expected in a window, ends at the second."""
+"""Shares of the messages expected in a window: SLOW begins below the first, ends at the second."""
 FAST, FAST_END = 1.7, 1.5
-"""Fast begins at the first share of the messages expected in a window, ends below the second."""
+"""Shares of the messages expected in a window: FAST begins at the first, ends below the second."""
 FAST_BOTH: Final = 1.35
-"""Fast also needs this share of the messages expected in the last two windows together."""
+"""FAST also needs this share of the messages expected in the last two windows together."""
 
 
 class Trouble(Enum):
@@ -64,7 +64,7 @@ class TopicWatch:
         """When a publisher replaced an earlier one, or None if that never happened."""
 
         self._patience_s = max(SILENT_S, SILENT_PERIODS * period_s) - LOOK_S
-        """Silence [s] tolerated by a look: the limit of SILENT, less the time to the next look."""
+        """The silence [s] that a look tolerates: the limit of SILENT less the period of looks."""
 
         self._window_s = max(WINDOW_S, WINDOW_PERIODS * period_s)
         self._expected = self._window_s / period_s
@@ -74,7 +74,8 @@ class TopicWatch:
         self._begin(now_s)
         self._publishers = 0
         self._replaced: tuple[float, dict[bytes, int]] | None = None
-        """When a new publisher appeared, and the next sequence number of each older one then."""
+        """When a new publisher appeared, and each older one's next sequence number then; None if no
+        new publisher has to be judged."""
 
     @property
     def rate_hz(self) -> float:
@@ -183,7 +184,7 @@ class LearnedPeriod:
         self._fewest, self._most = inf, 0.0
 
     def look(self, now_s: float, count: int, newest_s: float, *, late: bool) -> float | None:
-        """Add the message count and the newest message's time; return the period once learned.
+        """Add the count of messages and the newest's time; return the period, None until learned.
 
         `late` is true after a gap between looks: some messages may not be counted yet.
         """
@@ -232,7 +233,7 @@ class LearnedPeriod:
 _log = logging.getLogger(__name__)
 
 LATE_S: Final = 2.0 * LOOK_S
-"""A longer gap between two looks is late: some messages may not be counted yet."""
+"""After a longer gap since the last look, a look is late: some messages may not be counted yet."""
 
 RECENT_S: Final = 60.0
 """How long `status` still shows a trouble that is over."""
@@ -246,7 +247,7 @@ MAX_LOGGED: Final = 1_000
 """Limit on the logged sentences: a topic may stop and go without end."""
 
 _STAMP_SLACK_S: Final = 0.1
-"""A new message may be older than the last look by this: the tap batches for up to 0.05 s."""
+"""A new message may be this much older than the last look: the tap batches for up to 0.05 s."""
 
 EVENTS: Final = frozenset(
     (
@@ -260,7 +261,7 @@ EVENTS: Final = frozenset(
 
 
 def may_be_learned(topic: str, type_name: str) -> bool:
-    """Return False for topics of actions, of service events and of types in EVENTS."""
+    """Return False for a topic of actions, of service events or of a type in EVENTS, else True."""
     is_call = "/_action/" in topic or topic.endswith("/_service_event")
     return not (is_call or type_name in EVENTS)
 
@@ -294,18 +295,18 @@ class _Topic:
     """When the present trouble began [s]."""
 
     over: tuple[Trouble, float, float] | None = None
-    """The last trouble that has ended: its kind, its duration [s] and when it ended [s]."""
+    """The last trouble that has ended, if any: its kind, its duration [s] and when it ended [s]."""
 
 
 class TopicHealth:
     """Watches all topics; times in seconds on a steady clock, `wall_ns` since the epoch.
 
-    A topic is watched if its rate is configured, or once it was regular for a minute
+    A topic is watched if its rate is configured, or after it was regular for a minute
     (LearnedPeriod). Used in the loop's thread only.
     """
 
     def __init__(self, expected: RateByTopic, names: Iterable[str], now_s: float) -> None:
-        """`expected` has the configured rates; topics in `names` are in trouble until a message."""
+        """`expected` has the configured rates; a topic in `names` not yet heard is in trouble."""
         self._expected = expected
         self._topics: dict[str, _Topic] = {}
         self._active: dict[str, _Topic] = {}

@@ -51,7 +51,7 @@ class TopicSinks:
     """Opens the sinks, which pass messages to the recorder; for the loop's thread.
 
     `is_own(topic)` returns whether robotctl publishes the topic, `is_evidence(topic)` whether a
-    check needs it. These and latched topics are never throttled; no rate is learned for own ones.
+    check needs it. Neither these nor latched topics are throttled; no rate is learned for own ones.
     """
 
     def __init__(

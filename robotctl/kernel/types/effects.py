@@ -72,7 +72,7 @@ class DriveReport:
     duration_s: float = nan
 
     def without_errors(self) -> DriveReport:
-        """Return the report of a drive whose errors were not measured: NaN instead of the zeros."""
+        """Return a copy in which the four tracking errors are NaN: they were not measured."""
         return replace(
             self,
             cross_track_rms_m=nan,

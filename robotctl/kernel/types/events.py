@@ -237,7 +237,7 @@ class DriveRequested:
 class HoldReceived:
     """A hold-to-run client repeats its request, with the velocity it wants now (NaN is possible).
 
-    `hold` is the id of the `DriveRequested` that began the drive, `client` as in `ModeRequested`.
+    `hold` is the id of the drive's `DriveRequested`; `client` is as in `ModeRequested`.
     """
 
     t_ns: int

@@ -1,7 +1,7 @@
 """The ROS executables: one node per process, for `ros2 run`, launch files and shells.
 
-Each public function is a console script and returns its exit code. It runs the node that has its
-name until Ctrl-C, except that `mode_client` calls a service and ends.
+Each public function is a console script, and returns the exit code. It runs the node of the same
+name until Ctrl-C; only `mode_client` runs no node: it calls a service and ends.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def mode_service() -> int:
 
 
 def mode_client() -> int:
-    """Request a mode and print the response."""
+    """Request a mode from the service `set_mode`, and print the response."""
     return _run("mode_client")
 
 

@@ -37,7 +37,7 @@ def mode_of(text: str) -> Mode:
 
 
 async def ask(mode: Mode) -> SetMode.Response:
-    """Call the service and return its response.
+    """Request `mode` from the service `set_mode`, and return the response.
 
     Raises:
         NoDaemon: The service does not exist, or does not respond.

@@ -1,8 +1,8 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
 """Node `mode_service` of the first-package tutorial: it serves modes and drives no robot.
 
-It has the modes and transitions of the daemon, but sends no commands. While a robot is in the
-domain, it refuses MOVING, which would be untrue, and leaves it. For robots: `robotctl start`.
+It has the modes and transitions of the daemon, but sends no commands. If a robot is in the domain,
+it refuses MOVING, or returns from it to IDLE. To drive a robot, use `robotctl start`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ DISCOVERY_S = 4.0
 """How long discovery of other processes may take: 2.6 s at worst on one machine (Fast DDS)."""
 
 QUIET_S = 0.1
-"""Discovered processes count as complete when no endpoint has changed for this time."""
+"""Discovery counts as complete when no endpoint has changed for this time."""
 
 NO_ROBOT = "no robot, no odometry and no recorder here: these start conditions are switched off"
 
@@ -130,7 +130,7 @@ def main() -> int:
 def _only_service(alone: bool, context: Context) -> ModeService:
     """Create the node if no other node serves `set_mode`.
 
-    If `alone` is false, wait for discovery first; if true, no other process was in the domain.
+    `alone` means that no other process was in the domain; otherwise, wait for discovery first.
 
     Raises:
         UsageError: A parameter of `GIVEN_UP` is set.

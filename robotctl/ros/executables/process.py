@@ -59,7 +59,7 @@ async def opened_node(
 def run_node(
     make_node: Callable[[Context], Made], at_end: Callable[[Made], None] = lambda node: None
 ) -> int:
-    """Run a node from `make_node` until SIGINT, SIGTERM or SIGHUP, then `at_end`; return 0."""
+    """Run a node until SIGINT, SIGTERM or SIGHUP, then call `at_end(node)`; return 0."""
     return run(_run(make_node, at_end))
 
 

@@ -91,7 +91,7 @@ def watch(announcement: Announcement, pointer: int, fd: int) -> None:
 
 
 def unwatch(announcement: Announcement, pointer: int) -> None:
-    """End a `watch`; once this returns, no DDS thread uses the eventfd.
+    """End a `watch`; after this has returned, no DDS thread uses the eventfd.
 
     Raises:
         UnsupportedPlatform: The middleware has no such callback.

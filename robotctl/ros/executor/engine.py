@@ -1,6 +1,6 @@
 """The part of an executor that exists only while the executor is open.
 
-`sources/` has a class for each kind of entity; it reads the entity's data and runs its callbacks.
+The classes in `sources/`, one for each kind of entity, read an entity's data and run its callbacks.
 """
 
 from __future__ import annotations
@@ -253,7 +253,7 @@ class Engine:
         return "SCHED_OTHER" if self._fifo is None else self._fifo.description
 
     def open(self, fifo_priority: int | None) -> None:
-        """Attach the entities of the nodes, and watch for the shutdown of the context."""
+        """Request the scheduling, attach the nodes' entities, watch for the context's shutdown."""
         futures.open_bridge(self.runtime.loop)
         if fifo_priority is not None:
             self._fifo = FifoScheduling(fifo_priority)
@@ -276,7 +276,7 @@ class Engine:
             self.runtime.loop.call_soon(self._sync_if_stale)
 
     def sync(self) -> None:
-        """Attach new entities of the nodes, detach destroyed ones."""
+        """Attach the new entities of the nodes, and detach the destroyed ones."""
         if self._closing:
             self._close()
             return

@@ -42,11 +42,11 @@ FLOOD_REST_S = 0.002
 """How long the messages of a flooded subscription are collected."""
 
 FLOODED_SHARE = 0.1
-"""A pool is flooded if handling messages takes a larger share of the time than this. At 5 to 10 us
-for each message, that is the case above 10 to 20 kHz."""
+"""A pool (see `runtime`) is flooded if its messages take a larger share of the time than this. At 5
+to 10 us for each message, that is the case above 10 to 20 kHz."""
 
 FASTEST_TOPIC_HZ = 50_000.0
-"""The highest rate expected of a topic; its queue must hold the messages of one rest."""
+"""The highest rate expected of a topic; its queue must hold the messages of one FLOOD_REST_S."""
 
 POLLS_PER_RATE_CHECK = 32
 """The rate of a subscription is checked after this number of polls."""

@@ -127,7 +127,7 @@ class AsyncioExecutor:
     async def __aenter__(self) -> Self:
         """Begin to run callbacks in the running loop.
 
-        After a failure the executor is closed, and its nodes may join another one.
+        If opening fails, the executor is closed, and its nodes may join another executor.
 
         Raises:
             UnsupportedPlatform: Eventfds do not work here.
@@ -230,8 +230,8 @@ class AsyncioExecutor:
     def create_task(self, callback: Any, *args: Any, **kwargs: Any) -> Future:
         """Run a function, a coroutine function or a coroutine in the loop; return its future.
 
-        The future gets an exception that is raised; the exception handler gets it too, unless the
-        future has a done callback.
+        An exception goes into the future, and to the exception handler as well unless the future
+        has a done callback.
 
         Raises:
             RuntimeError: The executor was shut down.
@@ -240,7 +240,7 @@ class AsyncioExecutor:
         return self._tasks.create(callback, args, kwargs)
 
     def wake(self) -> None:
-        """Serve created entities, forget destroyed ones; rclpy calls this when a node changes."""
+        """Serve new entities and forget destroyed ones; rclpy calls this when a node changes."""
         if self._engine is not None:
             self._engine.wake()
 
@@ -266,7 +266,7 @@ class AsyncioExecutor:
         Raises:
             TimeoutError: No response came within `timeout_s` seconds (None: no deadline).
             ShutdownException: The client was destroyed or the executor shut down meanwhile.
-            RuntimeError: The client's node is not in this executor, or this is another loop.
+            RuntimeError: The client's node is not in this executor, or this is not its loop.
         """
         engine = self._running()
         if engine.runtime.stale:

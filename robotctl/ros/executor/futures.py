@@ -26,7 +26,7 @@ _rclpy_await: Callable[[Future], Generator[Any, None, Any]] = Future.__await__
 
 
 async def wait(future: Future) -> Any:
-    """Return the result of an rclpy Future; the loop sleeps until then.
+    """Wait for an rclpy Future without keeping the loop busy, and return its result.
 
     A cancellation cancels the future as well, so that its client forgets the request.
 
@@ -100,7 +100,7 @@ def _running_loop() -> asyncio.AbstractEventLoop | None:
 
 
 class ImmediateCallbacks:
-    """Stands in for a future's executor while the future is set: runs its callbacks at once.
+    """Stands in for a future's executor while the future is set: runs done callbacks at once.
 
     rclpy's futures pass their done callbacks to their executor's `create_task`, which would run
     them a turn of the loop later.

@@ -171,10 +171,10 @@ class SerializedTaker:
         self._buffer: Any = None
 
     def take(self) -> Taken | bytes | memoryview | None:
-        """Return the next message as (data, received_ns, source_ns, sequence, gid), or None.
+        """Return the next message as (data, received_ns, source_ns, sequence, gid).
 
-        A bare taker returns the data alone. The tuple has the order of `TakenMessage`; it is a
-        plain one, because this runs up to 45,000 times a second.
+        None if no message has arrived. A bare taker returns the data alone. The tuple has the order
+        of `TakenMessage`, but is a plain one, because this runs up to 45,000 times a second.
 
         Raises:
             RclCallFailed: rcl could not take the message.

@@ -48,7 +48,7 @@ _READER_BIT: Final = 0x04
 
 @dataclass(slots=True)
 class _Waiting:
-    """An attempt that waits for the reader `gid`, at most until the loop's time `until_s` [s]."""
+    """A response that waits for the reader `gid`, at most until the loop's time `until_s` [s]."""
 
     gid: bytes
     attempt: Callable[[], bool]
@@ -56,7 +56,7 @@ class _Waiting:
 
 
 class Replies:
-    """Sends each response once its client's reader is discovered; for the loop's thread only."""
+    """Sends each response as soon as its client's reader is discovered; for the loop's thread."""
 
     def __init__(
         self, runtime: Runtime, where: str, readers: Callable[[], Container[bytes]]
@@ -74,7 +74,7 @@ class Replies:
         self._closed = False
 
     def send(self, header: Any, attempt: Callable[[], bool]) -> None:
-        """Call `attempt()` once the reader of the client that sent `header` is discovered.
+        """Call `attempt()` as soon as the reader of the client that sent `header` is discovered.
 
         `attempt` returns whether the middleware accepted the response; if not, it is called again.
         After WAIT_S the response is dropped, with a line in the log.

@@ -110,7 +110,7 @@ class Pool:
                 self._resting = self._loop.call_at(rested_s(rest_s), self._poll)
 
     def _rest_after(self, begun_ns: int, *, left: bool) -> float:
-        """Return how long to rest [s]: less in a flood, and not at all if data is `left`."""
+        """Return how long to rest [s] after a poll: less in a flood, and 0 if data is `left`."""
         now_ns = time.monotonic_ns()
         self._busy_ns += now_ns - begun_ns
         if left:
@@ -133,7 +133,7 @@ class Pool:
 
 
 def rested_s(rest_s: float) -> float:
-    """Return the steady time [s] when a rest that begins now ends; a long one ends on a beat."""
+    """Return the steady time [s] at which a rest that begins now ends: on a beat if it is long."""
     until_ns = time.monotonic_ns() + round(rest_s * NS_PER_S)
     if rest_s * NS_PER_S > BEAT_NS:
         until_ns = beat_before(until_ns)

@@ -282,10 +282,10 @@ class Discovery:
         return now_s - self._since_s >= quiet_s and count_complete(known, introduced) >= here
 
     def make_known(self, until_s: float, stopped: threading.Event) -> bool:
-        """Wait until all discovered processes know all publishers of this process.
+        """Wait until all discovered processes know all publishers of this process; return True.
 
-        Return False if a process does not acknowledge that by `until_s` (`time.monotonic`), or if
-        `stopped` is set.
+        Return False if a process has not acknowledged our announcement by `until_s`
+        (`time.monotonic`), or if `stopped` is set.
         """
         writer = IntroductionWriter(self._node)
         try:

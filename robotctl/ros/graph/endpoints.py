@@ -162,7 +162,7 @@ def gid_of(publisher: Publisher) -> bytes:
 
 
 def publisher_names(node: Node, topic: str) -> dict[bytes, str]:
-    """Return gid -> full name of its node ("" if unknown) for each publisher of a topic."""
+    """Return gid -> full name of the node, "" if unknown, for each publisher of a topic."""
     return {each.gid: full_name(each) for each in publishers(node, topic)}
 
 
@@ -184,7 +184,7 @@ def node_of(node: Node, topic: str, gid: bytes) -> str:
 
 
 def full_name(endpoint: Endpoint) -> str:
-    """Return the full name of an endpoint's node, "" where the node is not discovered yet.
+    """Return the full name of an endpoint's node, "" if the node is not discovered yet.
 
     Characters that are not printable are escaped.
     """

@@ -99,7 +99,7 @@ _UNKNOWN = (OSError, PackageNotFoundError, UnusableType, ValueError, KeyError)
 
 @lru_cache(maxsize=1024)
 def definition_of(type_name: str) -> str:
-    """Return the ros2msg text of a type and its dependencies, "" where it is not installed.
+    """Return the ros2msg text of a type and its dependencies, "" if it is not installed.
 
     The form is rosbag2's: the type's own text, then each dependency once, depth first, after a
     line of 80 "=" and a line `MSG: pkg/T`. The text of `pkg/msg/T` is its .msg file. Types that
@@ -126,7 +126,7 @@ def holds_bytes(type_name: str) -> bool:
 
 @lru_cache(maxsize=1024)
 def type_hash_of(type_name: str) -> str:
-    """Return the RIHS01 hash of a type, "" where it is not installed."""
+    """Return the RIHS01 hash of a type, "" if the type is not installed."""
     try:
         for entry in _described(type_name)["type_hashes"]:
             if entry["type_name"] == type_name:

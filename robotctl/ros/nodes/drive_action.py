@@ -24,11 +24,11 @@ ACTION = "drive_pattern"
 FEEDBACK_PERIOD_S = 0.2
 
 RESULT_KEPT_S = 10
-"""How long [s] after the end of its goal a client may ask for the result."""
+"""How long [s] after the end of a goal its client may ask for the result."""
 
 MAX_GOALS = 64
-"""Limit on the goals whose results are kept; above it, a goal is rejected without a reason. Each
-change of one goal publishes the status of all."""
+"""Limit on the goals whose results are kept: each change of one goal publishes the status of all.
+Above the limit, a goal is rejected without a reason."""
 
 
 @dataclass(frozen=True, slots=True)

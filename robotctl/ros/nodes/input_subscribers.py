@@ -109,8 +109,7 @@ class GuardSubscriber(NumberedSubscriber[Twist]):
 
 OnReading = Callable[[SafetyInput, float, str, str, int], None]
 """Called with an input, the value and the text that its `Reader` returned, the publisher's gid in
-hex, and the publisher's sequence number of the message.
-"""
+hex, and the publisher's sequence number of the message."""
 
 _CLASSES: dict[SafetyInput, Any] = {
     SafetyInput.ESTOP: Bool,

@@ -78,7 +78,7 @@ class OdomSubscriber:
         )
 
         self.look: Callable[[], None] = lambda: tap.poll()
-        """Handles the messages that have arrived, now: does not wait until the loop does."""
+        """Handles the messages that have arrived, without waiting until the loop does."""
 
     @property
     def topic(self) -> str:
@@ -103,7 +103,7 @@ class OdomSubscriber:
         self._on_odometry(odometry, source, sequence)
 
     def _number(self, gid: bytes) -> int:
-        """Return a number for a new publisher; forget an old one if there are MAX_SOURCES."""
+        """Return a new publisher's number; at MAX_SOURCES, first forget the one silent longest."""
         if len(self._sources) >= MAX_SOURCES:
             forgotten = next(iter(self._sources))
             del self._sources[forgotten]

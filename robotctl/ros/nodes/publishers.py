@@ -30,7 +30,7 @@ LOCKING = frozenset({Mode.ERROR, Mode.EMERGENCY_STOP})
 
 
 class CommandLock:
-    """Publishes whether commands are locked, from `node` on `topic`; nothing if `topic` is ""."""
+    """Publishes from `node` whether commands are locked; if `topic` is "", does nothing."""
 
     def __init__(self, node: Node, topic: str) -> None:
         own = OwnTopic(topic, Bool, qos.LATCHED)
@@ -126,10 +126,7 @@ class JournalPublisher:
         self._failing = False
 
     def publish(self, serialized: bytes) -> None:
-        """Publish one entry if there is a subscriber.
-
-        A failure is only logged: no decision depends on the topic.
-        """
+        """Publish an entry if there is a subscriber; log a failure: no decision uses the topic."""
         if not self._subscriptions:
             return  # the topic is volatile: no later subscriber gets it
         try:
@@ -155,10 +152,7 @@ class MarkPublisher:
         self._publisher = MARK_TOPIC.create_publisher(node)
 
     def publish(self, text: str) -> bytes:
-        """Publish a mark and return it serialized.
-
-        A failure is only logged: the mark is recorded anyway.
-        """
+        """Publish a mark, and return it serialized; log a failure: the mark is recorded anyway."""
         serialized = bytes(serialize_message(String(data=text)))
         try:
             self._publisher.publish(serialized)

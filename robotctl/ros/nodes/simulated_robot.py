@@ -39,9 +39,8 @@ MAX_STEP_S = 0.1
 count, so that the robot does not jump."""
 
 LEAD_NS = 5_000
-"""How long before each control tick the simulated robot moves, so that its odometry is fresh.
-
-It is so short that one wake-up of the loop handles both timers, the robot's first."""
+"""How long before each control tick the simulated robot moves, so that its odometry is fresh. It is
+so short that one wake-up of the loop handles both timers, the robot's first."""
 
 
 def odometry_topic(name: str) -> OwnTopic:
@@ -135,7 +134,7 @@ class SimulatedRobot:
         self._is_changed = True
 
     def begin_fault(self, fault: SimFault, for_s: float) -> None:
-        """Begin a fault for `for_s` seconds; of a pause of the process, only MAX_STEP_S counts."""
+        """Begin a fault for `for_s` seconds; a pause of the process counts MAX_STEP_S at most."""
         self._robot.faults.begin(fault, for_s)
         self._is_changed = True
 

@@ -50,8 +50,8 @@ def publishing_line(twist: Twist) -> str:
 class VelocityPublisher:
     """Node `velocity_publisher`, which sends the velocity commands; `published` counts them.
 
-    `close_gate` and `publish_zero` may be called from any thread. Once the gate is closed and
-    `publish_zero` has sent a zero, only zeros are sent until `open_gate` is called.
+    `close_gate` and `publish_zero` may be called from any thread. After the first zero that
+    `publish_zero` sends with a closed gate, only zeros are sent until `open_gate` is called.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class VelocityPublisher:
         self._withheld = 0
         self.published = 0
         self.accounted = 0
-        """As `published`, but the zeros of a stall count only when the gate is opened again."""
+        """As `published`, but zeros of `publish_zero` count only when the gate is opened again."""
 
     @property
     def topic(self) -> str:
@@ -147,10 +147,8 @@ class VelocityPublisher:
         self._gated = True
 
     def open_gate(self) -> tuple[int, int]:
-        """From now on, send commands as they are.
-
-        Return how many zeros `publish_zero` sent, and how many commands `publish` replaced by zero.
-        """
+        """From now on, send commands as they are; return how many zeros `publish_zero` has sent,
+        and how many commands `publish` has replaced by zero."""
         with self._lock:
             self._gated = False
             counts = self._zeros, self._withheld
@@ -188,7 +186,7 @@ class VelocityPublisher:
 
 
 def named_nodes(found: Iterable[endpoints.Endpoint]) -> tuple[str, ...]:
-    """Return the sorted full names of the endpoints' nodes; beyond MAX_NAMED of them, "N more"."""
+    """Return the sorted full names of at most MAX_NAMED of the endpoints' nodes, then "N more"."""
     names = sorted(short_name(full_name(each)) for each in found)
     named = [name or "a node whose name is not known yet" for name in names[:MAX_NAMED]]
     if len(names) > MAX_NAMED:

@@ -105,7 +105,7 @@ def replay_qos(offered: str, *, most: int = MAX_DEPTH) -> QoSProfile:
 
 
 def latched_depth(offered: str) -> int:
-    """Return how many messages a late subscriber gets: the latched ones; 0 on a volatile topic."""
+    """Return how many latched messages a late subscriber gets, 0 if the topic is volatile."""
     qos = replay_qos(offered)
     return int(qos.depth) if qos.durability is DurabilityPolicy.TRANSIENT_LOCAL else 0
 
@@ -314,7 +314,7 @@ class ReplaySession:
     def wait_for_matches(self) -> None:
         """Wait until all discovered subscriptions and servers have matched, on both sides.
 
-        The wait takes at most MATCH_S + KNOWN_S; without another process there is none. A publisher
+        The wait takes at most MATCH_S + KNOWN_S, and no time without another process. A publisher
         matches a subscription before the subscription matches it; a message that is sent in between
         is lost, or late if the publisher is reliable.
         """
@@ -336,7 +336,7 @@ class ReplaySession:
                         break
 
     def given_up(self) -> list[str]:
-        """Return the topics on which a subscriber once did not acknowledge within BLOCKED_S."""
+        """Return the topics on which a subscriber failed at least once to acknowledge in time."""
         return sorted(each.topic for each in self._patient if each.given_up)
 
     def _all_matched(self) -> bool:

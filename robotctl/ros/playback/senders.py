@@ -55,10 +55,8 @@ class PatientSender:
     """
 
     def __init__(self, publisher: Publisher, in_flight: int, stopped: threading.Event) -> None:
-        """Publish with `publisher`; wait after `in_flight` messages, at most its queue's depth.
-
-        Setting `stopped` ends a wait.
-        """
+        """Publish with `publisher`, and wait after `in_flight` messages, or its queue's depth if
+        that is less; setting `stopped` ends a wait."""
         self.topic = str(publisher.topic_name)
         self.given_up = 0
         """How many waits ended before all messages were acknowledged."""

@@ -1,7 +1,7 @@
 """`python -m robotctl.ros.queries --report-fd N`: answer the query in the first line on stdin.
 
 The line is a JSON object: `look` is the query (`names`, `topic`, `node`, `listen` or `call`),
-`domain_id` the domain; the others are the query's arguments. Each answer is sent as a report to
+`domain_id` the domain; its other keys are the query's arguments. Each answer is sent as a report to
 descriptor N; a failure has {"error", "exit_code"} and the error's details. The process ends when
 its parent closes stdin.
 """
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def main(arguments: list[str]) -> int:
-    """Answer one query and return 0; a failure is reported, and returns 0 as well."""
+    """Answer one query, or report why it failed; return 0 in both cases."""
     environment.prepare()
     send = partial(send_report, report_fd(arguments))
     with suppress(BrokenPipeError, asyncio.CancelledError):  # nothing waits for the answer any more

@@ -13,7 +13,7 @@ from robotctl.ros.graph.endpoints import LOOK_NODE
 from robotctl.ros.graph.membership import Membership
 
 STDIN: Final = 0
-"""Readable only once the command has closed it: its single line has been read before."""
+"""Readable only after the command has closed it, as its single line was read before."""
 
 SETTLE_S: Final = 3.5
 """How long discovery may take: a process repeats a lost announcement after 3 s."""

@@ -67,7 +67,7 @@ class OnDemandTap:
         """Subscribe to a topic that has appeared; pass `sink` its messages, the latched ones first.
 
         If the topic is wanted already, and has latched messages, subscribe again, so that `sink`
-        gets these. If it has none, the earlier sink stays instead.
+        gets these. If it is wanted and has none, keep the earlier sink and ignore `sink`.
         """
         if topic in self._tapped and not self._tapped[topic].is_latched:
             return

@@ -169,8 +169,8 @@ LOOKS_PER_COUNT = 4
 """How many looks at the graph there are for each count of a tapped topic's publishers."""
 
 LOOKS_PER_INSPECTION = 40
-"""How many looks there are for each reading of the publishers' QoS and types. It is needed because
-one publisher may replace another. After each change of the graph, this number of looks follows."""
+"""How many looks there are for each reading of the publishers' QoS and types. The reading is
+repeated, as one publisher may replace another. This number of looks follows each graph change."""
 
 TOPICS_PER_TURN = 50
 """Limit on the topics that are checked in one turn of the loop, so as not to hold up the loop."""
@@ -217,7 +217,7 @@ class Tap:
         """Topics whose subscription failed, maybe only for a time; it is tried again."""
 
         self._awaited: dict[str, str] = {}
-        """Topic -> the type that is still loading, for which it waits."""
+        """Topic that is not tapped yet -> its type, which is still loading."""
 
         self._types = TypeLoader()
         self._looks = count()
@@ -400,7 +400,7 @@ class Tap:
 
 
 def _is_abandoned(tapped: TappedSubscription) -> bool:
-    """Note since when a topic has no publisher; return whether for ABANDONED_S or longer."""
+    """Note since when a topic has no publisher; return whether that is ABANDONED_S ago or more."""
     now = time.monotonic()
     if tapped.abandoned_since is None:
         tapped.abandoned_since = now

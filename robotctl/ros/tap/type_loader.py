@@ -26,8 +26,8 @@ MAX_REMEMBERED = 4096
 class TypeLoader:
     """Loads types in daemon threads; used in the loop's thread only.
 
-    Whatever a module raises is a problem of its type. A load that never ends does not keep the
-    process alive.
+    Any exception that a module raises is the reason why its type cannot be loaded. A load that
+    never ends does not keep the process alive.
     """
 
     def __init__(self) -> None:

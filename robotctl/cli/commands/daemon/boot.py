@@ -248,8 +248,7 @@ def remove_sync(
 def daemon_unit(robot: str, words: list[str], *, system: bool, user: str) -> Unit:
     """Return the unit that runs `robotctl start` for `robot` with the arguments `words`.
 
-    A restart never moves the robot: the daemon begins in IDLE, or in EMERGENCY_STOP if that was
-    latched.
+    A restart never moves the robot: the daemon begins in IDLE, or in a latched EMERGENCY_STOP.
 
     Raises:
         UsageError: There is no such user, or an argument is not allowed in a unit.

@@ -36,7 +36,7 @@ _LINE = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}) ([A-Z]+) ([^ :]+): (
 class LogLine:
     """A line of the log; `time_ns` is since the epoch, None where no time is known.
 
-    A line that continues an earlier one has the time of that line, and `level` and `logger` None.
+    A line that continues an earlier one has that line's time; its `level` and `logger` are None.
     """
 
     line: str

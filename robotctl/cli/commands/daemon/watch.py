@@ -186,7 +186,7 @@ def watch(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 
 
 def _each_second(robot: str) -> Iterator[Status]:
-    """Yield the daemon's status each second until the daemon ends, which raises NoDaemon."""
+    """Yield the daemon's status each second; raise NoDaemon when the daemon has ended."""
     while True:
         yield call(robot, STATUS)
         time.sleep(LINE_S)

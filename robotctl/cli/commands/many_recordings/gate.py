@@ -180,7 +180,7 @@ def _accept(report: GateReport, known: Baseline, baseline: Path, by: str, why: s
 
 
 def _error(report: GateReport, problems: Sequence[RobotctlError]) -> RobotctlError | None:
-    """Return why the gate does not pass, or None; `problems` are those of writing the results."""
+    """Return why the gate fails, None if it passes; `problems` are those of writing the results."""
     also = "".join(f"; {problem}" for problem in problems)
     if failures := report.failures():
         return Divergence(f"{len(failures)} of {len(report.results)} recordings do not pass{also}")

@@ -139,7 +139,7 @@ def _looked_at(path: Path) -> dict[str, Any]:
 
 
 def _heads(recording: Path, robot: str = "") -> Iterator[tuple[str | None, int]]:
-    """Yield a pair for each file: the newest hash of the journal when it began, and that time [ns].
+    """Yield for each file the newest hash of the journal when the file began, and that time [ns].
 
     The hash is None if an early version of robotctl wrote the file. If `robot` is given, files of
     other robots are skipped.

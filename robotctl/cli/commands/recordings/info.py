@@ -77,7 +77,7 @@ def info(
 
 
 def as_object(found: RecordingInfo) -> dict[str, Any]:
-    """Return the object for `info --json`. Suffixes give the units; `_ns` is since the epoch."""
+    """Return the object for `info --json`. Suffixes of keys are units; `_ns` is since the epoch."""
     from robotctl.recording.format.names import EVENT_RECORD, LEDGER_RECORD, EventKind
     from robotctl.recording.format.rosbag2 import METADATA_RECORD
     from robotctl.recording.format.topics import read_ledger
@@ -156,8 +156,7 @@ def event_lines(events: Sequence[RecordedEvent]) -> Iterator[str]:
 def qos_text(offered: str) -> str:
     """Return the QoS that a topic's publishers offered, in words; "" if the file has none.
 
-    rosbag2 writes a flat list in block style. It is read without a YAML parser, because the file
-    may be hostile.
+    rosbag2 writes a flat list in block style. No YAML parser reads it: the file may be hostile.
     """
     profiles = (
         dict(_ENTRY.findall(part)) for part in re.split(r"^- ", offered, flags=re.MULTILINE)

@@ -78,7 +78,7 @@ def drive_motions(robot: str, speed_mps: float, rate_rps: float) -> Path:
     The first and the last motion are stopped by a zero command, the second by silence.
 
     Raises:
-        Interrupted: Ctrl-C or a signal ended it; the robot stands.
+        Interrupted: Ctrl-C or a signal ended the motions; the robot stands.
         RobotctlError: A motion was refused, or ended by a fault.
     """
     with ExitStack() as stack:
@@ -257,7 +257,7 @@ def _report(
 
 
 def _write(out: Path, text: str) -> UsageError | None:
-    """Write a new file completely or not at all; return why it could not be written, or None."""
+    """Write a new file completely or not at all; return why that failed, None if it did not."""
     created = False
     try:
         with out.open("x", encoding="utf-8") as file:

@@ -48,7 +48,7 @@ class Source:
         """Begin to deliver the entity's data.
 
         Raises:
-            InvalidHandle: The entity was destroyed meanwhile.
+            InvalidHandle: The entity has been destroyed already.
             OSError: No file descriptor is left.
         """
         raise NotImplementedError
@@ -151,7 +151,7 @@ class EventFdSource(Source):
         self.handle.__exit__(None, None, None)
 
     def listen(self, pool: Pool | None) -> None:
-        """Have `pool` watch the eventfd; if None, the loop does, and wakes at each message."""
+        """Let `pool` watch the eventfd or, if it is None, the loop, which wakes at each message."""
         self.stop_listening()
         if pool is None:
             watch(self.runtime.loop, self._fd, self.poll)
@@ -231,7 +231,7 @@ class EventFdSource(Source):
         self.runtime.loop.call_later(RETRY_AFTER_FAILED_TAKE_S, self.resume)
 
     def continue_later(self) -> bool:
-        """Continue in the next turn of the loop, because the slice ended."""
+        """Make the loop continue in its next turn, because the slice ended; return True."""
         self.runtime.mark_flooded(self)
         os.eventfd_write(self._fd, 1)
         return True

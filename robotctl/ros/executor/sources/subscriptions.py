@@ -31,9 +31,9 @@ from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed, coro
 class QosEventSource(EventFdSource):
     """Passes the status of a QoS event of a publisher or subscription to its callback.
 
-    The changes in a status are computed here from its counts. rmw_fastrtps announces an event from
-    before `attach`, but reports no change (`RMWSubscriptionEvent::set_on_new_event_callback` sets
-    it to zero).
+    rmw_fastrtps also announces events from before `attach`, but with every change set to zero
+    (`RMWSubscriptionEvent::set_on_new_event_callback`). So the changes in a status are computed
+    here, from its counts.
     """
 
     announcements = (Announcement.QOS_EVENT,)
@@ -80,7 +80,7 @@ def _fields(status: Any) -> dict[str, Any]:
 
 
 def _counts_of(fields: dict[str, Any]) -> dict[str, int]:
-    """Return the counts that have a `_change` field: none in the status of an incompatible type."""
+    """Return the counts with a `_change` field; the status of an incompatible type has none."""
     return {name: count for name, count in fields.items() if f"{name}_change" in fields}
 
 
@@ -91,7 +91,7 @@ UNKNOWN_COUNT: Final = 1 << 62
 class _TakenSource(EventFdSource):
     """The base of subscription sources, which take messages in serialized form.
 
-    If the middleware announces how many messages have arrived, it takes only that number: one more
+    If the middleware announces how many messages have arrived, they take only that number: one more
     take, which finds nothing, would cost half as much as one that finds a message.
     """
 

@@ -53,7 +53,7 @@ class WaitSetSource(Source):
         self.handle.__exit__(None, None, None)
 
     def counts(self) -> tuple[int, int, int, int, int, int]:
-        """Return its number of subscriptions, guards, timers, clients, services and events."""
+        """Return the entity's counts: subscriptions, guards, timers, clients, services, events."""
         raise NotImplementedError
 
     def fill(self, wait_set: Any) -> None:
@@ -96,7 +96,7 @@ class WaitSetThread:
         self.refresh()
 
     def remove(self, source: WaitSetSource) -> None:
-        """Stop waiting for a source; release it once the thread no longer uses it."""
+        """Stop waiting for a source; release it as soon as the thread no longer uses it."""
         with self._lock:
             if source in self._sources:
                 del self._sources[source]
@@ -234,7 +234,7 @@ class GuardSource(WaitSetSource):
 class WaitableSource(WaitSetSource):
     """A Waitable of a class that is not rclpy's.
 
-    If one of its methods raises an exception, the thread leaves it out for
+    If one of its methods raises an exception, the thread leaves the Waitable out for
     RETRY_AFTER_FAILED_TAKE_S: it may stay ready, and would keep the thread busy.
     """
 

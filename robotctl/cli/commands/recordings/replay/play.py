@@ -199,7 +199,7 @@ def draw_command(job: Job, *, quiet: bool) -> None:
 
 @contextmanager
 def recorded_robot(job: Job) -> Iterator[tuple[RecordedRobot, Span]]:
-    """Open the recording, and yield its robot and the span of the recording that is played."""
+    """Open the recording, and yield its robot and the span to play."""
     # Here, because only a drawn replay needs these: the import would delay the player by 50 ms.
     from robotctl.recording import Recording
     from robotctl.replay.recorded_robot import RecordedRobot

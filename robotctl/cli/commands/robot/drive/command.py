@@ -92,7 +92,7 @@ def options_of(pattern: PatternKind) -> frozenset[str]:
 
 
 def cure_of(pattern: PatternKind) -> str:
-    """Return the advice to use the option of the pattern's size, such as --side; "" without one."""
+    """Return the advice to use the option of the pattern's size (--side), "" if it has no size."""
     name = SHAPES[pattern].size_name
     return f"use --{name.value}" if name else ""
 
@@ -102,7 +102,7 @@ def refuse_options(
 ) -> None:
     """Check that only `allowed` options are given, that is, have a value other than None.
 
-    `what` is the motion, and `cure` the advice if another motion's option for its size is given.
+    `what` names the motion; `cure` is the advice if the option for another size is given.
 
     Raises:
         UsageError: Another option is given.

@@ -29,8 +29,8 @@ from robotctl.show.png import write_path_png
 def leave_picture(robot: str, drive: Mapping[str, Any]) -> Path | None:
     """Draw the last drive into the folder of its recording, and return the path of the picture.
 
-    `drive` is the daemon's answer with the figures. An earlier picture is replaced. The drive is
-    recorded, so a picture that fails is no error: a note on stderr says why; None is returned.
+    `drive` is the daemon's answer with the figures. An earlier picture is replaced. If drawing
+    fails, a note on stderr says why, and None is returned: the drive is recorded all the same.
     """
     try:
         path = call(robot, PATH)

@@ -118,7 +118,7 @@ class TeleopScreen:
 
 
 def view_below(lines: list[str], status: Status) -> RenderableType:
-    """Return the lines, and the live view below, of which a small terminal cuts off the end."""
+    """Return the lines and, below them, the live view; a small terminal cuts off its end."""
     from rich.console import Group
     from rich.text import Text
 
@@ -188,7 +188,7 @@ class TeleopSession:
         return WITHOUT_RELEASES if self._answers is None else WITH_RELEASES
 
     def begin(self, answers: TerminalAnswers | None) -> None:
-        """Begin; `answers` asks a terminal that reports key releases, None for any other one."""
+        """Begin; `answers` is None unless the terminal reports key releases."""
         self._answers = answers
         self._hands = HandsWithoutReleases() if answers is None else HandsWithReleases()
         self._holding.silence_lets_go = answers is None and self._gamepad is None

@@ -83,8 +83,7 @@ class Printer:
     def print_lines(self, data: bytes, time_ns: int | None) -> None:
         """Print YAML and `---`, or one line if the field has a single value.
 
-        If `time_ns` is given, it is printed first [s since 1970]: as a comment in YAML, or on the
-        line of the value.
+        A `time_ns` is printed first [s since 1970], as a YAML comment or on the value's line.
         """
         value = self._value(data)
         lines = list(message_lines(value, self._limit))
