@@ -159,92 +159,6 @@ class Call:
         )
 
 
-class ServicePairs:
-    """Pairs the recorded calls of one service with its requests in the journal."""
-
-    def __init__(self, source: str, open_calls: dict[tuple[bytes, int], Call]) -> None:
-        """`source` is the service's name in the journal; all services share one `open_calls`."""
-        self.source = source
-        self.calls: list[Call] = []
-        self.asked: list[Asked] = []
-        self.unasked: list[Call] = []
-        """The calls without a request in the journal."""
-
-        self.unheard: list[Asked] = []
-        """The requests without a call that come before the last request with a call."""
-
-        self.last_unheard: list[Asked] = []
-        """The requests after the last one with a call."""
-
-        self.answers_alone = 0
-        """The number of responses whose call is not recorded."""
-
-        self.pairs: list[tuple[Asked, Call]] = []
-        self._open_calls = open_calls
-        self._open_requests: dict[int, Asked] = {}
-
-    @property
-    def is_full(self) -> bool:
-        """Whether the limit MAX_CALLS is reached, so that later ones are not compared."""
-        return max(len(self.calls), len(self.asked)) >= MAX_CALLS
-
-    def event(self, event: ServiceEvent, publish_ns: int) -> None:
-        """Note a call, or a response to one."""
-        if event.requested is not None:
-            if not self.is_full:
-                call = Call(event.requested, publish_ns, len(self._open_calls))
-                self._open_calls[event.call] = call
-                self.calls.append(call)
-            return
-        answered = self._open_calls.pop(event.call, None)
-        if answered is None:
-            self.answers_alone += 1
-        else:
-            answered.answer = event.answer
-
-    def request(self, event: ModeRequested, seq: int, moments: Moments) -> None:
-        """Add a request of the journal; `seq` is the number of its entry."""
-        if event.source == self.source and not self.is_full:
-            asked = Asked(seq, event.requested, moments)
-            self._open_requests[event.request_id] = asked
-            self.asked.append(asked)
-
-    def reply(self, reply: Reply) -> None:
-        """Add a reply of the journal to its request."""
-        asked = self._open_requests.pop(reply.request_id, None)
-        if asked is not None:
-            asked.reply = reply
-
-    def pair(self, clock: ClockChanges) -> None:
-        """Pair calls and requests in order."""
-        first = 0
-        for call in self.calls:
-            if call.was_refused_as_busy:
-                continue
-            ahead = range(first, min(first + MAX_AHEAD, len(self.asked)))
-            at = next((at for at in ahead if _fits(self.asked[at], call, clock)), None)
-            if at is None:
-                self.unasked.append(call)
-                continue
-            self.unheard += self.asked[first:at]
-            self.pairs.append((self.asked[at], call))
-            first = at + 1
-        self.last_unheard = self.asked[first:]
-
-    def unanswered(self, end_ns: int) -> list[Asked]:
-        """Return the paired requests with a reply but no recorded response, except the last ones.
-
-        `end_ns` is the steady time of the journal's end.
-        """
-        return [
-            asked
-            for asked, call in self.pairs
-            if asked.reply is not None
-            and call.answer is None
-            and end_ns - asked.moments[0] > ANSWER_NS
-        ]
-
-
 def _fits(asked: Asked, call: Call, clock: ClockChanges) -> bool:
     steady_ns, begin_ns, end_ns = asked.moments
     return asked.requested == call.requested and (
@@ -267,7 +181,7 @@ class ServiceChecks:
     ) -> None:
         open_calls: dict[tuple[bytes, int], Call] = {}
         self._all = [
-            _ServiceCheck(report, info, journal_topic, service, open_calls, clock)
+            ServiceCheck(report, info, journal_topic, service, open_calls, clock)
             for service in SERVICES
         ]
         self._is_on = False
@@ -293,11 +207,11 @@ class ServiceChecks:
             return
         if isinstance(event, ModeRequested):
             for each in self._all:
-                each.pairs.request(event, seq, moments)
+                each.request(event, seq, moments)
         for effect in effects:
             if isinstance(effect, Reply):
                 for each in self._all:
-                    each.pairs.reply(effect)
+                    each.reply(effect)
 
     def end(self, ending: EndingOf, moment: JournalEnd) -> None:
         """Report what differs."""
@@ -306,7 +220,7 @@ class ServiceChecks:
                 each.end(ending(each.topic), moment)
 
 
-class _ServiceCheck:
+class ServiceCheck:
     """Compares the calls of one service with the journal."""
 
     def __init__(
@@ -325,7 +239,12 @@ class _ServiceCheck:
         namespace = journal_topic.removesuffix(f"/{TOPIC}")
         self._source = f"the ROS service {namespace}/{service.name}"
         self._open_calls = open_calls
-        self.pairs = ServicePairs(self._source, open_calls)
+        self._calls: list[Call] = []
+        self._asked: list[Asked] = []
+        self._open_requests: dict[int, Asked] = {}
+        self._answers_alone = 0
+        """The number of responses whose call is not recorded."""
+
         self._others = sorted(
             topic.name
             for topic in info.topics
@@ -344,9 +263,9 @@ class _ServiceCheck:
 
     def begin(self, log_ns: int) -> None:
         """Compare from the time `log_ns` on [ns since the epoch]."""
-        self._open_calls.clear()
-        self.pairs = ServicePairs(self._source, self._open_calls)
         self._begin_ns = log_ns
+        for each in (self._open_calls, self._calls, self._asked, self._open_requests):
+            each.clear()
 
     def message(self, message: Message) -> None:
         """Read a message of the topic."""
@@ -359,25 +278,64 @@ class _ServiceCheck:
         except struct.error:
             self._unreadable += 1
             return
-        if event is not None:
-            self.pairs.event(event, message.publish_ns)
+        if event is None:
+            return
+        if event.requested is None:
+            answered = self._open_calls.pop(event.call, None)
+            if answered is None:
+                self._answers_alone += 1
+            else:
+                answered.answer = event.answer
+        elif not self._is_full:
+            call = Call(event.requested, message.publish_ns, len(self._open_calls))
+            self._open_calls[event.call] = call
+            self._calls.append(call)
+
+    def request(self, event: ModeRequested, seq: int, moments: Moments) -> None:
+        """Read a request of the journal; `seq` is the number of its entry."""
+        if event.source == self._source and not self._is_full:
+            asked = Asked(seq, event.requested, moments)
+            self._open_requests[event.request_id] = asked
+            self._asked.append(asked)
+
+    def reply(self, reply: Reply) -> None:
+        """Add a reply of the journal to its request."""
+        asked = self._open_requests.pop(reply.request_id, None)
+        if asked is not None:
+            asked.reply = reply
+
+    @property
+    def _is_full(self) -> bool:
+        return max(len(self._calls), len(self._asked)) >= MAX_CALLS
 
     def end(self, ending: Ending, moment: JournalEnd) -> None:
         """Report what differs."""
-        pairs, report = self.pairs, self._report
-        pairs.pair(self._clock)
         if self._unreadable:
-            report.miss(f"{self._unreadable} messages of {self.topic} cannot be read")
-        if pairs.is_full:
-            report.miss(f"of the calls on {self.topic} only the first were compared")
+            self._report.miss(f"{self._unreadable} messages of {self.topic} cannot be read")
+        if self._is_full:
+            self._report.miss(f"of the calls on {self.topic} only the first were compared")
             return
-        self._tell_unasked(ending, moment.log_ns)
-        self._tell_unheard(ending, moment.t_ns)
-        self._tell_answers(ending, moment.t_ns)
+        unasked, unheard, first = [], [], 0
+        pairs: list[tuple[Asked, Call]] = []
+        for call in self._calls:
+            if call.was_refused_as_busy:
+                continue
+            ahead = range(first, min(first + MAX_AHEAD, len(self._asked)))
+            at = next((at for at in ahead if _fits(self._asked[at], call, self._clock)), None)
+            if at is None:
+                unasked.append(call)
+                continue
+            unheard += self._asked[first:at]
+            pairs.append((self._asked[at], call))
+            first = at + 1
+        self._tell_unasked(unasked, ending, moment.log_ns)
+        self._tell_unheard(unheard, self._asked[first:], ending, moment.t_ns)
+        self._tell_answers(pairs, ending, moment.t_ns)
 
-    def _tell_unasked(self, ending: Ending, end_log_ns: int) -> None:
+    def _tell_unasked(self, unasked: list[Call], ending: Ending, end_log_ns: int) -> None:
+        """Report the calls without a request in the journal."""
         begin_ns = (self._begin_ns or 0) + LATE_NS
-        unasked = [call for call in self.pairs.unasked if begin_ns < call.publish_ns]
+        unasked = [call for call in unasked if begin_ns < call.publish_ns]
         if not (ending.is_whole and ending.ledger is not None):
             judged = [call for call in unasked if not self._is_under_way(call, end_log_ns)]
             if len(unasked) - len(judged) <= MAX_UNDER_WAY:
@@ -398,10 +356,12 @@ class _ServiceCheck:
         after_ns = call.publish_ns - end_log_ns
         return after_ns > -LATE_NS and (after_ns <= AFTER_NS or self._clock.has_changed)
 
-    def _tell_unheard(self, ending: Ending, end_ns: int) -> None:
-        report, pairs = self._report, self.pairs
-        recent = [each for each in pairs.last_unheard if end_ns - each.moments[0] <= END_NS]
-        unheard = pairs.unheard + pairs.last_unheard[: len(pairs.last_unheard) - len(recent)]
+    def _tell_unheard(
+        self, unheard: list[Asked], last: list[Asked], ending: Ending, end_ns: int
+    ) -> None:
+        """Report the requests without a call; `last` are those after the last one with a call."""
+        recent = [each for each in last if end_ns - each.moments[0] <= END_NS]
+        unheard = unheard + last[: len(last) - len(recent)]
         if ending.ledger is not None and ending.is_whole:
             unheard += recent  # it was closed: they were recorded
         if ending.is_clip or not ending.is_whole:
@@ -409,14 +369,16 @@ class _ServiceCheck:
         if not unheard:
             return
         text = (
-            f"{len(unheard)} requests of {pairs.source} are not recorded as calls, "
+            f"{len(unheard)} requests of {self._source} are not recorded as calls, "
             f"the first is entry {unheard[0].seq}"
         )
         is_counted = len(unheard) <= ending.lost
         if self._is_left_out and not is_counted:
-            report.notes.append(f"{self.topic} was not recorded, as configured")
-        elif not (pairs.calls or self._is_told or is_counted) and self._others:
-            report.notes.append(f"{text}: its name may be remapped, as {self._others[0]} is of it")
+            self._report.notes.append(f"{self.topic} was not recorded, as configured")
+        elif not (self._calls or self._is_told or is_counted) and self._others:
+            self._report.notes.append(
+                f"{text}: its name may be remapped, as {self._others[0]} is of it"
+            )
         else:
             ending.lack(len(unheard), text)
 
@@ -424,20 +386,25 @@ class _ServiceCheck:
         """Return whether a request came so early that its call may be in an earlier file."""
         return asked.moments[1] <= (self._begin_ns or 0) + LATE_NS
 
-    def _tell_answers(self, ending: Ending, end_ns: int) -> None:
-        report, pairs = self._report, self.pairs
-        for asked, call in pairs.pairs:
+    def _tell_answers(self, pairs: list[tuple[Asked, Call]], ending: Ending, end_ns: int) -> None:
+        """Compare each response with the reply; report those that are missing before the end."""
+        for asked, call in pairs:
             if text := self._difference(asked, call):
                 ending.accuse(f"{self.topic}: {text}")
                 return
-        unanswered = len(pairs.unanswered(end_ns))
-        alone = pairs.answers_alone if ending.is_whole and not ending.is_clip else 0
+        unanswered = sum(
+            asked.reply is not None
+            and call.answer is None
+            and end_ns - asked.moments[0] > ANSWER_NS
+            for asked, call in pairs
+        )
+        alone = self._answers_alone if ending.is_whole and not ending.is_clip else 0
         if ending.ledger is None:
             if alone:
                 text = f"{self.topic}: the calls of {alone} responses are not recorded"
-                report.miss(f"{text}; {ending.unknown_losses}")
+                self._report.miss(f"{text}; {ending.unknown_losses}")
         elif unanswered + alone > ending.lost:
-            report.miss(
+            self._report.miss(
                 f"{self.topic}: of {unanswered} calls the response is not recorded, "
                 f"and of {alone} responses the call"
             )

@@ -8,20 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from random import Random
 
 import pytest
 
-from robotctl.check.calls import MANY_IN_WORK, SERVICES, ServicePairs, read_service_event
+from robotctl.check.calls import MANY_IN_WORK, SERVICES, ServiceCheck
+from robotctl.check.ends import Ending, JournalEnd
+from robotctl.check.invariants import Invariants
 from robotctl.check.report import Report, Verdict
 from robotctl.check.run import check_recording
 from robotctl.check.times import ClockChanges, MissingTicks, TickSchedule
-from robotctl.kernel.modes import Mode
-from robotctl.kernel.types import ModeRequested, Reply, Tick
+from robotctl.kernel.types import ModeRequested, Tick
 from robotctl.kernel.units import NS_PER_S
+from robotctl.recording import read_info
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
+from robotctl.recording.read.messages import Message
 from robotctl.testing.drives import BEGIN_NS, START_NS, Written, drive_requested, record
 from tests.support.edited_recordings import Contents, Stored, edit, write_contents
 from tests.support.heard_drives import SET_MODE, STATUS, heard_drive, received, sent
@@ -259,40 +263,28 @@ SOURCE = "the ROS service /set_mode"
 BUSY = f"busy: {2 * MANY_IN_WORK} requests wait for their reply; try again"
 
 
-class Traffic:
+@pytest.mark.parametrize(("in_work", "unasked"), [(0, 1), (MANY_IN_WORK + 1, 0)])
+def test_a_call_is_refused_as_busy_only_while_many_are_in_work(
+    tmp_path: Path, heard: Contents, in_work: int, unasked: int
+) -> None:
     """Calls of `set_mode` and their requests in the journal, one a second."""
+    info = read_info(write_contents(tmp_path / "run", heard))
+    report, found = Report(tmp_path), Invariants()
+    check = ServiceCheck(report, info, "/robotctl/journal", SERVICES[0], {}, ClockChanges())
+    check.begin(0)
+    numbers = count(1)
 
-    def __init__(self) -> None:
-        self.pairs = ServicePairs(SOURCE, {})
-        self.clock = ClockChanges()
+    def record_call(number: int, data: bytes) -> None:
+        at_ns = WALL_NS + number * NS_PER_S
+        check.message(Message(SET_MODE, "", data, at_ns, at_ns, next(numbers)))
 
-    def call(self, number: int, requested: int, late_s: float = 0.0) -> None:
-        now_ns = WALL_NS + number * NS_PER_S + round(late_s * NS_PER_S)
-        event = read_service_event(SERVICES[0], received(number, requested), now_ns)
-        assert event is not None
-        self.pairs.event(event, now_ns)
-
-    def response(self, number: int, ok: bool, text: str, mode: int) -> None:
-        now_ns = WALL_NS + number * NS_PER_S
-        event = read_service_event(SERVICES[0], sent(number, ok, text, mode), now_ns)
-        assert event is not None
-        self.pairs.event(event, now_ns)
-
-    def ask(self, number: int, requested: int) -> None:
+    for number in range(in_work):
+        record_call(number, received(number, 0))
         t_ns = number * NS_PER_S
         moments = t_ns, WALL_NS + t_ns, WALL_NS + t_ns
-        self.pairs.request(ModeRequested(t_ns, number, requested, SOURCE), number, moments)
-        self.pairs.reply(Reply(number, True, "done", Mode(requested)))
-
-
-@pytest.mark.parametrize(("in_work", "unasked"), [(0, 1), (MANY_IN_WORK + 1, 0)])
-def test_a_call_is_refused_as_busy_only_while_many_are_in_work(in_work: int, unasked: int) -> None:
-    traffic = Traffic()
-    for number in range(in_work):
-        traffic.call(number, 0)
-        traffic.ask(number, 0)
-    traffic.call(in_work, 1)
-    traffic.response(in_work, False, BUSY, 0)
-    traffic.pairs.pair(traffic.clock)
-    assert len(traffic.pairs.unasked) == unasked
-    assert len(traffic.pairs.pairs) == in_work
+        check.request(ModeRequested(t_ns, number, 0, SOURCE), number, moments)
+    record_call(in_work, received(in_work, 1))
+    record_call(in_work, sent(in_work, False, BUSY, 0))
+    ending = Ending(report, found, {}, is_clip=False, is_own=True, is_whole=True, has_begin=True)
+    check.end(ending, JournalEnd(in_work * NS_PER_S, WALL_NS, 0, False))
+    assert found.count == unasked
