@@ -174,7 +174,7 @@ def check_bytes(path: Path, report: Report, *, all_bytes: bool) -> None:
         found = verify_recording(path)
     except (OSError, UnreadableFile):
         return  # the check has told why
-    for sentence in (*found.whole.unreadable, *found.whole.wrong):
+    for sentence in (*found.unreadable, *found.flaws):
         if sentence not in report.missing:
             report.miss(sentence)
     report.seal = _seal_line(found)

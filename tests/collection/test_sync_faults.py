@@ -21,8 +21,8 @@ from robotctl.collection.sources import Pace, local_recordings
 from robotctl.collection.sync import GIVE_UP_AFTER, Pruned, copy_recordings, prune
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.keep.listing import set_kept
+from robotctl.recording.keep.repair import TidyJob, tidy
 from robotctl.recording.keep.retention import NOTES_FILE, RetentionPolicy
-from robotctl.recording.keep.tidy_job import TidyJob, tidy
 from tests.collection.conftest import FIRST, SECOND, Run, copy_as, files_below
 from tests.support.stores import Application, Failing, MemoryStore, content, environment, s3_server
 from tests.support.waiting import until

@@ -29,8 +29,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recorder, read_info
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
-from robotctl.recording.keep.clip import Moment
-from robotctl.recording.keep.clip_job import ClipJob
+from robotctl.recording.keep.clip import ClipJob, Moment
 from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
 from robotctl.testing.drives import GID, TWIST
 from tests.support.recordings import numbered, write_numbered

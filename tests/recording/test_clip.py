@@ -38,9 +38,7 @@ from robotctl.recording.format.names import (
     EventKind,
 )
 from robotctl.recording.format.recorded_events import RecordedEvent
-from robotctl.recording.keep import clip_job
-from robotctl.recording.keep.clip import Clip, Moment, cut_clip
-from robotctl.recording.keep.clip_job import ClipJob, make_clip, remaining_s
+from robotctl.recording.keep.clip import Clip, ClipJob, Moment, cut_clip, make_clip, remaining_s
 from robotctl.recording.keep.clip_origin import compare_with_source
 from robotctl.recording.keep.listing import list_recording
 from robotctl.testing.drives import (
@@ -263,7 +261,7 @@ def test_what_of_the_window_cannot_be_read_is_said(driven: list[Written], tmp_pa
 def test_what_comes_after_the_event_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(clip_job, "PATIENCE_S", 30.0)
+    monkeypatch.setattr("robotctl.recording.keep.clip.PATIENCE_S", 30.0)
     recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
     channel, moment = recorder.add_topic(TWIST), Moment(time.time_ns(), EventKind.ERROR, "now")
     job = ClipJob(tmp_path / "run", moment, before_s=5.0, after_s=1.0)
@@ -300,7 +298,7 @@ def test_a_recording_that_has_ended_is_not_waited_for(tmp_path: Path) -> None:
 def test_what_may_never_come_is_not_waited_for_without_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ahead_s: int
 ) -> None:
-    monkeypatch.setattr(clip_job, "PATIENCE_S", 0.2)
+    monkeypatch.setattr("robotctl.recording.keep.clip.PATIENCE_S", 0.2)
     at_ns = time.time_ns() + ahead_s * NS_PER_S
     recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
     try:

@@ -18,16 +18,15 @@ from robotctl.kernel.units import DAY_S
 from robotctl.recording import Recorder, RecorderOptions, read_info
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
-from robotctl.recording.keep.clip import Moment
-from robotctl.recording.keep.clip_job import ClipJob, make_clip
+from robotctl.recording.keep.clip import ClipJob, Moment, make_clip
 from robotctl.recording.keep.listing import ListedRecording, list_recordings, set_kept
+from robotctl.recording.keep.repair import TidyJob, tidy
 from robotctl.recording.keep.retention import (
     NOTES_FILE,
     RetentionPolicy,
     enforce_retention,
     note_removal,
 )
-from robotctl.recording.keep.tidy_job import TidyJob, tidy
 from robotctl.testing.drives import START_NS, TWIST
 from tests.support.bags import TWIST as TWIST_TYPE
 from tests.support.bags import Line, twist, write_bag

@@ -24,9 +24,9 @@ from robotctl.recording.format.seal_records import LINK_OPCODE, Link, LinkKind, 
 from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.records import InputFile
-from robotctl.recording.read.seal_chain import SealedFile, check_chain, find_head
+from robotctl.recording.read.seal_chain import check_chain, find_head
 from robotctl.recording.read.seal_check import SealState
-from robotctl.recording.read.whole_file import read_whole_file
+from robotctl.recording.read.whole_file import WholeFile, read_whole_file
 from robotctl.recording.read.whole_recording import RecordingProof, verify_recording
 from robotctl.recording.seal.heads import known_heads
 from robotctl.recording.seal.keyring import KEY_FILE, Keyring, SigningKey, is_signed
@@ -46,7 +46,7 @@ def keys(tmp_path: Path) -> Keyring:
     return keyring(tmp_path / "keys")
 
 
-def sealed(path: Path) -> tuple[SealedFile, ...]:
+def sealed(path: Path) -> tuple[WholeFile, ...]:
     return verify_recording(path).files
 
 
@@ -135,7 +135,7 @@ def test_a_consistent_edit_is_found_by_the_seal_alone(tmp_path: Path, keys: Keyr
     assert sealed(file)[0].seal.state is SealState.SEALED
     edit_consistently(file)
     found = verify_recording(file)
-    assert found.whole.whole
+    assert found.flaws == ()
     assert found.files[0].seal.state is SealState.BROKEN
     assert "the chain is broken" in found.wrong[0]
 
@@ -171,10 +171,9 @@ def test_a_tail_that_was_cut_is_found_by_a_later_head(tmp_path: Path, keys: Keyr
     stored = keys.load()
     assert stored is not None
     assert find_head([whole, *sealed(second)], stored.head.digest) is not None
-    cut = SealedFile(whole.path, whole.state, whole.seal)
-    cut.seal.links.pop()
-    assert find_head([cut], head) is None
-    assert "tail was cut" in check_chain([cut, *sealed(second)]).wrong[0]
+    whole.seal.links.pop()
+    assert find_head([whole], head) is None
+    assert "tail was cut" in check_chain([whole, *sealed(second)]).wrong[0]
 
 
 def test_what_is_known_of_heads_outlives_the_recordings(
@@ -278,7 +277,7 @@ def test_a_repair_says_so_and_forges_no_link(tmp_path: Path, keys: Keyring) -> N
     assert all(is_signed(each.signed(), each.signature, seal.opening.key) for each in seal.links)
 
 
-def the_file(path: Path) -> SealedFile:
+def the_file(path: Path) -> WholeFile:
     (file,) = verify_recording(path).files
     return file
 

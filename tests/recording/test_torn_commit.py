@@ -24,9 +24,10 @@ from robotctl.recording import Compression, RecorderOptions, Topic, read_message
 from robotctl.recording.disk.storage import Buffer, DiskFile
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.keep.repair import repair
-from robotctl.recording.read.records import RECORD_HEAD, InputFile, parse, walk_records
-from robotctl.recording.read.seal_check import SealState, check_seal
-from robotctl.recording.read.whole_file import FileState, WholeFile, read_whole_file
+from robotctl.recording.read.records import RECORD_HEAD, parse, walk_records
+from robotctl.recording.read.seal_check import SealState
+from robotctl.recording.read.whole_data import FileState
+from robotctl.recording.read.whole_file import WholeFile, read_whole_file
 from robotctl.recording.write.buffer import pack
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.recording_file import RecordingFile
@@ -304,8 +305,7 @@ def test_what_a_kill_between_two_writes_leaves_is_no_flaw(tmp_path: Path, size: 
         assert found.whole, (state[1:], found.flaws.kept)
         assert found.data.message_count in (2 * state.chunks, 2 * state.chunks + 2)
         assert bool(found.loose) == (state.step is not Step.CUT), state.step  # the room
-        with InputFile(path) as opened:
-            assert check_seal(opened, found).state is SealState.SEALED, state.step
+        assert found.seal.state is SealState.SEALED, state.step
 
 
 @pytest.mark.parametrize("size", [10, LARGE])

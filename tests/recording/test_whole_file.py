@@ -11,8 +11,9 @@ import pytest
 
 from robotctl.base.errors import UnreadableFile
 from robotctl.recording import Compression, Recorder, RecorderOptions
-from robotctl.recording.read.whole_file import FileState, find_flip, read_whole_file
-from robotctl.recording.read.whole_recording import read_whole_recording
+from robotctl.recording.read.whole_data import FileState
+from robotctl.recording.read.whole_file import find_flip, read_whole_file
+from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.testing.drives import ODOMETRY, TWIST
 from tests.support.recordings import write_numbered
 
@@ -101,24 +102,24 @@ def test_a_flip_is_located_by_the_checksum_alone() -> None:
 
 @pytest.mark.parametrize("name", ["stopped", "killed", "foreign"])
 def test_recordings_of_the_version_before_are_whole(name: str) -> None:
-    found = read_whole_recording(GOLDEN / name)
+    found = verify_recording(GOLDEN / name)
     assert (found.wrong, found.unreadable) == ((), ())
 
 
 def test_a_recording_of_several_files_is_whole_until_one_is_missing(tmp_path: Path) -> None:
     folder = record(tmp_path / "run", Compression.ZSTD, splits=2)
-    found = read_whole_recording(folder)
+    found = verify_recording(folder)
     assert (found.wrong, found.unreadable) == ((), ())
     assert [file.state for file in found.files] == [FileState.FINISHED] * 3
     (folder / "run_1.mcap").unlink()
-    assert "run_1.mcap" in read_whole_recording(folder).unreadable[0]
+    assert "run_1.mcap" in verify_recording(folder).unreadable[0]
 
 
 def test_a_recording_that_is_still_written_is_whole(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run", metadata=lambda: {"robot": "r"}, on_failure=print)
     write_numbered(recorder, recorder.add_topic(TWIST), range(100))
     try:
-        found = read_whole_recording(tmp_path / "run")
+        found = verify_recording(tmp_path / "run")
     finally:
         recorder.close()
     assert (found.wrong, found.unreadable) == ((), ())
@@ -155,4 +156,4 @@ def test_counts_of_metadata_yaml_that_contradict_the_files_are_found(
     text = yaml.read_text()
     for match in re.finditer(r"message_count: (\d+)", text):
         yaml.write_text(f"{text[: match.start(1)]}{int(match[1]) + 1}{text[match.end(1) :]}")
-        assert read_whole_recording(folder).wrong, match.start()
+        assert verify_recording(folder).wrong, match.start()

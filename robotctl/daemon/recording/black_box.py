@@ -16,12 +16,11 @@ from robotctl.config import RecordingParams
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
-from robotctl.recording.keep.clip import Moment
-from robotctl.recording.keep.clip_job import PATIENCE_S, ClipJob
+from robotctl.recording.keep.clip import PATIENCE_S, ClipJob, Moment
 
 _log = logging.getLogger(__name__)
 
-CLIP: Final = "robotctl.recording.keep.clip_job:clip_job"
+CLIP: Final = "robotctl.recording.keep.clip:clip_job"
 
 CLIPPED: Final = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 

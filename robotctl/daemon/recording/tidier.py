@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Final
 
 from robotctl.base.processes.jobs import JobFailed, job_command, job_reports
+from robotctl.recording.keep.repair import TidyJob
 from robotctl.recording.keep.retention import RetentionPolicy, TidyNote
-from robotctl.recording.keep.tidy_job import TidyJob
 
 _log = logging.getLogger(__name__)
 
-TIDY: Final = "robotctl.recording.keep.tidy_job:tidy_job"
+TIDY: Final = "robotctl.recording.keep.repair:tidy_job"
 
 MAX_PROBLEMS: Final = 10
 """Limit on the problems that the status shows; the log has all."""

@@ -32,7 +32,7 @@ from robotctl.recording.format.rosbag2 import (
     write_metadata,
 )
 from robotctl.recording.format.topics import Topic
-from robotctl.recording.read.file_index import note_missing
+from robotctl.recording.read.file_index import note_missing, topic_of
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
 
@@ -106,18 +106,9 @@ class ChannelTable:
                 raise UnreadableFile(
                     f"its files have more than {_MAX_CHANNELS} topics", "convert them one by one"
                 )
-            self.channels.append(
-                replace(channel, id=number, schema_id=schema_id, metadata=metadata)
-            )
-            self.topics.append(
-                Topic(
-                    name=channel.topic,
-                    type_name="" if schema is None else schema.name,
-                    type_hash=metadata.get("topic_type_hash", ""),
-                    offered_qos=metadata.get(_QOS, ""),
-                    encoding=channel.message_encoding,
-                )
-            )
+            added = replace(channel, id=number, schema_id=schema_id, metadata=metadata)
+            self.channels.append(added)
+            self.topics.append(topic_of(added, "" if schema is None else schema.name))
         return self._ids[key]
 
     def _add_schema(self, schema: Schema) -> int:

@@ -6,14 +6,21 @@ that a new kernel can repeat all decisions in the clip.
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from mcap.records import Channel, Metadata, Schema
+import msgspec
+from mcap.records import Metadata
 
 from robotctl.base.errors import Refused
-from robotctl.recording.disk.access import share_like
+from robotctl.base.processes.pipes import Report
+from robotctl.base.store.remote_file import RemoteFile
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording.disk.access import is_shared, make_folder, share_like
 from robotctl.recording.disk.storage import new_file
 from robotctl.recording.format.names import (
     CLIP_RECORD,
@@ -31,7 +38,8 @@ from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
 from robotctl.recording.format.topics import Topic
-from robotctl.recording.read.file_index import note_missing
+from robotctl.recording.keep.listing import CLIPS_FOLDER, ListedRecording, list_recording
+from robotctl.recording.read.file_index import note_missing, topic_of
 from robotctl.recording.read.journal_reader import since_snapshot
 from robotctl.recording.read.messages import Message, Window
 from robotctl.recording.read.reader import Recording
@@ -135,13 +143,14 @@ def clip_messages(recording: Recording, window: Window, lose: Lose) -> Iterator[
     `lose` is called with a sentence about each part that cannot be read.
     """
     yield from _before(recording, window[0], lose)
-    yield from _within(recording, window, lose)
+    yield from recording.messages(None, lose, window)
 
 
 def _before(recording: Recording, start_ns: int, lose: Lose) -> Iterator[Message]:
     """Yield the journal since its last snapshot, then latched messages with log time `start_ns`."""
     yield from since_snapshot(recording, start_ns, lose)
-    topics = [topic_of(*each) for each in recording.channels().items()]
+    channels = recording.channels().items()
+    topics = [topic_of(channel, type_name) for (_, type_name), (channel, _) in channels]
     latched = {topic.name: MAX_LATCHED for topic in topics if topic.latched}
     found: dict[tuple[str, bytes, int, int], Message] = {}
     for message in recording.last_before(start_ns, latched, lose):
@@ -149,22 +158,6 @@ def _before(recording: Recording, start_ns: int, lose: Lose) -> Iterator[Message
         found.pop(sent, None)  # a new file repeats it, with an older log time if the recorder lags
         found[sent] = message._replace(log_ns=start_ns)
     yield from found.values()
-
-
-def _within(recording: Recording, window: Window, lose: Lose) -> Iterator[Message]:
-    return recording.messages(None, lose, window)
-
-
-def topic_of(key: tuple[str, str], found: tuple[Channel, Schema | None]) -> Topic:
-    """Return the topic of a channel; `key` is its name and type name."""
-    channel, _ = found
-    return Topic(
-        name=channel.topic,
-        type_name=key[1],
-        type_hash=channel.metadata.get("topic_type_hash", ""),
-        offered_qos=channel.metadata.get("offered_qos_profiles", ""),
-        encoding=channel.message_encoding,
-    )
 
 
 class _ClipWriter:
@@ -193,7 +186,7 @@ class _ClipWriter:
         self._add_channels(mcap)
         self._write(mcap, _before(self._recording, self._window[0], self._lose))
         before = self.message_count
-        self._write(mcap, self._told(_within(self._recording, self._window, self._lose)))
+        self._write(mcap, self._told(self._recording.messages(None, self._lose, self._window)))
         if self.message_count == before:
             raise Refused(f"{self._recording.path} has no messages in that time range")
         mcap.add_metadata(CLIP_RECORD, self._about())
@@ -212,7 +205,7 @@ class _ClipWriter:
                 mcap.add_schema(replace(schema, id=number + 1))
             schema_id = 0 if schema is None else number + 1
             mcap.add_channel(replace(channel, id=number, schema_id=schema_id))
-            self._topics.append(topic_of(key, (channel, schema)))
+            self._topics.append(topic_of(channel, key[1]))
 
     def _told(self, messages: Iterable[Message]) -> Iterator[Message]:
         start_ns, end_ns = self._window
@@ -252,3 +245,97 @@ class _ClipWriter:
     def _lose(self, sentence: str) -> None:
         if sentence not in self.lost:
             note_missing(self.lost, sentence)
+
+
+PATIENCE_S = 3.0
+"""How long to wait for messages of a live recording after they are due [s]."""
+
+_LOOK_AGAIN_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class ClipJob:
+    """What to cut from `source`. Without `target`, the clip goes to the source's clips folder."""
+
+    source: Path
+    moment: Moment
+    before_s: float
+    after_s: float
+    target: Path | None = None
+
+    def as_object(self) -> dict[str, Any]:
+        """Return the job as a JSON object."""
+        return msgspec.to_builtins(self, enc_hook=str)  # type: ignore[no-any-return]
+
+    @property
+    def end_ns(self) -> int:
+        """End of the clip [ns since the epoch]."""
+        return self.moment.log_ns + round(self.after_s * NS_PER_S)
+
+
+def remaining_s(job: ClipJob, listed: ListedRecording) -> float:
+    """Return how long the recording must continue until it contains the whole clip [s]."""
+    if not listed.live or listed.end_ns >= job.end_ns:
+        return 0.0
+    return max(job.end_ns - time.time_ns(), 0) / NS_PER_S
+
+
+def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) -> Clip:
+    """Wait until the recording contains the clip, has ended or is PATIENCE_S late; then cut it.
+
+    Raises:
+        Refused: As `cut_clip` raises it.
+        UnreadableFile: The recording cannot be read.
+    """
+    _wait_for_end(job)
+    target = job.target or _free_name(job)
+    with Recording(job.source) as recording:
+        return cut_clip(
+            recording,
+            job.moment,
+            (max(job.moment.log_ns - round(job.before_s * NS_PER_S), 0), job.end_ns),
+            target,
+            on_progress,
+        )
+
+
+def clip_job(given: dict[str, Any], report: Report) -> None:
+    """Cut the clip of a job in a separate process; report {"target", "lost"}."""
+    made = make_clip(msgspec.convert(given, ClipJob, dec_hook=lambda kind, value: kind(value)))
+    report({"target": str(made.target), "lost": list(made.lost)})
+
+
+def _wait_for_end(job: ClipJob) -> None:
+    due_s = min((job.end_ns - time.time_ns()) / NS_PER_S, job.after_s)  # the clock may be set back
+    deadline = time.monotonic() + due_s + PATIENCE_S
+    while time.monotonic() < deadline:
+        listed = list_recording(job.source)
+        if not listed.live or listed.end_ns >= job.end_ns:
+            return
+        time.sleep(_LOOK_AGAIN_S)
+
+
+def _free_name(job: ClipJob) -> Path:
+    """Return an unused name in the clips folder of the recording, and create that folder.
+
+    The clip of a file at a URL is written into the working directory.
+    """
+    source = job.source
+    folder = (source if source.is_dir() else source.parent) / CLIPS_FOLDER
+    if isinstance(source, RemoteFile):
+        folder = Path()
+    try:
+        if not folder.is_dir():
+            make_folder(folder, shared=is_shared(folder.parent))
+    except OSError as error:
+        raise Refused(
+            f"cannot write into {folder}: {error.strerror} (choose another file: -o FILE)"
+        ) from error
+    at = time.strftime("%H%M%S", time.localtime(job.moment.log_ns // NS_PER_S))
+    kind = "at" if job.moment.kind is None else job.moment.kind.value
+    name, attempt = f"{source.stem}_{kind}_{at}", 1
+    target = folder / f"{name}.mcap"
+    while os.path.lexists(target):
+        attempt += 1
+        target = folder / f"{name}-{attempt}.mcap"
+    return target

@@ -26,7 +26,8 @@ from robotctl.recording.format.rosbag2 import (
     files_in,
     serialized_metadata,
 )
-from robotctl.recording.keep.clip import clip_messages, records_of_clip, topic_of
+from robotctl.recording.keep.clip import clip_messages, records_of_clip
+from robotctl.recording.read.file_index import topic_of
 from robotctl.recording.read.messages import Message, OpenFile
 from robotctl.recording.read.reader import Recording
 
@@ -178,7 +179,8 @@ def _bag_record(clip: Recording) -> Mapping[str, str]:
     found = clip.metadata_of_file(0).get(METADATA_RECORD, {}).get("serialized_metadata", "")
     index = clip.open_files[0].index
     numbers = sorted(index.channels)
-    topics = [topic_of(*each) for each in clip.channels().items()]
+    channels = clip.channels().items()
+    topics = [topic_of(channel, type_name) for (_, type_name), (channel, _) in channels]
     counts = {at: index.counts[n] for at, n in enumerate(numbers) if n in index.counts}
     files = [BagFile(name, index.start_ns, index.end_ns, counts) for name in files_in(found)]
     return {"serialized_metadata": serialized_metadata(topics, files)}

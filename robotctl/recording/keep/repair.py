@@ -1,4 +1,4 @@
-"""Repairs recordings of robotctl after a killed process or a power cut.
+"""Tidies a recordings folder: removes what is old, repairs what a crash or power cut interrupted.
 
 A file that cannot be read now, because the disk fails or memory is short, is left as it is: the
 next start retries.
@@ -7,14 +7,18 @@ next start retries.
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import msgspec
 from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 
 from robotctl.base.errors import RobotctlError
+from robotctl.base.processes.pipes import Report
 from robotctl.recording.disk.access import reason_of
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.names import LEDGER_RECORD, RECOVERY_RECORD, Compression
@@ -23,7 +27,14 @@ from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.format.trailer import WrittenFile
 from robotctl.recording.keep.listing import CatalogFolder, own_recordings
 from robotctl.recording.keep.recover import recover, seal_of_repair
-from robotctl.recording.keep.retention import TidyNote, rewrite_metadata
+from robotctl.recording.keep.retention import (
+    RetentionPolicy,
+    TidyNote,
+    enforce_retention,
+    noted_removals,
+    only_one_in,
+    rewrite_metadata,
+)
 from robotctl.recording.read.chunks import read_chunk, read_chunk_head
 from robotctl.recording.read.file_index import FileIndex
 from robotctl.recording.read.indexing import (
@@ -243,3 +254,41 @@ def _failed(name: str, error: Exception) -> TidyNote:
     reason = error if isinstance(error, Damaged) else reason_of(error)
     text = f"{name} could not be repaired: {reason} (the next start tries again)"
     return TidyNote(text, problem=True)
+
+
+@dataclass(frozen=True, slots=True)
+class TidyJob:
+    """Which folder to tidy, how much to keep in it, and whether to repair the rest."""
+
+    recordings: Path
+    policy: RetentionPolicy
+    repairs: bool
+
+    def as_object(self) -> dict[str, Any]:
+        """Return the job as a JSON object."""
+        return msgspec.to_builtins(self, enc_hook=str)  # type: ignore[no-any-return]
+
+
+def tidy(job: TidyJob) -> Iterator[TidyNote]:
+    """Collect noted removals, remove old files, repair the rest; yield a note of each. Blocks.
+
+    Waits for other processes that tidy the folder. Files that are being written are not changed.
+    """
+    recordings = job.recordings
+    try:
+        with only_one_in(recordings):
+            yield from noted_removals(recordings)
+            for removed in enforce_retention(recordings, job.policy, time.time()):
+                text = f"removed for its age or to free space: {removed.path}"
+                yield TidyNote(text, removed=str(removed.path))
+            if job.repairs:
+                yield from repair(recordings)
+    except Exception as error:  # noqa: BLE001 - files of any origin
+        text = f"{recordings} could not be tidied: {type(error).__name__}: {error}"
+        yield TidyNote(text, problem=True)
+
+
+def tidy_job(given: dict[str, Any], report: Report) -> None:
+    """Run a job in a separate process, and report each note. If a report fails, stop there."""
+    for note in tidy(msgspec.convert(given, TidyJob, dec_hook=lambda kind, value: kind(value))):
+        report(note._asdict())

@@ -24,7 +24,7 @@ from robotctl.recording.keep.listing import (
     CatalogFolder,
     own_recordings,
 )
-from robotctl.recording.read.file_index import FileIndex
+from robotctl.recording.read.file_index import FileIndex, topic_of
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.read_limits import Damaged
 from robotctl.recording.read.records import InputFile
@@ -49,13 +49,7 @@ def _describe(name: str, index: FileIndex, topics: dict[Topic, int]) -> BagFile:
     counts: dict[int, int] = {}
     for channel in index.channels.values():
         schema = index.schemas.get(channel.schema_id)
-        topic = Topic(
-            name=channel.topic,
-            type_name=schema.name if schema else "",
-            type_hash=channel.metadata.get("topic_type_hash", ""),
-            offered_qos=channel.metadata.get("offered_qos_profiles", ""),
-            encoding=channel.message_encoding,
-        )
+        topic = topic_of(channel, schema.name if schema else "")
         position = topics.setdefault(topic, len(topics))
         counts[position] = counts.get(position, 0) + index.counts.get(channel.id, 0)
     return BagFile(name, index.start_ns, index.end_ns, counts)

@@ -11,6 +11,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema
 
 from robotctl.recording.format.names import OWN_LIBRARY
+from robotctl.recording.format.topics import Topic
 from robotctl.recording.read.chunks import read_chunk, read_chunk_head, stored_size_of
 from robotctl.recording.read.read_limits import BeyondLimit, Damaged, Tally
 from robotctl.recording.read.records import RECORD_HEAD, InputFile, head_blocks, parse
@@ -124,6 +125,17 @@ class Contents:
         """Return the lowest and the highest log time [ns]; there must be a message."""
         times = [entries[::2] for entries in self.entries.values()]
         return min(map(min, times)), max(map(max, times))
+
+
+def topic_of(channel: Channel, type_name: str) -> Topic:
+    """Return what `metadata.yaml` says of a channel with messages of that type."""
+    return Topic(
+        name=channel.topic,
+        type_name=type_name,
+        type_hash=channel.metadata.get("topic_type_hash", ""),
+        offered_qos=channel.metadata.get("offered_qos_profiles", ""),
+        encoding=channel.message_encoding,
+    )
 
 
 def note_missing(missing: list[str], sentence: str) -> None:

@@ -5,26 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from typing import Final
 
 from robotctl.recording.format.seal_records import Opening
-from robotctl.recording.read.seal_check import SealOfRead
 from robotctl.recording.read.source import SUFFIX
-from robotctl.recording.read.whole_file import FileState
+from robotctl.recording.read.whole_data import FileState
+from robotctl.recording.read.whole_file import WholeFile
 from robotctl.recording.seal.heads import KnownHeads
 
 MAX_MISSING: Final = 20
 """Maximum number of missing files that are named."""
-
-
-@dataclass(frozen=True, slots=True)
-class SealedFile:
-    """A file whose seal was checked."""
-
-    path: Path
-    state: FileState
-    seal: SealOfRead
 
 
 @dataclass(slots=True)
@@ -41,10 +31,10 @@ class Chain:
     """Root key and file number of each file in a gap, at most MAX_MISSING."""
 
 
-def check_chain(files: Iterable[SealedFile]) -> Chain:
+def check_chain(files: Iterable[WholeFile]) -> Chain:
     """Compare each file with the one before it in the chain of the same robot."""
     chain = Chain()
-    by_root: dict[str, list[tuple[Opening, SealedFile]]] = {}
+    by_root: dict[str, list[tuple[Opening, WholeFile]]] = {}
     for file in files:
         opening = file.seal.opening
         if opening is not None and file.state is not FileState.CLIP:
@@ -55,8 +45,8 @@ def check_chain(files: Iterable[SealedFile]) -> Chain:
 
 
 def _without_copies(
-    pairs: Sequence[tuple[Opening, SealedFile]],
-) -> list[tuple[Opening, SealedFile]]:
+    pairs: Sequence[tuple[Opening, WholeFile]],
+) -> list[tuple[Opening, WholeFile]]:
     """Return the files sorted by number, with a copy only if its original is not among them."""
     originals = {opening.number for opening, file in pairs if not file.seal.is_copy}
     copies = {opening.number: (opening, file) for opening, file in pairs if file.seal.is_copy}
@@ -65,7 +55,7 @@ def _without_copies(
     return sorted(left, key=lambda pair: pair[0].number)
 
 
-def _compare(pairs: Sequence[tuple[Opening, SealedFile]], chain: Chain) -> None:
+def _compare(pairs: Sequence[tuple[Opening, WholeFile]], chain: Chain) -> None:
     for (opening, file), (following, next_file) in pairwise(pairs):
         name, next_name = file.path.name, next_file.path.name
         if following == opening and _are_alike(file, next_file):
@@ -91,13 +81,13 @@ def _compare(pairs: Sequence[tuple[Opening, SealedFile]], chain: Chain) -> None:
             )
 
 
-def _are_alike(file: SealedFile, other: SealedFile) -> bool:
+def _are_alike(file: WholeFile, other: WholeFile) -> bool:
     """Return whether one file is a copy of the other in another folder, as `sync` makes them."""
     same_links = bool(file.seal.links) and file.seal.links == other.seal.links
     return same_links and file.path.name == other.path.name
 
 
-def find_head(files: Iterable[SealedFile], digest: str) -> SealedFile | None:
+def find_head(files: Iterable[WholeFile], digest: str) -> WholeFile | None:
     """Return the file that has a link with this digest (in hex)."""
     return next((file for file in files if file.seal.knows(digest.lower())), None)
 
@@ -120,7 +110,7 @@ class KnownFile:
     """Which part of the known seal a repair or a conversion did not keep, or ""."""
 
 
-def compare_known(file: SealedFile, heads: KnownHeads) -> KnownFile:
+def compare_known(file: WholeFile, heads: KnownHeads) -> KnownFile:
     """Return what `heads` say about a file's key, its name, and the name in its seal."""
     opening = file.seal.opening
     name = file.path.name.removesuffix(SUFFIX)

@@ -1,6 +1,6 @@
 """Checks the seal of a file: the chain over its bytes, the signatures, and who made them.
 
-Call `read_whole_file` before: the chain alone does not show whether each byte is in a record.
+The data must have been read: the chain alone does not show whether each byte is in a record.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ from robotctl.recording.format.seal_records import (
     chained,
 )
 from robotctl.recording.read.records import InputFile
-from robotctl.recording.read.whole_data import WholeData
-from robotctl.recording.read.whole_file import FileState, WholeFile
+from robotctl.recording.read.whole_data import FileState, WholeData
 from robotctl.recording.seal.keyring import is_signed
 
 _PIECE_BYTES = 1 << 20
@@ -67,15 +66,15 @@ class SealOfRead:
         return any(link.digest.hex() == digest for link in self.links)
 
 
-def check_seal(file: InputFile, whole: WholeFile) -> SealOfRead:
-    """Check the seal of a file that was read.
+def check_seal(file: InputFile, data: WholeData, state: FileState, loose: int) -> SealOfRead:
+    """Check the seal of a file that was read; its last `loose` bytes are no part of it.
 
     Raises:
         Damaged: The disk fails.
     """
     found = SealOfRead()
     try:
-        opening, links = _records(file, whole.data)
+        opening, links = _records(file, data)
     except ValueError as error:
         found.wrong.append(str(error))
         found.state = SealState.BROKEN
@@ -85,13 +84,16 @@ def check_seal(file: InputFile, whole: WholeFile) -> SealOfRead:
         if links:
             found.wrong.append("links of a seal are there without the record that opens it")
             found.state = SealState.BROKEN
-        elif whole.state is FileState.CONVERTED:
+        elif state is FileState.CONVERTED:
             found.notes.append("it was converted: a seal of the original does not hold for it")
         return found
     if not is_signed(opening.signed(), bytes.fromhex(opening.certificate), opening.previous_key):
         found.wrong.append("the key of the file is not signed by the key of the file before")
     _check_links(file, opening, links, found)
-    _judge(whole, links, found)
+    _judge(data.end - min(loose, data.end), links, found)
+    partly = found.state is SealState.PARTLY and not _is_repaired(links)
+    if state is FileState.FINISHED and partly:
+        found.notes.append("the recorder stopped signing, or a signature was removed")
     return found
 
 
@@ -155,9 +157,12 @@ def _pieces(file: InputFile, start: int, end: int) -> Iterator[bytes]:
         yield file.read(offset, min(_PIECE_BYTES, end - offset))
 
 
-def _judge(whole: WholeFile, links: list[Link], found: SealOfRead) -> None:
-    end = whole.data.end - min(whole.loose, whole.data.end)
-    repaired = any(link.kind is LinkKind.REPAIRED for link in links)
+def _is_repaired(links: list[Link]) -> bool:
+    return any(link.kind is LinkKind.REPAIRED for link in links)
+
+
+def _judge(end: int, links: list[Link], found: SealOfRead) -> None:
+    repaired = _is_repaired(links)
     found.is_copy = repaired and found.head is None
     if found.wrong:
         found.state = SealState.BROKEN
@@ -171,5 +176,3 @@ def _judge(whole: WholeFile, links: list[Link], found: SealOfRead) -> None:
         found.state = SealState.PARTLY
         why = "a repair has written the rest" if repaired else "the rest is not signed for"
         found.notes.append(f"sealed are the first {found.head.covered} bytes: {why}")
-    if whole.state is FileState.FINISHED and found.state is SealState.PARTLY and not repaired:
-        found.notes.append("the recorder stopped signing, or a signature was removed")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from enum import StrEnum
 from math import inf
 from typing import Any, Final
 
@@ -28,7 +29,13 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from robotctl.recording.format.names import OWN_LIBRARY
+from robotctl.recording.format.names import (
+    CLIP_RECORD,
+    CONVERSION_RECORD,
+    LEDGER_RECORD,
+    OWN_LIBRARY,
+    RECOVERY_RECORD,
+)
 from robotctl.recording.format.records import (
     FIRST_PRIVATE_OPCODE,
     MAGIC,
@@ -89,6 +96,35 @@ class Flaws:
             self.kept.append(Flaw(start, end, text))
 
 
+class FileState(StrEnum):
+    """How the writing of a file ended."""
+
+    FINISHED = "finished"
+    LIVE = "live"
+    """A process is still recording into it."""
+
+    NOT_CLOSED = "not closed"
+    """The recorder was killed, or could not write."""
+
+    REPAIRED = "repaired"
+    """After a kill, robotctl read the file and wrote it again, or only its end."""
+
+    CONVERTED = "converted"
+    """robotctl wrote it from another recording."""
+
+    CLIP = "clip"
+    FOREIGN = "of another program"
+
+
+_STATES: Final = {
+    CLIP_RECORD: FileState.CLIP,
+    RECOVERY_RECORD: FileState.REPAIRED,
+    CONVERSION_RECORD: FileState.CONVERTED,
+    LEDGER_RECORD: FileState.FINISHED,
+}
+"""What each metadata record says of a file of robotctl; the first one counts."""
+
+
 @dataclass(slots=True)
 class WholeData:
     """The content of a data section; offsets in bytes, times in nanoseconds.
@@ -144,9 +180,15 @@ class WholeData:
         """The number of messages of all channels."""
         return sum(self.counts.values())
 
-    def has_metadata(self, *names: str) -> bool:
-        """Return whether there is a metadata record with one of these names."""
-        return any(record.name in names for record in self.metadata)
+    def state(self) -> FileState:
+        """Return how the writing of a file ended that does not grow."""
+        if not self.own:
+            return FileState.FOREIGN
+        names = {record.name for record in self.metadata}
+        for name, state in _STATES.items():
+            if name in names:
+                return state
+        return FileState.NOT_CLOSED
 
     def count(self, counts: dict[int, int], start_ns: int, end_ns: int) -> None:
         """Count messages by channel, with their lowest and highest log time."""

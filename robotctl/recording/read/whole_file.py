@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import StrEnum
 from math import isqrt
 from pathlib import Path
 from typing import NamedTuple
@@ -19,12 +18,6 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Footer
 
 from robotctl.base.errors import UnreadableFile
-from robotctl.recording.format.names import (
-    CLIP_RECORD,
-    CONVERSION_RECORD,
-    LEDGER_RECORD,
-    RECOVERY_RECORD,
-)
 from robotctl.recording.format.records import DATA_END_BYTES, FOOTER_CONTENT_BYTES, MAGIC
 from robotctl.recording.format.trailer import FOOTER_BYTES
 from robotctl.recording.read.files import reason_of
@@ -35,7 +28,9 @@ from robotctl.recording.read.indexing import (
 )
 from robotctl.recording.read.read_limits import Damaged
 from robotctl.recording.read.records import RECORD_HEAD, InputFile, parse, walk_records
+from robotctl.recording.read.seal_check import SealOfRead, check_seal
 from robotctl.recording.read.whole_data import (
+    FileState,
     Flaws,
     WholeData,
     compare_summary,
@@ -145,29 +140,9 @@ _GROWING_S = 2.0
 _LOOK_AGAIN_S = 0.002
 
 
-class FileState(StrEnum):
-    """How the writing of a file ended."""
-
-    FINISHED = "finished"
-    LIVE = "live"
-    """A process is still recording into it."""
-
-    NOT_CLOSED = "not closed"
-    """The recorder was killed, or could not write."""
-
-    REPAIRED = "repaired"
-    """After a kill, robotctl read the file and wrote it again, or only its end."""
-
-    CONVERTED = "converted"
-    """robotctl wrote it from another recording."""
-
-    CLIP = "clip"
-    FOREIGN = "of another program"
-
-
 @dataclass(slots=True)
 class WholeFile:
-    """What reading every byte of a file found.
+    """What reading every byte of a file found, and its seal.
 
     `flaws` is empty if the file is whole. `loose` counts the bytes of a commit that a kill
     interrupted: they are no part of the recording.
@@ -179,6 +154,7 @@ class WholeFile:
     data: WholeData
     flaws: Flaws = field(default_factory=Flaws)
     loose: int = 0
+    seal: SealOfRead = field(default_factory=SealOfRead)
 
     @property
     def whole(self) -> bool:
@@ -195,7 +171,7 @@ class WholeFile:
 def read_whole_file(
     path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> WholeFile:
-    """Read every byte of an MCAP file.
+    """Read every byte of an MCAP file, and check its seal.
 
     `on_progress` gets bytes done and in total.
 
@@ -204,16 +180,16 @@ def read_whole_file(
     """
     try:
         with InputFile(path, on_progress) as file:
-            return check_bytes(file, on_progress)
+            found = _check_bytes(file, on_progress)
+            found.seal = check_seal(file, found.data, found.state, found.loose)
+            return found
     except OSError as error:
         raise UnreadableFile(f"{path} cannot be read: {reason_of(error)}") from error
     except Damaged as damage:
         raise UnreadableFile(f"{path} cannot be read: {damage}") from damage
 
 
-def check_bytes(
-    file: InputFile, on_progress: Callable[[int, int], None] = lambda done, total: None
-) -> WholeFile:
+def _check_bytes(file: InputFile, on_progress: Callable[[int, int], None]) -> WholeFile:
     """Read every byte of an open file.
 
     Raises:
@@ -223,7 +199,7 @@ def check_bytes(
         return _live(file, Flaws(), lambda offset: on_progress(offset, file.size))
     flaws = Flaws()
     data = read_data_section(file, flaws, on_progress=lambda offset: on_progress(offset, file.size))
-    found = WholeFile(file.path, file.size, _state(data), data, flaws)
+    found = WholeFile(file.path, file.size, data.state(), data, flaws)
     if data.told_crc is None:
         if not flaws.count and not data.unread:
             flaws.add(data.end, file.size, "the file was never finished")
@@ -259,18 +235,6 @@ def _live(file: InputFile, flaws: Flaws, on_progress: Callable[[int], None]) -> 
     summary = b"".join([*groups.values(), written.seal, offsets])
     compare_summary(summary, written.data_end + DATA_END_BYTES, data, flaws)
     return found
-
-
-def _state(data: WholeData) -> FileState:
-    if not data.own:
-        return FileState.FOREIGN
-    if data.has_metadata(CLIP_RECORD):
-        return FileState.CLIP
-    if data.has_metadata(RECOVERY_RECORD):
-        return FileState.REPAIRED
-    if data.has_metadata(CONVERSION_RECORD):
-        return FileState.CONVERTED
-    return FileState.FINISHED if data.has_metadata(LEDGER_RECORD) else FileState.NOT_CLOSED
 
 
 def _check_crc(file: InputFile, found: WholeFile) -> None:

@@ -21,45 +21,71 @@ from robotctl.recording.format.rosbag2 import (
 )
 from robotctl.recording.format.topics import LATCHED_QOS, read_ledger
 from robotctl.recording.read.files import absent_files, metadata_of_folder, recording_files
-from robotctl.recording.read.read_limits import Damaged
-from robotctl.recording.read.records import InputFile
-from robotctl.recording.read.seal_chain import Chain, SealedFile, check_chain
-from robotctl.recording.read.seal_check import SealState, check_seal
-from robotctl.recording.read.whole_data import WholeData
-from robotctl.recording.read.whole_file import (
-    FileState,
-    WholeFile,
-    read_whole_file,
-)
+from robotctl.recording.read.seal_chain import Chain, check_chain
+from robotctl.recording.read.seal_check import SealState
+from robotctl.recording.read.whole_data import FileState, WholeData
+from robotctl.recording.read.whole_file import WholeFile, read_whole_file
 
 _TopicKey = tuple[str, str]
 """Name and type of a topic."""
 
 
+class RecordingProof(StrEnum):
+    """What is proved about a recording, the most severe result first."""
+
+    BROKEN = "broken"
+    """A byte, a count, the chain or a signature is wrong."""
+
+    UNREADABLE = "unreadable"
+    """Not everything could be read."""
+
+    WHOLE = "whole"
+    """No contradiction was found, but not every file is sealed."""
+
+    SEALED = "sealed"
+
+
 @dataclass(frozen=True, slots=True)
-class WholeRecording:
-    """What reading every byte of a recording found.
+class VerifiedRecording:
+    """What reading every byte of a recording found, and its seals.
 
     `unreadable` has a sentence for each file that is missing or is no MCAP file, and for each part
-    that was not read. `wrong` has a sentence for each flaw, and for each count that contradicts
-    another.
+    that was not read. `flaws` has a sentence for each wrong byte, and for each count that
+    contradicts another.
     """
 
     path: Path
     files: tuple[WholeFile, ...]
     unreadable: tuple[str, ...]
-    wrong: tuple[str, ...]
+    flaws: tuple[str, ...]
+    chain: Chain
 
     @property
-    def whole(self) -> bool:
-        """Whether everything was read, and nothing is wrong."""
-        return not self.unreadable and not self.wrong
+    def wrong(self) -> tuple[str, ...]:
+        """A sentence for everything that is wrong: bytes, counts, seals, chain."""
+        many = len(self.files) > 1
+        seals = [
+            f"{file.path.name}: {sentence}" if many else sentence
+            for file in self.files
+            for sentence in file.seal.wrong
+        ]
+        return (*self.flaws, *seals, *self.chain.wrong)
+
+    @property
+    def proof(self) -> RecordingProof:
+        """The most severe result that was found."""
+        if self.wrong:
+            return RecordingProof.BROKEN
+        if self.unreadable:
+            return RecordingProof.UNREADABLE
+        sealed = all(file.seal.state is SealState.SEALED for file in self.files)
+        return RecordingProof.SEALED if sealed else RecordingProof.WHOLE
 
 
-def read_whole_recording(
+def verify_recording(
     path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
-) -> WholeRecording:
-    """Read every byte of a recording, a file or a folder.
+) -> VerifiedRecording:
+    """Read every byte of a recording, a file or a folder, and check its seals.
 
     `on_progress` gets bytes done and in total.
 
@@ -80,17 +106,19 @@ def read_whole_recording(
             )
         except UnreadableFile as error:
             unreadable.append(str(error))
-    wrong: list[str] = []
+    flaws: list[str] = []
     for file in files:
         prefix = f"{file.path.name}: " if whole_folder else ""
-        wrong += [prefix + sentence for sentence in file.flaw_sentences()]
+        flaws += [prefix + sentence for sentence in file.flaw_sentences()]
         if file.data.unread:
             unreadable.append(prefix + file.data.unread)
         if not file.flaws.count and not file.data.unread and file.data.own:
-            wrong += [prefix + sentence for sentence in _miscounted(file)]
-    if not wrong and not unreadable:
-        wrong += _contradictions(text, files, whole_folder=whole_folder)
-    return WholeRecording(path, tuple(files), tuple(unreadable), tuple(wrong))
+            flaws += [prefix + sentence for sentence in _miscounted(file)]
+    if not flaws and not unreadable:
+        flaws += _contradictions(text, files, whole_folder=whole_folder)
+    return VerifiedRecording(
+        path, tuple(files), tuple(unreadable), tuple(flaws), check_chain(files)
+    )
 
 
 def _miscounted(file: WholeFile) -> Iterator[str]:
@@ -179,70 +207,3 @@ def _latched(parts: Sequence[WholeData]) -> set[_TopicKey]:
 def _key(data: WholeData, channel: Channel) -> _TopicKey:
     schema = data.schemas.get(channel.schema_id)
     return channel.topic, schema.name if schema else ""
-
-
-class RecordingProof(StrEnum):
-    """What is proved about a recording, the most severe result first."""
-
-    BROKEN = "broken"
-    """A byte, a count, the chain or a signature is wrong."""
-
-    UNREADABLE = "unreadable"
-    """Not everything could be read."""
-
-    WHOLE = "whole"
-    """No contradiction was found, but not every file is sealed."""
-
-    SEALED = "sealed"
-
-
-@dataclass(frozen=True, slots=True)
-class VerifiedRecording:
-    """A recording that was read completely, and its seals."""
-
-    whole: WholeRecording
-    files: tuple[SealedFile, ...]
-    chain: Chain
-
-    @property
-    def wrong(self) -> tuple[str, ...]:
-        """A sentence for everything that is wrong: bytes, counts, seals, chain."""
-        many = len(self.whole.files) > 1
-        seals = [
-            f"{file.path.name}: {sentence}" if many else sentence
-            for file in self.files
-            for sentence in file.seal.wrong
-        ]
-        return (*self.whole.wrong, *seals, *self.chain.wrong)
-
-    @property
-    def proof(self) -> RecordingProof:
-        """The most severe result that was found."""
-        if self.wrong:
-            return RecordingProof.BROKEN
-        if self.whole.unreadable:
-            return RecordingProof.UNREADABLE
-        sealed = all(file.seal.state is SealState.SEALED for file in self.files)
-        return RecordingProof.SEALED if sealed else RecordingProof.WHOLE
-
-
-def verify_recording(
-    path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
-) -> VerifiedRecording:
-    """Read every byte of a recording, and check its seals.
-
-    `on_progress` gets bytes done and in total.
-
-    Raises:
-        UnreadableFile: `path` holds no MCAP file, or the disk fails.
-    """
-    whole = read_whole_recording(path, on_progress)
-    files = []
-    for file in whole.files:
-        try:
-            with InputFile(file.path) as opened:
-                seal = check_seal(opened, file)
-        except (OSError, Damaged) as error:
-            raise UnreadableFile(f"{file.path} cannot be read: {error}") from error
-        files.append(SealedFile(file.path, file.state, seal))
-    return VerifiedRecording(whole, tuple(files), check_chain(files))

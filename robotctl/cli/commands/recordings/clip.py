@@ -102,7 +102,7 @@ def clip(
       robotctl clip last --at 12:03:04 -o incident.mcap
       robotctl clip s3://bucket/robots/robot_20260101_120000 --event estop
     """
-    from robotctl.recording.keep.clip_job import ClipJob, make_clip, remaining_s
+    from robotctl.recording.keep.clip import ClipJob, make_clip, remaining_s
 
     if event is not None and at is not None:
         raise UsageError("--event and --at", "give one of them")

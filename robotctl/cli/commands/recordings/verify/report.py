@@ -10,8 +10,8 @@ from typing import Any
 from robotctl.base.errors import Divergence, NotSealed, RobotctlError, UnreadableFile
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import moment, row, short_path, size
-from robotctl.recording.read.seal_chain import SealedFile, check_chain, compare_known, find_head
-from robotctl.recording.read.seal_check import SealState
+from robotctl.recording.read.seal_chain import check_chain, compare_known, find_head
+from robotctl.recording.read.seal_check import SealOfRead, SealState
 from robotctl.recording.read.source import SUFFIX
 from robotctl.recording.read.whole_file import WholeFile
 from robotctl.recording.read.whole_recording import (
@@ -37,8 +37,8 @@ def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
         whole = verify_recording(source, on_progress)
         origin = compare_with_source(clip, source)
     wrong = [
-        *(f"{clip.name}: {sentence}" for sentence in (*cut.whole.wrong, *cut.whole.unreadable)),
-        *(f"{source.name}: {sentence}" for sentence in whole.wrong),
+        *(f"{clip.name}: {sentence}" for sentence in (*cut.flaws, *cut.unreadable)),
+        *(f"{source.name}: {sentence}" for sentence in whole.flaws),
         *(f"{clip.name}: {sentence}" for sentence in origin.wrong),
     ]
     links = [
@@ -70,14 +70,14 @@ def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
     error: RobotctlError | None = None
     if wrong:
         error = Divergence(f"the clip is not proved: {wrong[0]}")
-    elif whole.whole.unreadable:
+    elif whole.unreadable:
         error = UnreadableFile(f"{source} could not be read completely")
     elif answer["verdict"] == "whole":
         error = NotSealed("the clip is a part of its source, which is not sealed")
     print_answer(answer, lines, as_json=as_json, error=error)
 
 
-def _links(file: SealedFile, start_ns: int, end_ns: int) -> dict[str, Any] | None:
+def _links(file: WholeFile, start_ns: int, end_ns: int) -> dict[str, Any] | None:
     """Return the seal's links that cover a file from `start_ns` to `end_ns`, None without any.
 
     A link seals all that was written before it, so the first link at or after `end_ns` is included.
@@ -159,19 +159,15 @@ NOT_PROVED = (
 
 def recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, Any]:
     """Return the object of one recording; `heads` are this machine's lists of keys."""
-    whole = found.whole
     known = [(file.path.name, compare_known(file, heads)) for file in found.files]
     wrong = [*found.wrong, *(f"{name}: {each.wrong}" for name, each in known if each.wrong)]
     unproved = [f"{name}: {each.unproved}" for name, each in known if each.unproved]
     return {
-        "path": str(whole.path),
+        "path": str(found.path),
         "verdict": (RecordingProof.BROKEN if wrong else found.proof).value,
-        "files": [
-            _file_object(file, sealed)
-            for file, sealed in zip(whole.files, found.files, strict=True)
-        ],
+        "files": [_file_object(file) for file in found.files],
         "wrong": wrong,
-        "unreadable": list(whole.unreadable),
+        "unreadable": list(found.unreadable),
         "unproved": unproved,
         "notes": [
             *unproved,
@@ -185,7 +181,7 @@ def recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, A
             ),
             *(
                 f"{file.path.name}: not closed: {file.loose} bytes before its end hold no data"
-                for file in whole.files
+                for file in found.files
                 if file.loose
             ),
             *(f"{file.path.name}: {note}" for file in found.files for note in file.seal.notes),
@@ -262,7 +258,7 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
             yield from row("", f"{label}: {sentence}")
 
 
-def _file_object(file: WholeFile, sealed: SealedFile) -> dict[str, Any]:
+def _file_object(file: WholeFile) -> dict[str, Any]:
     return {
         "name": file.path.name,
         "bytes": file.size,
@@ -273,12 +269,11 @@ def _file_object(file: WholeFile, sealed: SealedFile) -> dict[str, Any]:
             {"start": flaw.start, "end": flaw.end, "text": flaw.text} for flaw in file.flaws.kept
         ],
         "flaw_count": file.flaws.count,
-        "seal": _seal_object(sealed),
+        "seal": _seal_object(file.seal),
     }
 
 
-def _seal_object(sealed: SealedFile) -> dict[str, Any]:
-    seal = sealed.seal
+def _seal_object(seal: SealOfRead) -> dict[str, Any]:
     opening, head = seal.opening, seal.head
     return {
         "state": seal.state.value,
