@@ -258,7 +258,7 @@ class CommandPairs:
         if self.is_counting:
             self._places += 1
             sent = SentCommand(numbers_of(data), publish_ns, self._t_ns, self._places)
-            self._waiting.slot(number, self._t_ns).sent.append(sent)
+            self._waiting.slot(number).sent.append(sent)
 
     # The journal
 
@@ -300,7 +300,6 @@ class CommandPairs:
         self._others.step(event)
         if isinstance(event, Tick):
             self._tick_ns = event.t_ns
-            self._waiting.settle(event.t_ns)
         elif isinstance(event, LoopStalled):
             self._stall(event, moments)
         elif isinstance(event, FaultReported) and SEND_FAILED in event.detail:
@@ -315,7 +314,7 @@ class CommandPairs:
         self._number = (self._number + 1) & MAX_SEQUENCE
         decided = DecidedCommand(numbers, moments)
         self._recent.append(decided)
-        self._waiting.slot(self._number, self._t_ns).entries.append(decided)
+        self._waiting.slot(self._number).entries.append(decided)
 
     def _stall(self, event: LoopStalled, moments: Moments) -> None:
         """Expect the zeros of the watchdog, and zeros in place of the withheld commands."""

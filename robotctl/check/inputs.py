@@ -99,7 +99,7 @@ class UnheardChange:
         self._is_begin = True
 
     def settle(self, stall_ns: int) -> None:
-        """Judge the messages up to the last input; a stall of `stall_ns` may have delayed some."""
+        """Judge the messages up to the newest that became an input; stalls took `stall_ns`."""
         newest = max(self._heard, default=0)
         while self._waiting and self._waiting[0].sequence <= newest:
             self._take(self._waiting.popleft(), stall_ns)
@@ -220,7 +220,7 @@ class InputPairs:
         self._paired: tuple[int, int] | None = None
         """The lowest and the highest number that was paired."""
 
-        self._first_ns = self._last_ns = self._newest = self._t_ns = 0
+        self._first_ns = self._last_ns = self._newest = 0
 
     @property
     def has_one_publisher(self) -> bool:
@@ -239,19 +239,14 @@ class InputPairs:
         """Read a message of the topic."""
         self.repeated += number <= self._newest
         self._newest = number
-        self._waiting.slot(number, self._t_ns).sent.append(Heard(value, log_ns))
+        self._waiting.slot(number).sent.append(Heard(value, log_ns))
 
     def received(self, number: int, found: Input) -> None:
         """Read an input of the journal; it has no message if `number` is 0."""
-        self._t_ns = found.t_ns
         if number:
             begin_ns, _ = self._lives.get(found.source, (found.t_ns, 0))
             self._lives[found.source] = begin_ns, found.t_ns
-            self._waiting.slot(number, found.t_ns).entries.append(found)
-
-    def settle(self) -> None:
-        """Stop waiting for the messages of old inputs; called at each snapshot."""
-        self._waiting.settle(self._t_ns)
+            self._waiting.slot(number).entries.append(found)
 
     def forget(self) -> None:
         """Drop what waits and has no counterpart, because journal entries are missing."""
@@ -403,7 +398,6 @@ class InputCheck:
         self._is_on = self._is_on or has_proof
         self._pairs.tolerance = 0.0 if self._report.bitwise else TOLERANCE
         self._repeats.snapshot()
-        self._pairs.settle()
         if self._unheard is not None:
             self._unheard.settle(stall_ns)
 

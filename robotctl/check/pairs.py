@@ -10,13 +10,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Final, Generic, TypeVar
 
-from robotctl.kernel.units import NS_PER_S
-
-WAIT_NS: Final = 30 * NS_PER_S
-"""How long both sides wait for each other, on the steady clock of the journal."""
-
 MAX_WAITING: Final = 20_000
-"""The number of numbers that wait; if there are more, the oldest one is judged at once."""
+"""How many numbers wait, several minutes of a topic; if there are more, the oldest is judged."""
 
 Entry = TypeVar("Entry")
 Sent = TypeVar("Sent")
@@ -26,7 +21,6 @@ Sent = TypeVar("Sent")
 class Slot(Generic[Entry, Sent]):
     """What has one number: journal entries and messages. Two publishers may use one number."""
 
-    since_ns: int
     entries: list[Entry] = field(default_factory=list)
     sent: list[Sent] = field(default_factory=list)
 
@@ -39,19 +33,14 @@ class Waiting(Generic[Entry, Sent]):
         self._judge = judge
         self._slots: dict[int, Slot[Entry, Sent]] = {}
 
-    def slot(self, number: int, t_ns: int) -> Slot[Entry, Sent]:
-        """Return the slot of a number; `t_ns` is the time of the journal, for a new one."""
+    def slot(self, number: int) -> Slot[Entry, Sent]:
+        """Return the slot of a number."""
         slot = self._slots.get(number)
         if slot is None:
-            slot = self._slots[number] = Slot(t_ns)
+            slot = self._slots[number] = Slot()
             if len(self._slots) > MAX_WAITING:
                 self._judge(*self._oldest())
         return slot
-
-    def settle(self, t_ns: int) -> None:
-        """Judge the slots that have waited long enough at `t_ns`."""
-        while self._slots and t_ns - next(iter(self._slots.values())).since_ns > WAIT_NS:
-            self._judge(*self._oldest())
 
     def rest(self) -> Iterator[tuple[int, Slot[Entry, Sent]]]:
         """Remove and yield all slots, at the end or where journal entries are missing."""

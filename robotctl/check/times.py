@@ -166,7 +166,7 @@ class ClockChanges:
 
     @property
     def set_by_ns(self) -> list[int]:
-        """Each setting of the clock [ns]."""
+        """By how much the clock was set, each time [ns]; negative if it was set back."""
         return [change.by_ns for change in self._set]
 
     @property

@@ -67,7 +67,7 @@ _Key = tuple[str, tuple[tuple[str, str], ...], str]
 
 
 class Baseline:
-    """The accepted results in a file; content, settings and outcome must all match."""
+    """The results that were accepted, by recording, settings and outcome."""
 
     def __init__(self, accepted: Iterable[Accepted] = ()) -> None:
         self._accepted = {

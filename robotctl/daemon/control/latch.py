@@ -42,7 +42,7 @@ def read(path: Path) -> LatchedStop | None:
     file without a cause, which the first version wrote, counts as a stop by the operator as well.
 
     Raises:
-        UsageError: Another user could have removed the file.
+        UsageError: Another user could change the folder, and so could have removed the file.
     """
     chain_to(path.parent).check()
     try:

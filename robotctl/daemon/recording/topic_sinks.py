@@ -51,7 +51,8 @@ class TopicSinks:
     """Opens the sinks, which pass messages to the recorder; for the loop's thread.
 
     `is_own(topic)` returns whether robotctl publishes the topic, `is_evidence(topic)` whether a
-    check needs it. Neither these nor latched topics are throttled; no rate is learned for own ones.
+    check needs it. Neither kind is throttled, nor are latched topics; of own and latched topics the
+    usual rate is not learned.
     """
 
     def __init__(
