@@ -1,4 +1,4 @@
-"""A reader of CDR, the serialized form of ROS messages, without ROS; the names of common types."""
+"""Reads and writes CDR, the serialized form of ROS messages, without ROS; names of common types."""
 
 from __future__ import annotations
 
@@ -71,6 +71,16 @@ class CdrReader:
         (size,) = self.take("I")
         return self.octets(size)[:-1].decode(errors="replace")
 
+    def wide_text(self) -> str:
+        """Return the next wide string; units that are not UTF-16 are replaced.
+
+        Raises:
+            struct.error: The message is cut short.
+        """
+        (count,) = self.take("I")
+        units = b"".join(struct.pack("<H", each & 0xFFFF) for each in self.take("I", count))
+        return units.decode("utf-16-le", "replace")
+
     def octets(self, count: int) -> bytes:
         """Return the next `count` bytes.
 
@@ -93,3 +103,27 @@ def _aligned(order: str, codes: str, phase: int) -> struct.Struct:
         layout.append(f"{padding}x{code}" if padding else code)
         position += padding + size
     return struct.Struct("".join(layout))
+
+
+class CdrWriter:
+    """Collects the fields of a message in their order: plain CDR, little endian."""
+
+    def __init__(self) -> None:
+        self.data = bytearray(ENCAPSULATION)
+
+    def put(self, code: str, *numbers: Any) -> None:
+        """Add numbers; `code` is their format in `struct`."""
+        self.data += bytes((BODY - len(self.data)) % struct.calcsize(code))
+        self.data += struct.pack(f"<{len(numbers)}{code}", *numbers)
+
+    def text(self, text: str) -> None:
+        """Add a string."""
+        content = text.encode() + b"\0"
+        self.put("I", len(content))
+        self.data += content
+
+    def wide_text(self, text: str) -> None:
+        """Add a wide string."""
+        content = text.encode("utf-16-le")
+        units = struct.unpack(f"<{len(content) // 2}H", content)
+        self.put("I", len(units), *units)

@@ -1,14 +1,33 @@
-"""The definition of a ROS type: its fields, as its ros2msg text gives them, and its RIHS01 hash."""
+"""The definition of a ROS type: read from ros2msg text or a description, written, and hashed.
+
+A description has the form of type_description_interfaces/msg/TypeDescription as plain values, as in
+the .json files of installed types. Texts and descriptions come from files and from other processes:
+one that exceeds a limit is refused before more of it is read.
+"""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from hashlib import sha256
 from typing import Any, Final
+
+MAX_BYTES: Final = 256_000
+MAX_TYPES: Final = 200
+MAX_FIELDS: Final = 2_000
+MAX_DEPTH: Final = 64
+"""Limits on one definition: its text, its types, the fields of all its types, and how many types
+contain each other. The largest type of Jazzy has 26 kB, 20 types, 92 fields and depth 7."""
+
+MAX_SPLIT: Final = 64
+MAX_LEAVES: Final = 4096
+"""Limit on the leaves of a message: a short text may describe 2^64 of them."""
+
+MAX_LENGTH: Final = 2**32 - 1
+"""Limit on the length of an array or text: CDR counts with 32 bits."""
 
 TEXT: Final = "string"
 WIDE_TEXT: Final = "wstring"
@@ -30,19 +49,22 @@ NUMBERS: Final[Mapping[str, str]] = {
 }
 """The `struct` code of each numeric type."""
 
-_MAX_DEPTH: Final = 64
-"""Limit on nested types, more than any ROS type has; a recording may hold any text."""
+BYTE: Final = "B"
+BUILT_IN: Final = frozenset({*NUMBERS, TEXT, WIDE_TEXT})
 
-_SEPARATOR = re.compile(r"^=+[ \t]*\n(?=MSG: )", re.MULTILINE)
+_SEPARATOR = re.compile(r"^=+[ \t\r]*\n(?=MSG: )", re.MULTILINE)
 _FIELD = re.compile(
-    r"\s*(?P<type>[A-Za-z][\w/]*)(?:<=(?P<text_bound>\d+))?"
+    r"\s*+(?P<type>[A-Za-z][\w/]*+)(?:<=(?P<text_bound>\d+))?"
     r"(?P<array>\[(?P<upper><=)?(?P<length>\d*)\])?"
-    r"\s+(?P<name>[A-Za-z]\w*)\s*(?P<constant>=)?"
+    r"\s++(?P<name>[A-Za-z]\w*+)\s*+(?P<constant>=)?",
+    re.ASCII,
 )
+_NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*/[A-Za-z]\w*", re.ASCII)
 
 
 class UnreadableType(ValueError):
-    """The text is no readable definition of a type; the error says why."""
+    """The text or description is no readable definition of a type; the error says why."""
 
 
 class FieldShape(Enum):
@@ -68,6 +90,21 @@ class Field:
     text_bound: int | None = None
 
     @property
+    def is_message(self) -> bool:
+        """Whether its values are messages."""
+        return self.type_name not in BUILT_IN
+
+    @property
+    def is_text(self) -> bool:
+        """Whether its values are texts."""
+        return self.type_name in (TEXT, WIDE_TEXT)
+
+    @property
+    def item(self) -> Field:
+        """The field that one of its values would be."""
+        return Field(self.name, self.type_name, text_bound=self.text_bound)
+
+    @property
     def type_text(self) -> str:
         """The type as a .msg file writes it."""
         bound = "" if self.text_bound is None else f"<={self.text_bound}"
@@ -79,20 +116,47 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """The fields of the type `root` and of all types that it needs, by `pkg/T`."""
+    """The fields of the type `root` and of all types that it needs, by `pkg/T`.
+
+    The types stand in the order of a ros2msg text: `root`, then the others depth first.
+    """
 
     root: str
     types: Mapping[str, tuple[Field, ...]]
+    leaf_counts: Mapping[str, int]
+    """The number of leaves in a message of each type, at least 1."""
+
+    def leaf_count(self, field: Field) -> int:
+        """Return the number of leaves of a field.
+
+        A leaf is a number, a text, a list, or a message without fields. A short array has the
+        leaves of each of its values.
+        """
+        one = self.leaf_counts[field.type_name] if field.is_message else 1
+        if field.shape is FieldShape.ONE:
+            return one
+        return one * (field.length or 0) if self.is_split(field) else 1
+
+    def is_split(self, field: Field) -> bool:
+        """Return whether a field is an array, not of bytes, of at most MAX_SPLIT leaves."""
+        if field.shape is not FieldShape.ARRAY or NUMBERS.get(field.type_name) == BYTE:
+            return False
+        return self.leaf_count(field.item) * (field.length or 0) <= MAX_SPLIT
 
     @property
     def fields(self) -> tuple[Field, ...]:
         """The fields of the type `root`."""
         return self.types[self.root]
 
-
-def is_built_in(type_name: str) -> bool:
-    """Return whether a type is a number, a bool or a string."""
-    return type_name in NUMBERS or type_name in (TEXT, WIDE_TEXT)
+    @property
+    def text(self) -> str:
+        """The definition as ros2msg text, without comments, constants and defaults."""
+        return ros2msg(
+            {
+                name: "".join(f"{field.type_text} {field.name}\n" for field in fields)
+                for name, fields in self.types.items()
+            }
+        )
 
 
 def short_type(type_name: str) -> str:
@@ -101,35 +165,48 @@ def short_type(type_name: str) -> str:
     return f"{package}/{rest.rpartition('/')[2]}"
 
 
+def ros2msg(texts: Mapping[str, str]) -> str:
+    """Return the text of a type and its dependencies in the form of rosbag2.
+
+    `texts` has the .msg text of each type by `pkg/T`. The type's own text comes first; each other
+    one follows after a line of 80 "=" and a line `MSG: pkg/T`.
+    """
+    (_, own), *others = texts.items()
+    parts = [own, *(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others)]
+    return "\n".join(part.rstrip("\n") for part in parts) + "\n"
+
+
 def parse_definition(type_name: str, text: str) -> Definition:
-    """Return the fields of a type and of the types that it needs, from its ros2msg text.
+    """Return the definition of a type from its ros2msg text.
 
     Raises:
-        UnreadableType: A line is no field, a type is missing, or a type contains itself.
+        UnreadableType: The text exceeds a limit, a line is no field, a type is missing, or a type
+            contains itself.
     """
-    own, *others = _SEPARATOR.split(text)
+    if len(text) > MAX_BYTES or len(text.encode(errors="replace")) > MAX_BYTES:
+        raise UnreadableType(f"its text is longer than {MAX_BYTES} bytes")
+    own, *others = _SEPARATOR.split(text, MAX_TYPES)
+    if len(others) >= MAX_TYPES:
+        raise UnreadableType(f"it has more than {MAX_TYPES} types")
     root = short_type(type_name)
-    types = {root: _fields(root, own)}
+    types = {root: tuple(fields_in(root, own, MAX_FIELDS))}
+    room = MAX_FIELDS - len(types[root])
     for part in others:
         head, _, body = part.partition("\n")
         name = short_type(head.removeprefix("MSG: ").strip())
-        types.setdefault(name, _fields(name, body))
-    _check(types, root, (), set())
-    return Definition(root, types)
+        fields = tuple(fields_in(name, body, room))
+        room -= len(fields)
+        types.setdefault(name, fields)
+    return _checked(root, types)
 
 
-def needed_types(owner: str, text: str) -> list[str]:
-    """Return the message types, as `pkg/T`, that `text` names: the .msg text of `owner` alone.
+def fields_in(owner: str, text: str, most: int) -> Iterator[Field]:
+    """Yield the fields in `text`, the .msg text of the type `owner` (`pkg/T`) alone.
 
     Raises:
-        UnreadableType: A line is no field.
+        UnreadableType: A line is no field, or there are more than `most` fields.
     """
-    return [each.type_name for each in _fields(owner, text) if not is_built_in(each.type_name)]
-
-
-def _fields(owner: str, text: str) -> tuple[Field, ...]:
     package = owner.partition("/")[0]
-    found = []
     for line in text.splitlines():
         line = line.partition("#")[0]
         if not line.strip():
@@ -139,40 +216,64 @@ def _fields(owner: str, text: str) -> tuple[Field, ...]:
             raise UnreadableType(f"{owner} has a line that is no field: {line.strip()[:80]!r}")
         if match["constant"]:
             continue
-        type_name = match["type"]
-        if not is_built_in(type_name):
+        if (most := most - 1) < 0:
+            raise UnreadableType(f"it has more than {MAX_FIELDS} fields")
+        type_name, shape = match["type"], FieldShape.ONE
+        if type_name not in BUILT_IN:
             type_name = short_type(type_name if "/" in type_name else f"{package}/{type_name}")
-        shape = FieldShape.ONE
         if match["array"]:
             is_array = match["length"] and not match["upper"]
             shape = FieldShape.ARRAY if is_array else FieldShape.SEQUENCE
-        length = int(match["length"]) if match["length"] else None
-        bound = int(match["text_bound"]) if match["text_bound"] else None
-        found.append(Field(match["name"], type_name, shape, length, bound))
-    return tuple(found)
+        length, text_bound = _length(match["length"]), _length(match["text_bound"])
+        yield Field(match["name"], type_name, shape, length, text_bound)
 
 
-def _check(
-    types: Mapping[str, tuple[Field, ...]], name: str, around: tuple[str, ...], good: set[str]
-) -> None:
-    """Check that `types` has all types that `name` needs, and that none needs itself.
+def _length(digits: str | None) -> int | None:
+    """Return a length or bound, None if there are no digits."""
+    if not digits:
+        return None
+    length = int(digits[:20])
+    if not 0 < length <= MAX_LENGTH:
+        raise UnreadableType(f"a length of {digits[:20]} is not in 1 to {MAX_LENGTH}")
+    return length
 
-    `around` are the types that contain `name`; the types that passed are added to `good`.
+
+def _checked(root: str, all_types: Mapping[str, tuple[Field, ...]]) -> Definition:
+    """Return the definition of `root` with those of the types that it needs.
+
+    Raises:
+        UnreadableType: A type is missing, contains itself or has two fields of one name, more than
+            MAX_DEPTH types contain each other, or a message has more than MAX_LEAVES leaves.
     """
-    if name in around or len(around) > _MAX_DEPTH:
-        raise UnreadableType(f"{name} contains itself")
-    for field in types[name]:
-        inner = field.type_name
-        if is_built_in(inner) or inner in good:
-            continue
-        if inner not in types:
-            raise UnreadableType(f"{name} needs {inner}, which is not described")
-        _check(types, inner, (*around, name), good)
-    good.add(name)
+    types: dict[str, tuple[Field, ...]] = {}
+    leaf_counts: dict[str, int] = {}
+    definition = Definition(root, types, leaf_counts)
+
+    def add(name: str, around: int) -> None:
+        if around >= MAX_DEPTH:
+            raise UnreadableType(f"more than {MAX_DEPTH} types contain each other")
+        fields = types[name] = all_types[name]
+        if len({field.name for field in fields}) < len(fields):
+            raise UnreadableType(f"{name} has two fields of the same name")
+        for field in fields:
+            inner = field.type_name
+            if not field.is_message or inner in leaf_counts:
+                continue
+            if inner in types:
+                raise UnreadableType(f"{inner} contains itself")
+            if inner not in all_types:
+                raise UnreadableType(f"{name} needs {inner}, which is not described")
+            add(inner, around + 1)
+        leaf_counts[name] = max(sum(map(definition.leaf_count, fields)), 1)
+        if leaf_counts[name] > MAX_LEAVES:
+            raise UnreadableType(f"a message of type {name} has more than {MAX_LEAVES} leaves")
+
+    add(root, 0)
+    return definition
 
 
 _NESTED: Final = 1
-_BUILT_IN: Final[Mapping[str, int]] = {
+_NUMBERS_OF_TYPES: Final[Mapping[str, int]] = {
     "int8": 2,
     "uint8": 3,
     "int16": 4,
@@ -183,15 +284,18 @@ _BUILT_IN: Final[Mapping[str, int]] = {
     "uint64": 9,
     "float32": 10,
     "float64": 11,
-    "char": 3,  # in a .msg file, another name of uint8
     "bool": 15,
     "byte": 16,
     "string": 17,
     "wstring": 18,
 }
+"""The numbers of type_description_interfaces/msg/FieldType that a ros2msg text can express."""
+
+_NAMES_OF_TYPES: Final = {number: name for name, number in _NUMBERS_OF_TYPES.items()}
 _BOUNDED_TEXT: Final = 4
-_ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
-"""Offsets that are added to a type's number, as in type_description_interfaces/msg/FieldType."""
+_SHAPE: Final = 48
+"""A type's number plus 1, 2 or 3 times this stands for an array, a bounded or an unbounded sequence
+of that type."""
 
 _EMPTY: Final = (Field("structure_needs_at_least_one_member", "uint8"),)
 """ROS gives this field to a type that has none."""
@@ -202,58 +306,94 @@ def rihs01_hash(type_name: str, definition: Definition) -> str:
 
     Comments, constants and default values do not change the hash.
     """
+    text = json.dumps(description_of(type_name, definition))
+    return f"RIHS01_{sha256(text.encode()).hexdigest()}"
+
+
+def description_of(type_name: str, definition: Definition) -> dict[str, Any]:
+    """Return the description of a type `pkg/msg/T`, `pkg/srv/T` or `pkg/action/T`."""
     package, _, rest = type_name.partition("/")
     own_kind = rest.partition("/")[0]
 
     def full(short: str) -> str:
         owner, _, name = short.partition("/")
-        implied = owner == package and "_" in name  # part of a service or action: T_Request
-        return f"{owner}/{own_kind if implied else 'msg'}/{name}"
+        is_implied = owner == package and "_" in name  # by a service or action: T_Request
+        return f"{owner}/{own_kind if is_implied else 'msg'}/{name}"
 
-    def described(short: str, name: str) -> dict[str, Any]:
-        fields = definition.types[short] or _EMPTY
-        return {"type_name": name, "fields": [_described(field, full) for field in fields]}
-
-    others = sorted((full(short), short) for short in _needed(definition))
-    text = json.dumps(
-        {
-            "type_description": described(definition.root, type_name),
-            "referenced_type_descriptions": [described(short, name) for name, short in others],
+    def described(field: Field) -> dict[str, Any]:
+        kind, length = field.type_name, field.length
+        number = _NUMBERS_OF_TYPES.get("uint8" if kind == "char" else kind, _NESTED)
+        if field.text_bound is not None:
+            number += _BOUNDED_TEXT
+        if field.shape is FieldShape.SEQUENCE and length is None and kind == WIDE_TEXT:
+            length = field.text_bound  # rosidl takes the text's bound for one of the sequence
+        if field.shape is FieldShape.ARRAY:
+            number += _SHAPE
+        elif field.shape is FieldShape.SEQUENCE:
+            number += _SHAPE * (3 if length is None else 2)
+        return {
+            "name": field.name,
+            "type": {
+                "type_id": number,
+                "capacity": length or 0,
+                "string_capacity": field.text_bound or 0,
+                "nested_type_name": full(field.type_name) if field.is_message else "",
+            },
         }
-    )
-    return f"RIHS01_{sha256(text.encode()).hexdigest()}"
 
+    def one(name: str, fields: tuple[Field, ...]) -> dict[str, Any]:
+        return {"type_name": name, "fields": [described(field) for field in fields or _EMPTY]}
 
-def _described(field: Field, full: Callable[[str], str]) -> dict[str, Any]:
-    built_in = is_built_in(field.type_name)
-    number = _BUILT_IN[field.type_name] if built_in else _NESTED
-    if field.text_bound is not None:
-        number += _BOUNDED_TEXT
-    match field.shape:
-        case FieldShape.ARRAY:
-            number += _ARRAY
-        case FieldShape.SEQUENCE:
-            number += _SEQUENCE if field.length is None else _BOUNDED_SEQUENCE
-        case FieldShape.ONE:
-            pass
+    others = sorted((full(name), name) for name in definition.types if name != definition.root)
     return {
-        "name": field.name,
-        "type": {
-            "type_id": number,
-            "capacity": field.length or 0,
-            "string_capacity": field.text_bound or 0,
-            "nested_type_name": "" if built_in else full(field.type_name),
-        },
+        "type_description": one(type_name, definition.fields),
+        "referenced_type_descriptions": [one(name, definition.types[key]) for name, key in others],
     }
 
 
-def _needed(definition: Definition) -> set[str]:
-    """Return the types that the root needs, as `pkg/T`."""
-    needed: set[str] = set()
-    waiting = [definition.root]
-    while waiting:
-        for field in definition.types[waiting.pop()]:
-            if not is_built_in(field.type_name) and field.type_name not in needed:
-                needed.add(field.type_name)
-                waiting.append(field.type_name)
-    return needed
+def read_description(type_name: str, description: Mapping[str, Any]) -> Definition:
+    """Return the definition of the type that is described, or of one that it needs.
+
+    Raises:
+        UnreadableType: The description exceeds a limit, has a type that ros2msg cannot express
+            (long double, fixed strings), is not in its form, or is wrong like a text may be.
+    """
+    try:
+        known = [description["type_description"], *description["referenced_type_descriptions"]]
+        if len(known) > MAX_TYPES:
+            raise UnreadableType(f"it has more than {MAX_TYPES} types")
+        if sum(len(each["fields"]) for each in known) > MAX_FIELDS:
+            raise UnreadableType(f"it has more than {MAX_FIELDS} fields")
+        types = {
+            _known_name(each["type_name"]): tuple(map(_described_field, each["fields"]))
+            for each in known
+        }
+        return _checked(short_type(type_name), types)
+    except (LookupError, TypeError, AttributeError) as error:
+        raise UnreadableType(f"its description is not in the form of ROS: {error!r:.80}") from None
+
+
+def _described_field(described: Mapping[str, Any]) -> Field:
+    name, kind = described["name"], described["type"]
+    if not _NAME.fullmatch(name):
+        raise UnreadableType(f"{name[:80]!r} is no name of a field")
+    shape, number = divmod(kind["type_id"], _SHAPE)
+    text_bound = None
+    if number - _BOUNDED_TEXT in (_NUMBERS_OF_TYPES[TEXT], _NUMBERS_OF_TYPES[WIDE_TEXT]):
+        number -= _BOUNDED_TEXT
+        text_bound = _length(str(kind["string_capacity"]))
+    if number == _NESTED:
+        type_name = _known_name(kind["nested_type_name"])
+    elif number in _NAMES_OF_TYPES:
+        type_name = _NAMES_OF_TYPES[number]
+    else:
+        raise UnreadableType(f"the type of {name}, number {kind['type_id']}, has no ros2msg text")
+    length = _length(str(kind["capacity"])) if shape in (1, 2) else None
+    shapes = (FieldShape.ONE, FieldShape.ARRAY, FieldShape.SEQUENCE, FieldShape.SEQUENCE)
+    return Field(name, type_name, shapes[shape], length, text_bound)
+
+
+def _known_name(type_name: str) -> str:
+    if not _TYPE_NAME.fullmatch(type_name):
+        raise UnreadableType(f"{type_name[:80]!r} is no name of a type")
+    return short_type(type_name)

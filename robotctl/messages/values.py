@@ -1,135 +1,129 @@
 """Converts any message to plain values and back by its definition; checks values from users.
 
-A message becomes a dict, an array or sequence becomes a list. An array or sequence of bytes becomes
-`bytes` if it is not empty.
+A message becomes a dict, an array or sequence a list, but `bytes` if its items are bytes.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
-from difflib import get_close_matches
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import islice
 from math import isfinite
 from typing import Any, Final
 
-from robotctl.messages.cdr import BODY, ENCAPSULATION, CdrReader
-from robotctl.messages.definition import NUMBERS, TEXT, WIDE_TEXT, Definition, Field, FieldShape
+from robotctl.messages.cdr import CdrReader, CdrWriter
+from robotctl.messages.definition import BYTE, NUMBERS, TEXT, Definition, Field, FieldShape
+from robotctl.messages.fields import FieldPath, ValueKind, WrongValue, leaves, unknown_field
 
-_BYTE: Final = "B"
-_EMPTY: Final = "B"
+_PADDING: Final = "x"
 """A message without fields has one byte in CDR: C++ knows no empty structure."""
 
+_Step = str | Callable[[CdrReader], Any]
+"""The `struct` codes of several leaves, or a function that reads the value of one leaf."""
 
-def decode(definition: Definition, data: bytes) -> dict[str, Any]:
-    """Return the values of a serialized message.
 
-    Raises:
-        struct.error: The message is cut short, or not in plain CDR.
-    """
-    return _read(definition, definition.root, CdrReader(data))
+class Decoder:
+    """Decodes the messages of one type."""
+
+    def __init__(self, definition: Definition) -> None:
+        self._definition = definition
+        self._plans: dict[str, Sequence[_Step]] = {}
+        self._root = Field("", definition.root)
+        self.columns = tuple(
+            each for each in leaves(definition) if each.kind is not ValueKind.MESSAGE
+        )
+        """The columns of a row."""
+
+    def row(self, data: bytes) -> list[Any]:
+        """Return the value of each column.
+
+        Raises:
+            struct.error: The message is cut short, or not in plain CDR.
+        """
+        return self._read(self._root, CdrReader(data))
+
+    def values(self, data: bytes) -> dict[str, Any]:
+        """Return the values of the fields, by their names.
+
+        Raises:
+            struct.error: The message is cut short, or not in plain CDR.
+        """
+        values: dict[str, Any] = self._nested(self._root, iter(self.row(data)))
+        return values
+
+    def _read(self, message: Field, reader: CdrReader) -> list[Any]:
+        """Return the leaves of the next message, of the type that `message` has."""
+        plan = self._plans.get(message.type_name)
+        if plan is None:
+            plan = self._plans[message.type_name] = self._plan(message)
+        values: list[Any] = []
+        for step in plan:
+            if isinstance(step, str):
+                values += reader.run(step)
+            else:
+                values.append(step(reader))
+        return values
+
+    def _plan(self, message: Field) -> Sequence[_Step]:
+        steps: list[_Step] = []
+        for leaf in leaves(self._definition, FieldPath((), message)):
+            code = _PADDING if leaf.kind is ValueKind.MESSAGE else NUMBERS.get(leaf.field.type_name)
+            if leaf.field.shape is not FieldShape.ONE:
+                steps.append(partial(self._read_list, leaf.field))
+            elif code is None:
+                steps.append(_text_reader(leaf.field))
+            elif steps and isinstance(steps[-1], str):
+                steps[-1] += code
+            else:
+                steps.append(code)
+        return steps
+
+    def _read_list(self, field: Field, reader: CdrReader) -> Any:
+        if field.shape is FieldShape.ARRAY:
+            count = field.length or 0
+        else:
+            (count,) = reader.take("I")
+        code = NUMBERS.get(field.type_name)
+        if code == BYTE:
+            return reader.octets(count)
+        if code:
+            return list(reader.take(code, count)) if count else []  # an empty one is not aligned
+        if field.is_text:
+            read = _text_reader(field)
+            return [read(reader) for _ in range(count)]
+        item = field.item
+        return [self._nested(item, iter(self._read(item, reader))) for _ in range(count)]
+
+    def _nested(self, field: Field, values: Iterator[Any]) -> Any:
+        """Return the value of a field; `values` has its leaves, and then those of later fields."""
+        if field.shape is FieldShape.ONE and field.is_message:
+            fields = self._definition.types[field.type_name]
+            return {each.name: self._nested(each, values) for each in fields}
+        if not self._definition.is_split(field):
+            return next(values)
+        if field.is_message:
+            return [self._nested(field.item, values) for _ in range(field.length or 0)]
+        return list(islice(values, field.length))
+
+
+def _text_reader(field: Field) -> Callable[[CdrReader], str]:
+    return CdrReader.text if field.type_name == TEXT else CdrReader.wide_text
 
 
 def encode(definition: Definition, values: Mapping[str, Any]) -> bytes:
     """Return the serialized form of values that fit the definition (see `filled`)."""
-    writer = _Writer()
-    _write(definition, definition.root, values, writer)
+    writer = CdrWriter()
+    _write_message(definition, definition.root, values, writer)
     return bytes(writer.data)
 
 
-def zero(definition: Definition, type_name: str) -> dict[str, Any]:
-    """Return a message with numbers 0 and bools False, whose texts and sequences are empty."""
-    return {field.name: zero_of(definition, field) for field in definition.types[type_name]}
-
-
-def zero_of(definition: Definition, field: Field) -> Any:
-    """Return the value of a field in a message that `zero` returns."""
-    if field.shape is FieldShape.SEQUENCE:
-        return []
-    if field.shape is FieldShape.ARRAY:
-        return [_zero_item(definition, field) for _ in range(field.length or 0)]
-    return _zero_item(definition, field)
-
-
-def _zero_item(definition: Definition, field: Field) -> Any:
-    if field.type_name in (TEXT, WIDE_TEXT):
-        return ""
-    code = NUMBERS.get(field.type_name)
-    if code is None:
-        return zero(definition, field.type_name)
-    return {"?": False, "f": 0.0, "d": 0.0}.get(code, 0)
-
-
-def _read(definition: Definition, type_name: str, reader: CdrReader) -> dict[str, Any]:
-    fields = definition.types[type_name]
-    if not fields:
-        reader.take(_EMPTY)
-    return {field.name: read_field(definition, field, reader) for field in fields}
-
-
-def read_field(definition: Definition, field: Field, reader: CdrReader) -> Any:
-    """Return the value of the next field.
-
-    Raises:
-        struct.error: The message is cut short.
-    """
-    code = NUMBERS.get(field.type_name)
-    if field.shape is FieldShape.ONE:
-        return reader.take(code)[0] if code else _read_item(definition, field.type_name, reader)
-    if field.shape is FieldShape.ARRAY:
-        count = field.length or 0
-    else:
-        (count,) = reader.take("I")
-    if not count:  # an empty sequence is not aligned
-        return []
-    if code == _BYTE:
-        return reader.octets(count)
-    if code:
-        return list(reader.take(code, count))
-    return [_read_item(definition, field.type_name, reader) for _ in range(count)]
-
-
-def _read_item(definition: Definition, type_name: str, reader: CdrReader) -> Any:
-    if type_name == TEXT:
-        return reader.text()
-    if type_name == WIDE_TEXT:
-        (count,) = reader.take("I")
-        units = reader.take("I", count) if count else ()
-        return b"".join(struct.pack("<H", unit & 0xFFFF) for unit in units).decode(
-            "utf-16-le", "replace"
-        )
-    return _read(definition, type_name, reader)
-
-
-class _Writer:
-    """Collects a message in CDR; alignment counts from the end of the encapsulation."""
-
-    def __init__(self) -> None:
-        self.data = bytearray(ENCAPSULATION)
-
-    def put(self, code: str, *numbers: Any) -> None:
-        size = struct.calcsize(f"<{code}")
-        self.data += bytes((BODY - len(self.data)) % size)
-        self.data += struct.pack(f"<{len(numbers)}{code}", *numbers)
-
-    def text(self, text: str) -> None:
-        content = text.encode() + b"\0"
-        self.put("I", len(content))
-        self.data += content
-
-    def wide_text(self, text: str) -> None:
-        content = text.encode("utf-16-le")
-        units = struct.unpack(f"<{len(content) // 2}H", content)
-        self.put("I", len(units))
-        for unit in units:
-            self.put("I", unit)
-
-
-def _write(
-    definition: Definition, type_name: str, values: Mapping[str, Any], writer: _Writer
+def _write_message(
+    definition: Definition, type_name: str, values: Mapping[str, Any], writer: CdrWriter
 ) -> None:
     fields = definition.types[type_name]
     if not fields:
-        writer.put(_EMPTY, 0)
+        writer.put(BYTE, 0)
     for field in fields:
         value = values[field.name]
         items = [value] if field.shape is FieldShape.ONE else value
@@ -143,17 +137,28 @@ def _write(
                 _write_item(definition, field.type_name, item, writer)
 
 
-def _write_item(definition: Definition, type_name: str, item: Any, writer: _Writer) -> None:
-    if type_name == TEXT:
+def _write_item(definition: Definition, type_name: str, item: Any, writer: CdrWriter) -> None:
+    if type_name in definition.types:
+        _write_message(definition, type_name, item, writer)
+    elif type_name == TEXT:
         writer.text(item)
-    elif type_name == WIDE_TEXT:
-        writer.wide_text(item)
     else:
-        _write(definition, type_name, item, writer)
+        writer.wide_text(item)
 
 
-class WrongValue(ValueError):
-    """A value that the type does not allow; the error names the field and what it may hold."""
+def zero(definition: Definition, type_name: str) -> dict[str, Any]:
+    """Return a message with numbers 0 and bools False, whose texts and sequences are empty."""
+    return {field.name: _zero(definition, field) for field in definition.types[type_name]}
+
+
+def _zero(definition: Definition, field: Field) -> Any:
+    if field.shape is FieldShape.SEQUENCE:
+        return []
+    if field.shape is FieldShape.ARRAY:
+        return [_zero(definition, field.item) for _ in range(field.length or 0)]
+    if field.is_message:
+        return zero(definition, field.type_name)
+    return {"?": False, "f": 0.0, "d": 0.0, "": ""}.get(NUMBERS.get(field.type_name, ""), 0)
 
 
 def filled(definition: Definition, defaults: Mapping[str, Any], given: object) -> dict[str, Any]:
@@ -163,18 +168,6 @@ def filled(definition: Definition, defaults: Mapping[str, Any], given: object) -
         WrongValue: A field does not exist, or has a value of another type or size.
     """
     return _message(definition, definition.root, defaults, given, "")
-
-
-def unknown_field(name: str, type_name: str, fields: tuple[Field, ...]) -> str:
-    """Return the error text for a field that a type does not have."""
-    names = [field.name for field in fields]
-    near = get_close_matches(name, names, n=1, cutoff=0.4)
-    contained = [each for each in names if name and name in each]
-    if near or contained:
-        hint = f"did you mean {(near or contained)[0]}?"
-    else:
-        hint = f"it has {', '.join(names) or 'no fields'}"
-    return f"{type_name} has no field {name!r}: {hint}"
 
 
 def _message(
@@ -204,23 +197,18 @@ def _value(definition: Definition, field: Field, before: Any, given: object, pat
         raise WrongValue(f"{path}: {count} values, not {limit} ({field.type_text})")
     if limit is not None and count > limit:
         raise WrongValue(f"{path}: {count} values, at most {limit} ({field.type_text})")
-    before = None if NUMBERS.get(field.type_name) else zero_message(definition, field)
+    before = _zero(definition, field.item)
     return [
         _item(definition, field, before, item, f"{path}[{place}]")
         for place, item in enumerate(given)
     ]
 
 
-def zero_message(definition: Definition, field: Field) -> dict[str, Any]:
-    """Return `zero` for the type of a field if that is a message type, otherwise {}."""
-    return zero(definition, field.type_name) if field.type_name in definition.types else {}
-
-
 def _item(definition: Definition, field: Field, before: Any, given: object, path: str) -> Any:
     kind = field.type_name
-    if kind in definition.types:
+    if field.is_message:
         return _message(definition, kind, before, given, path)
-    if kind in (TEXT, WIDE_TEXT):
+    if field.is_text:
         if not isinstance(given, str) or "\0" in given:
             raise WrongValue(f"{path}: {given!r} is no text ({field.type_text}): put it in quotes")
         size = len(given.encode(errors="replace"))

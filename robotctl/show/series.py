@@ -10,17 +10,20 @@ from math import hypot, isfinite
 from statistics import median
 from typing import Final, NamedTuple
 
-from robotctl.base.errors import IN_PARENTHESES, UnreadableFile, UsageError
+from robotctl.base.errors import IN_PARENTHESES, UsageError
 from robotctl.kernel.units import NS_PER_S
-from robotctl.messages.definition import (
-    Definition,
-    FieldShape,
-    UnreadableType,
-    parse_definition,
+from robotctl.messages.definition import NUMBERS, Definition, FieldShape
+from robotctl.messages.fields import (
+    FieldPath,
+    ValueKind,
+    WrongValue,
+    leaves,
+    parse_path,
+    value_at,
 )
-from robotctl.messages.fields import LeafField, Steps, leaf_fields, parse_path, value_at
-from robotctl.messages.values import WrongValue, decode
+from robotctl.messages.values import Decoder
 from robotctl.recording import Recording, TopicInfo
+from robotctl.recording.table.topic_table import recorded_definition
 from robotctl.show.figure import Figure, Line, time_figure
 
 COLUMNS: Final = 600
@@ -175,7 +178,7 @@ MAX_FIELDS: Final = 8
 """Limit on the fields that a picture shows."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class FieldSeries:
     """A field and its values over time.
 
@@ -184,43 +187,33 @@ class FieldSeries:
 
     path: str
     series: Series
-    absent: int
+    absent: int = 0
 
     def figure(self, duration_s: float) -> Figure:
         """Return a figure of the field over time; it has no line if there are no values."""
         return time_figure(self.path, [Line(list(self.series.lines()), "command")], duration_s)
 
 
-@dataclass(slots=True)
-class _Wanted:
-    path: str
-    steps: Steps
-    series: Series
-    absent: int = 0
-
-
-def number_fields(topic: TopicInfo, paths: Sequence[str]) -> list[tuple[str, Steps]]:
-    """Return path and steps of each number at `paths`; a message's path gives all its numbers.
+def number_fields(topic: TopicInfo, paths: Sequence[str]) -> list[FieldPath]:
+    """Return the path of each number at `paths`; the path of a message gives all its numbers.
 
     Raises:
         UsageError: A path leads to no number, no path is given, or there are too many numbers.
         UnreadableFile: The recording does not describe the type.
     """
-    definition = _definition(topic)
+    definition = recorded_definition(topic)
     if not paths:
         raise UsageError(f"no field of {topic.name} is given", _named(definition))
-    found: dict[str, Steps] = {}
-    for path in paths:
-        found |= _numbers_at(definition, path)
+    found = {each.name: each for path in paths for each in _numbers_at(definition, path)}
     if len(found) > MAX_FIELDS:
         raise UsageError(f"{len(found)} fields are too many for a picture", f"give {MAX_FIELDS}")
-    return list(found.items())
+    return list(found.values())
 
 
 def read_fields(
     recording: Recording,
     topic: TopicInfo,
-    fields: Sequence[tuple[str, Steps]],
+    fields: Sequence[FieldPath],
     on_missing: Callable[[str], None],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[FieldSeries]:
@@ -229,110 +222,83 @@ def read_fields(
     `on_missing` gets a sentence about each part that cannot be read.
     """
     info = recording.info()
-    definition = _definition(topic)
-    wanted = [_Wanted(path, steps, Series(info.duration_s)) for path, steps in fields]
+    decoder = Decoder(recorded_definition(topic))
+    found = [FieldSeries(each.name, Series(info.duration_s)) for each in fields]
     undecoded = 0
     for message in recording.in_order_written({topic.name}, on_missing, on_progress):
         if message.type_name != topic.type_name:
             continue
         try:
-            values = decode(definition, message.data)
-        except (struct.error, RecursionError, MemoryError):
+            values = decoder.values(message.data)
+        except struct.error:
             undecoded += 1
             continue
         t_s = (message.log_ns - info.start_ns) / NS_PER_S
-        for each in wanted:
+        for field, each in zip(fields, found, strict=True):
             try:
-                each.series.add(t_s, float(value_at(values, each.steps)))
+                each.series.add(t_s, float(value_at(values, field.steps)))
             except WrongValue:
                 each.absent += 1
     if undecoded:
         on_missing(f"{undecoded} messages of {topic.name} cannot be decoded")
-    return [FieldSeries(each.path, each.series, each.absent) for each in wanted]
+    return found
 
 
-def _definition(topic: TopicInfo) -> Definition:
-    if not topic.definition.strip():
-        raise UnreadableFile(f"the recording does not describe the type {topic.type_name}")
+def _numbers_at(definition: Definition, path: str) -> list[FieldPath]:
     try:
-        return parse_definition(topic.type_name, topic.definition)
-    except UnreadableType as error:
-        raise UnreadableFile(f"the type {topic.type_name} cannot be read: {error}") from None
-
-
-def _numbers_at(definition: Definition, path: str) -> dict[str, Steps]:
-    try:
-        steps = parse_path(definition, path)
+        found = parse_path(definition, path)
     except WrongValue as error:
         text = str(error)
         cure = "" if "did you mean" in text else _named(definition)
         raise UsageError(text, cure, sentence=IN_PARENTHESES) from None
-    leaves = list(islice(leaf_fields(definition, *_listed(definition, steps)), MAX_SEARCHED))
-    leaf = next((each for each in leaves if each.steps == steps), None)
-    if leaf is None and isinstance(steps[-1], int):
-        owner = next((each for each in leaves if each.steps == steps[:-1]), None)
-        if owner is not None and owner.is_number_list:
-            return {path: steps}
-    if leaf is not None and leaf.is_number:
-        return {path: steps}
-    if leaf is not None and (names := _names(_with_lists(definition, [leaf]))):
-        cause = f"{path} is a list: {leaf.field.type_text}"
+    if found.kind is ValueKind.NUMBER:
+        return [found]
+    below = list(leaves(definition, found))
+    if numbers := [each for each in below if _is_plain_number(each)]:
+        return numbers
+    names = _names(_with_lists(definition, below))
+    if names and found.field.shape is not FieldShape.ONE:
+        cause = f"{path} is a list: {found.field.type_text}"
         raise UsageError(cause, f"choose one value: {names[0]}")
-    below = {
-        each.path: each.steps
-        for each in leaves
-        if each.is_number and each.steps[: len(steps)] == steps
-    }
-    if below:
-        return below
     raise UsageError(f"{path} is no number", _named(definition))
 
 
-def _listed(definition: Definition, steps: Steps) -> tuple[str, Steps]:
-    """Return type and steps of the last message along `steps` that is an item of a sequence.
-
-    Without such a message, return the topic's type and no steps.
-    """
-    found: tuple[str, Steps] = definition.root, ()
-    fields = definition.types[definition.root]
-    field = fields[0]
-    for place, step in enumerate(steps, 1):
-        if isinstance(step, str):
-            field = next(each for each in fields if each.name == step)
-            fields = definition.types.get(field.type_name, ())
-        elif fields and field.shape is FieldShape.SEQUENCE:
-            found = field.type_name, steps[:place]
-    return found
+def _is_plain_number(path: FieldPath) -> bool:
+    """Return whether a field is a number, and not one of an array."""
+    return path.kind is ValueKind.NUMBER and not isinstance(path.steps[-1], int)
 
 
-def _with_lists(definition: Definition, leaves: Iterable[LeafField]) -> Iterable[LeafField]:
+def _with_lists(definition: Definition, found: Iterable[FieldPath]) -> Iterable[FieldPath]:
     """Return the leaves; each sequence of messages is followed by the leaves of its first item.
 
     This is done for the first MAX_LISTS sequences. At most MAX_SEARCHED leaves are returned.
     """
     room = iter(range(MAX_LISTS))
 
-    def walk(leaves: Iterable[LeafField]) -> Iterator[LeafField]:
-        for leaf in leaves:
-            yield leaf
-            if leaf.field.type_name in definition.types and next(room, None) is not None:
-                yield from walk(leaf_fields(definition, leaf.field.type_name, (*leaf.steps, 0)))
+    def walk(found: Iterable[FieldPath]) -> Iterator[FieldPath]:
+        for each in found:
+            yield each
+            if each.kind is ValueKind.NESTED and next(room, None) is not None:
+                first = FieldPath((*each.steps, 0), each.field.item)
+                yield from walk(leaves(definition, first))
 
-    return islice(walk(leaves), MAX_SEARCHED)
+    return islice(walk(found), MAX_SEARCHED)
 
 
-def _names(leaves: Iterable[LeafField]) -> list[str]:
+def _names(found: Iterable[FieldPath]) -> list[str]:
     """Return the path of each number among the leaves; of a list of numbers, that of its first."""
-    return [
-        f"{leaf.path}[0]" if leaf.is_number_list else leaf.path
-        for leaf in leaves
-        if leaf.is_number or leaf.is_number_list
-    ]
+    names = []
+    for each in found:
+        if _is_plain_number(each) or (each.kind is ValueKind.NUMBER and each.steps[-1] == 0):
+            names.append(each.name)
+        elif each.field.shape is not FieldShape.ONE and each.field.type_name in NUMBERS:
+            names.append(f"{each.name}[0]")
+    return names
 
 
 def _named(definition: Definition) -> str:
     """Return a sentence that lists the numbers of a type."""
-    names = _names(_with_lists(definition, leaf_fields(definition)))
+    names = _names(_with_lists(definition, leaves(definition)))
     if not names:
         return "it has no numbers"
     more = len(names) - MAX_NAMED

@@ -29,10 +29,9 @@ from robotctl.kernel.types import (
 )
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages import cdr
-from robotctl.messages.definition import parse_definition, rihs01_hash
+from robotctl.messages.installed import installed_type
 from robotctl.messages.motion import encode_twist
 from robotctl.recording import Recorder, RecorderOptions, Topic
-from robotctl.recording.convert.sources import installed_definition
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
 from robotctl.recording.format.names import PARAMETER_PREFIX
 from robotctl.recording.format.noted_events import noted_event
@@ -66,8 +65,7 @@ QOS = """\
 
 def installed_topic(name: str, type_name: str) -> Topic:
     """Return a topic with the installed definition of its type."""
-    text = installed_definition(type_name, "")
-    type_hash = rihs01_hash(type_name, parse_definition(type_name, text)) if text else ""
+    text, type_hash = installed_type(type_name)
     return Topic(name, type_name, text, type_hash, QOS)
 
 

@@ -20,8 +20,8 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern, PatternKind, path_of
 from robotctl.kernel.types import DriveRequested, ModeRequested
 from robotctl.messages.definition import parse_definition
+from robotctl.messages.installed import installed_type
 from robotctl.messages.values import encode
-from robotctl.recording.convert.sources import installed_definition
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested, record
 from robotctl.testing.kernels import drive_simulated
@@ -139,7 +139,7 @@ def test_a_missing_file_a_fifo_and_a_folder_without_a_recording_are_named(tmp_pa
 
 FRAMES = {"odom": Frame.ODOM, "base_link": Frame.START}
 
-DEFINITION = parse_definition(PATH_TYPE, installed_definition(PATH_TYPE, ""))
+DEFINITION = parse_definition(PATH_TYPE, installed_type(PATH_TYPE).text)
 
 
 def header(frame: str) -> dict[str, Any]:

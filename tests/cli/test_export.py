@@ -19,7 +19,7 @@ import pytest
 
 from robotctl.messages.definition import parse_definition
 from robotctl.messages.fields import parse_path, value_at
-from robotctl.messages.values import decode, encode
+from robotctl.messages.values import Decoder, encode
 from robotctl.recording import Recorder, Topic, read_info, read_messages
 from robotctl.recording.table import parquet_table
 from robotctl.testing.drives import GID
@@ -87,9 +87,9 @@ def test_csv_holds_each_field_of_each_message_and_its_times(cli: Cli) -> None:
         assert int(row.pop("log_ns")) == recorded.log_ns
         assert int(row.pop("publish_ns")) == recorded.publish_ns
         assert float(row.pop("time_s")) >= 0
-        values = decode(definition, recorded.data)
+        values = Decoder(definition).values(recorded.data)
         for path, text in row.items():
-            assert text == str(value_at(values, parse_path(definition, path))), path
+            assert text == str(value_at(values, parse_path(definition, path).steps)), path
 
 
 def test_csv_keeps_what_is_no_number_lists_bytes_and_any_text(cli: Cli, tmp_path: Path) -> None:

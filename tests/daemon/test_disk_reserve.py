@@ -17,7 +17,7 @@ from robotctl.daemon.recording.disk_reserve import MAX_NAMED, DiskReserve
 from robotctl.daemon.recording.topic_sinks import TopicSinks
 from robotctl.recording import Recorder
 from robotctl.recording.write.recorder import MessageGate
-from robotctl.ros.messages.type_definition import TopicDescription
+from robotctl.ros.tap.tap import TopicDescription
 from tests.support.waiting import loop_until
 
 GB = 10**9

@@ -21,7 +21,7 @@ from websockets.exceptions import InvalidHandshake
 from robotctl.ipc.client import call
 from robotctl.messages.definition import parse_definition
 from robotctl.messages.fields import parse_path
-from robotctl.messages.values import decode
+from robotctl.messages.values import Decoder
 from robotctl.recording import JournalEntry
 from robotctl.recording.format import foxglove
 from robotctl.view.remote_control import LET_GO_S
@@ -84,7 +84,7 @@ def decoded(client: ViewClient, topic: str) -> dict[str, Any]:
     """Return the last message of a topic, decoded by the schema of its offer."""
     channel = client.channels[topic]
     definition = parse_definition(channel["schemaName"], channel["schema"])
-    return decode(definition, client.of(topic)[-1].data)
+    return Decoder(definition).values(client.of(topic)[-1].data)
 
 
 def message_paths(layout: dict[str, Any]) -> list[str]:

@@ -9,19 +9,17 @@ The types that services and actions imply have a schema and a class, but no .msg
 from __future__ import annotations
 
 import inspect
-import json
 import random
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy
 import pytest
-from ament_index_python.packages import get_package_share_directory, get_packages_with_prefixes
 from ament_index_python.resources import get_resource
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Twist as TwistMessage
@@ -30,7 +28,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
-from rosbags.typesys import get_types_from_msg
 from rosidl_parser.definition import (
     AbstractSequence,
     AbstractString,
@@ -45,6 +42,7 @@ from std_srvs.srv import Trigger_Event, Trigger_Request
 from robotctl.kernel.geometry import Pose, yaw_of
 from robotctl.kernel.types import Odometry as KernelOdometry
 from robotctl.kernel.types import Twist
+from robotctl.messages.installed import InstalledType, UnusableType, installed_type
 from robotctl.messages.motion import (
     OdometryEncoder,
     StampedTwistEncoder,
@@ -56,8 +54,7 @@ from robotctl.messages.motion import (
 from robotctl.ros.executor import decoder
 from robotctl.ros.executor.decoder import decoder_of
 from robotctl.ros.messages import classes
-from robotctl.ros.messages.classes import UnusableType, message_class, type_name_of
-from robotctl.ros.messages.type_definition import definition_of, texts_of, type_hash_of
+from robotctl.ros.messages.classes import message_class, type_name_of
 from robotctl.ros.playback.playback import serialized_type
 
 PACKAGES = (
@@ -403,7 +400,7 @@ def test_no_other_name_is_imported(name: str) -> None:
     expected = "not installed" if name in UNLISTED else "not the name of a ROS type"
     with pytest.raises(UnusableType, match=expected):
         message_class(name)
-    assert (definition_of(name), type_hash_of(name)) == ("", "")
+    assert installed_type(name) == InstalledType("", "")
     assert set(sys.modules) == before
 
 
@@ -483,72 +480,7 @@ def test_a_type_that_is_not_installed_is_refused(name: str) -> None:
         serialized_type(name)
 
 
-FIELDS = [
-    ("flag", {"type_id": 15}, "bool flag"),
-    ("raw", {"type_id": 16 + 144}, "byte[] raw"),
-    ("pair", {"type_id": 11 + 48, "capacity": 2}, "float64[2] pair"),
-    ("few", {"type_id": 6 + 96, "capacity": 5}, "int32[<=5] few"),
-    ("text", {"type_id": 17}, "string text"),
-    ("short", {"type_id": 21, "string_capacity": 9}, "string<=9 short"),
-    ("wide", {"type_id": 18 + 144}, "wstring[] wide"),
-    ("names", {"type_id": 117, "capacity": 3, "string_capacity": 4}, "string<=4[<=3] names"),
-    ("at", {"type_id": 1, "nested_type_name": "a/msg/Time"}, "a/Time at"),
-]
-
-
-def described(fields: Sequence[tuple[str, Any, str]]) -> dict[str, Any]:
-    """Return the description of a/msg/B with these fields."""
-    blank = {"capacity": 0, "string_capacity": 0, "nested_type_name": ""}
-    found = [{"name": name, "type": blank | kind} for name, kind, _ in fields]
-    root = {"type_name": "a/msg/B", "fields": found}
-    time = {"type_name": "a/msg/Time", "fields": []}
-    return {"type_description": root, "referenced_type_descriptions": [time]}
-
-
-def test_each_kind_of_field_has_its_text() -> None:
-    texts = texts_of("a/msg/B", described(FIELDS))
-    assert texts["a/B"] == "".join(f"{text}\n" for *_, text in FIELDS)
-    assert list(texts) == ["a/B", "a/Time"]
-
-
-def test_the_feedback_of_an_action_has_a_definition_a_hash_and_a_class() -> None:
-    name = "robot_controller/action/DrivePattern_FeedbackMessage"
-    own, *others = definition_of(name).split("=" * 80 + "\n")
-    assert own.splitlines() == [
-        "unique_identifier_msgs/UUID goal_id",
-        "robot_controller/DrivePattern_Feedback feedback",
-    ]
-    assert "MSG: robot_controller/DrivePattern_Feedback\nfloat64 distance\nuint32 lap\n" in "".join(
-        others
-    )
-    assert get_types_from_msg(definition_of(name), name)
-    assert type_hash_of(name).startswith("RIHS01_")
+def test_each_type_of_an_action_has_a_class() -> None:
     for implied in ("", "_Goal", "_FeedbackMessage", "_SendGoal_Request", "_GetResult_Event"):
-        assert (
-            message_class(f"robot_controller/action/DrivePattern{implied}").__name__
-            == f"DrivePattern{implied}"
-        )
-
-
-def test_a_type_that_ros2msg_cannot_say_has_no_text() -> None:
-    with pytest.raises(KeyError):
-        texts_of("a/msg/B", described([("long_double", {"type_id": 12}, "")]))
-
-
-def test_what_is_made_from_descriptions_says_what_the_installed_files_say() -> None:
-    compared = 0
-    for package in get_packages_with_prefixes():
-        for path in sorted((Path(get_package_share_directory(package)) / "msg").glob("*.json")):
-            name = f"{package}/msg/{path.stem}"
-            description = json.loads(path.read_text())["type_description_msg"]
-            made = texts_of(name, description)[f"{package}/{path.stem}"]
-            assert _fields(made, name) == _fields(path.with_suffix(".msg").read_text(), name)
-            compared += 1
-    assert compared > 100
-
-
-def _fields(text: str, name: str) -> Any:
-    _, fields = get_types_from_msg(text, name)[name]
-    if not fields:  # an empty structure has a byte on the wire
-        return [["structure_needs_at_least_one_member", [1, ["uint8", 0]]]]
-    return json.loads(json.dumps(fields).replace('"char"', '"uint8"'))
+        name = f"DrivePattern{implied}"
+        assert message_class(f"robot_controller/action/{name}").__name__ == name

@@ -23,12 +23,12 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Empty, String, UInt8MultiArray, UInt64
 
+from robotctl.messages.installed import installed_type
 from robotctl.ros.executor import RawTap, raw_tap
 from robotctl.ros.executor.raw_tap import SerializedTaker
 from robotctl.ros.graph.endpoints import Endpoint
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import OwnTopic
-from robotctl.ros.messages.type_definition import definition_of, holds_bytes
 from robotctl.ros.session import Session
 from robotctl.ros.tap import type_loader
 from robotctl.ros.tap.on_demand import OnDemandTap
@@ -149,38 +149,11 @@ async def test_images_that_come_too_fast_do_not_fill_the_memory(
 # The description of a topic
 
 
-def test_a_definition_holds_its_dependencies_once_in_rosbag2s_form() -> None:
-    text = definition_of("nav_msgs/msg/Odometry")
-    sections = text.split("=" * 80 + "\nMSG: ")
-    names = [section.splitlines()[0] for section in sections[1:]]
-    assert names == [
-        "std_msgs/Header",
-        "builtin_interfaces/Time",
-        "geometry_msgs/PoseWithCovariance",
-        "geometry_msgs/Pose",
-        "geometry_msgs/Point",
-        "geometry_msgs/Quaternion",
-        "geometry_msgs/TwistWithCovariance",
-        "geometry_msgs/Twist",
-        "geometry_msgs/Vector3",
-    ]
-    assert sections[0].rstrip().endswith("geometry_msgs/TwistWithCovariance twist")
-
-
-@pytest.mark.parametrize(
-    ("name", "bulky"),
-    [
-        ("sensor_msgs/msg/CompressedImage", True),
-        ("nav_msgs/msg/OccupancyGrid", True),
-        ("stereo_msgs/msg/DisparityImage", True),
-        ("nav_msgs/msg/Odometry", False),
-        ("sensor_msgs/msg/LaserScan", False),
-    ],
-)
-def test_what_holds_any_number_of_bytes_is_known_from_its_definition(
-    name: str, bulky: bool
-) -> None:
-    assert holds_bytes(name) is bulky
+def test_what_holds_any_number_of_bytes_is_known_from_its_definition() -> None:
+    for name in ("sensor_msgs/msg/CompressedImage", "stereo_msgs/msg/DisparityImage"):
+        assert installed_type(name).holds_bytes
+    for name in ("nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan"):
+        assert not installed_type(name).holds_bytes
 
 
 def test_the_qos_is_written_as_rosbag2_writes_it() -> None:

@@ -20,9 +20,8 @@ from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ENCAPSULATION
-from robotctl.messages.definition import parse_definition, rihs01_hash
 from robotctl.messages.inputs import MESSAGE_TYPES
-from robotctl.recording.convert.sources import installed_definition
+from robotctl.messages.installed import installed_type
 from robotctl.recording.format.journal import decode
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
 from robotctl.testing.drives import BEGIN_NS, QOS, drive_requested, journaled, record
@@ -31,48 +30,6 @@ from robotctl.testing.hearing import TOPICS as SAFETY_TOPICS
 from tests.support.edited_recordings import Contents, Stored, contents_of
 
 SET_MODE, ESTOP = "/set_mode/_service_event", "/estop/_service_event"
-
-_LINE = "=" * 80
-
-
-def _event(service: str, request: str, response: str) -> str:
-    """Return the definition of the event of a service."""
-    return f"""\
-service_msgs/ServiceEventInfo info
-{service}_Request[<=1] request
-{service}_Response[<=1] response
-{_LINE}
-MSG: service_msgs/ServiceEventInfo
-uint8 event_type
-builtin_interfaces/Time stamp
-uint8[16] client_gid
-int64 sequence_number
-{_LINE}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-{_LINE}
-MSG: {service}_Request
-{request}
-{_LINE}
-MSG: {service}_Response
-{response}
-"""
-
-
-EVENTS = {
-    "robot_controller/srv/SetMode_Event": _event(
-        "robot_controller/SetMode",
-        "uint8 requested_mode",
-        "bool success\nstring message\nuint8 current_mode",
-    ),
-    "std_srvs/srv/Trigger_Event": _event(
-        "std_srvs/Trigger",
-        "uint8 structure_needs_at_least_one_member",
-        "bool success\nstring message",
-    ),
-}
-"""The definitions of their types, which no .msg file holds."""
 
 _HEAD = struct.Struct("<4sBxxxiI16sxxxxq")
 _CLIENT = b"\x01" * 16
@@ -222,8 +179,7 @@ class _Calls:
 
 
 def _add_topic(contents: Contents, topic: str, type_name: str) -> None:
-    text = EVENTS.get(type_name) or installed_definition(type_name, "")
-    type_hash = rihs01_hash(type_name, parse_definition(type_name, text))
+    text, type_hash = installed_type(type_name)
     schema = Schema(id=0, name=type_name, encoding="ros2msg", data=text.encode())
     values = {"topic_type_hash": type_hash, "offered_qos_profiles": QOS}
     channel = Channel(id=0, topic=topic, message_encoding="cdr", schema_id=0, metadata=values)

@@ -14,7 +14,7 @@ from robotctl.recording import Recorder, Topic
 from robotctl.recording.write.recorder import MessageGate
 from robotctl.recording.write.recorder_options import RateByTopic, is_plain_name
 from robotctl.ros.executor import ViewSink
-from robotctl.ros.messages.type_definition import TopicDescription
+from robotctl.ros.tap.tap import TopicDescription
 
 
 class HealthLooks:

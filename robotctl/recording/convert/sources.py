@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import os
-import re
 import sqlite3
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -19,7 +15,7 @@ from urllib.parse import quote
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from robotctl.base.files import open_regular
-from robotctl.messages.definition import UnreadableType, needed_types, short_type
+from robotctl.messages.installed import installed_type
 from robotctl.recording.disk.access import size_of
 from robotctl.recording.format.names import PROFILE, natural_order
 from robotctl.recording.format.records import MAX_TIME_NS, PlainMessage
@@ -35,64 +31,6 @@ from robotctl.recording.read.messages import OpenFile, ReadableFile, find_shortf
 from robotctl.recording.read.read_limits import Damaged, ReadLimits, Tally
 from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.source import SUFFIX, unpack_zstd_file
-
-_PREFIXES: Final = "AMENT_PREFIX_PATH"
-_SEPARATOR: Final = "=" * 80
-_NAME = re.compile(r"([A-Za-z]\w*)/msg/([A-Za-z]\w*)")
-
-
-def installed_definition(type_name: str, type_hash: str) -> str:
-    """Return the definition of the type `pkg/msg/T` and of the types in it, as rosbag2 writes it.
-
-    Return "" if a .msg file is missing, or if `type_hash` is not "" and the installed type is known
-    to have another hash.
-    """
-    texts: dict[str, str] = {}
-    try:
-        known = _collect(type_name, texts) and _has_hash(type_name, type_hash)
-    except (OSError, UnreadableType):
-        known = False
-    if not known:
-        return ""
-    (_, own), *others = texts.items()
-    parts = [own, *(f"{_SEPARATOR}\nMSG: {short_type(name)}\n{text}" for name, text in others)]
-    return "\n".join(part.rstrip("\n") for part in parts) + "\n"
-
-
-def _collect(type_name: str, texts: dict[str, str]) -> bool:
-    """Add the .msg texts of a type and of the types in it; return whether all are installed."""
-    if type_name in texts:
-        return True
-    path = _installed(type_name, ".msg")
-    if path is None:
-        return False
-    texts[type_name] = text = path.read_text(encoding="utf-8", errors="replace")
-    needed = (each.replace("/", "/msg/") for each in needed_types(short_type(type_name), text))
-    return all(_collect(each, texts) for each in needed)
-
-
-def _has_hash(type_name: str, type_hash: str) -> bool:
-    path = _installed(type_name, ".json")
-    if not type_hash or path is None:
-        return True
-    try:
-        told = json.loads(path.read_text(encoding="utf-8"))["type_hashes"]
-        hashes = {each["type_name"]: each["hash_string"] for each in told}
-    except (ValueError, KeyError, TypeError):
-        return False
-    return bool(hashes.get(type_name) == type_hash)
-
-
-def _installed(type_name: str, suffix: str) -> Path | None:
-    match = _NAME.fullmatch(type_name)
-    if match is None:
-        return None
-    prefixes = [each for each in os.environ.get(_PREFIXES, "").split(os.pathsep) if each]
-    for prefix in (*prefixes, sys.prefix):
-        path = Path(prefix) / "share" / match[1] / "msg" / f"{match[2]}{suffix}"
-        if path.is_file():
-            return path
-    return None
 
 
 class ConvertibleFile(Protocol):
@@ -227,7 +165,10 @@ class SqliteSource:
             if len(channels) >= _MAX_TOPICS:
                 raise Damaged(f"it has more than {_MAX_TOPICS} topics")
             type_hash = str(topic.get("type_description_hash") or "")
-            text = definitions.get(type_name) or installed_definition(type_name, type_hash)
+            text = definitions.get(type_name, "")
+            installed = installed_type(type_name)
+            if not text and type_hash in ("", installed.type_hash):
+                text = installed.text
             schema = Schema(
                 id=len(channels) + 1,
                 name=type_name,

@@ -11,8 +11,7 @@ import numpy as np
 
 from robotctl.base.errors import UnreadableFile, UsageError
 from robotctl.messages.definition import NUMBERS
-from robotctl.messages.fields import Column, ColumnKind, parse_path
-from robotctl.messages.values import WrongValue
+from robotctl.messages.fields import FieldPath, ValueKind, WrongValue, parse_path
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.reader import Recording
 from robotctl.recording.table.topic_table import TIME_COLUMNS, TopicTable, choose_topic
@@ -108,10 +107,10 @@ def _places(table: TopicTable, path: str) -> Sequence[int]:
     raise UsageError(f"{path} is no number, text or list of them", "name a field below it")
 
 
-def _array(column: Column, values: Sequence[Any]) -> Array:
-    if column.kind is ColumnKind.NUMBER:
-        return np.array(values, dtype=NUMBERS[column.type_name])
-    items = column.kind is ColumnKind.LIST and NUMBERS.get(column.type_name)
+def _array(column: FieldPath, values: Sequence[Any]) -> Array:
+    if column.kind is ValueKind.NUMBER:
+        return np.array(values, dtype=NUMBERS[column.field.type_name])
+    items = column.kind is ValueKind.LIST and NUMBERS.get(column.field.type_name)
     array = np.empty(len(values), dtype=object)
     for place, value in enumerate(values):
         array[place] = np.array(value, dtype=items) if items else value

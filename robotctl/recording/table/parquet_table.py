@@ -14,7 +14,7 @@ import numpy as np
 
 from robotctl.base.errors import RobotctlError, UnreadableFile, UsageError
 from robotctl.messages.definition import NUMBERS, TEXT, WIDE_TEXT
-from robotctl.messages.fields import Column, ColumnKind
+from robotctl.messages.fields import FieldPath, ValueKind
 from robotctl.recording.table.topic_table import Row, json_of
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ _MEMORY_LIMIT: Final = "1GB"
 _GROUP_BYTES: Final = "64MB"
 
 
-def write_parquet(columns: Sequence[Column], rows: Iterable[Row], target: Path) -> int:
+def write_parquet(columns: Sequence[FieldPath], rows: Iterable[Row], target: Path) -> int:
     """Write the rows into the new file `target`; return their number.
 
     Lists of numbers or texts become lists, lists of messages JSON, and bytes a BLOB. Temporary
@@ -93,9 +93,9 @@ def _duckdb() -> Any:
     return duckdb
 
 
-def _batches(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[list[Row]]:
+def _batches(columns: Sequence[FieldPath], rows: Iterable[Row]) -> Iterator[list[Row]]:
     """Yield the rows in batches that fit into memory; without rows, yield one empty batch."""
-    long = [place for place, column in enumerate(columns) if column.kind is not ColumnKind.NUMBER]
+    long = [place for place, column in enumerate(columns) if column.kind is not ValueKind.NUMBER]
     batch: list[Row] = []
     values = 0
     any_batch = False
@@ -110,7 +110,7 @@ def _batches(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[list[Ro
 
 
 def _write_part(
-    database: DuckDBPyConnection, columns: Sequence[Column], batch: Sequence[Row], path: Path
+    database: DuckDBPyConnection, columns: Sequence[FieldPath], batch: Sequence[Row], path: Path
 ) -> None:
     """Write a batch into the new Parquet file `path`."""
     values = zip(*batch, strict=True) if batch else ((),) * len(columns)
@@ -132,28 +132,28 @@ def _write_part(
     database.unregister("batch")
 
 
-def _array(column: Column, cells: Sequence[Any]) -> np.ndarray[Any, Any]:
-    if column.kind is ColumnKind.NUMBER:
-        return np.array(cells, dtype=NUMBERS[column.type_name])
+def _array(column: FieldPath, cells: Sequence[Any]) -> np.ndarray[Any, Any]:
+    if column.kind is ValueKind.NUMBER:
+        return np.array(cells, dtype=NUMBERS[column.field.type_name])
     array = np.empty(len(cells), dtype=object)
-    nested = column.kind is ColumnKind.NESTED
+    nested = column.kind is ValueKind.NESTED
     for place, value in enumerate(cells):
         array[place] = json_of(value) if nested else value
     return array
 
 
-def _restored(column: Column, name: str) -> str:
+def _restored(column: FieldPath, name: str) -> str:
     """Return SQL that casts a column to its type, and NULL to NaN, which duckdb reads as NULL."""
-    if column.kind is ColumnKind.BYTES:
+    if column.kind is ValueKind.BYTES:
         return f"CAST({name} AS BLOB)"
-    if column.kind is ColumnKind.NESTED:
+    if column.kind is ValueKind.NESTED:
         return f"CAST({name} AS VARCHAR)"
-    kind = _SQL_TYPES[column.type_name]
-    if column.kind is ColumnKind.LIST:
+    kind = _SQL_TYPES[column.field.type_name]
+    if column.kind is ValueKind.LIST:
         cast = f"CAST({name} AS {kind}[])"
         nan = f"list_transform({cast}, lambda x: coalesce(x, CAST('nan' AS {kind})))"
-        return nan if column.type_name in _FLOATS else cast
-    if column.type_name in _FLOATS:
+        return nan if column.field.type_name in _FLOATS else cast
+    if column.field.type_name in _FLOATS:
         return f"coalesce({name}, CAST('nan' AS {kind}))"
     return f"CAST({name} AS {kind})"
 

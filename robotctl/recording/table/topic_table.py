@@ -13,8 +13,9 @@ from typing import Any, Final, TextIO
 from robotctl.base.errors import UnreadableFile, UsageError
 from robotctl.base.unknown_name import unknown_name
 from robotctl.kernel.units import NS_PER_S
-from robotctl.messages.definition import Definition, UnreadableType, parse_definition
-from robotctl.messages.fields import Column, ColumnKind, FlatDecoder
+from robotctl.messages.definition import Definition, Field, UnreadableType, parse_definition
+from robotctl.messages.fields import FieldPath, ValueKind
+from robotctl.messages.values import Decoder
 from robotctl.recording.read.messages import ALWAYS, Window
 from robotctl.recording.read.reader import Recording, RecordingInfo, TopicInfo
 
@@ -57,9 +58,9 @@ def _of_type(found: Sequence[TopicInfo], wanted: str) -> TopicInfo:
 Row = list[Any]
 
 TIME_COLUMNS: Final = (
-    Column("log_ns", ColumnKind.NUMBER, "int64"),
-    Column("publish_ns", ColumnKind.NUMBER, "int64"),
-    Column("time_s", ColumnKind.NUMBER, "float64"),
+    FieldPath(("log_ns",), Field("log_ns", "int64")),
+    FieldPath(("publish_ns",), Field("publish_ns", "int64")),
+    FieldPath(("time_s",), Field("time_s", "float64")),
 )
 """The first columns of each table: when a message was received and published [ns since the epoch],
 and the seconds from the first message of the recording to its reception."""
@@ -79,11 +80,8 @@ class TopicTable:
         self._recording = recording
         self.topic = topic
         self._start_ns = recording.info().start_ns
-        self.definition = _definition(topic)
-        try:
-            self._decoder = FlatDecoder(self.definition)
-        except UnreadableType as error:
-            raise _unreadable(topic, error) from None
+        self.definition = recorded_definition(topic)
+        self._decoder = Decoder(self.definition)
         self.columns = (*TIME_COLUMNS, *map(_beside_times, self._decoder.columns))
         """The columns, in the order of the values of a row."""
 
@@ -109,7 +107,12 @@ class TopicTable:
             on_missing(f"{misfits} messages of {self.topic.name} cannot be decoded: {reason}")
 
 
-def _definition(topic: TopicInfo) -> Definition:
+def recorded_definition(topic: TopicInfo) -> Definition:
+    """Return the definition of a topic's type.
+
+    Raises:
+        UnreadableFile: The recording has none, or none that can be read.
+    """
     is_empty = topic.type_name.endswith("/Empty")
     if not topic.definition.strip() and not is_empty:
         raise UnreadableFile(f"the recording does not describe the type {topic.type_name}")
@@ -121,17 +124,13 @@ def _definition(topic: TopicInfo) -> Definition:
     try:
         return parse_definition(topic.type_name, topic.definition)
     except UnreadableType as error:
-        raise _unreadable(topic, error) from None
+        raise UnreadableFile(f"the type {topic.type_name} cannot be read: {error}") from None
 
 
-def _unreadable(topic: TopicInfo, error: UnreadableType) -> UnreadableFile:
-    return UnreadableFile(f"the type {topic.type_name} cannot be read: {error}")
-
-
-def _beside_times(column: Column) -> Column:
+def _beside_times(column: FieldPath) -> FieldPath:
     """Return the column of a field, renamed to `message.` + name if a time column has its name."""
     if column.name in {each.name for each in TIME_COLUMNS}:
-        return Column(f"message.{column.name}", column.kind, column.type_name)
+        return FieldPath(("message", *column.steps), column.field)
     return column
 
 
@@ -142,7 +141,7 @@ _BOTH: Final = "\r\n"
 with CR or LF only if that character is in the row end, but readers end a row at either."""
 
 
-def write_csv(columns: Sequence[Column], rows: Iterable[Row], stream: TextIO) -> int:
+def write_csv(columns: Sequence[FieldPath], rows: Iterable[Row], stream: TextIO) -> int:
     """Write a header and the rows; return their number.
 
     Lines end with a line feed. Lists become JSON, bytes base64, NaN and infinity `nan` and `inf`.
@@ -154,7 +153,7 @@ def write_csv(columns: Sequence[Column], rows: Iterable[Row], stream: TextIO) ->
     return counted.count
 
 
-def write_json_lines(columns: Sequence[Column], rows: Iterable[Row], stream: TextIO) -> int:
+def write_json_lines(columns: Sequence[FieldPath], rows: Iterable[Row], stream: TextIO) -> int:
     """Write a JSON object for each row, with the column names as keys; return the number of rows.
 
     Bytes become base64. NaN and infinity become the texts `NaN`, `Infinity` and `-Infinity`.
@@ -196,9 +195,9 @@ class _Counted:
             yield row
 
 
-def _changed(columns: Sequence[Column], rows: Iterable[Row], of_list: _Change) -> Iterable[Row]:
+def _changed(columns: Sequence[FieldPath], rows: Iterable[Row], of_list: _Change) -> Iterable[Row]:
     """Return the rows with bytes as base64 text, and lists as `of_list` converts them."""
-    changes = {ColumnKind.BYTES: _base64, ColumnKind.LIST: of_list, ColumnKind.NESTED: of_list}
+    changes = {ValueKind.BYTES: _base64, ValueKind.LIST: of_list, ValueKind.NESTED: of_list}
     places = [
         (place, changes[column.kind])
         for place, column in enumerate(columns)

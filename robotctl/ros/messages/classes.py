@@ -8,12 +8,11 @@ and what it reports can be read from the graph.
 
 from __future__ import annotations
 
-import re
 import threading
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any
 
 from ament_index_python.resources import get_resource
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -21,49 +20,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-MAX_TYPE_NAME = 255
-"""Limit on the characters of a type name; a longer one does not fit into Fast DDS's discovery."""
-
-_CALL = r"(?:_Request|_Response|_Event)?"
-_IMPLIED = {
-    "msg": "",
-    "srv": _CALL,
-    "action": rf"(?:_Goal|_Result|_Feedback|_FeedbackMessage|_(?:SendGoal|GetResult){_CALL})?",
-}
-"""Kind of interface -> pattern of the suffixes of its types, such as `_Request` of a service."""
-
-_TYPE_NAMES = {
-    kind: re.compile(rf"([a-z](?:_?[a-z0-9])*)/{kind}/([A-Z][A-Za-z0-9]*){implied}")
-    for kind, implied in _IMPLIED.items()
-}
-"""The type names that rosidl allows (rosidl_adapter.parser)."""
-
-
-class UnusableType(ImportError):
-    """A type cannot be used here; the message says why in words that follow "the type, which"."""
-
-
-class TypeName(NamedTuple):
-    """The parts of a type name `package/kind/short`."""
-
-    package: str
-    kind: str
-    short: str
-    interface: str
-    """The name of the interface that defines the type: `SetMode` for `SetMode_Request`."""
-
-
-def parse_type_name(type_name: str) -> TypeName:
-    """Split a type name.
-
-    Raises:
-        UnusableType: ROS does not allow the name.
-    """
-    if len(type_name) <= MAX_TYPE_NAME:
-        for kind, pattern in _TYPE_NAMES.items():
-            if match := pattern.fullmatch(type_name):
-                return TypeName(match[1], kind, type_name.rpartition("/")[2], match[2])
-    raise UnusableType("is not the name of a ROS type")
+from robotctl.messages.installed import TypeName, UnusableType, parse_type_name
 
 
 def type_name_of(message_class: Any) -> str:

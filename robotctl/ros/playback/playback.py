@@ -24,10 +24,10 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from robotctl.base.text import short_name
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import JOURNAL_ENTRY
+from robotctl.messages.installed import UnusableType, installed_type, parse_type_name
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.membership import Membership
-from robotctl.ros.messages.classes import UnusableType, is_installed, message_class, parse_type_name
-from robotctl.ros.messages.type_definition import holds_bytes, type_hash_of
+from robotctl.ros.messages.classes import is_installed, message_class
 from robotctl.ros.playback.senders import PatientSender, RequestSender, clock_sender, sender
 
 _WORD: Final = re.compile(r"(?<=.)(?=[A-Z][a-z])|(?<=[a-z0-9])(?=[A-Z])")
@@ -245,7 +245,7 @@ class ReplaySession:
 
     def is_same_type(self, type_name: str, type_hash: str) -> bool:
         """Return whether the installed type has the hash `type_hash`; True if a hash is unknown."""
-        installed = type_hash_of(type_name)
+        installed = installed_type(type_name).type_hash
         return not (installed and type_hash) or installed == type_hash
 
     def open(
@@ -260,7 +260,8 @@ class ReplaySession:
             Unpublishable: ROS does not allow the name, or the type cannot be published here.
         """
         message_type = _installed(serialized_type, type_name)
-        most = (IN_FLIGHT_BULKY if holds_bytes(type_name) else IN_FLIGHT) if patient else MAX_DEPTH
+        bulky = installed_type(type_name).holds_bytes
+        most = (IN_FLIGHT_BULKY if bulky else IN_FLIGHT) if patient else MAX_DEPTH
         try:
             publisher = self._node.create_publisher(
                 message_type, topic, replay_qos(offered_qos, most=most)

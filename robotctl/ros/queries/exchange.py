@@ -12,13 +12,14 @@ from rclpy.serialization import deserialize_message, serialize_message
 from robotctl.base.errors import NoDaemon, Refused, UsageError
 from robotctl.base.unknown_name import only_type, unknown_name
 from robotctl.messages.definition import Definition, UnreadableType, parse_definition
-from robotctl.messages.values import WrongValue, decode, encode, filled
+from robotctl.messages.fields import WrongValue
+from robotctl.messages.installed import UnusableType, installed_type
+from robotctl.messages.values import Decoder, encode, filled
 from robotctl.ros.executor import AsyncioExecutor, RawTap
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.overview import services
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, UnusableType, message_class
-from robotctl.ros.messages.type_definition import definition_of, holds_bytes
+from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, message_class
 from robotctl.ros.queries.visitor import STDIN, Visitor
 
 Send = Callable[[dict[str, Any]], None]
@@ -85,7 +86,7 @@ async def call(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
     send(
         {
             "type": response_type,
-            "definition": definition_of(response_type),
+            "definition": installed_type(response_type).text,
             "data": base64.b64encode(serialize_message(response)).decode(),
         }
     )
@@ -123,7 +124,7 @@ def _message(type_name: str, kind: Any, values: Any) -> Any:
         UsageError: A value does not fit the type.
     """
     definition = _definition(type_name)
-    defaults = decode(definition, serialize_message(kind()))
+    defaults = Decoder(definition).values(serialize_message(kind()))
     try:
         return deserialize_message(encode(definition, filled(definition, defaults, values)), kind)
     except WrongValue as error:
@@ -132,7 +133,7 @@ def _message(type_name: str, kind: Any, values: Any) -> Any:
 
 def _definition(type_name: str) -> Definition:
     try:
-        return parse_definition(type_name, definition_of(type_name))
+        return parse_definition(type_name, installed_type(type_name).text)
     except UnreadableType as error:
         raise Refused(f"{type_name} cannot be read: {error}") from None
 
@@ -146,7 +147,7 @@ async def listen(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
     Raises:
         UsageError: The name is not a valid topic name, the topic is unknown, or the topic has
             several types and the request names none.
-        Refused: The topic's type is not installed here.
+        Refused: The topic's type is not installed here, or its definition cannot be read.
     """
     node, topic = visitor.node, request["name"]
     if not endpoints.is_topic_name(topic):
@@ -168,8 +169,10 @@ async def listen(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
         raise Refused(
             f"{topic} has type {type_name}, which {error}", "install its package"
         ) from None
-    definition = definition_of(type_name)
-    send({"type": type_name, "definition": definition, "publishers": len(offered)})
+    installed = installed_type(type_name)
+    if request["data"]:
+        _definition(type_name)
+    send({"type": type_name, "definition": installed.text, "publishers": len(offered)})
 
     def report(data: bytes, received_ns: int, source_ns: int, _: int, gid: bytes) -> None:
         told: dict[str, Any] = {
@@ -190,7 +193,7 @@ async def listen(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
 
     callback: Any = RawTap(report, latency_s=0.0)
     profiles = [each.qos_profile for each in offered if each.topic_type == type_name]
-    wanted = qos.recording(profiles, bulky=holds_bytes(type_name)) if profiles else qos.MONITOR
+    wanted = qos.recording(profiles, bulky=installed.holds_bytes) if profiles else qos.MONITOR
     node.create_subscription(
         kind, topic, callback, wanted, event_callbacks=NO_SUBSCRIPTION_EVENTS, raw=True
     )

@@ -8,10 +8,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from robotctl.base.text import short_name
+from robotctl.messages.installed import installed_type
 from robotctl.ros.executor import ViewSink, announcements
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.changes import GraphChanges
-from robotctl.ros.messages.type_definition import definition_of
 from robotctl.ros.tap.subscription import TappedSubscription
 from robotctl.ros.tap.type_loader import TypeLoader
 
@@ -112,7 +112,7 @@ class OnDemandTap:
             if unusable == "":
                 self._tell(topic, "")
                 self._known[topic] = type_name
-                self._watcher.appeared(topic, type_name, definition_of(type_name))
+                self._watcher.appeared(topic, type_name, installed_type(type_name).text)
                 return False
             is_loading |= unusable is None
             problem = f"its type {short_name(type_name)} {unusable}"

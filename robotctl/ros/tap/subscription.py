@@ -13,10 +13,10 @@ from typing import Any, TypeVar
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from robotctl.messages.installed import installed_type
 from robotctl.ros.executor import RawTap, SerializedData, ViewSink
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, message_class
-from robotctl.ros.messages.type_definition import holds_bytes
 
 Span = tuple[int, int]
 """The first and the last sequence number that one subscription delivered from a publisher."""
@@ -161,7 +161,7 @@ class TappedSubscription:
             yield self._sink, requested
 
     def _requests_for(self, offered: Sequence[QoSProfile]) -> Requests:
-        bulky = holds_bytes(self.type_name)
+        bulky = installed_type(self.type_name).holds_bytes
         return qos.recording(offered, bulky=bulky), qos.recording_latched(offered, bulky=bulky)
 
     def _create(self, sink: ViewSink, requested: QoSProfile) -> Any:

@@ -7,6 +7,7 @@ import logging
 import resource
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import count, islice, product
 from typing import Final
 
@@ -14,12 +15,13 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from robotctl.base.text import printable, short_name
+from robotctl.messages.installed import installed_type
 from robotctl.ros.executor import ViewSink, announcements
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.changes import GraphChanges
 from robotctl.ros.graph.endpoints import Endpoint
+from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import OwnTopic
-from robotctl.ros.messages.type_definition import TopicDescription, describe
 from robotctl.ros.session import Session
 from robotctl.ros.tap.subscription import TappedSubscription
 from robotctl.ros.tap.type_loader import SLOW_LOAD_S, TypeLoader
@@ -157,6 +159,23 @@ class Unrecorded:
         if sentence not in self._said and len(self._said) < MAX_SAID:
             self._said.add(sentence)
             _log.warning("%s", sentence)
+
+
+@dataclass(frozen=True, slots=True)
+class TopicDescription:
+    """A topic's full name, its type with definition and hash, and its publishers' QoS as YAML."""
+
+    name: str
+    type_name: str
+    definition: str
+    type_hash: str
+    offered_qos: str
+
+
+def describe(name: str, type_name: str, offered: Iterable[QoSProfile]) -> TopicDescription:
+    """Describe a topic by its full name, its type and the profiles that its publishers offer."""
+    text, type_hash = installed_type(type_name)
+    return TopicDescription(name, type_name, text, type_hash, qos.to_yaml(offered))
 
 
 POLL_S = 0.05

@@ -9,8 +9,8 @@ from contextlib import suppress
 
 from rclpy.type_support import check_for_type_support
 
-from robotctl.ros.messages.classes import UnusableType, message_class, parse_type_name
-from robotctl.ros.messages.type_definition import definition_of, type_hash_of
+from robotctl.messages.installed import UnusableType, installed_type, parse_type_name
+from robotctl.ros.messages.classes import message_class
 
 SLOW_LOAD_S = 2.0
 """A load that takes longer is slow: the next one does not wait for it. Most take 0.1 s."""
@@ -109,8 +109,7 @@ def load_type(type_name: str) -> str:
     """Load all that a subscription needs of a type; return why it cannot be loaded, or ""."""
     try:
         check_for_type_support(message_class(type_name))
-        definition_of(type_name)
-        type_hash_of(type_name)
+        installed_type(type_name)
     except UnusableType as error:
         return str(error)
     except BaseException as error:  # noqa: BLE001 - also SystemExit: foreign modules run here

@@ -57,10 +57,10 @@ def call_service(
         view.full_name(name), type_name, values, wait_s=SERVICE_S, answer_s=timeout
     )
     from robotctl.messages.definition import parse_definition
-    from robotctl.messages.values import decode
+    from robotctl.messages.values import Decoder
 
     definition = parse_definition(answer["type"], answer["definition"])
-    response = decode(definition, base64.b64decode(answer["data"]))
+    response = Decoder(definition).values(base64.b64decode(answer["data"]))
     told = {"type": answer["type"], "response": plain_json(response)}
     print_answer(told, message_lines(response, None), as_json=as_json)
 

@@ -24,7 +24,7 @@ from robotctl.ipc.client import call
 from robotctl.ipc.method_names import PARAM_LIST
 from robotctl.kernel.course import MAX_COORDINATE_M, MAX_POINTS, Frame, Point
 from robotctl.messages.definition import Definition, parse_definition
-from robotctl.messages.values import decode
+from robotctl.messages.values import Decoder
 
 if TYPE_CHECKING:
     import yaml
@@ -238,7 +238,7 @@ def path_in(
     if len(data) > MAX_MESSAGE_BYTES:
         raise Refused(f"the path on {shown} is too large: it has at most {MAX_POINTS} points")
     try:
-        message = decode(definition, data)
+        message = Decoder(definition).values(data)
     except struct.error:
         raise Refused(f"the message on {shown} cannot be read") from None
     poses = message["poses"]

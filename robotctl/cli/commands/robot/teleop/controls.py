@@ -17,8 +17,8 @@ from robotctl.ipc.client import Client
 from robotctl.ipc.method_names import HOLD, PARAM_LIST
 from robotctl.kernel.course import MAX_SILENCE_S
 from robotctl.kernel.patterns import MIN_SPEED_MPS
-from robotctl.messages.definition import Definition, parse_definition
-from robotctl.messages.values import decode
+from robotctl.messages.definition import parse_definition
+from robotctl.messages.values import Decoder
 
 REPEAT_S: Final = MAX_SILENCE_S
 """Without key releases, a key that comes again within this time [s] counts as held."""
@@ -186,7 +186,7 @@ class Gamepad:
 
     def __init__(self, listener: MessageListener, topic: str, controls: Controls) -> None:
         self._listener = listener
-        self._definition: Definition = parse_definition(listener.type_name, listener.definition)
+        self._decoder = Decoder(parse_definition(listener.type_name, listener.definition))
         self._topic = topic
         self._controls = controls
         self._is_forgotten = True
@@ -242,7 +242,7 @@ class Gamepad:
     def _wish(self, data: bytes) -> Wish:
         button, forward, left = self._controls
         try:
-            values: dict[str, Any] = decode(self._definition, data)
+            values = self._decoder.values(data)
             is_held = bool(values["buttons"][button])
             wish = Wish(_share(values["axes"][forward]), _share(values["axes"][left]))
         except struct.error:

@@ -85,13 +85,13 @@ def echo(
         )
         return
     from robotctl.cli.commands.ros.topic.messages import Printer
+    from robotctl.messages.definition import parse_definition
 
     view = ros_view(robot, domain_id)
     name = view.full_name(topic)
     with view.listen(name, type_name, data=True) as listener:
-        printer = Printer(
-            name, listener.type_name, listener.definition, field, full_length=full_length
-        )
+        definition = parse_definition(listener.type_name, listener.definition)
+        printer = Printer(name, listener.type_name, definition, field, full_length=full_length)
         heard_s, noted = time.monotonic(), False
         while True:
             for message in listener.receive(NOTE_S if timeout is None else min(timeout, NOTE_S)):
@@ -124,12 +124,12 @@ def _echo_recorded(
     as_json: bool,
 ) -> None:
     from robotctl.cli.commands.ros.topic.messages import Printer, RecordedTopic
+    from robotctl.recording.table.topic_table import recorded_definition
 
     recorded = RecordedTopic(file, topic, type_name)
     info = recorded.info
-    printer = Printer(
-        recorded.name, info.type_name, info.definition, field, full_length=full_length
-    )
+    definition = recorded_definition(info)
+    printer = Printer(recorded.name, info.type_name, definition, field, full_length=full_length)
     for message in recorded.messages():
         if as_json:
             printer.print_json(message.data, message.log_ns, message.publish_ns)

@@ -11,9 +11,9 @@ from robotctl.cli.targets.recordings import find_recording
 from robotctl.cli.ui.ros_text import SHOWN_LENGTH, message_lines, plain_json
 from robotctl.cli.ui.text import json_text
 from robotctl.kernel.units import NS_PER_S
-from robotctl.messages.definition import UnreadableType, parse_definition
-from robotctl.messages.fields import parse_path, value_at
-from robotctl.messages.values import WrongValue, decode
+from robotctl.messages.definition import Definition
+from robotctl.messages.fields import WrongValue, parse_path, value_at
+from robotctl.messages.values import Decoder
 from robotctl.recording import Message, read_info, read_messages
 from robotctl.recording.table.topic_table import choose_topic
 
@@ -48,23 +48,19 @@ class Printer:
     """Prints the messages of one topic."""
 
     def __init__(
-        self, topic: str, type_name: str, definition: str, field: str, *, full_length: bool
+        self, topic: str, type_name: str, definition: Definition, field: str, *, full_length: bool
     ) -> None:
         """Print whole messages, or the `field` of each.
 
         Raises:
-            UnreadableFile: The definition of the type cannot be read.
             UsageError: The type has no such field.
         """
         self._topic = topic
         self._type_name = type_name
-        self._field = field
+        self._decoder = Decoder(definition)
         self._limit = None if full_length else SHOWN_LENGTH
         try:
-            self._definition = parse_definition(type_name, definition)
-            self._steps = parse_path(self._definition, field) if field else ()
-        except UnreadableType as error:
-            raise UnreadableFile(f"the type {type_name} cannot be read: {error}") from None
+            self._steps = parse_path(definition, field).steps if field else ()
         except WrongValue as error:
             raise UsageError(str(error)) from None
 
@@ -95,7 +91,7 @@ class Printer:
 
     def _value(self, data: bytes) -> Any:
         try:
-            return value_at(decode(self._definition, data), self._steps)
+            return value_at(self._decoder.values(data), self._steps)
         except struct.error as error:
             raise UnreadableFile(f"a message of {self._topic} cannot be read: {error}") from None
         except WrongValue as error:

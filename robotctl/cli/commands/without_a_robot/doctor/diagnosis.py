@@ -32,9 +32,6 @@ from robotctl.ipc.client import call
 from robotctl.ipc.listener import remove_stale
 from robotctl.ipc.method_names import STATUS
 
-DEFINITIONS = {"msg": ("msg", "idl"), "srv": ("srv", "idl"), "action": ("action", "idl")}
-"""The suffixes of the files that may define a type, by the kind of the type."""
-
 
 def diagnose(
     robot: str, config: Path | None, domain_id: int | None, *, clean: bool
@@ -197,17 +194,6 @@ def _topic(view: RosView, name: str, used: set[str]) -> GraphTopic:
 
 
 def _is_installed(type_name: str) -> bool:
-    """Return whether a ROS prefix defines the type; False if its name is not like `a/msg/B`."""
-    package, _, rest = type_name.partition("/")
-    kind, _, name = rest.rpartition("/")
-    folder, _, _ = kind.partition("/")
-    if folder not in DEFINITIONS or not name.isidentifier() or not package.isidentifier():
-        return False
-    own = name.partition("_")[0] if folder != "msg" else name  # NAME of NAME_Event
-    prefixes = [sys.prefix, *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
-    return any(
-        (Path(prefix) / "share" / package / folder / f"{own}.{suffix}").is_file()
-        for prefix in prefixes
-        if prefix
-        for suffix in DEFINITIONS[folder]
-    )
+    from robotctl.messages.installed import InstalledType, installed_type
+
+    return installed_type(type_name) != InstalledType("", "")
