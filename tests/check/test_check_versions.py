@@ -231,6 +231,7 @@ def test_what_a_second_kernel_decided_in_an_old_recording_is_no_journal(tmp_path
 
 
 OTHER_HASH = f"RIHS01_{0:064}"
+UNTOLD = "/cmd_vel is recorded without the definition of its type"
 ANOTHER = (
     "/cmd_vel is recorded with another version of geometry_msgs/msg/Twist than the check reads"
 )
@@ -251,17 +252,12 @@ def checked_with(folder: Path, contents: Contents, type_hash: str) -> Report:
     return check_recording(write_contents(folder / "run", other))
 
 
-def test_another_version_of_a_type_that_the_check_reads_is_missed(
-    tmp_path: Path, honest: Contents
+@pytest.mark.parametrize(("type_hash", "said"), [(OTHER_HASH, ANOTHER), ("", UNTOLD)])
+def test_a_type_of_another_or_no_version_is_missed(
+    tmp_path: Path, honest: Contents, type_hash: str, said: str
 ) -> None:
-    report = checked_with(tmp_path, honest, OTHER_HASH)
-    assert (report.verdict, report.missing) == (Verdict.INCOMPLETE, [ANOTHER])
-
-
-def test_a_type_whose_version_is_not_told_is_missed(tmp_path: Path, honest: Contents) -> None:
-    report = checked_with(tmp_path, honest, "")
-    assert report.verdict is Verdict.INCOMPLETE
-    assert report.missing == ["/cmd_vel is recorded without the definition of its type"]
+    report = checked_with(tmp_path, honest, type_hash)
+    assert (report.verdict, report.missing) == (Verdict.INCOMPLETE, [said])
 
 
 KEY = "limits.linear_mps"

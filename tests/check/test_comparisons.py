@@ -51,6 +51,15 @@ def test_the_status_of_before_the_journal_may_show_another_mode(
     assert report.verdict is Verdict.SAME, report
 
 
+def test_a_status_that_is_missing_was_lost_where_losses_are_not_counted(
+    tmp_path: Path, heard: Contents
+) -> None:
+    for name, closed, verdict in (("closed", 1, Verdict.BROKEN), ("killed", 0, Verdict.SAME)):
+        edited = edit(heard, STATUS, lambda at, each: None if at == 1 else each)
+        edited.metadata = [each for each in edited.metadata if closed or each[0] != LEDGER_RECORD]
+        assert check_recording(write_contents(tmp_path / name, edited)).verdict is verdict
+
+
 @pytest.mark.parametrize("set_s", [-3600, -1, 1, 3600])
 def test_a_wall_clock_that_is_set_is_held_against_no_status(
     tmp_path: Path, heard: Contents, set_s: int

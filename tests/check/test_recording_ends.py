@@ -367,14 +367,6 @@ def test_statuses_of_another_node_are_a_note(
     assert any("another node published robot statuses as well" in each for each in report.notes)
 
 
-def test_a_node_that_numbers_its_statuses_on_makes_it_incomplete_for_that_reason(
-    tmp_path: Path, honest: Contents
-) -> None:
-    report = checked_contents(tmp_path, foreign(b"robot", 40)(honest, Random(1)))
-    assert report.verdict is Verdict.INCOMPLETE
-    assert all("another node publishes them" in each for each in report.missing[-1:])
-
-
 def test_a_channel_that_stands_only_in_the_summary_changes_nothing(
     tmp_path: Path, honest: Contents
 ) -> None:
