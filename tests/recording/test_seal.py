@@ -24,10 +24,14 @@ from robotctl.recording.format.seal_records import LINK_OPCODE, Link, LinkKind, 
 from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.records import InputFile
-from robotctl.recording.read.seal_chain import check_chain, find_head
 from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.whole_file import WholeFile, read_whole_file
-from robotctl.recording.read.whole_recording import RecordingProof, verify_recording
+from robotctl.recording.read.whole_recording import (
+    RecordingProof,
+    check_chain,
+    find_head,
+    verify_recording,
+)
 from robotctl.recording.seal.heads import known_heads
 from robotctl.recording.seal.keyring import KEY_FILE, Keyring, SigningKey, is_signed
 from robotctl.recording.write import file_seal

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -198,6 +198,13 @@ class FileIndex:
         """Add a sentence about something that was not read because it exceeds the limits."""
         self.limit_reached = True
         self.miss(f"{what}: {limit}")
+
+    def count(self, counts: Mapping[int, int], start_ns: int, end_ns: int) -> None:
+        """Count messages by channel, with their lowest and highest log time."""
+        self.start_ns = min(self.start_ns, start_ns) if self.counts else start_ns
+        self.end_ns = max(self.end_ns, end_ns)
+        for channel, count in counts.items():
+            self.counts[channel] = self.counts.get(channel, 0) + count
 
     def define(self, opcode: int, content: bytes) -> None:
         """Add a schema or a channel.

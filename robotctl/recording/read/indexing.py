@@ -335,7 +335,6 @@ class _Scan:
         self._records = 0
         self._definitions: dict[tuple[int, int], bytes] = {}
         self._loose = (0, 0)  # start and end of a run of messages
-        self._empty = True
         self._counted = 0
         self._attachments = frozenset(index.attachments)
         self.offset = offset
@@ -462,17 +461,12 @@ class _Scan:
         for opcode, content in definitions:
             self._define(opcode, content)
         if found.entries:
-            self._count(place, found)
-
-    def _count(self, place: Place, found: Contents) -> None:
-        index, (start_ns, end_ns) = self._index, found.window()
-        index.start_ns = start_ns if self._empty else min(index.start_ns, start_ns)
-        index.end_ns = max(index.end_ns, end_ns)
-        self._empty = False
-        for channel, count in found.counts.items():
-            index.counts[channel] = index.counts.get(channel, 0) + count
-        channels = frozenset(found.entries)
-        index.places.append(replace(place, start_ns=start_ns, end_ns=end_ns, channels=channels))
+            start_ns, end_ns = found.window()
+            self._index.count(found.counts, start_ns, end_ns)
+            channels = frozenset(found.entries)
+            self._index.places.append(
+                replace(place, start_ns=start_ns, end_ns=end_ns, channels=channels)
+            )
 
     def _define(self, opcode: int, content: bytes) -> None:
         known = opcode, int.from_bytes(content[:2], "little")

@@ -20,7 +20,6 @@ from mcap.records import (
     Channel,
     ChunkIndex,
     DataEnd,
-    Header,
     McapRecord,
     Metadata,
     MetadataIndex,
@@ -33,7 +32,6 @@ from robotctl.recording.format.names import (
     CLIP_RECORD,
     CONVERSION_RECORD,
     LEDGER_RECORD,
-    OWN_LIBRARY,
     RECOVERY_RECORD,
 )
 from robotctl.recording.format.records import (
@@ -46,7 +44,7 @@ from robotctl.recording.format.records import (
 )
 from robotctl.recording.format.seal_records import LINK_OPCODE, OPENING_OPCODE
 from robotctl.recording.read.chunks import ChunkHead, read_chunk, read_chunk_head
-from robotctl.recording.read.file_index import Contents
+from robotctl.recording.read.file_index import Contents, FileIndex
 from robotctl.recording.read.read_limits import BeyondLimit, Damaged, UnpackBudget
 from robotctl.recording.read.records import (
     LOST_HEADER,
@@ -126,7 +124,7 @@ _STATES: Final = {
 
 
 @dataclass(slots=True)
-class WholeData:
+class WholeData(FileIndex):
     """The content of a data section; offsets in bytes, times in nanoseconds.
 
     `end` is the offset of the DataEnd record, or where the reading had to stop. `crc` is the
@@ -134,13 +132,9 @@ class WholeData:
     the writer computed none), or None without such a record.
     """
 
-    header: Header
     end: int = 0
     crc: int = 0
     told_crc: int | None = None
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    metadata: list[Metadata] = field(default_factory=list)
     listed: dict[int, dict[int, Any]] = field(
         default_factory=lambda: {opcode: {} for opcode in _LISTED}
     )
@@ -152,11 +146,6 @@ class WholeData:
     bad_chunks: set[int] = field(default_factory=set)
     """Offsets of the chunks that cannot be read."""
 
-    counts: dict[int, int] = field(default_factory=dict)
-    """Messages by channel."""
-
-    start_ns: int = 0
-    end_ns: int = 0
     private: list[Record] = field(default_factory=list)
     private_in_summary: list[tuple[int, bytes]] = field(default_factory=list)
     """Opcode and content of each private record of the summary."""
@@ -170,32 +159,14 @@ class WholeData:
     unfinished: int | None = None
     """The offset of a commit that was not finished; it reaches to the end of the data."""
 
-    @property
-    def own(self) -> bool:
-        """Whether robotctl wrote the file."""
-        return self.header.library.startswith(OWN_LIBRARY)
-
-    @property
-    def message_count(self) -> int:
-        """The number of messages of all channels."""
-        return sum(self.counts.values())
-
     def state(self) -> FileState:
         """Return how the writing of a file ended that does not grow."""
         if not self.own:
             return FileState.FOREIGN
-        names = {record.name for record in self.metadata}
         for name, state in _STATES.items():
-            if name in names:
+            if self.has_metadata(name):
                 return state
         return FileState.NOT_CLOSED
-
-    def count(self, counts: dict[int, int], start_ns: int, end_ns: int) -> None:
-        """Count messages by channel, with their lowest and highest log time."""
-        self.start_ns = min(self.start_ns, start_ns) if self.counts else start_ns
-        self.end_ns = max(self.end_ns, end_ns)
-        for channel, count in counts.items():
-            self.counts[channel] = self.counts.get(channel, 0) + count
 
     def statistics(self) -> Statistics:
         """Return the statistics that the summary must hold."""

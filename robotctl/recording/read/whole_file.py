@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import isqrt
 from pathlib import Path
-from typing import NamedTuple
 
 from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
@@ -27,7 +26,7 @@ from robotctl.recording.read.indexing import (
     read_written_file,
 )
 from robotctl.recording.read.read_limits import Damaged
-from robotctl.recording.read.records import RECORD_HEAD, InputFile, parse, walk_records
+from robotctl.recording.read.records import RECORD_HEAD, InputFile, Record, parse, walk_records
 from robotctl.recording.read.seal_check import SealOfRead, check_seal
 from robotctl.recording.read.whole_data import (
     FileState,
@@ -38,58 +37,38 @@ from robotctl.recording.read.whole_data import (
 )
 
 
-class FileEnd(NamedTuple):
-    """Where the parts of a file's end begin [bytes]."""
-
-    summary: int
-    footer: int
-    magic: int
-
-    @property
-    def after(self) -> int:
-        """The offset after the end."""
-        return self.magic + len(MAGIC)
-
-
-class BadEnd(Damaged):
-    """There is no valid end.
-
-    The wrong byte is not known: after a changed length, the reader continues in the middle of
-    another record, and fails only later.
-    """
-
-
-def find_end(file: InputFile, data_end: int) -> FileEnd:
-    """Return the end that follows the DataEnd record at `data_end`.
+def find_footer(file: InputFile, data_end: int) -> Record:
+    """Return the footer of the end that follows the DataEnd record at `data_end`.
 
     Raises:
-        BadEnd: There is no footer of the right length, or the file ends before it.
-        Damaged: The disk fails.
+        Damaged: There is no footer of the right length, or the file ends before it. The wrong byte
+            is not known: after a changed length, the walk continues in the middle of another
+            record, and fails only later.
     """
-    offset, summary = data_end, data_end + DATA_END_BYTES
+    offset = data_end
     while True:
         if offset + RECORD_HEAD.size > file.size:
-            raise BadEnd("it ends without a footer")
+            raise Damaged("it ends without a footer")
         record = file.record(offset)
         if record.end > file.size:
-            raise BadEnd(f"a record claims to have {record.length} bytes")
-        if offset == data_end and record.end != summary:
-            raise BadEnd("the record that ends the data has another length")
+            raise Damaged(f"a record claims to have {record.length} bytes")
+        if offset == data_end and record.end != data_end + DATA_END_BYTES:
+            raise Damaged("the record that ends the data has another length")
         if record.opcode == Opcode.FOOTER:
             break
         offset = record.end
     if record.length != FOOTER_CONTENT_BYTES:
-        raise BadEnd("the footer has another length")
+        raise Damaged("the footer has another length")
     if record.end + len(MAGIC) > file.size:
-        raise BadEnd("it ends within the mark of MCAP")
-    return FileEnd(summary, offset, record.end)
+        raise Damaged("it ends within the mark of MCAP")
+    return record
 
 
-def ends_in_commit(file: InputFile, end: FileEnd) -> bool:
+def ends_in_commit(file: InputFile, summary_start: int, end: int) -> bool:
     """Return whether the bytes after `end` are the beginning of a commit that a kill interrupted.
 
-    Such a file ends with a footer that points back to this end or to a copy of it: the writer
-    writes that footer first (see `McapFile`).
+    Such a file ends with a footer that points back to the summary before `end`, or to a copy of it:
+    the writer writes that footer first (see `McapFile`).
     """
     try:
         last = file.read(file.size - FOOTER_BYTES, FOOTER_BYTES)
@@ -98,8 +77,8 @@ def ends_in_commit(file: InputFile, end: FileEnd) -> bool:
         footer = parse(Footer, last[RECORD_HEAD.size : -len(MAGIC)])
     except Damaged:
         return False
-    points_back = footer.summary_start == end.summary and not footer.summary_crc
-    return last.endswith(MAGIC) and (points_back or footer.summary_start > end.after)
+    points_back = footer.summary_start == summary_start and not footer.summary_crc
+    return last.endswith(MAGIC) and (points_back or footer.summary_start > end)
 
 
 def forget_unlisted_chunk(data: WholeData, summary: bytes) -> int:
@@ -240,63 +219,73 @@ def _live(file: InputFile, flaws: Flaws, on_progress: Callable[[int], None]) -> 
 def _check_crc(file: InputFile, found: WholeFile) -> None:
     """Compare the CRC of the data; if one flipped bit explains a difference, name its byte."""
     data, flaws = found.data, found.flaws
-    if data.told_crc == data.crc:
+    if data.told_crc:
+        span = 0, data.end + DATA_END_BYTES
+        crcs = data.told_crc, data.crc
+        _compare_crcs("data", crcs, (0, data.end), span, flaws, place_known=bool(flaws.count))
+    elif data.crc and data.own and found.state is not FileState.NOT_CLOSED:
+        flaws.add(data.end, data.end + DATA_END_BYTES, "the data has no checksum")
+
+
+def _compare_crcs(
+    what: str,
+    crcs: tuple[int, int],
+    covered: tuple[int, int],
+    span: tuple[int, int],
+    flaws: Flaws,
+    *,
+    place_known: bool,
+) -> None:
+    """Compare the told CRC of the `covered` bytes (start and end) with the one that was found.
+
+    If no flipped bit explains a difference, and no other flaw does, the flaw is the whole `span`.
+    """
+    told, found = crcs
+    start, end = covered
+    if told == found:
         return
-    if not data.told_crc:
-        if data.own and found.state is not FileState.NOT_CLOSED:
-            flaws.add(data.end, data.end + DATA_END_BYTES, "the data has no checksum")
+    at = find_flip(told, found, end - start)
+    if at is None:
+        if not place_known:
+            flaws.add(*span, f"the checksum of the {what} is wrong")
         return
-    at = find_flip(data.told_crc or 0, data.crc, data.end)
-    if at is not None:
-        flaws.add(at, at + 1, "the checksum of the data tells that one bit of this byte is wrong")
-    elif not flaws.count:
-        flaws.add(0, data.end + DATA_END_BYTES, "the checksum of the data is wrong")
+    bit = "one bit of this byte" if what == "data" else "a bit"
+    flaws.add(start + at, start + at + 1, f"the checksum of the {what} tells that {bit} is wrong")
 
 
 def _check_trailer(file: InputFile, found: WholeFile) -> None:
     """Check everything from DataEnd to the end of the file."""
     data, flaws = found.data, found.flaws
     try:
-        end = find_end(file, data.end)
-    except BadEnd as damage:
+        footer = find_footer(file, data.end)
+    except Damaged as damage:
+        if file.failure:
+            raise
         flaws.add(data.end, file.size, f"the end of the file: {damage}")
         return
-    before = flaws.count
-    summary = file.read(end.summary, end.footer - end.summary)
+    before, start, end = flaws.count, data.end + DATA_END_BYTES, footer.end + len(MAGIC)
+    summary = file.read(start, footer.offset - start)
     if data.unfinished is not None:
         found.loose += data.end - data.unfinished
     if found.state is FileState.NOT_CLOSED and not data.told_crc:
         found.loose += forget_unlisted_chunk(data, summary)
     if summary or data.own:
-        compare_summary(summary, end.summary, data, flaws)
-    footer: Footer = parse(Footer, file.read(end.footer + RECORD_HEAD.size, FOOTER_CONTENT_BYTES))
-    if (data.own or footer.summary_start) and footer.summary_start != end.summary:
-        flaws.add(end.footer, end.magic, "the footer says that the summary begins elsewhere")
-    if file.read(end.magic, len(MAGIC)) != MAGIC:
-        flaws.add(end.magic, end.after, "the file does not end with the mark of MCAP")
-    if end.after != file.size:
-        if found.state is FileState.NOT_CLOSED and ends_in_commit(file, end):
-            found.loose += file.size - end.after
+        compare_summary(summary, start, data, flaws)
+    told: Footer = parse(Footer, file.content(footer))
+    if (data.own or told.summary_start) and told.summary_start != start:
+        flaws.add(footer.offset, footer.end, "the footer says that the summary begins elsewhere")
+    if file.read(footer.end, len(MAGIC)) != MAGIC:
+        flaws.add(footer.end, end, "the file does not end with the mark of MCAP")
+    if end != file.size:
+        if found.state is FileState.NOT_CLOSED and ends_in_commit(file, start, end):
+            found.loose += file.size - end
         else:
-            flaws.add(end.after, file.size, "these bytes lie behind the end of the file")
-    _check_summary_crc(file, found, end, footer, place_known=flaws.count > before)
-
-
-def _check_summary_crc(
-    file: InputFile, found: WholeFile, end: FileEnd, footer: Footer, *, place_known: bool
-) -> None:
-    if not footer.summary_crc and not found.data.own:
-        return
-    size = end.magic - _CRC_BYTES - end.summary
-    crc = crc32(file.read(end.summary, size))
-    if crc == footer.summary_crc:
-        return
-    at = find_flip(footer.summary_crc, crc, size)
-    if at is not None:
-        start = end.summary + at
-        found.flaws.add(start, start + 1, "the checksum of the summary tells that a bit is wrong")
-    elif not place_known:
-        found.flaws.add(end.summary, end.magic, "the checksum of the summary is wrong")
+            flaws.add(end, file.size, "these bytes lie behind the end of the file")
+    if told.summary_crc or data.own:
+        covered, span = (start, footer.end - _CRC_BYTES), (start, footer.end)
+        crcs = told.summary_crc, crc32(file.read(start, covered[1] - start))
+        known = flaws.count > before
+        _compare_crcs("summary", crcs, covered, span, flaws, place_known=known)
 
 
 def find_flip(told: int, found: int, size: int) -> int | None:

@@ -10,13 +10,15 @@ from typing import Any
 from robotctl.base.errors import Divergence, NotSealed, RobotctlError, UnreadableFile
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import moment, row, short_path, size
-from robotctl.recording.read.seal_chain import check_chain, compare_known, find_head
 from robotctl.recording.read.seal_check import SealOfRead, SealState
 from robotctl.recording.read.source import SUFFIX
 from robotctl.recording.read.whole_file import WholeFile
 from robotctl.recording.read.whole_recording import (
     RecordingProof,
     VerifiedRecording,
+    check_chain,
+    compare_known,
+    find_head,
     verify_recording,
 )
 from robotctl.recording.seal.heads import KnownHeads, known_heads
