@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from itertools import dropwhile
 from typing import NamedTuple
 
@@ -48,37 +48,18 @@ class EntryDecoder:
         Raises:
             UnreadableFile: The message is not an entry, or exceeds the limits.
         """
-        self._count(1, len(serialized))
-        entry = decode(serialized)
-        if entry.kind is EntryKind.SNAPSHOT:
-            self.count_snapshot()
-        return entry
-
-    def count(self, entries: Sequence[bytes]) -> None:
-        """Count entries that the caller decodes.
-
-        Raises:
-            UnreadableFile: They exceed the limits.
-        """
-        self._count(len(entries), sum(map(len, entries)))
-
-    def _count(self, entries: int, text_bytes: int) -> None:
-        self._entries_left -= entries
+        self._entries_left -= 1
         if self._entries_left < 0:
             raise _beyond(f"{self._limits.journal_entries} entries")
-        self._text_bytes_left -= text_bytes
+        self._text_bytes_left -= len(serialized)
         if self._text_bytes_left < 0:
             raise _beyond(f"{self._limits.journal_text_bytes >> 20} MiB of text")
-
-    def count_snapshot(self) -> None:
-        """Count a snapshot.
-
-        Raises:
-            UnreadableFile: There are more snapshots than the limit.
-        """
-        self._snapshots_left -= 1
-        if self._snapshots_left < 0:
-            raise _beyond(f"{self._limits.snapshots} snapshots")
+        entry = decode(serialized)
+        if entry.kind is EntryKind.SNAPSHOT:
+            self._snapshots_left -= 1
+            if self._snapshots_left < 0:
+                raise _beyond(f"{self._limits.snapshots} snapshots")
+        return entry
 
 
 def _beyond(limit: str) -> UnreadableFile:
