@@ -71,6 +71,15 @@ class CdrReader:
         (size,) = self.take("I")
         return self.octets(size)[:-1].decode(errors="replace")
 
+    def skip_header(self) -> None:
+        """Skip a std_msgs/Header.
+
+        Raises:
+            struct.error: The message is cut short.
+        """
+        self.take("I", 2)
+        self.octets(*self.take("I"))
+
     def wide_text(self) -> str:
         """Return the next wide string; units that are not UTF-16 are replaced.
 
@@ -117,13 +126,13 @@ class CdrWriter:
         self.data += struct.pack(f"<{len(numbers)}{code}", *numbers)
 
     def text(self, text: str) -> None:
-        """Add a string."""
-        content = text.encode() + b"\0"
+        """Add a string; characters that UTF-8 lacks are written as escapes."""
+        content = text.encode(errors="backslashreplace") + b"\0"
         self.put("I", len(content))
         self.data += content
 
     def wide_text(self, text: str) -> None:
         """Add a wide string."""
-        content = text.encode("utf-16-le")
+        content = text.encode("utf-16-le", errors="surrogatepass")
         units = struct.unpack(f"<{len(content) // 2}H", content)
         self.put("I", len(units), *units)

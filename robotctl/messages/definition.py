@@ -32,25 +32,30 @@ MAX_LENGTH: Final = 2**32 - 1
 TEXT: Final = "string"
 WIDE_TEXT: Final = "wstring"
 
-NUMBERS: Final[Mapping[str, str]] = {
-    "bool": "?",
-    "byte": "B",
-    "char": "B",
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
+BUILT_IN: Final[Mapping[str, tuple[str, int]]] = {
+    "int8": ("b", 2),
+    "uint8": ("B", 3),
+    "char": ("B", 3),  # in a .msg file, another name of uint8
+    "int16": ("h", 4),
+    "uint16": ("H", 5),
+    "int32": ("i", 6),
+    "uint32": ("I", 7),
+    "int64": ("q", 8),
+    "uint64": ("Q", 9),
+    "float32": ("f", 10),
+    "float64": ("d", 11),
+    "bool": ("?", 15),
+    "byte": ("B", 16),
+    TEXT: ("", 17),
+    WIDE_TEXT: ("", 18),
 }
+"""The built-in types of ros2msg: the `struct` code of a number, and the number of the type in
+type_description_interfaces/msg/FieldType."""
+
+NUMBERS: Final = {name: code for name, (code, _) in BUILT_IN.items() if code}
 """The `struct` code of each numeric type."""
 
 BYTE: Final = "B"
-BUILT_IN: Final = frozenset({*NUMBERS, TEXT, WIDE_TEXT})
 
 _SEPARATOR = re.compile(r"^=+[ \t\r]*\n(?=MSG: )", re.MULTILINE)
 _FIELD = re.compile(
@@ -273,25 +278,7 @@ def _checked(root: str, all_types: Mapping[str, tuple[Field, ...]]) -> Definitio
 
 
 _NESTED: Final = 1
-_NUMBERS_OF_TYPES: Final[Mapping[str, int]] = {
-    "int8": 2,
-    "uint8": 3,
-    "int16": 4,
-    "uint16": 5,
-    "int32": 6,
-    "uint32": 7,
-    "int64": 8,
-    "uint64": 9,
-    "float32": 10,
-    "float64": 11,
-    "bool": 15,
-    "byte": 16,
-    "string": 17,
-    "wstring": 18,
-}
-"""The numbers of type_description_interfaces/msg/FieldType that a ros2msg text can express."""
-
-_NAMES_OF_TYPES: Final = {number: name for name, number in _NUMBERS_OF_TYPES.items()}
+_NAMES_OF_TYPES: Final = {number: name for name, (_, number) in BUILT_IN.items() if name != "char"}
 _BOUNDED_TEXT: Final = 4
 _SHAPE: Final = 48
 """A type's number plus 1, 2 or 3 times this stands for an array, a bounded or an unbounded sequence
@@ -322,7 +309,7 @@ def description_of(type_name: str, definition: Definition) -> dict[str, Any]:
 
     def described(field: Field) -> dict[str, Any]:
         kind, length = field.type_name, field.length
-        number = _NUMBERS_OF_TYPES.get("uint8" if kind == "char" else kind, _NESTED)
+        number = _NESTED if field.is_message else BUILT_IN[kind][1]
         if field.text_bound is not None:
             number += _BOUNDED_TEXT
         if field.shape is FieldShape.SEQUENCE and length is None and kind == WIDE_TEXT:
@@ -379,7 +366,7 @@ def _described_field(described: Mapping[str, Any]) -> Field:
         raise UnreadableType(f"{name[:80]!r} is no name of a field")
     shape, number = divmod(kind["type_id"], _SHAPE)
     text_bound = None
-    if number - _BOUNDED_TEXT in (_NUMBERS_OF_TYPES[TEXT], _NUMBERS_OF_TYPES[WIDE_TEXT]):
+    if _NAMES_OF_TYPES.get(number - _BOUNDED_TEXT) in (TEXT, WIDE_TEXT):
         number -= _BOUNDED_TEXT
         text_bound = _length(str(kind["string_capacity"]))
     if number == _NESTED:

@@ -26,9 +26,7 @@ def read_battery_level(data: bytes) -> float:
     """
     try:
         message = CdrReader(data)
-        message.take("i")
-        message.take("I")
-        message.text()
+        message.skip_header()
         return float(message.take("f", _PERCENTAGE + 1)[_PERCENTAGE])
     except Exception:  # noqa: BLE001 - the bytes may be anything
         return nan
@@ -52,8 +50,7 @@ def nearest_by_sector(data: bytes) -> tuple[float, ...]:
     import numpy as np  # here: a check of a recording without scans need not load it
 
     message = CdrReader(data)
-    message.take("i"), message.take("I")
-    message.text()
+    message.skip_header()
     angle_min, _, increment, _, _, range_min, range_max = message.take("f", 7)
     (count,) = message.take("I")
     if not isfinite(angle_min + increment) or count > MAX_RAYS:
@@ -132,7 +129,7 @@ def _bool(data: bytes) -> tuple[float, str]:
 def _button(number: int, data: bytes) -> tuple[float, str]:
     """Return 1 if button `number` is pressed, else 0. Without such a button, raise IndexError."""
     message = CdrReader(data)
-    _skip_header(message)
+    message.skip_header()
     message.take("f", *message.take("I"))
     return float(message.take("i", *message.take("I"))[number] != 0), ""
 
@@ -144,18 +141,13 @@ def _tilt(data: bytes) -> tuple[float, str]:
     means that there is no orientation (sensor_msgs/Imu).
     """
     message = CdrReader(data)
-    _skip_header(message)
+    message.skip_header()
     x, y, z, w, covariance = message.take("d", 5)
     length = (x**2 + y**2 + z**2 + w**2) ** 0.5
     if covariance == -1.0 or not abs(length - 1.0) <= UNIT_TOLERANCE:
         return nan, ""
     upward = 1.0 - 2.0 * (x**2 + y**2) / length**2
     return round(acos(max(-1.0, min(1.0, upward))), 2), ""
-
-
-def _skip_header(message: CdrReader) -> None:
-    message.take("i"), message.take("I")
-    message.text()
 
 
 def statuses(robot: str, data: bytes) -> Iterator[tuple[str, float, str]]:
@@ -165,7 +157,7 @@ def statuses(robot: str, data: bytes) -> Iterator[tuple[str, float, str]]:
         struct.error: The message is cut short, not in plain CDR, or too long.
     """
     message = CdrReader(data)
-    _skip_header(message)
+    message.skip_header()
     values = 0
     for _ in range(_count(message, MAX_STATUSES)):
         (level,) = message.take("B")

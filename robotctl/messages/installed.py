@@ -82,6 +82,9 @@ class InstalledType(NamedTuple):
         return _BYTES.search(self.text) is not None
 
 
+NOT_INSTALLED: Final = InstalledType("", "")
+
+
 @lru_cache(maxsize=1024)
 def installed_type(type_name: str) -> InstalledType:
     """Return what is installed of `pkg/msg/T`, or of a type such as `pkg/srv/T_Event`.
@@ -91,7 +94,7 @@ def installed_type(type_name: str) -> InstalledType:
     try:
         name = parse_type_name(type_name)
     except UnusableType:
-        return InstalledType("", "")
+        return NOT_INSTALLED
     try:
         built = json.loads(_file(name.package, name.kind, f"{name.interface}.json"))
         hashes = {each["type_name"]: str(each["hash_string"]) for each in built["type_hashes"]}

@@ -133,8 +133,7 @@ def decode_twist_stamped(data: bytes) -> Twist:
         struct.error: The message is cut short, or not in plain CDR.
     """
     message = CdrReader(data)
-    message.take("i"), message.take("I")
-    message.text()
+    message.skip_header()
     linear, _, _, _, _, angular = message.take("d", 6)
     return Twist(linear, angular)
 

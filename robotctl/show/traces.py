@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from math import hypot, isfinite, sqrt
 from pathlib import Path
@@ -36,6 +37,7 @@ from robotctl.kernel.types import (
     PublishTwist,
     Reply,
     Tick,
+    Twist,
 )
 from robotctl.kernel.types.events import ParameterChanged
 from robotctl.kernel.units import NS_PER_S
@@ -342,7 +344,10 @@ def topic_traces(topics: Sequence[TopicInfo]) -> TopicTraces:
     takers: dict[tuple[str, str], Taker] = {}
     kinds: tuple[dict[str, Taker], ...] = (
         {ODOMETRY: _take_odometry},
-        {TWIST: _take_command, TWIST_STAMPED: _take_stamped_command},
+        {
+            TWIST: partial(_take_command, decode_twist),
+            TWIST_STAMPED: partial(_take_command, decode_twist_stamped),
+        },
         {BATTERY: _take_battery},
     )
     for kind in kinds:
@@ -360,17 +365,11 @@ def _take_odometry(traces: Traces, t_s: float, data: bytes) -> None:
     traces.angular.add(t_s, sample.angular)
 
 
-def _take_command(traces: Traces, t_s: float, data: bytes) -> None:
-    _add_command(traces, t_s, data, stamped=False)
-
-
-def _take_stamped_command(traces: Traces, t_s: float, data: bytes) -> None:
-    _add_command(traces, t_s, data, stamped=True)
-
-
-def _add_command(traces: Traces, t_s: float, data: bytes, *, stamped: bool) -> None:
+def _take_command(
+    decode: Callable[[bytes], Twist], traces: Traces, t_s: float, data: bytes
+) -> None:
     try:
-        twist = decode_twist_stamped(data) if stamped else decode_twist(data)
+        twist = decode(data)
     except struct.error:
         traces.commanded_linear.odd += 1
         return

@@ -424,9 +424,9 @@ def test_what_a_service_implies_is_found_through_it() -> None:
 def test_what_loading_a_type_raises_is_a_reason_and_no_more(
     raised: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    index = tmp_path / "share" / "ament_index" / "resource_index" / "rosidl_interfaces"
-    index.mkdir(parents=True)
-    (index / "broken_msgs").write_text("msg/Broken.msg\n")
+    share = tmp_path / "share" / "broken_msgs" / "msg"
+    share.mkdir(parents=True)
+    (share / "Broken.msg").write_text("int8 x\n")
     package = tmp_path / "broken_msgs" / "msg"
     package.mkdir(parents=True)
     text = f"raise {raised}" if "(" in raised else raised

@@ -5,12 +5,12 @@ https://docs.foxglove.dev/docs/sdk/schemas/event specifies the type and its fiel
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
 from typing import Final
 
 from robotctl.kernel.units import NS_PER_S
-from robotctl.messages.cdr import ENCAPSULATION
+from robotctl.messages.definition import parse_definition
+from robotctl.messages.values import encode
 
 TOPIC: Final = "robotctl/events"
 TYPE_NAME: Final = "foxglove_msgs/msg/Event"
@@ -33,18 +33,12 @@ string key
 string value
 """
 
-_TIME: Final = struct.Struct("<iI")
-_LENGTH: Final = struct.Struct("<I")
+
+_EVENT: Final = parse_definition(TYPE_NAME, DEFINITION)
 
 
 def encode_event(start_ns: int, end_ns: int, metadata: Mapping[str, str]) -> bytes:
     """Return an event as ROS serializes it (CDR); times in nanoseconds since the epoch."""
-    content = bytearray()
-    for time_ns in (start_ns, end_ns):
-        content += _TIME.pack(*divmod(time_ns, NS_PER_S))
-    content += _LENGTH.pack(len(metadata))
-    for pair in metadata.items():
-        for text in pair:
-            data = text.encode(errors="backslashreplace") + b"\0"
-            content += b"\0" * (-len(content) % _LENGTH.size) + _LENGTH.pack(len(data)) + data
-    return ENCAPSULATION + bytes(content)
+    start, end = ({"sec": ns // NS_PER_S, "nanosec": ns % NS_PER_S} for ns in (start_ns, end_ns))
+    pairs = [{"key": key, "value": value} for key, value in metadata.items()]
+    return encode(_EVENT, {"start_time": start, "end_time": end, "metadata": pairs})

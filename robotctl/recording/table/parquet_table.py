@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from robotctl.base.errors import RobotctlError, UnreadableFile, UsageError
-from robotctl.messages.definition import NUMBERS, TEXT, WIDE_TEXT
+from robotctl.messages.definition import NUMBERS
 from robotctl.messages.fields import FieldPath, ValueKind
 from robotctl.recording.table.topic_table import Row, json_of
 
@@ -21,22 +21,20 @@ if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 _SQL_TYPES: Final = {
-    "bool": "BOOLEAN",
-    "byte": "UTINYINT",
-    "char": "UTINYINT",
-    "uint8": "UTINYINT",
-    "int8": "TINYINT",
-    "int16": "SMALLINT",
-    "uint16": "USMALLINT",
-    "int32": "INTEGER",
-    "uint32": "UINTEGER",
-    "int64": "BIGINT",
-    "uint64": "UBIGINT",
-    "float32": "FLOAT",
-    "float64": "DOUBLE",
-    TEXT: "VARCHAR",
-    WIDE_TEXT: "VARCHAR",
+    "?": "BOOLEAN",
+    "b": "TINYINT",
+    "B": "UTINYINT",
+    "h": "SMALLINT",
+    "H": "USMALLINT",
+    "i": "INTEGER",
+    "I": "UINTEGER",
+    "q": "BIGINT",
+    "Q": "UBIGINT",
+    "f": "FLOAT",
+    "d": "DOUBLE",
 }
+"""The type of a column, by the `struct` code of its numbers; texts have none."""
+
 _INTERRUPTED: Final = "Query interrupted"
 _ERRNO = re.compile(r'"errno":"(\d+)"')
 _FLOATS: Final = ("float32", "float64")
@@ -148,7 +146,7 @@ def _restored(column: FieldPath, name: str) -> str:
         return f"CAST({name} AS BLOB)"
     if column.kind is ValueKind.NESTED:
         return f"CAST({name} AS VARCHAR)"
-    kind = _SQL_TYPES[column.field.type_name]
+    kind = _SQL_TYPES.get(NUMBERS.get(column.field.type_name, ""), "VARCHAR")
     if column.kind is ValueKind.LIST:
         cast = f"CAST({name} AS {kind}[])"
         nan = f"list_transform({cast}, lambda x: coalesce(x, CAST('nan' AS {kind})))"

@@ -1,7 +1,7 @@
 """The classes of installed types, by name.
 
 Type names come from other processes and from files, which must not choose what Python imports. So
-only types that the ament index lists are imported. `NO_PUBLISHER_EVENTS` and
+only types of installed packages are imported. `NO_PUBLISHER_EVENTS` and
 `NO_SUBSCRIPTION_EVENTS` switch off rclpy's default event handlers: each takes a file descriptor,
 and what it reports can be read from the graph.
 """
@@ -14,13 +14,17 @@ from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
-from ament_index_python.resources import get_resource
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-from robotctl.messages.installed import TypeName, UnusableType, parse_type_name
+from robotctl.messages.installed import (
+    NOT_INSTALLED,
+    UnusableType,
+    installed_type,
+    parse_type_name,
+)
 
 
 def type_name_of(message_class: Any) -> str:
@@ -34,10 +38,10 @@ def message_class(type_name: str) -> Any:
     """Return the class of `pkg/msg/T`, or of a service or action type such as `pkg/srv/T_Event`.
 
     Raises:
-        UnusableType: The name is invalid or not in the ament index, or the class cannot be loaded.
+        UnusableType: The name is invalid, or the type is not installed or cannot be loaded.
     """
     name = parse_type_name(type_name)
-    if not is_installed(name):
+    if installed_type(type_name) == NOT_INSTALLED:
         raise UnusableType("is not installed")
     try:
         module = import_module(f"{name.package}.{name.kind}")
@@ -48,16 +52,6 @@ def message_class(type_name: str) -> Any:
         if isinstance(error, KeyboardInterrupt) and _is_ctrl_c():
             raise
         raise UnusableType(f"cannot be loaded ({type(error).__name__}: {error})") from error
-
-
-def is_installed(name: TypeName) -> bool:
-    """Return whether the ament index lists the interface that defines the type."""
-    try:
-        content, _ = get_resource("rosidl_interfaces", name.package)
-    except (OSError, ValueError, LookupError):
-        return False
-    listed = {line.strip().rpartition(".")[0] for line in content.splitlines()}
-    return f"{name.kind}/{name.interface}" in listed
 
 
 def _is_ctrl_c() -> bool:

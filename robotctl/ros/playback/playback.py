@@ -24,10 +24,15 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from robotctl.base.text import short_name
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import JOURNAL_ENTRY
-from robotctl.messages.installed import UnusableType, installed_type, parse_type_name
+from robotctl.messages.installed import (
+    NOT_INSTALLED,
+    UnusableType,
+    installed_type,
+    parse_type_name,
+)
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.membership import Membership
-from robotctl.ros.messages.classes import is_installed, message_class
+from robotctl.ros.messages.classes import message_class
 from robotctl.ros.playback.senders import PatientSender, RequestSender, clock_sender, sender
 
 _WORD: Final = re.compile(r"(?<=.)(?=[A-Z][a-z])|(?<=[a-z0-9])(?=[A-Z])")
@@ -47,12 +52,12 @@ def serialized_type(type_name: str) -> Any:
     For a type of a service or action, such as `pkg/srv/T_Event`, return the whole class.
 
     Raises:
-        UnusableType: The ament index does not list the type, or loading it failed.
+        UnusableType: The type is not installed, or loading it failed.
     """
     name = parse_type_name(type_name)
     if name.kind != "msg":
         return message_class(type_name)
-    if not is_installed(name):
+    if installed_type(type_name) == NOT_INSTALLED:
         raise UnusableType("is not installed")
     suffix = f"msg__msg__{_WORD.sub('_', name.short).lower()}"
     try:

@@ -194,6 +194,6 @@ def _topic(view: RosView, name: str, used: set[str]) -> GraphTopic:
 
 
 def _is_installed(type_name: str) -> bool:
-    from robotctl.messages.installed import InstalledType, installed_type
+    from robotctl.messages.installed import NOT_INSTALLED, installed_type
 
-    return installed_type(type_name) != InstalledType("", "")
+    return installed_type(type_name) != NOT_INSTALLED
