@@ -108,7 +108,7 @@ def test_who_steals_the_present_key_cannot_sign_for_yesterday(
 
 
 def test_the_old_private_key_is_overwritten_on_the_disk(tmp_path: Path, keys: Keyring) -> None:
-    keys.create()
+    keys.rotate()
     path = tmp_path / "keys" / KEY_FILE
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     with path.open("rb") as old:
@@ -255,7 +255,7 @@ def test_a_signature_is_of_one_key_and_one_text() -> None:
 
 
 def test_a_damaged_key_is_told_and_not_replaced(tmp_path: Path, keys: Keyring) -> None:
-    keys.create()
+    keys.rotate()
     path = tmp_path / "keys" / KEY_FILE
     path.write_text("{}")
     with pytest.raises(ValueError, match="damaged"):

@@ -121,9 +121,6 @@ _AS_RECORDED: Final = (FileState.FINISHED, FileState.LIVE, FileState.NOT_CLOSED)
 class KnownFile:
     """What this machine knows about a file."""
 
-    listed: bool = False
-    """Whether it knows the file's opening."""
-
     wrong: str = ""
     """Why the file cannot be the known one, or ""."""
 
@@ -143,21 +140,17 @@ def compare_known(file: WholeFile, heads: KnownHeads) -> KnownFile:
             return KnownFile(wrong=text)
         return KnownFile(unproved=text)
     for known in (name, opening.file):
-        keys = heads.keys_of(known)
-        if keys and opening.key not in keys:
+        if opening.key not in heads.keys.get(known, {opening.key}):
             return KnownFile(
                 wrong=f"this machine's list of keys knows {known} with another key: it was "
                 "replaced, or is of another robot of the same name"
             )
-    listed = heads.opened.get(opening.key) == opening
     closed = heads.closed.get(opening.key)
     if closed is None or file.seal.knows(closed.digest):
-        return KnownFile(listed)
+        return KnownFile()
     if file.seal.is_copy:
-        return KnownFile(listed, unproved="this machine knows its end, which no copy proves")
-    return KnownFile(
-        listed, wrong="this machine knows another end of it: a tail was cut or changed"
-    )
+        return KnownFile(unproved="this machine knows its end, which no copy proves")
+    return KnownFile(wrong="this machine knows another end of it: a tail was cut or changed")
 
 
 class RecordingProof(StrEnum):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Set
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -32,13 +32,15 @@ from robotctl.recording.seal.keyring import (
 class KnownHeads:
     """The sealed files of all robots: their openings and last heads, by the file's public key.
 
-    `signed` names the files that have at least one signed link.
+    `signed` names the files that have at least one signed link. `keys` has the public keys of the
+    files that had a name when they were opened: several if the clock was set back after a recording
+    was removed.
     """
 
     opened: dict[str, Opening] = field(default_factory=dict)
     closed: dict[str, Head] = field(default_factory=dict)
     signed: set[str] = field(default_factory=set)
-    _keys: dict[str, set[str]] = field(default_factory=dict)
+    keys: dict[str, set[str]] = field(default_factory=dict)
 
     def add(self, entry: Entry) -> None:
         """Add what a line of a journal says.
@@ -49,7 +51,7 @@ class KnownHeads:
         if entry.kind == DecisionKind.OPENED:
             opening = _opening(entry)
             self.opened[opening.key] = opening
-            self._keys.setdefault(opening.file, set()).add(opening.key)
+            self.keys.setdefault(opening.file, set()).add(opening.key)
             if opening.previous_file:  # it continues a signed link
                 self.signed.add(opening.previous_file)
         elif entry.kind == DecisionKind.CLOSED:
@@ -57,13 +59,6 @@ class KnownHeads:
             key = str(values.pop("key"))
             self.closed[key] = Head(**values)
             self.signed.add(self.closed[key].file)
-
-    def keys_of(self, file: str) -> Set[str]:
-        """Return the public keys of the files that had this name when they were opened.
-
-        There are several if the clock was set back after a recording was removed.
-        """
-        return self._keys.get(file, frozenset())
 
     def named(self, root: str, number: int) -> str:
         """Return the name of file `number` of the chain with key `root`, "" if it is unknown."""

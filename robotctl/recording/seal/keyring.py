@@ -145,15 +145,6 @@ class Keyring:
             raise ValueError(f"{self._folder / KEY_FILE} is damaged: {error}") from error
         return stored
 
-    def create(self) -> StoredKey:
-        """Return the present key; make the first one if there is none.
-
-        Raises:
-            OSError, ValueError: As `load`, or the key cannot be written.
-        """
-        with self._locked():
-            return self._load_or_make()
-
     def open_file(self, file: str) -> SealOfFile:
         """Make a key for a new file, overwriting the previous file's key; return the file's seal.
 
@@ -253,22 +244,18 @@ class Keyring:
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
-        """Keep other processes from changing keys or journal during the block."""
+        """Keep other processes from changing keys or journal during the block.
+
+        Before, the list of an early version is moved into the journal: a kill leaves lines twice.
+        """
         make_private(self._folder)
+        old = self._folder / OLD_LIST
         with locked(self._journal):
             with suppress(OSError):  # it stays, and is read where it is
-                self._take_over(self._folder / OLD_LIST)
+                if old.exists():
+                    append(kept_file(self._journal), entries_of_list(old))
+                    old.replace(old.with_name(f"{OLD_LIST}.old"))
             yield
-
-    def _take_over(self, old: Path) -> None:
-        """Move the list of an early version into the journal; after a kill, some lines are twice.
-
-        Raises:
-            OSError: It cannot be moved.
-        """
-        if old.exists():
-            append(kept_file(self._journal), entries_of_list(old))
-            old.replace(old.with_name(f"{OLD_LIST}.old"))
 
 
 OLD_LIST: Final = "heads.jsonl"

@@ -76,8 +76,12 @@ def evidence(
     log.broken += wrong_openings(log.opened)
     told, found = collect(log.entries), collect(log.entries, since_ns)
     items = list(_recordings(robot, told, found, recordings, since_ns))
-    for item in items:
-        log.broken += _cut_off(log, Path(item["path"]))
+    log.broken += [
+        f"{path.name} knows an entry that is not there: the journal was cut off, or it was "
+        "rewritten"
+        for path in (Path(item["path"]) for item in items)
+        if _knows_more(path, log)
+    ]
     together = _prove(items, quiet=as_json) if check else None
     if found.daemons and found.daemons[-1]["end_ns"] is None:
         last = {"path": found.daemons[-1]["recording"], "state": _LIVE}
@@ -139,9 +143,9 @@ def _looked_at(path: Path) -> dict[str, Any]:
 
 
 def _heads(recording: Path, robot: str = "") -> Iterator[tuple[str | None, int]]:
-    """Yield for each file the newest hash of the journal when the file began, and that time [ns].
+    """Yield a pair for each file: the digest of the journal when it began, and that time [ns].
 
-    The hash is None if an early version of robotctl wrote the file. If `robot` is given, files of
+    The digest is None if an early version of robotctl wrote the file. If `robot` is given, files of
     other robots are skipped.
     """
     from robotctl.recording import read_info
@@ -156,16 +160,13 @@ def _heads(recording: Path, robot: str = "") -> Iterator[tuple[str | None, int]]
                 yield noted.get("decisions"), info.start_ns
 
 
-def _cut_off(log: LogContent, recording: Path) -> Iterator[str]:
-    """Yield a sentence if `recording` names the hash of an entry that the journal does not have."""
-    for head, start_ns in _heads(recording):
-        is_older = log.begins_later and log.entries and start_ns <= log.entries[0].time_ns
-        if head and head not in log.heads and not is_older:
-            yield (
-                f"{recording.name} knows an entry that is not there: the journal was cut off, or "
-                "it was rewritten"
-            )
-            return
+def _knows_more(recording: Path, log: LogContent) -> bool:
+    """Return whether a file of `recording` knows a digest that the journal does not have."""
+    first_ns = log.entries[0].time_ns if log.begins_later and log.entries else -1
+    return any(
+        head and head not in log.heads and start_ns > first_ns
+        for head, start_ns in _heads(recording)
+    )
 
 
 def _prove(items: Sequence[dict[str, Any]], *, quiet: bool) -> dict[str, Any] | None:
@@ -183,10 +184,10 @@ def _prove(items: Sequence[dict[str, Any]], *, quiet: bool) -> dict[str, Any] | 
     verified = verify_together(paths, quiet=quiet)
     with progress_bar("checking", quiet=quiet) as on_progress:
         reports = check_recordings(paths, on_progress)
-    for item, verify, report in zip(finished, verified.recordings, reports, strict=True):
+    for item, verify, report in zip(finished, verified.pop("recordings"), reports, strict=True):
         item |= {"verify": verify["verdict"], "check": report["verdict"]}
         item |= {name: verify[name] for name in ("wrong", "unproved")}
-    return verified.summary
+    return verified
 
 
 def _as_object(
@@ -210,32 +211,22 @@ def _as_object(
 
 
 def _gravest(
-    log: LogContent,
-    proof: Sequence[dict[str, Any]],
-    together: dict[str, Any] | None,
+    log: LogContent, items: Sequence[dict[str, Any]], together: dict[str, Any] | None
 ) -> RobotctlError | None:
-    wrong = list(_wrong(proof, ("broken",), ("diverged", "broken")))
+    def those(*verdicts: str) -> list[str]:
+        return [each["path"] for each in items if {each["verify"], each["check"]} & {*verdicts}]
+
     if log.broken:
         return Divergence(f"the journal of decisions is not as it was written: {log.broken[0]}")
-    if wrong:
+    if wrong := those("broken", "diverged"):
         return Divergence(f"{len(wrong)} recordings are not as they were written: {wrong[0]}")
     if together is not None and together["wrong"]:
         return Divergence(f"the chain of the recordings is broken: {together['wrong'][0]}")
-    partly = list(_wrong(proof, ("unreadable",), ("incomplete",)))
-    if partly:
+    if partly := those("unreadable", "incomplete"):
         return UnreadableFile(f"{len(partly)} recordings could not be checked: {partly[0]}")
-    unproved = [sentence for item in proof for sentence in item["unproved"]]
-    if unproved:
+    if unproved := [sentence for each in items for sentence in each["unproved"]]:
         return UnreadableFile(f"{len(unproved)} files have lost their seal: {unproved[0]}")
     return None
-
-
-def _wrong(
-    proof: Sequence[dict[str, Any]], verify: Sequence[str], check: Sequence[str]
-) -> Iterator[str]:
-    for item in proof:
-        if item["verify"] in verify or item["check"] in check:
-            yield item["path"]
 
 
 MOST_SHOWN: Final = 50
@@ -259,28 +250,26 @@ def evidence_lines(answer: Mapping[str, Any]) -> Iterator[str]:
             yield from _field("", sentence)
         if len(sentences) > MOST_SHOWN:
             yield from _field("", f"and {len(sentences) - MOST_SHOWN} more: --json")
-    yield from _software(answer["software"])
-    yield from _section("changes of software", answer["software_changes"], _changed)
-    yield from _section("changes of settings", answer["configuration_changes"], _changed)
-    yield from _section("daemons", answer["daemons"], _daemon)
-    yield from _section("stops", answer["stops"], _mode)
-    yield from _section("releases", answer["releases"], _mode)
-    yield from _section("interventions", answer["interventions"], _request)
-    yield from _section("refused", answer["refusals"], _request)
-    yield from _section("not written one by one", answer["unwritten"], _unwritten)
-    yield from _section("recordings that retention removed", answer["removed"], _removed)
+    if answer["software"]:
+        yield from ("", "software of the last start")
+    for name, value in answer["software"].items():
+        yield from _field(name, value)
+    for title, name, text in (
+        ("changes of software", "software_changes", _changed),
+        ("changes of settings", "configuration_changes", _changed),
+        ("daemons", "daemons", _daemon),
+        ("stops", "stops", _mode),
+        ("releases", "releases", _mode),
+        ("interventions", "interventions", _request),
+        ("refused", "refusals", _request),
+        ("not written one by one", "unwritten", _unwritten),
+        ("recordings that retention removed", "removed", _removed),
+    ):
+        yield from _section(title, answer[name], text)
     yield from _recording_lines(answer["recordings"])
     for name, label in (("wrong", "wrong"), ("notes", "note")):
         for sentence in (answer["verify"] or {}).get(name, ()):
             yield from row(_INDENT, f"{label}: {sentence}")
-
-
-def _software(software: Mapping[str, Any]) -> Iterator[str]:
-    if software:
-        yield ""
-        yield "software of the last start"
-    for name, value in software.items():
-        yield from _field(name, value)
 
 
 def _section(

@@ -10,7 +10,7 @@ from robotctl.base.errors import UnreadableFile
 from robotctl.check.incident import find_incident
 from robotctl.check.many import check_recordings
 from robotctl.check.report import Verdict
-from robotctl.cli.commands.recordings.verify.report import verified
+from robotctl.cli.commands.recordings.verify.report import verify_together
 from robotctl.cli.commands.recordings.why import FoundIncident, as_object
 from robotctl.cli.ui.output import progress_bar
 from robotctl.cli.ui.text import duration, size
@@ -37,8 +37,7 @@ def judge(path: Path, recorded: Recorded, *, quiet: bool) -> ReportFindings:
             (checked,) = check_recordings([path], on_progress)
         judgements.append(_checked(checked))
         explanations = _explained(path, recorded, quiet=quiet)
-    with progress_bar("verifying", quiet=quiet) as on_progress:
-        judgements.append(_verified(verified(path, on_progress)))
+    judgements.append(_verified(verify_together([path], quiet=quiet)["recordings"][0]))
     return ReportFindings(tuple(judgements), tuple(explanations))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -75,15 +74,15 @@ def verify(
             f"--head {head[:80]} is no head", "give 64 digits, as robotctl key head does"
         )
     paths, _ = select_recordings(files, robot, also_urls=True)
-    found = verify_together(paths, head, quiet=as_json)
-    reports, summary = found.recordings, found.summary
-    lines = [line for report in reports for line in recording_lines(report)]
-    lines += summary_lines(summary)
-    answer = {"recordings": reports, **summary}
-    print_answer(answer, lines, as_json=as_json, error=_gravest(reports, summary))
+    answer = verify_together(paths, head, quiet=as_json)
+    lines = [line for report in answer["recordings"] for line in recording_lines(report)]
+    lines += summary_lines(answer)
+    print_answer(answer, lines, as_json=as_json, error=_gravest(answer))
 
 
-def _gravest(reports: Sequence[dict[str, Any]], summary: dict[str, Any]) -> RobotctlError | None:
+def _gravest(answer: dict[str, Any]) -> RobotctlError | None:
+    reports = answer["recordings"]
+
     def those(verdict: str, what: str) -> str:
         count = sum(report["verdict"] == verdict for report in reports)
         if len(reports) == 1:
@@ -93,8 +92,8 @@ def _gravest(reports: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Robo
     verdicts = {report["verdict"] for report in reports}
     if "broken" in verdicts:
         return Divergence(those("broken", "is not as it was written"))
-    if summary["wrong"]:
-        return Divergence(f"the chain is broken: {summary['wrong'][0]}")
+    if answer["wrong"]:
+        return Divergence(f"the chain is broken: {answer['wrong'][0]}")
     if "unreadable" in verdicts:
         return UnreadableFile(those("unreadable", "could not be read completely"))
     if "whole" in verdicts:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from robotctl.recording.read.seal_check import SealOfRead, SealState
 from robotctl.recording.read.source import SUFFIX
 from robotctl.recording.read.whole_file import WholeFile
 from robotctl.recording.read.whole_recording import (
+    Chain,
     RecordingProof,
     VerifiedRecording,
     check_chain,
@@ -106,46 +106,22 @@ def _link_line(links: dict[str, Any]) -> str:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class VerifiedTogether:
-    """The result of verifying recordings: the object of each in `--json`, and the summary."""
+def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> dict[str, Any]:
+    """Verify each recording, then the chain of all their files, and what this machine knows.
 
-    recordings: list[dict[str, Any]]
-    summary: dict[str, Any]
-
-
-def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> VerifiedTogether:
-    """Verify each recording, then the chain of all their files, with this machine's lists of keys.
-
-    If `head` is given, one of the recordings must contain it.
+    Return the object for `--json`: `recordings`, and the summary. If `head` is given, one of the
+    recordings must contain it.
     """
-    heads = known_heads()
     found: list[VerifiedRecording] = []
-    reports = []
     for path in paths:
         with progress_bar(f"reading {path.name}", quiet=quiet) as on_progress:
-            reports.append(_verify(path, on_progress, heads, found))
-    return VerifiedTogether(reports, summary_object(found, head, heads))
-
-
-def verified(path: Path, on_progress: Callable[[int, int], None]) -> dict[str, Any]:
-    """Return the result for one recording, as its object in `--json`."""
-    return _verify(path, on_progress, known_heads(), [])
-
-
-def _verify(
-    path: Path,
-    on_progress: Callable[[int, int], None],
-    heads: KnownHeads,
-    found: list[VerifiedRecording],
-) -> dict[str, Any]:
-    """Verify a recording and return its object in `--json`; add it to `found` if readable."""
-
-    try:
-        found.append(verify_recording(path, on_progress))
-    except UnreadableFile as error:
-        return unreadable_object(path, str(error))
-    return recording_object(found[-1], heads)
+            try:
+                found.append(verify_recording(path, on_progress))
+            except UnreadableFile as error:
+                found.append(VerifiedRecording(path, (), (str(error),), (), Chain()))
+    heads = known_heads()
+    objects = [_recording_object(each, heads) for each in found]
+    return {"recordings": objects, **_summary_object(found, head, heads)}
 
 
 _LABEL_WIDTH = 12
@@ -159,7 +135,7 @@ NOT_PROVED = (
 )
 
 
-def recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, Any]:
+def _recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, Any]:
     """Return the object of one recording; `heads` are this machine's lists of keys."""
     known = [(file.path.name, compare_known(file, heads)) for file in found.files]
     wrong = [*found.wrong, *(f"{name}: {each.wrong}" for name, each in known if each.wrong)]
@@ -192,20 +168,7 @@ def recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, A
     }
 
 
-def unreadable_object(path: Path, reason: str) -> dict[str, Any]:
-    """Return the object of a recording of which nothing can be read."""
-    return {
-        "path": str(path),
-        "verdict": RecordingProof.UNREADABLE.value,
-        "files": [],
-        "wrong": [],
-        "unreadable": [reason],
-        "unproved": [],
-        "notes": [],
-    }
-
-
-def summary_object(
+def _summary_object(
     found: Sequence[VerifiedRecording], head: str, heads: KnownHeads
 ) -> dict[str, Any]:
     """Return the summary of all recordings: their chain, the head, and what is not proved."""
@@ -224,7 +187,8 @@ def summary_object(
     for root, number in chain.missing:
         if name := heads.named(root, number):
             notes.append(f"this machine's list of keys knows file {number}: it was {name}")
-    known = sum(compare_known(file, heads).listed for file in sealed)
+    openings = [file.seal.opening for file in sealed if file.seal.opening is not None]
+    known = sum(heads.opened.get(opening.key) == opening for opening in openings)
     if known:
         notes.append(f"this machine's list of keys knows {known} of {len(sealed)} files")
     return {
