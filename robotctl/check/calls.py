@@ -22,14 +22,12 @@ from robotctl.check.inputs import AFTER_NS
 from robotctl.check.journal import Moments
 from robotctl.check.report import Report
 from robotctl.check.times import ClockChanges
-from robotctl.check.topics import RecordedFilter, own_name
+from robotctl.check.topics import RobotTopics
 from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Effect, Event, ModeRequested, Reply
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import CdrReader
-from robotctl.recording import RecordingInfo
-from robotctl.recording.format.journal import TOPIC
 from robotctl.recording.read.messages import Message
 
 _GID_BYTES = 16
@@ -176,13 +174,10 @@ END_NS = 2 * NS_PER_S
 class ServiceChecks:
     """Checks all services that request a mode, from the first snapshot with a proof on."""
 
-    def __init__(
-        self, report: Report, info: RecordingInfo, journal_topic: str, clock: ClockChanges
-    ) -> None:
+    def __init__(self, report: Report, topics: RobotTopics, clock: ClockChanges) -> None:
         open_calls: dict[tuple[bytes, int], Call] = {}
         self._all = [
-            ServiceCheck(report, info, journal_topic, service, open_calls, clock)
-            for service in SERVICES
+            ServiceCheck(report, topics, service, open_calls, clock) for service in SERVICES
         ]
         self._is_on = False
 
@@ -226,18 +221,15 @@ class ServiceCheck:
     def __init__(
         self,
         report: Report,
-        info: RecordingInfo,
-        journal_topic: str,
+        topics: RobotTopics,
         service: Service,
         open_calls: dict[tuple[bytes, int], Call],
         clock: ClockChanges,
     ) -> None:
-        name, self._is_told = own_name(info, journal_topic, f"service.{service.name}")
+        name, self._is_told = topics.told(f"service.{service.name}")
         self.topic = f"{name}/_service_event"
-        types = {topic.name: topic.type_name for topic in info.topics}
-        self.is_recorded = types.get(self.topic) == service.type_name
-        namespace = journal_topic.removesuffix(f"/{TOPIC}")
-        self._source = f"the ROS service {namespace}/{service.name}"
+        self.is_recorded = topics.types.get(self.topic) == service.type_name
+        self._source = f"the ROS service {topics.namespace}/{service.name}"
         self._open_calls = open_calls
         self._calls: list[Call] = []
         self._asked: list[Asked] = []
@@ -245,14 +237,8 @@ class ServiceCheck:
         self._answers_alone = 0
         """The number of responses whose call is not recorded."""
 
-        self._others = sorted(
-            topic.name
-            for topic in info.topics
-            if topic.type_name == service.type_name and topic.name != self.topic
-        )
-        self._is_left_out = not self.is_recorded and RecordedFilter(info, journal_topic).leaves_out(
-            self.topic, service.type_name
-        )
+        self._others = sorted(topics.of_type(service.type_name) - {self.topic})
+        self._is_left_out = topics.leaves_out(self.topic, service.type_name)
         self._report = report
         self._service = service
         self._clock = clock
@@ -373,7 +359,7 @@ class ServiceCheck:
             f"the first is entry {unheard[0].seq}"
         )
         is_counted = len(unheard) <= ending.lost
-        if self._is_left_out and not is_counted:
+        if self._is_left_out and not (self.is_recorded or is_counted):
             self._report.notes.append(f"{self.topic} was not recorded, as configured")
         elif not (self._calls or self._is_told or is_counted) and self._others:
             self._report.notes.append(

@@ -24,9 +24,8 @@ from robotctl.check.journal import Moments
 from robotctl.check.pairs import Slot, Waiting
 from robotctl.check.report import Report
 from robotctl.check.times import ClockChanges
-from robotctl.check.topics import full_name
+from robotctl.check.topics import RobotTopics
 from robotctl.kernel.codec import Proof, Snapshot
-from robotctl.kernel.command_types import COMMAND_TYPES
 from robotctl.kernel.types import (
     CommandPublishersSeen,
     Effect,
@@ -39,7 +38,6 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording import RecordingInfo
 from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.read.messages import Message
 
@@ -49,13 +47,6 @@ _BIG_ENDIAN_NUMBERS = struct.Struct(">6d")
 
 STILL = bytes(_NUMBERS.size)
 """The six numbers of a zero command."""
-
-
-def command_topic(info: RecordingInfo, journal_topic: str) -> str | None:
-    """Return the command topic of the robot with this journal, None if it is not recorded."""
-    name = full_name(info, journal_topic, "command.topic", "cmd_vel")
-    recorded = {topic.name for topic in info.topics if topic.type_name in COMMAND_TYPES}
-    return name if name in recorded else None
 
 
 def numbers_of(data: bytes) -> bytes:
@@ -452,10 +443,8 @@ def _same(decided: DecidedCommand, sent: SentCommand) -> bool:
 class CommandCheck:
     """Compares commands with decisions by number; in a recording of 0.1.0, only counts commands."""
 
-    def __init__(
-        self, report: Report, info: RecordingInfo, journal_topic: str, clock: ClockChanges
-    ) -> None:
-        self._topic = command_topic(info, journal_topic)
+    def __init__(self, report: Report, topics: RobotTopics, clock: ClockChanges) -> None:
+        self._topic = topics.commands
         self._report = report
         self._clock = clock
         self._pairs = CommandPairs()

@@ -8,8 +8,9 @@ from enum import StrEnum
 from pathlib import Path
 
 from robotctl.base.errors import UnreadableFile
-from robotctl.check.commands import command_topic, is_zero, numbers_of
+from robotctl.check.commands import is_zero, numbers_of
 from robotctl.check.journal import Gap, Step, decide, read_effect, read_event, read_snapshot, steps
+from robotctl.check.topics import RobotTopics
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
@@ -240,7 +241,7 @@ class _Context:
         """Yield the journal from the snapshot to shortly after the incident."""
         incident = self._incident
         first = incident.seq if incident.snapshot_seq is None else incident.snapshot_seq
-        commands = command_topic(self._recording.info(), self._topic)
+        commands = RobotTopics(self._recording.info(), self._topic).commands
         topics = {self._topic} if commands is None else {self._topic, commands}
         decoder = EntryDecoder(self._recording)
         for message in self._recording.in_order_written(topics, lambda sentence: None):

@@ -20,7 +20,7 @@ from robotctl.check.journal import Moments
 from robotctl.check.pairs import Slot, Waiting
 from robotctl.check.report import TOLERANCE, Report
 from robotctl.check.times import RecordedStalls
-from robotctl.check.topics import InputTopic, InputTopics, RepeatedLatched
+from robotctl.check.topics import InputTopic, RepeatedLatched, RobotTopics
 from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.kernel.safety_inputs import REPEATS_PER_TIMEOUT, SafetyInput, SafetyInputParams, Use
@@ -38,8 +38,6 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.messages import cdr
 from robotctl.messages.inputs import MESSAGE_TYPES, read_battery_level, read_sectors, reader_of
 from robotctl.messages.motion import decode_twist, decode_twist_stamped, read_sample, sample_of
-from robotctl.recording import RecordingInfo
-from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message
@@ -347,7 +345,7 @@ class InputCheck:
     def __init__(
         self,
         report: Report,
-        info: RecordingInfo,
+        topics: RobotTopics,
         name: str,
         topic: InputTopic,
         read: Callable[[bytes], Any],
@@ -364,9 +362,10 @@ class InputCheck:
         self._name = name
         self._is_left_out = topic.is_left_out
         self._is_latched = any(
-            each.name == topic.name and LATCHED_QOS in each.offered_qos for each in info.topics
+            each.name == topic.name and LATCHED_QOS in each.offered_qos
+            for each in topics.info.topics
         )
-        self._repeats = RepeatedLatched(info)
+        self._repeats = RepeatedLatched(topics.info)
         self._report = report
         self._read = read
         self._is_always_heard = is_always_heard
@@ -526,27 +525,23 @@ NAMES: Final = {
 class InputChecks:
     """Compares all inputs that the configuration in the metadata uses."""
 
-    def __init__(
-        self, report: Report, info: RecordingInfo, journal_topic: str, stalls: RecordedStalls
-    ) -> None:
+    def __init__(self, report: Report, topics: RobotTopics, stalls: RecordedStalls) -> None:
         """`stalls` are those of the journal."""
-        self._report, self._info, self._stalls = report, info, stalls
-        self._values = info.metadata.get(INFO_RECORD, {})
-        self._topics = topics = InputTopics(info, journal_topic)
-        odometry = topics.of("odometry.topic", "odom", cdr.ODOMETRY)
-        battery = topics.of("battery.topic", "battery_state", "sensor_msgs/msg/BatteryState")
+        self._report, self._topics, self._stalls = report, topics, stalls
+        odometry = topics.recorded("odometry.topic", "odom", cdr.ODOMETRY)
+        battery = topics.recorded("battery.topic", "battery_state", "sensor_msgs/msg/BatteryState")
         scan = InputTopic()
-        if self._values.get("parameter.scan.use", Use.OFF.value) != Use.OFF.value:
-            scan = topics.of("scan.topic", "scan", "sensor_msgs/msg/LaserScan")  # slow
-        wanted = topics.of("guard_topic", "cmd_vel_nav", *COMMAND_TYPES)
+        if self._topics.values.get("parameter.scan.use", Use.OFF.value) != Use.OFF.value:
+            scan = topics.recorded("scan.topic", "scan", "sensor_msgs/msg/LaserScan")  # slow
+        wanted = topics.recorded("guard_topic", "cmd_vel_nav", *COMMAND_TYPES)
         decode = decode_twist_stamped if wanted.type_name == TWIST_STAMPED else decode_twist
         self._checks: dict[object, InputCheck] = {
-            OdomReceived: InputCheck(report, info, "odometry", odometry, read_sample),
-            BatteryReceived: InputCheck(report, info, "the battery", battery, read_battery_level),
-            ScanReceived: InputCheck(report, info, "the scan", scan, read_sectors),
+            OdomReceived: InputCheck(report, topics, "odometry", odometry, read_sample),
+            BatteryReceived: InputCheck(report, topics, "the battery", battery, read_battery_level),
+            ScanReceived: InputCheck(report, topics, "the scan", scan, read_sectors),
             GuardedCommandReceived: InputCheck(
                 report,
-                info,
+                topics,
                 "the wanted velocity",
                 wanted,
                 partial(_read_wanted, decode),
@@ -556,27 +551,29 @@ class InputChecks:
         self._checks |= {kind: self._safety_input(kind) for kind in SafetyInput if self._uses(kind)}
 
     def _uses(self, kind: SafetyInput) -> bool:
-        use = self._values.get(f"parameter.inputs.{kind.value}.use", Use.OFF.value)
+        use = self._topics.values.get(f"parameter.inputs.{kind.value}.use", Use.OFF.value)
         return use != Use.OFF.value
 
     def _safety_input(self, kind: SafetyInput) -> InputCheck:
         params = SafetyInputParams().of(kind)
-        topic = self._topics.of(f"inputs.{kind.value}.topic", params.topic, MESSAGE_TYPES[kind])
+        topic = self._topics.recorded(
+            f"inputs.{kind.value}.topic", params.topic, MESSAGE_TYPES[kind]
+        )
         timeout_s = _number(
-            self._values, f"parameter.inputs.{kind.value}.timeout_s", params.timeout_s
+            self._topics.values, f"parameter.inputs.{kind.value}.timeout_s", params.timeout_s
         )
         read = reader_of(
             kind,
-            button=int(_number(self._values, "parameter.inputs.joy.button", 0.0)),
-            robot=self._values.get("robot", ""),
+            button=int(_number(self._topics.values, "parameter.inputs.joy.button", 0.0)),
+            robot=self._topics.values.get("robot", ""),
         )
         if kind is SafetyInput.DIAGNOSTICS:
             return _DiagnosticsCheck(
-                self._report, self._info, NAMES[kind], topic, _no_value, is_always_heard=False
+                self._report, self._topics, NAMES[kind], topic, _no_value, is_always_heard=False
             )
         return InputCheck(
             self._report,
-            self._info,
+            self._topics,
             NAMES[kind],
             topic,
             lambda data: read(data)[0],

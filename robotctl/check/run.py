@@ -38,6 +38,7 @@ from robotctl.check.journal import (
 from robotctl.check.report import Divergence, Report
 from robotctl.check.statuses import StatusCheck
 from robotctl.check.times import ClockChanges, MeasurementOrder, RecordedStalls, TickSchedule
+from robotctl.check.topics import RobotTopics
 from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.types import (
     Effect,
@@ -62,25 +63,22 @@ Compared = InputChecks | StatusCheck | CommandCheck | ServiceChecks
 class Comparisons:
     """The invariants, and the comparisons of commands, inputs, services and statuses."""
 
-    def __init__(
-        self, report: Report, invariants: Invariants, info: RecordingInfo, journal_topic: str
-    ) -> None:
+    def __init__(self, report: Report, invariants: Invariants, topics: RobotTopics) -> None:
         self._report = report
         self._invariants = invariants
         clock = self._clock = ClockChanges()
         self._stalls = RecordedStalls()
         self._ticks = TickSchedule()
         self._order = MeasurementOrder()
-        about = report, info, journal_topic
         self._of_all: tuple[Compared, ...] = (
-            InputChecks(*about, self._stalls),
-            StatusCheck(*about, clock),
+            InputChecks(report, topics, self._stalls),
+            StatusCheck(report, topics, clock),
         )
         """What compares each step."""
 
         self._of_decisions: tuple[Compared, ...] = (
-            CommandCheck(*about, clock),
-            ServiceChecks(*about, clock),
+            CommandCheck(report, topics, clock),
+            ServiceChecks(report, topics, clock),
         )
         """What compares all steps but odometry that led to nothing, which most steps are."""
 
@@ -282,7 +280,7 @@ class _Check:
             report.notes.append(f"the journal {other} of another robot was not checked")
         invariants, origin = self._invariants, JournalOrigin(info, topic)
         self._ends = RecordingEnds(self._recording, info, report, invariants, origin)
-        self._compared = Comparisons(report, invariants, info, topic)
+        self._compared = Comparisons(report, invariants, RobotTopics(info, topic))
         self._proofs = SnapshotProofs(report, self._chain, invariants)
         for item in steps(self._entries(topic)):
             if isinstance(item, Step):

@@ -13,13 +13,12 @@ from robotctl.check.ends import Ending, EndingOf, JournalEnd
 from robotctl.check.journal import Moments
 from robotctl.check.report import Report
 from robotctl.check.times import EXCUSES_NS, ClockChanges
-from robotctl.check.topics import RepeatedLatched, own_name
+from robotctl.check.topics import RepeatedLatched, RobotTopics
 from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Effect, Event, ModeChanged
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ROBOT_STATUS, CdrReader
-from robotctl.recording import RecordingInfo
 from robotctl.recording.read.messages import Message
 
 FIRST_NS: Final = 2 * NS_PER_S
@@ -113,11 +112,9 @@ class ShownModes:
 class StatusCheck:
     """Compares the statuses with the modes in the journal, from its first snapshot on."""
 
-    def __init__(
-        self, report: Report, info: RecordingInfo, journal_topic: str, clock: ClockChanges
-    ) -> None:
-        self._name, self._is_told = own_name(info, journal_topic, "topic.robot_status")
-        recorded = {topic.name for topic in info.topics if topic.type_name == ROBOT_STATUS}
+    def __init__(self, report: Report, topics: RobotTopics, clock: ClockChanges) -> None:
+        self._name, self._is_told = topics.told("topic.robot_status")
+        recorded = topics.of_type(ROBOT_STATUS)
         self.topic = self._name if self._name in recorded else None
         self._others = sorted(recorded - {self._name})
         self.is_on = False
@@ -130,7 +127,7 @@ class StatusCheck:
         self._absent: set[int] = set()
         """The numbers between the first and the newest that are not there."""
 
-        self._repeats = RepeatedLatched(info)
+        self._repeats = RepeatedLatched(topics.info)
         self._unordered = 0
         self._foreign = 0
         """The number of statuses of other publishers on the topic."""

@@ -5,60 +5,15 @@ from __future__ import annotations
 import ast
 from typing import Final, NamedTuple
 
+from robotctl.kernel.command_types import COMMAND_TYPES
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.journal import TOPIC
 from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.read.messages import Message
 from robotctl.recording.write.recorder_options import TopicFilter
 
-
-def full_name(info: RecordingInfo, journal_topic: str, parameter: str, default: str) -> str:
-    """Return the full name of the topic that a parameter names, in the journal's namespace."""
-    name = info.metadata.get(INFO_RECORD, {}).get(f"parameter.{parameter}", default)
-    if name.startswith("/"):
-        return name
-    return f"{journal_topic.removesuffix(f'/{TOPIC}')}/{name}"
-
-
-def own_name(info: RecordingInfo, journal_topic: str, key: str) -> tuple[str, bool]:
-    """Return the full name of a topic or service, and whether the metadata has it under `key`.
-
-    If the metadata does not have it, the name is the last part of `key`.
-    """
-    told = info.metadata.get(INFO_RECORD, {}).get(key)
-    namespace = journal_topic.removesuffix(f"/{TOPIC}")
-    return told or f"{namespace}/{key.rpartition('.')[2]}", told is not None
-
-
 MAX_TEXT: Final = 100_000
 """The longest list of patterns that is read."""
-
-
-class RecordedFilter:
-    """Tells which topics the recorder left out, by the patterns in the recording's metadata.
-
-    The odometry topic of the journal's robot counts as recorded in any case.
-    """
-
-    def __init__(self, info: RecordingInfo, journal_topic: str) -> None:
-        # Other topics that the recorder never leaves out are compared with the journal anyway.
-        always = [full_name(info, journal_topic, "odometry.topic", "odom")]
-        self._filter = TopicFilter(_patterns(info, "include"), _patterns(info, "exclude"), always)
-
-    def leaves_out(self, topic: str, *types: str) -> bool:
-        """Return whether the recorder left out the topic, if it has one of these types."""
-        return not all(self._filter.records(topic, each) for each in types)
-
-
-def _patterns(info: RecordingInfo, key: str) -> list[str]:
-    """Return the patterns in the metadata, or [] if they are not a list of strings."""
-    text = info.metadata.get(INFO_RECORD, {}).get(f"parameter.recording.{key}", "[]")
-    try:
-        values = ast.literal_eval(text[:MAX_TEXT])
-    except (ValueError, SyntaxError, RecursionError, MemoryError):
-        return []
-    is_list = isinstance(values, list) and all(isinstance(each, str) for each in values)
-    return values if is_list else []
 
 
 class InputTopic(NamedTuple):
@@ -72,21 +27,62 @@ class InputTopic(NamedTuple):
     is_left_out: bool = False
 
 
-class InputTopics:
-    """Looks up topics of the robot that made the journal."""
+class RobotTopics:
+    """The topics and services of the robot that made the journal, as the metadata names them."""
 
     def __init__(self, info: RecordingInfo, journal_topic: str) -> None:
-        self._info = info
-        self._journal_topic = journal_topic
-        self._filter = RecordedFilter(info, journal_topic)
+        self.info = info
+        self.values = info.metadata.get(INFO_RECORD, {})
+        """The metadata of the recorder."""
 
-    def of(self, parameter: str, default: str, *types: str) -> InputTopic:
+        self.types = {topic.name: topic.type_name for topic in info.topics}
+        self.namespace = journal_topic.removesuffix(f"/{TOPIC}")
+        # Other topics that the recorder never leaves out are compared with the journal anyway.
+        always = [self.named_by("odometry.topic", "odom")]
+        self._filter = TopicFilter(self._patterns("include"), self._patterns("exclude"), always)
+
+    def named_by(self, parameter: str, default: str) -> str:
+        """Return the full name of the topic that a parameter names, in the robot's namespace."""
+        name = self.values.get(f"parameter.{parameter}", default)
+        return name if name.startswith("/") else f"{self.namespace}/{name}"
+
+    def told(self, key: str) -> tuple[str, bool]:
+        """Return the full name of a topic or service, and whether the metadata has it under `key`.
+
+        If the metadata does not have it, the name is the last part of `key`.
+        """
+        told = self.values.get(key)
+        return told or f"{self.namespace}/{key.rpartition('.')[2]}", told is not None
+
+    def recorded(self, parameter: str, default: str, *types: str) -> InputTopic:
         """Return the topic that a parameter names, if it is recorded with one of these types."""
-        name = full_name(self._info, self._journal_topic, parameter, default)
-        for topic in self._info.topics:
-            if topic.name == name and topic.type_name in types:
-                return InputTopic(name, topic.type_name)
-        return InputTopic(is_left_out=self._filter.leaves_out(name, *types))
+        name = self.named_by(parameter, default)
+        if self.types.get(name) in types:
+            return InputTopic(name, self.types[name])
+        return InputTopic(is_left_out=self.leaves_out(name, *types))
+
+    @property
+    def commands(self) -> str | None:
+        """The name of the command topic, None if it is not recorded."""
+        return self.recorded("command.topic", "cmd_vel", *COMMAND_TYPES).name
+
+    def of_type(self, type_name: str) -> set[str]:
+        """Return the recorded topics of a type."""
+        return {name for name, each in self.types.items() if each == type_name}
+
+    def leaves_out(self, topic: str, *types: str) -> bool:
+        """Return whether the recorder left out the topic, if it has one of these types."""
+        return not all(self._filter.records(topic, each) for each in types)
+
+    def _patterns(self, key: str) -> list[str]:
+        """Return the patterns in the metadata, or [] if they are not a list of strings."""
+        text = self.values.get(f"parameter.recording.{key}", "[]")
+        try:
+            values = ast.literal_eval(text[:MAX_TEXT])
+        except (ValueError, SyntaxError, RecursionError, MemoryError):
+            return []
+        is_list = isinstance(values, list) and all(isinstance(each, str) for each in values)
+        return values if is_list else []
 
 
 class RepeatedLatched:

@@ -20,6 +20,7 @@ from robotctl.check.invariants import Invariants
 from robotctl.check.report import Report, Verdict
 from robotctl.check.run import check_recording
 from robotctl.check.times import ClockChanges, MissingTicks, TickSchedule
+from robotctl.check.topics import RobotTopics
 from robotctl.kernel.types import ModeRequested, Tick
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import read_info
@@ -276,10 +277,9 @@ BUSY = f"busy: {2 * MANY_IN_WORK} requests wait for their reply; try again"
 def test_a_call_is_refused_as_busy_only_while_many_are_in_work(
     tmp_path: Path, heard: Contents, in_work: int, unasked: int
 ) -> None:
-    """Calls of `set_mode` and their requests in the journal, one a second."""
-    info = read_info(write_contents(tmp_path / "run", heard))
+    topics = RobotTopics(read_info(write_contents(tmp_path / "run", heard)), "/robotctl/journal")
     report, found = Report(tmp_path), Invariants()
-    check = ServiceCheck(report, info, "/robotctl/journal", SERVICES[0], {}, ClockChanges())
+    check = ServiceCheck(report, topics, SERVICES[0], {}, ClockChanges())
     check.begin(0)
     numbers = count(1)
 
