@@ -10,7 +10,7 @@ from robotctl.base.errors import UnreadableFile
 from robotctl.check.incident import find_incident
 from robotctl.check.many import check_recordings
 from robotctl.check.report import Verdict
-from robotctl.cli.commands.recordings.verify.report import verify_together
+from robotctl.cli.commands.recordings.verify import verify_together
 from robotctl.cli.commands.recordings.why import FoundIncident, as_object
 from robotctl.cli.ui.output import progress_bar
 from robotctl.cli.ui.text import duration, size
