@@ -88,6 +88,7 @@ def test_a_wrong_argument_is_a_sentence_and_an_exit_code(
     [
         ("string x", b"\0\1\0\0\xff\xff\xff\xff", "cdr", "a message of /x cannot be read"),
         ("Unknown x", b"\0\1\0\0", "cdr", "needs a/Unknown, which is not described"),
+        ("", b"\0\1\0\0\0", "cdr", "does not describe the type a/msg/T"),
         ("string x", b"{}", "json", "has messages in json, not in cdr"),
     ],
 )
