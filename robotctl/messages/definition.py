@@ -20,7 +20,7 @@ MAX_TYPES: Final = 200
 MAX_FIELDS: Final = 2_000
 MAX_DEPTH: Final = 64
 """Limits on one definition: its text, its types, the fields of all its types, and how many types
-contain each other. The largest type of ROS's own packages has 16 kB, 20 types and 81 fields, 9 deep."""
+contain each other. The largest type of ROS itself has 16 kB, 20 types and 81 fields, 9 deep."""
 
 MAX_SPLIT: Final = 64
 MAX_LEAVES: Final = 4096

@@ -60,8 +60,7 @@ fixtures = pytest.importorskip("test_msgs.message_fixtures")
 
 SHARE = Path(sys.prefix) / "share"
 BUILT = [path for kind in ("msg", "srv", "action") for path in SHARE.glob(f"*/{kind}/*.json")]
-STORE = get_typestore(Stores.EMPTY)
-"""The types that rosbags has compared; to make a type takes it 10 ms."""
+STORE = get_typestore(Stores.EMPTY)  # of all types: to make one takes rosbags 10 ms
 
 LINE = f"{'=' * 80}\n"
 EMPTY = "structure_needs_at_least_one_member", "uint8"
@@ -79,8 +78,7 @@ def without_defaults(described: Any) -> Any:
 def fields_of(definition: Definition) -> dict[str, list[tuple[str, str]]]:
     """Return name and type of the fields of each type, an empty one with the field it has in C."""
     return {
-        name: [(field.name, field.type_text.replace("char", "uint8")) for field in fields]
-        or [EMPTY]
+        name: [(each.name, each.type_text.replace("char", "uint8")) for each in fields] or [EMPTY]
         for name, fields in definition.types.items()
     }
 
@@ -537,11 +535,16 @@ def test_the_leaves_of_a_type_or_of_a_field_are_in_the_order_of_its_definition()
     for leaf in found:
         assert parse_path(described, leaf.name) == leaf
         value_at(values, leaf.steps)
-    names = [leaf.name for leaf in found]
-    assert names[:6] == ["flag", "name", "x", "small", "triple[0]", "triple[1]"]
+    assert [leaf.name for leaf in found][:6] == [
+        "flag",
+        "name",
+        "x",
+        "small",
+        "triple[0]",
+        "triple[1]",
+    ]
     pair = [f"pair[{place}].{name}" for place in (0, 1) for name in "ab"]
     assert [leaf.name for leaf in leaves(described, parse_path(described, "pair"))] == pair
-    assert set(pair) < set(names)
 
 
 HEADER = struct.pack("<4siII1s3x", ENCAPSULATION, 0, 0, 1, b"\0")
