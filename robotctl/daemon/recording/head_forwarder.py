@@ -42,7 +42,6 @@ class HeadForwarder:
         self._publish = publish
         self._waiting: Head | None = None
         self._arrived = asyncio.Event()
-        self._running = asyncio.Lock()
         self.problem = ""
         """Why the last run of the program failed, or ""."""
 
@@ -65,12 +64,11 @@ class HeadForwarder:
         await self._forward(LAST_TIMEOUT_S)
 
     async def _forward(self, timeout_s: float) -> None:
-        async with self._running:
-            self._arrived.clear()
-            head, self._waiting = self._waiting, None
-            if head is None:
-                return
-            problem = await self._call(head, timeout_s)
+        self._arrived.clear()
+        head, self._waiting = self._waiting, None
+        if head is None:
+            return
+        problem = await self._call(head, timeout_s)
         if problem and problem != self.problem:
             _log.warning("%s", problem)
         self.problem = problem

@@ -263,7 +263,7 @@ def evidence_lines(answer: Mapping[str, Any]) -> Iterator[str]:
         ("interventions", "interventions", _request),
         ("refused", "refusals", _request),
         ("not written one by one", "unwritten", _unwritten),
-        ("recordings that retention removed", "removed", _removed),
+        ("recordings that retention removed", "removed", lambda item: str(item.get("file", ""))),
     ):
         yield from _section(title, answer[name], text)
     yield from _recording_lines(answer["recordings"])
@@ -312,10 +312,6 @@ def _request(item: Mapping[str, Any]) -> str:
 def _unwritten(item: Mapping[str, Any]) -> str:
     counts = ", ".join(f"{count} {kind}" for kind, count in item.get("counts", {}).items())
     return f"{counts}, since {moment(item.get('first_ns', 0))}: the recordings hold them"
-
-
-def _removed(item: Mapping[str, Any]) -> str:
-    return str(item.get("file", ""))
 
 
 def _recording_lines(recordings: Sequence[Mapping[str, Any]]) -> Iterator[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,19 +13,12 @@ from robotctl.cli.options import Json, new_app
 from robotctl.cli.targets.recordings import RecordedBy, file_path
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import moment, row, short_path, size
-from robotctl.recording.read.seal_check import SealOfRead, SealState
-from robotctl.recording.read.source import SUFFIX
-from robotctl.recording.read.whole_file import WholeFile
-from robotctl.recording.read.whole_recording import (
-    Chain,
-    RecordingProof,
-    VerifiedRecording,
-    check_chain,
-    compare_known,
-    find_head,
-    verify_recording,
-)
-from robotctl.recording.seal.heads import KnownHeads, known_heads
+
+if TYPE_CHECKING:
+    from robotctl.recording.read.seal_check import SealOfRead
+    from robotctl.recording.read.whole_file import WholeFile
+    from robotctl.recording.read.whole_recording import VerifiedRecording
+    from robotctl.recording.seal.heads import KnownHeads
 
 app = new_app()
 
@@ -119,6 +112,7 @@ def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
         UnreadableFile: One of them cannot be read.
     """
     from robotctl.recording.keep.clip_origin import compare_with_source
+    from robotctl.recording.read.whole_recording import verify_recording
 
     with progress_bar("reading", quiet=as_json) as on_progress:
         cut = verify_recording(clip)
@@ -198,6 +192,9 @@ def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> di
     Return the object for `--json`: `recordings`, and the summary. If `head` is given, one of the
     recordings must contain it.
     """
+    from robotctl.recording.read.whole_recording import Chain, VerifiedRecording, verify_recording
+    from robotctl.recording.seal.heads import known_heads
+
     found: list[VerifiedRecording] = []
     for path in paths:
         with progress_bar(f"reading {path.name}", quiet=quiet) as on_progress:
@@ -223,6 +220,9 @@ NOT_PROVED = (
 
 def _recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, Any]:
     """Return the object of one recording; `heads` are this machine's lists of keys."""
+    from robotctl.recording.read.source import SUFFIX
+    from robotctl.recording.read.whole_recording import RecordingProof, compare_known
+
     known = [(file.path.name, compare_known(file, heads)) for file in found.files]
     wrong = [*found.wrong, *(f"{name}: {each.wrong}" for name, each in known if each.wrong)]
     unproved = [f"{name}: {each.unproved}" for name, each in known if each.unproved]
@@ -258,6 +258,9 @@ def _summary_object(
     found: Sequence[VerifiedRecording], head: str, heads: KnownHeads
 ) -> dict[str, Any]:
     """Return the summary of all recordings: their chain, the head, and what is not proved."""
+    from robotctl.recording.read.seal_check import SealState
+    from robotctl.recording.read.whole_recording import check_chain, find_head
+
     files = [file for each in found for file in each.files]
     chain = check_chain(files)
     within = {sentence for each in found for sentence in (*each.wrong, *each.chain.absent)}
