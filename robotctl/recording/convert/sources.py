@@ -5,11 +5,10 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from shutil import copyfileobj
 from tempfile import TemporaryDirectory
-from typing import Final, Protocol
+from typing import Final
 from urllib.parse import quote
 
 from mcap.records import Attachment, Channel, Metadata, Schema
@@ -26,36 +25,9 @@ from robotctl.recording.read.files import (
     absent_files,
     recording_files,
 )
-from robotctl.recording.read.indexing import index_of
-from robotctl.recording.read.messages import OpenFile, ReadableFile, find_shortfalls
+from robotctl.recording.read.messages import ReadableFile, open_readable
 from robotctl.recording.read.read_limits import Damaged, ReadLimits, Tally
-from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.source import SUFFIX, unpack_zstd_file
-
-
-class ConvertibleFile(Protocol):
-    """One file of a recording, open for one pass."""
-
-    name: str
-    profile: str
-    library: str
-    """The program that wrote the file."""
-
-    lost: list[str]
-    """What cannot be read, one sentence each; complete after the pass."""
-
-    def channels(self) -> Sequence[tuple[Channel, Schema | None]]:
-        """Return the channels, and the schema of each; messages have the ids of these channels."""
-
-    def metadata(self) -> Sequence[Metadata]:
-        """Return the metadata records in their order."""
-
-    def batches(self) -> Iterator[Sequence[PlainMessage]]:
-        """Yield the messages in batches; each batch is written as one chunk."""
-
-    def attachments(self) -> Iterator[Attachment]:
-        """Yield the attachments, after the messages."""
-
 
 _BATCH_BYTES: Final = 1 << 20
 _MAX_TOPICS: Final = 1 << 16
@@ -70,7 +42,7 @@ _MESSAGES: Final = "SELECT topic_id, timestamp, data FROM messages ORDER BY time
 
 
 class SqliteSource:
-    """A .db3 file (see `ConvertibleFile`).
+    """A .db3 file, with the attributes of `ReadableFile`.
 
     The file has one time for each message, which becomes both log time and publish time.
     """
@@ -226,6 +198,10 @@ def _decompression(path: Path) -> Callable[[bytes], bytes]:
     return MessageDecompressor(0, limits, Tally()).decompress
 
 
+ConvertibleFile = ReadableFile | SqliteSource
+"""One file of a recording, open for one pass: messages, then attachments. `lost` is complete after
+it; each batch of messages is written as one chunk."""
+
 Progress = Callable[[int, int], None]
 """Called with the bytes done, and the bytes in total."""
 
@@ -255,50 +231,32 @@ class Sources:
 
         self._text = text
         self._on_progress = on_progress
-        self._total = sum(map(size_of, self._paths))
 
     def __iter__(self) -> Iterator[ConvertibleFile]:
         """Yield each file. A file stays open until the next one is requested."""
-        before = 0
+        before, total = 0, sum(map(size_of, self._paths))
         for path in self._paths:
             size = size_of(path)
-            open_file = _open_sqlite if _is_sqlite(path) else self._open_mcap
+
+            def tell(part: float, before: int = before, size: int = size) -> None:
+                self._on_progress(before + round(min(part, 1.0) * size), total)
+
             try:
-                yield from open_file(path, _Share(self._on_progress, before, size, self._total))
+                if _is_sqlite(path):
+                    yield from _open_sqlite(path, tell)
+                    continue
+                with open_readable(path, self._text, tell) as file:
+                    self.is_live |= file.file.is_changing()
+                    yield file
             except Damaged as damage:
                 self.lost.append(f"{path.name}: {damage}")
             except OSError as error:
                 self.lost.append(f"{path.name}: {error.strerror or error}")
-            before += size
-
-    def _open_mcap(self, path: Path, share: _Share) -> Iterator[ConvertibleFile]:
-        with InputFile(path) as file:
-            self.is_live |= file.is_changing()
-            size = max(file.size, 1)
-            # A scan is reported as the first half of the file; then its messages are, as the whole.
-            index = index_of(file, lambda done: share.tell(done / size / 2))
-            for sentence in find_shortfalls(
-                self._text, [OpenFile(path, file, index)], all_files=False
-            ):
-                index.miss(sentence)
-            yield ReadableFile(file, index, lambda done: share.tell(done / size))
+            finally:
+                before += size
 
 
-@dataclass(frozen=True, slots=True)
-class _Share:
-    """One file's share in the progress of all files, in bytes."""
-
-    on_progress: Progress
-    before: int
-    size: int
-    total: int
-
-    def tell(self, part: float) -> None:
-        """Report that `part` of the file is done, from 0 to 1."""
-        self.on_progress(self.before + round(min(part, 1.0) * self.size), self.total)
-
-
-def _open_sqlite(path: Path, share: _Share) -> Iterator[ConvertibleFile]:
+def _open_sqlite(path: Path, tell: Callable[[float], None]) -> Iterator[SqliteSource]:
     with open_regular(path) as file, TemporaryDirectory() as folder:
         content = path
         if path.name.endswith(SUFFIX):
@@ -307,7 +265,7 @@ def _open_sqlite(path: Path, share: _Share) -> Iterator[ConvertibleFile]:
             with open(unpacked, "rb") as plain, content.open("wb") as named:
                 plain.seek(0)
                 copyfileobj(plain, named)  # sqlite3 opens a file by its name
-        with closing(SqliteSource(path, content, share.tell)) as source:
+        with closing(SqliteSource(path, content, tell)) as source:
             yield source
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import accumulate
@@ -14,7 +14,7 @@ from shutil import rmtree
 from mcap.opcode import Opcode
 
 from robotctl.base.errors import Refused, UnreadableFile
-from robotctl.recording.disk.access import is_shared, make_folder, share_like
+from robotctl.recording.disk.access import is_shared, make_folder, share_like, size_of
 from robotctl.recording.disk.storage import DiskFile, Storage, new_file
 from robotctl.recording.format.names import LIBRARY, RECOVERY_RECORD, Compression
 from robotctl.recording.format.records import MAGIC, RECORD_HEAD_BYTES
@@ -31,10 +31,8 @@ from robotctl.recording.format.seal_records import (
 from robotctl.recording.format.trailer import WrittenFile
 from robotctl.recording.keep.retention import rewrite_metadata
 from robotctl.recording.read.chunks import without_compression
-from robotctl.recording.read.file_index import FileIndex
 from robotctl.recording.read.files import absent_files, recording_files
-from robotctl.recording.read.indexing import index_of
-from robotctl.recording.read.messages import OpenFile, ReadableFile, find_shortfalls
+from robotctl.recording.read.messages import ReadableFile, open_readable
 from robotctl.recording.read.read_limits import Damaged, Unreadable
 from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.source import SUFFIX
@@ -65,30 +63,26 @@ def seal_of_copy(file: InputFile) -> Iterator[bytes]:
     """
     opening: Opening | None = None
     newest = Link(LinkKind.REPAIRED, number=1, covered=0, time_ns=0, digest=NO_DIGEST)
-    for opcode, content in _seal_records(file):
-        with suppress(ValueError):  # not written by robotctl
-            if opcode == LINK_OPCODE:
-                newest = Link.read(content)
-            elif opening is None:
-                opening = Opening.read(content)
+    offset = len(MAGIC)
+    with suppress(Damaged):  # up to the first damage
+        for _ in range(file.limits.records):
+            record = file.record(offset)
+            offset = record.end
+            if record.opcode == Opcode.FOOTER:
+                break
+            if record.opcode not in (OPENING_OPCODE, LINK_OPCODE):
+                continue
+            if record.length > MAX_OPENING_BYTES:
+                continue
+            with suppress(ValueError):  # not written by robotctl
+                if record.opcode == LINK_OPCODE:
+                    newest = Link.read(file.content(record))
+                elif opening is None:
+                    opening = Opening.read(file.content(record))
     if opening is None:
         return
     yield opening.record()
     yield Link(LinkKind.REPAIRED, newest.number, 0, time.time_ns(), newest.digest).record()
-
-
-def _seal_records(file: InputFile) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and content of each record of a seal, up to the first damage."""
-    offset = len(MAGIC)
-    with suppress(Damaged):
-        for _ in range(file.limits.records):
-            record = file.record(offset)
-            if record.opcode == Opcode.FOOTER:
-                return
-            is_seal = record.opcode in (OPENING_OPCODE, LINK_OPCODE)
-            if is_seal and record.length <= MAX_OPENING_BYTES:
-                yield record.opcode, file.content(record)
-            offset = record.end
 
 
 Progress = Callable[[int, int], None]
@@ -126,86 +120,64 @@ def recover(
 
     After an error no new file remains.
     """
-    try:
-        file = InputFile(source, on_progress)
-    except (OSError, ValueError, Damaged) as error:
-        raise UnreadableFile(f"{source} cannot be read: {_reason(error)}") from error
-    text = metadata_text(source)
-    with file:
-        total = 2 * file.size  # one pass to index, one to copy
+    total = size_of(source)
+    with ExitStack() as stack:
         try:
-            index = index_of(file, lambda done: on_progress(done, total))
-        except Damaged as damage:
-            raise UnreadableFile(f"{source} cannot be read: {damage}") from damage
-        for sentence in find_shortfalls(text, [OpenFile(source, file, index)], all_files=False):
-            index.miss(sentence)
-        copy = _RecoveryWriter(file, index, lambda done: on_progress(file.size + done, total))
+            file = stack.enter_context(
+                open_readable(
+                    source,
+                    metadata_text(source),
+                    lambda part: on_progress(round(part * total), total),
+                )
+            )
+        except (OSError, ValueError, Damaged) as error:
+            reason = error.strerror if isinstance(error, OSError) else None
+            raise UnreadableFile(f"{source} cannot be read: {reason or error}") from error
         with new_file(target, open_file) as storage:
-            copy.run(storage)
+            messages, attachments = _copy(file, storage)
             share_like(target, source)
-            if not copy.message_count and copy.lost:
-                raise UnreadableFile(f"{source} holds no readable message: {'; '.join(copy.lost)}")
+            if not messages and file.lost:
+                raise UnreadableFile(f"{source} holds no readable message: {'; '.join(file.lost)}")
     on_progress(total, total)
-    return RecoveryReport(
-        target,
-        copy.message_count,
-        copy.attachment_count,
-        tuple(copy.lost),
-        index.limit_reached,
-        file.failure,
-    )
+    limit_reached, failure = file.index.limit_reached, file.file.failure
+    return RecoveryReport(target, messages, attachments, tuple(file.lost), limit_reached, failure)
 
 
-class _RecoveryWriter:
-    """Copies what can be read of one file: messages in file order, attachments, metadata."""
+def _copy(file: ReadableFile, storage: Storage) -> tuple[int, int]:
+    """Copy what can be read of one file: messages in file order, attachments, metadata.
 
-    def __init__(
-        self, file: InputFile, index: FileIndex, on_progress: Callable[[int], None]
-    ) -> None:
-        self._file = file
-        self._index = index
-        self._source = ReadableFile(file, index, on_progress)
-        self.lost = self._source.lost
-        self.message_count = 0
-        self.attachment_count = 0
+    Return the numbers of messages and attachments.
 
-    def run(self, storage: Storage) -> None:
-        """Write the copy.
-
-        Raises:
-            OSError: The disk is full or fails.
-        """
-        index = self._index
-        library = f"{LIBRARY}, recovered from {index.header.library}"
-        mcap = McapFile(storage, profile=index.header.profile, library=library)
-        for sealed in seal_of_copy(self._file):
-            mcap.add_sealed(sealed)
-        for schema in index.schemas.values():
-            if schema.id:  # 0 means no schema
-                mcap.add_schema(schema)
-        for channel in index.channels.values():
-            known = channel.schema_id in index.schemas
-            mcap.add_channel(channel if known else replace(channel, schema_id=0))
-        encoder = ChunkEncoder(Compression.ZSTD, 1)
-        for messages in self._source.batches():
-            mcap.commit(encoder.encode(pack(messages)), finished=False)
-            self.message_count += len(messages)
-        for attachment in self._source.attachments():
-            mcap.add_attachment(attachment)
-            mcap.commit(finished=False)  # one at a time in memory
-            self.attachment_count += 1
-        for record in index.metadata:
-            values = record.metadata
-            if record.name == METADATA_RECORD:
-                values = without_compression(values)
-            mcap.add_metadata(record.name, values)
-        mcap.add_metadata(RECOVERY_RECORD, {"lost": "\n".join(self.lost)})
-        mcap.commit()
-        mcap.sync()
-
-
-def _reason(error: Exception) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or str(error)
+    Raises:
+        OSError: The disk is full or fails.
+    """
+    library = f"{LIBRARY}, recovered from {file.library}"
+    mcap = McapFile(storage, profile=file.profile, library=library)
+    message_count = attachment_count = 0
+    for sealed in seal_of_copy(file.file):
+        mcap.add_sealed(sealed)
+    for schema in file.index.schemas.values():
+        if schema.id:  # 0 means no schema
+            mcap.add_schema(schema)
+    for channel, described_by in file.channels():
+        mcap.add_channel(channel if described_by is not None else replace(channel, schema_id=0))
+    encoder = ChunkEncoder(Compression.ZSTD, 1)
+    for messages in file.batches():
+        mcap.commit(encoder.encode(pack(messages)), finished=False)
+        message_count += len(messages)
+    for attachment in file.attachments():
+        mcap.add_attachment(attachment)
+        mcap.commit(finished=False)  # one at a time in memory
+        attachment_count += 1
+    for record in file.metadata():
+        values = record.metadata
+        if record.name == METADATA_RECORD:
+            values = without_compression(values)
+        mcap.add_metadata(record.name, values)
+    mcap.add_metadata(RECOVERY_RECORD, {"lost": "\n".join(file.lost)})
+    mcap.commit()
+    mcap.sync()
+    return message_count, attachment_count
 
 
 def recover_folder(
@@ -221,7 +193,7 @@ def recover_folder(
     """
     text = metadata_text(source)
     paths = recording_files(source)
-    sizes = [2 * path.stat().st_size if path.exists() else 0 for path in paths]
+    sizes = [size_of(path) for path in paths]
     try:
         make_folder(target, shared=is_shared(source))
     except OSError as error:

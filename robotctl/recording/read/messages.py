@@ -7,6 +7,7 @@ valid in itself.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -24,6 +25,7 @@ from robotctl.recording.format.rosbag2 import message_counts_in, total_count_in
 from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.read.chunks import MessageDecompressor
 from robotctl.recording.read.file_index import FileIndex, Place, PlaceKind, note_missing
+from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.read_limits import BeyondLimit, Damaged
 from robotctl.recording.read.records import (
     MESSAGE_FIELDS,
@@ -156,10 +158,10 @@ class PlaceReader:
             Damaged: After the last message, if some are missing.
         """
         failure: Damaged | None = None
-        data = self._read()
+        data, begin = self._read(), RECORD_HEAD.size
         for wanted in self._wanted(data):
             contents = [
-                (head, data[position + _HEAD_BYTES : position + RECORD_HEAD.size + head[1]])
+                (head, data[position + _HEAD_BYTES : position + begin + head[1]])
                 for position, head in wanted
             ]
             if self._decompressor is None:
@@ -273,60 +275,58 @@ _BATCH_BYTES: Final = 8 << 20
 
 
 class ReadableFile:
-    """The messages and attachments of a file in file order; `lost` has a sentence for each loss."""
+    """The messages and attachments of a file in file order; `lost` has a sentence for each loss.
 
-    def __init__(
-        self,
-        file: InputFile,
-        index: FileIndex,
-        on_progress: Callable[[int], None] = lambda done: None,
-    ) -> None:
-        """`on_progress` gets the offset [bytes] that was reached."""
-        self.name = file.path.name
-        self.profile, self.library = index.header.profile, index.header.library
-        self._file = OpenFile(file.path, file, index)
-        self._names = names_of(index)
+    `on_progress` gets the offset [bytes] that was reached.
+    """
+
+    def __init__(self, opened: OpenFile, on_progress: Callable[[int], None]) -> None:
+        self.file, self.index = opened.file, opened.index
+        self.name = opened.path.name
+        self.profile, self.library = self.index.header.profile, self.index.header.library
+        self.lost = list(self.index.missing)
+        self._opened = opened
+        self._names = names_of(self.index)
         self._on_progress = on_progress
-        self.lost = list(index.missing)
 
     def channels(self) -> Sequence[tuple[Channel, Schema | None]]:
         """Return the channels, and the schema of each."""
-        index = self._file.index
-        return [(each, index.schemas.get(each.schema_id)) for each in index.channels.values()]
+        schemas, channels = self.index.schemas, self.index.channels.values()
+        return [(each, schemas.get(each.schema_id)) for each in channels]
 
     def metadata(self) -> Sequence[Metadata]:
         """Return the metadata records in their order."""
-        return self._file.index.metadata
+        return self.index.metadata
 
     def batches(self) -> Iterator[list[PlainMessage]]:
         """Yield all messages in batches: those of one chunk, or of a part of a large chunk."""
-        for place in self._file.index.places:
+        for place in self.index.places:
             yield from self._read(place)
             self._on_progress(place.offset)
-        if sentence := self._file.index.unaccounted():
+        if sentence := self.index.unaccounted():
             note_missing(self.lost, sentence)
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield the attachments, one at a time in memory."""
-        behind, file = 0, self._file.file
-        for offset in sorted(self._file.index.attachments):
+        behind = 0
+        for offset in sorted(self.index.attachments):
             try:
                 if offset < behind:
                     raise Damaged("it overlaps another attachment")
-                behind = file.record(offset).end
-                yield read_attachment(file, offset)
+                behind = self.file.record(offset).end
+                yield read_attachment(self.file, offset)
             except Damaged as damage:
                 self._lose(f"the attachment at byte {offset} is lost", damage)
 
     def _lose(self, what: str, damage: Damaged) -> None:
-        self._file.index.limit_reached |= isinstance(damage, BeyondLimit)
+        self.index.limit_reached |= isinstance(damage, BeyondLimit)
         note_missing(self.lost, f"{what}: {damage}")
 
     def _read(self, place: Place) -> Iterator[list[PlainMessage]]:
         messages: list[PlainMessage] = []
         size = 0
         try:
-            for contents in PlaceReader(self._file, place, self._names, ALWAYS).contents():
+            for contents in PlaceReader(self._opened, place, self._names, ALWAYS).contents():
                 for (_, _, channel, sequence, log_ns, publish_ns), data in contents:
                     messages.append((channel, data, log_ns, publish_ns, sequence))
                     size += len(data)
@@ -337,6 +337,26 @@ class ReadableFile:
             self._lose(f"bytes {place.offset} to {place.offset + place.length} are lost", damage)
         if messages:
             yield messages
+
+
+@contextmanager
+def open_readable(
+    path: Path, text: str, on_progress: Callable[[float], None] = lambda part: None
+) -> Iterator[ReadableFile]:
+    """Open a file to copy it; `text` is the `metadata.yaml` that may count its messages.
+
+    `on_progress` gets the part that is done, from 0 to 1: the first half is the index.
+
+    Raises:
+        OSError: The file cannot be opened.
+        Damaged: Nothing can be read.
+    """
+    with InputFile(path, lambda done, total: on_progress(done / max(total, 1) / 2)) as file:
+        size = max(file.size, 1)
+        opened = OpenFile(path, file, index_of(file, lambda done: on_progress(done / size / 2)))
+        for sentence in find_shortfalls(text, [opened], all_files=False):
+            opened.index.miss(sentence)
+        yield ReadableFile(opened, lambda done: on_progress((1 + done / size) / 2))
 
 
 def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) -> Iterator[str]:

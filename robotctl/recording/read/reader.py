@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
+from itertools import chain
 from pathlib import Path
 from typing import Self
 
@@ -322,6 +323,14 @@ class Recording:
 
         `on_progress` gets bytes done and in total.
         """
+        return chain.from_iterable(self._blocks(topics, on_missing, on_progress))
+
+    def _blocks(
+        self,
+        topics: Collection[str] | None,
+        on_missing: Callable[[str], None],
+        on_progress: Callable[[int, int], None],
+    ) -> Iterator[list[Message]]:
         done, total = 0, sum(each.file.size for each in self._files)
         for each in self._files:
             for source in place_readers([each], topics, ALWAYS):
@@ -351,7 +360,9 @@ class Recording:
             if not unsettled:
                 break
             if source.may_hold(unsettled):
-                for number, message in enumerate(_as_written(source, on_missing)):
+                for number, message in enumerate(
+                    chain.from_iterable(_as_written(source, on_missing))
+                ):
                     if message.topic in unsettled and message.log_ns < moment_ns:
                         held[message.topic].append((message.log_ns, rank, number, message))
                 for topic in unsettled:
@@ -397,9 +408,8 @@ def _load(source: PlaceReader, room: int | None, on_missing: Callable[[str], Non
         on_missing(source.loss(damage))
 
 
-def _as_written(source: PlaceReader, on_missing: Callable[[str], None]) -> Iterator[Message]:
+def _as_written(source: PlaceReader, on_missing: Callable[[str], None]) -> Iterator[list[Message]]:
     try:
-        for block in source.as_written():
-            yield from block
+        yield from source.as_written()
     except Damaged as damage:
         on_missing(source.loss(damage))
