@@ -12,7 +12,7 @@ import yaml
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from robotctl.base.errors import UnreadableFile
-from robotctl.recording.convert.sources import ConvertibleFile, Progress, Sources
+from robotctl.recording.convert.sources import ConvertibleFile, Sources
 from robotctl.recording.disk.atomic_output import atomic_output
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.names import (
@@ -33,6 +33,7 @@ from robotctl.recording.format.rosbag2 import (
 )
 from robotctl.recording.format.topics import Topic
 from robotctl.recording.read.file_index import note_missing, topic_of
+from robotctl.recording.read.files import Progress
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
 

@@ -15,14 +15,15 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 
 from robotctl.base.files import open_regular
 from robotctl.messages.installed import installed_type
-from robotctl.recording.disk.access import size_of
 from robotctl.recording.format.names import PROFILE, natural_order
 from robotctl.recording.format.records import MAX_TIME_NS, PlainMessage
 from robotctl.recording.format.rosbag2 import metadata_text, total_count_in
 from robotctl.recording.read.chunks import ZSTD, MessageDecompressor, message_compression
 from robotctl.recording.read.files import (
     SQLITE_SUFFIX,
+    Progress,
     absent_files,
+    each_with_progress,
     recording_files,
 )
 from robotctl.recording.read.messages import ReadableFile, open_readable
@@ -50,10 +51,10 @@ class SqliteSource:
     profile = PROFILE
     library = "rosbag2 (sqlite3)"
 
-    def __init__(self, path: Path, content: Path, on_progress: Callable[[float], None]) -> None:
+    def __init__(self, path: Path, content: Path, on_progress: Progress) -> None:
         """Open the database `content`: the file `path` of the bag, or its decompressed content.
 
-        `on_progress` is called with the fraction of messages that is done, from 0 to 1.
+        `on_progress` is called with the messages done, and in total.
 
         Raises:
             Damaged: `content` is not a database of rosbag2, or cannot be read.
@@ -104,7 +105,7 @@ class SqliteSource:
                 if size >= _BATCH_BYTES:
                     yield batch
                     batch, size = [], 0
-                    self._on_progress(done / max(self._count, done))
+                    self._on_progress(done, max(self._count, done))
         except sqlite3.Error as error:
             self.lost.append(f"the database is damaged after {done} messages: {error}")
         if batch:
@@ -202,9 +203,6 @@ ConvertibleFile = ReadableFile | SqliteSource
 """One file of a recording, open for one pass: messages, then attachments. `lost` is complete after
 it; each batch of messages is written as one chunk."""
 
-Progress = Callable[[int, int], None]
-"""Called with the bytes done, and the bytes in total."""
-
 
 class Sources:
     """The files of the recording `path`, in MCAP or sqlite3.
@@ -234,13 +232,7 @@ class Sources:
 
     def __iter__(self) -> Iterator[ConvertibleFile]:
         """Yield each file. A file stays open until the next one is requested."""
-        before, total = 0, sum(map(size_of, self._paths))
-        for path in self._paths:
-            size = size_of(path)
-
-            def tell(part: float, before: int = before, size: int = size) -> None:
-                self._on_progress(before + round(min(part, 1.0) * size), total)
-
+        for path, tell in each_with_progress(self._paths, self._on_progress):
             try:
                 if _is_sqlite(path):
                     yield from _open_sqlite(path, tell)
@@ -252,11 +244,9 @@ class Sources:
                 self.lost.append(f"{path.name}: {damage}")
             except OSError as error:
                 self.lost.append(f"{path.name}: {error.strerror or error}")
-            finally:
-                before += size
 
 
-def _open_sqlite(path: Path, tell: Callable[[float], None]) -> Iterator[SqliteSource]:
+def _open_sqlite(path: Path, tell: Progress) -> Iterator[SqliteSource]:
     with open_regular(path) as file, TemporaryDirectory() as folder:
         content = path
         if path.name.endswith(SUFFIX):

@@ -6,15 +6,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import accumulate
 from pathlib import Path
 from shutil import rmtree
 
 from mcap.opcode import Opcode
 
 from robotctl.base.errors import Refused, UnreadableFile
-from robotctl.recording.disk.access import is_shared, make_folder, share_like, size_of
+from robotctl.recording.disk.access import is_shared, make_folder, share_like
 from robotctl.recording.disk.storage import DiskFile, Storage, new_file
 from robotctl.recording.format.names import LIBRARY, RECOVERY_RECORD, Compression
 from robotctl.recording.format.records import MAGIC, RECORD_HEAD_BYTES
@@ -31,7 +29,12 @@ from robotctl.recording.format.seal_records import (
 from robotctl.recording.format.trailer import WrittenFile
 from robotctl.recording.keep.retention import rewrite_metadata
 from robotctl.recording.read.chunks import without_compression
-from robotctl.recording.read.files import absent_files, recording_files
+from robotctl.recording.read.files import (
+    Progress,
+    absent_files,
+    each_with_progress,
+    recording_files,
+)
 from robotctl.recording.read.messages import ReadableFile, open_readable
 from robotctl.recording.read.read_limits import Damaged, Unreadable
 from robotctl.recording.read.records import InputFile
@@ -85,10 +88,6 @@ def seal_of_copy(file: InputFile) -> Iterator[bytes]:
     yield Link(LinkKind.REPAIRED, newest.number, 0, time.time_ns(), newest.digest).record()
 
 
-Progress = Callable[[int, int], None]
-"""Called with the bytes done, and the bytes in total."""
-
-
 @dataclass(frozen=True, slots=True)
 class RecoveryReport:
     """What was recovered; `lost` says in sentences what was not.
@@ -120,16 +119,9 @@ def recover(
 
     After an error no new file remains.
     """
-    total = size_of(source)
     with ExitStack() as stack:
         try:
-            file = stack.enter_context(
-                open_readable(
-                    source,
-                    metadata_text(source),
-                    lambda part: on_progress(round(part * total), total),
-                )
-            )
+            file = stack.enter_context(open_readable(source, metadata_text(source), on_progress))
         except (OSError, ValueError, Damaged) as error:
             reason = error.strerror if isinstance(error, OSError) else None
             raise UnreadableFile(f"{source} cannot be read: {reason or error}") from error
@@ -138,6 +130,7 @@ def recover(
             share_like(target, source)
             if not messages and file.lost:
                 raise UnreadableFile(f"{source} holds no readable message: {'; '.join(file.lost)}")
+    total = 2 * file.file.size
     on_progress(total, total)
     limit_reached, failure = file.index.limit_reached, file.file.failure
     return RecoveryReport(target, messages, attachments, tuple(file.lost), limit_reached, failure)
@@ -193,7 +186,6 @@ def recover_folder(
     """
     text = metadata_text(source)
     paths = recording_files(source)
-    sizes = [size_of(path) for path in paths]
     try:
         make_folder(target, shared=is_shared(source))
     except OSError as error:
@@ -201,8 +193,7 @@ def recover_folder(
     lost = absent_files(text, paths)
     saved: list[RecoveryReport] = []
     try:
-        for path, before in zip(paths, accumulate(sizes[:-1], initial=0), strict=True):
-            tell = partial(_tell, on_progress, before, sum(sizes))
+        for path, tell in each_with_progress(paths, on_progress):
             try:
                 report = recover(path, target / path.name.removesuffix(SUFFIX), on_progress=tell)
             except UnreadableFile as error:
@@ -228,7 +219,3 @@ def recover_folder(
         sum(report.attachment_count for report in saved),
         tuple(lost),
     )
-
-
-def _tell(on_progress: Progress, before: int, total: int, done: int, _: int) -> None:
-    on_progress(before + done, total)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from shlex import quote
 from stat import S_ISDIR, S_ISREG
 
 from robotctl.base.errors import UnreadableFile
 from robotctl.base.files import open_regular
+from robotctl.recording.disk.access import size_of
 from robotctl.recording.format.names import natural_order
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE, entries_of, files_in, read_metadata
 from robotctl.recording.read.source import SUFFIX
+
+Progress = Callable[[int, int], None]
+"""Called with the bytes done, and the bytes in total."""
 
 SQLITE_SUFFIX = ".db3"
 """Suffix of the files of rosbag2's sqlite3 storage."""
@@ -121,6 +126,24 @@ def files_of_bag(folder: Path) -> list[Path]:
         path for path in entries if path.name.endswith(f".mcap{SUFFIX}") and path.stem not in names
     ]
     return sorted([*files, *packed], key=natural_order)
+
+
+def each_with_progress(
+    paths: Sequence[Path], on_progress: Progress
+) -> Iterator[tuple[Path, Progress]]:
+    """Yield each path, and the function to call with what is done of it, and in total.
+
+    It calls `on_progress` with the bytes done of all paths, and in total.
+    """
+    sizes = [size_of(path) for path in paths]
+    total = sum(sizes)
+    for number, path in enumerate(paths):
+        before, size = sum(sizes[:number]), sizes[number]
+
+        def tell(done: int, of: int, before: int = before, size: int = size) -> None:
+            on_progress(before + min(done, of) * size // max(of, 1), total)
+
+        yield path, tell
 
 
 def absent_files(text: str, present: list[Path]) -> list[str]:

@@ -341,22 +341,22 @@ class ReadableFile:
 
 @contextmanager
 def open_readable(
-    path: Path, text: str, on_progress: Callable[[float], None] = lambda part: None
+    path: Path, text: str, on_progress: Callable[[int, int], None]
 ) -> Iterator[ReadableFile]:
     """Open a file to copy it; `text` is the `metadata.yaml` that may count its messages.
 
-    `on_progress` gets the part that is done, from 0 to 1: the first half is the index.
+    `on_progress` gets the bytes done and in total: each byte is indexed, and then copied.
 
     Raises:
         OSError: The file cannot be opened.
         Damaged: Nothing can be read.
     """
-    with InputFile(path, lambda done, total: on_progress(done / max(total, 1) / 2)) as file:
-        size = max(file.size, 1)
-        opened = OpenFile(path, file, index_of(file, lambda done: on_progress(done / size / 2)))
+    with InputFile(path, on_progress) as file:
+        size, total = file.size, 2 * file.size
+        opened = OpenFile(path, file, index_of(file, lambda done: on_progress(done, total)))
         for sentence in find_shortfalls(text, [opened], all_files=False):
             opened.index.miss(sentence)
-        yield ReadableFile(opened, lambda done: on_progress((1 + done / size) / 2))
+        yield ReadableFile(opened, lambda done: on_progress(size + done, total))
 
 
 def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) -> Iterator[str]:

@@ -13,7 +13,6 @@ from typing import Final
 from mcap.records import Channel
 
 from robotctl.base.errors import UnreadableFile
-from robotctl.recording.disk.access import size_of
 from robotctl.recording.format.names import LEDGER_RECORD
 from robotctl.recording.format.rosbag2 import (
     METADATA_RECORD,
@@ -23,7 +22,12 @@ from robotctl.recording.format.rosbag2 import (
 )
 from robotctl.recording.format.seal_records import Opening
 from robotctl.recording.format.topics import LATCHED_QOS, read_ledger
-from robotctl.recording.read.files import absent_files, metadata_of_folder, recording_files
+from robotctl.recording.read.files import (
+    absent_files,
+    each_with_progress,
+    metadata_of_folder,
+    recording_files,
+)
 from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.source import SUFFIX
 from robotctl.recording.read.whole_data import FileState, WholeData
@@ -219,14 +223,10 @@ def verify_recording(
     paths = recording_files(path)
     whole_folder = paths != [path]
     unreadable = problems + absent_files(text, paths) if whole_folder else []
-    sizes = [size_of(each) for each in paths]
     files: list[WholeFile] = []
-    for number, each in enumerate(paths):
-        before, total = sum(sizes[:number]), sum(sizes)
+    for each, tell in each_with_progress(paths, on_progress):
         try:
-            files.append(
-                read_whole_file(each, lambda done, _, b=before, t=total: on_progress(b + done, t))  # type: ignore[misc]
-            )
+            files.append(read_whole_file(each, tell))
         except UnreadableFile as error:
             unreadable.append(str(error))
     flaws: list[str] = []
