@@ -54,9 +54,16 @@ class Decisions:
                 self._latch = {"released": True}
             case ModeChanged():
                 self._changes += 1
-                latch, self._latch = self._latch, {}
-                self._log.add_values(DecisionKind.MODE, {**_change(effect), **latch})
-                self._show({"event": "mode", **_change(effect)})
+                change = {
+                    "from": effect.previous.name,
+                    "to": effect.mode.name,
+                    "reason": effect.reason,
+                }
+                if effect.cause is not None:
+                    change["cause"] = effect.cause.value
+                self._log.add_values(DecisionKind.MODE, {**change, **self._latch})
+                self._latch = {}
+                self._show({"event": "mode", **change})
             case DriveEnded():
                 self._changes += 1
             case ParameterChanged():
@@ -82,29 +89,14 @@ class Decisions:
             return
         changed = self._changes > before or isinstance(request, DriveRequested | LeaseRequested)
         if changed or not reply.ok:
+            reason = "" if isinstance(request, ParameterRequested) else request.reason
             self._log.add(
                 DecisionKind.REQUEST if reply.ok else DecisionKind.REFUSED,
                 asked=_asked(request),
                 by=request.source,
                 answer=reply.message,
-                **_because(request),
+                **({"because": reason} if reason else {}),
             )
-
-
-def _change(effect: ModeChanged) -> dict[str, str]:
-    cause = {} if effect.cause is None else {"cause": effect.cause.value}
-    return {
-        "from": effect.previous.name,
-        "to": effect.mode.name,
-        "reason": effect.reason,
-        **cause,
-    }
-
-
-def _because(request: Request) -> dict[str, str]:
-    if isinstance(request, ParameterRequested) or not request.reason:
-        return {}
-    return {"because": request.reason}
 
 
 def _asked(request: Request) -> str:
