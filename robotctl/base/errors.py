@@ -104,7 +104,7 @@ class NotSealed(RobotctlError):
 
 
 class AlreadyRunning(RobotctlError):
-    """A refused start: the robot's lock or socket has another owner. Its pid is given if known."""
+    """A start was refused: another process has the robot's lock or socket. Its pid may be given."""
 
     exit_code = 5
     kind = "already_running"

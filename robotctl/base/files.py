@@ -32,7 +32,7 @@ def open_folder(folder: Path) -> Iterator[int]:
     """Open a folder for the block, to lock or sync it, and yield its descriptor.
 
     Raises:
-        OSError: It cannot be opened, or is no folder.
+        OSError: `folder` cannot be opened, or is no folder.
     """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
@@ -45,7 +45,7 @@ def sync_folder(folder: Path) -> None:
     """Write the entries of a folder to the disk (fsync).
 
     Raises:
-        OSError: It cannot be opened or synced, or is no folder.
+        OSError: `folder` cannot be opened or synced, or is no folder.
     """
     with open_folder(folder) as descriptor:
         os.fsync(descriptor)

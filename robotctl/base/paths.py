@@ -50,7 +50,7 @@ def namespace_of(robot: str) -> str:
 
 
 def check_namespace(text: str) -> str:
-    """Return a ROS namespace as robotctl uses it: `/NAME`, or "" for none.
+    """Return the ROS namespace `text` as robotctl writes it: `/NAME` or `/A/B`, or "" for none.
 
     Raises:
         UsageError: ROS does not allow `text`.
@@ -126,7 +126,7 @@ def socket_path(robot: str) -> Path:
 
 
 def lock_path(robot: str) -> Path:
-    """Return the path of the lock file: the robot's daemon holds its flock, and writes its pid."""
+    """Return the path of the file that the robot's daemon locks (flock) and writes its pid into."""
     return runtime_folder() / f"{check_robot_name(robot)}.lock"
 
 

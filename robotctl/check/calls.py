@@ -34,7 +34,7 @@ _GID_BYTES = 16
 
 
 class EventType(IntEnum):
-    """The event types of a server, as in ServiceEventInfo.msg; the two others are a client's."""
+    """The two event types of a server in ServiceEventInfo.msg, which also has two of a client."""
 
     RECEIVED = 1
     SENT = 2
@@ -56,9 +56,9 @@ SERVICES = (
 
 
 class RecordedAnswer(NamedTuple):
-    """A response: whether the request was granted, its text, and the mode after it if it has one.
+    """A response: whether the request was granted, its text, and the mode afterwards.
 
-    `publish_ns` is when it was sent, since the epoch.
+    `mode` is None if the service has no field for it. `publish_ns` is the time of sending.
     """
 
     ok: bool
@@ -79,7 +79,7 @@ class ServiceEvent(NamedTuple):
 
 
 def read_service_event(service: Service, data: bytes, publish_ns: int) -> ServiceEvent | None:
-    """Return the event in a message, None if it is one of a client.
+    """Return the server's event in a message, None if it is a client's event.
 
     Raises:
         struct.error: The message cannot be read.
@@ -109,7 +109,7 @@ def read_service_event(service: Service, data: bytes, publish_ns: int) -> Servic
 
 
 MAX_CALLS: Final = 100_000
-"""The number of calls of a service that are compared."""
+"""Of one service, at most this many calls are compared."""
 
 MAX_AHEAD: Final = 1_000
 """The request of a call is searched among this many next ones; skipped ones have no call."""
@@ -125,7 +125,7 @@ _BUSY = re.compile(r"busy: \d+ requests wait for their reply; try again")
 
 @dataclass(slots=True)
 class Asked:
-    """A request in the journal: its entry's `seq`, the requested mode, its times, its reply."""
+    """A request in the journal: its entry's `seq`, requested mode, times of its step, its reply."""
 
     seq: int
     requested: int
@@ -197,7 +197,7 @@ class ServiceChecks:
         self._is_on = False
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Compare an event with its effects; `seq` is the number of its entry."""
+        """Read the request and the replies of a step; `seq` is the number of the event's entry."""
         if not self._is_on:
             return
         if isinstance(event, ModeRequested):
@@ -209,7 +209,7 @@ class ServiceChecks:
                     each.reply(effect)
 
     def end(self, ending: EndingOf, moment: JournalEnd) -> None:
-        """Report what differs."""
+        """Report what differs; `ending(topic)` and `moment` say how and when the journal ends."""
         if self._is_on and ending(None).is_own:
             for each in self._all:
                 each.end(ending(each.topic), moment)
@@ -295,7 +295,7 @@ class ServiceCheck:
         return max(len(self._calls), len(self._asked)) >= MAX_CALLS
 
     def end(self, ending: Ending, moment: JournalEnd) -> None:
-        """Report what differs."""
+        """Report what differs; `ending` and `moment` say how and when the journal ends."""
         if self._unreadable:
             self._report.miss(f"{self._unreadable} messages of {self.topic} cannot be read")
         if self._is_full:

@@ -1,7 +1,6 @@
 """A closed loop of kernel and simulated robot, and a recorded run that it simulates again.
 
-Time is virtual, without clock and ROS, so no scheduler has an influence: two runs differ only by
-their parameters.
+Time is virtual, without clock and ROS, so that two runs differ only by their parameters.
 """
 
 from __future__ import annotations
@@ -138,11 +137,10 @@ _RESULTS = frozenset(kind.__name__ for kind in (DriveEnded, Reply))
 
 @dataclass(slots=True)
 class Run:
-    """The requests of a run and what came of them, recorded or simulated.
+    """The requests of a recorded or simulated run, and the outcome of each.
 
-    `refused` has the text of each refusal, `drives` the figures of each drive that ended; both are
-    by request id. Requests without an id get a negative one. `start` is the first odometry and
-    battery level.
+    `refused` has the text of each refusal, `drives` the figures of each drive that ended, both by
+    request id (negative for a request without id). `start` is the first odometry and battery level.
     """
 
     begin_ns: int = 0
@@ -156,7 +154,7 @@ class Run:
         """Read an entry of the journal.
 
         Raises:
-            UnreadableFile: The entry is not one of this version.
+            UnreadableFile: The entry is not of this version.
         """
         if entry.kind is EntryKind.EFFECT:
             if entry.name in _RESULTS:
@@ -183,7 +181,7 @@ class Run:
             self.requests[event.request_id] = event
 
     def effect(self, effect: Effect, t_ns: int) -> None:
-        """Note a refusal or a drive's end; its duration is None if its request is not recorded."""
+        """Note a refusal or a drive's end; without the request, the drive's duration is None."""
         if isinstance(effect, Reply) and not effect.ok and effect.request_id in self.requests:
             self.refused[effect.request_id] = effect.message
         elif isinstance(effect, DriveEnded):
@@ -235,8 +233,8 @@ def resimulate(
 ) -> dict[str, Any]:
     """Simulate a recording again, and return the JSON object of `replay --resim --json`.
 
-    With `settings` a second simulation runs with them. `on_progress` is called with the simulated
-    time and the length of the recording [ns].
+    If `settings` are given, simulate it once more with these. `on_progress` is called with the
+    simulated time and the length of the recording [ns].
 
     Raises:
         UnreadableFile: The journal has no snapshot to begin from, or its times are impossible.

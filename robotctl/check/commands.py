@@ -134,7 +134,7 @@ class DecidedCommand:
 
 
 class SentCommand(NamedTuple):
-    """A message: its six numbers, publish time, the journal's time, and its place in the file."""
+    """A message: its six numbers, publish time, last journal time before it, place in the topic."""
 
     numbers: bytes
     publish_ns: int
@@ -162,13 +162,13 @@ class OtherPublishers:
                 self._seen.append((event.t_ns, inf))
 
     def may_have_sent(self, t_ns: int) -> bool:
-        """Return whether one of them may have sent a command at this time."""
+        """Return whether another publisher may have sent a command at the steady time `t_ns`."""
         return any(begin - NEAR_NS <= t_ns <= end + NEAR_NS for begin, end in self._seen)
 
 
 @dataclass(slots=True)
 class CommandCounts:
-    """What the comparison found, with a first example."""
+    """How many commands of each kind the comparison found, with first examples."""
 
     paired: int = 0
     missing: int = 0
@@ -198,7 +198,7 @@ class CommandCounts:
 
     out_of_order: int = 0
     resumed: int = 0
-    """How often a snapshot counts other commands than were decided before it."""
+    """How many snapshots count more or fewer commands than the journal decided before them."""
 
     unsent: bool = False
     """Whether the journal reports that a command could not be sent."""
@@ -397,10 +397,10 @@ class CommandPairs:
                 counts.after_end += 1
 
     def end(self, cut: int = 0, *, is_own: bool = True) -> None:
-        """Judge what still waits.
+        """Judge the commands and messages that still wait, as the recording ends.
 
-        Up to `cut` messages may belong to decisions after the end. A journal that the recorder did
-        not write itself may end before the recording.
+        Up to `cut` messages may belong to decisions after the end. A journal that was received from
+        a robot (not `is_own`) may end before the recorded commands do.
         """
         end_ns = inf if is_own else self._t_ns - JOURNAL_LAG_NS
         doubted: list[tuple[int, list[SentCommand]]] = []

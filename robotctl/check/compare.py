@@ -69,7 +69,7 @@ def without_retired_fields(entry: JournalEntry) -> JournalEntry:
 
 
 class Vocabulary:
-    """Finds unknown fields in entries; parses only the first of all entries with the same form."""
+    """Finds unknown fields in entries. Of entries that differ only in digits, it parses one."""
 
     def __init__(self) -> None:
         self._known: set[tuple[str, bytes]] = set()
@@ -78,7 +78,7 @@ class Vocabulary:
         """Return the first field that this version would ignore, as `Name.path`, or "".
 
         Raises:
-            UnreadableFile: The whole entry is not of this version.
+            UnreadableFile: The entry is not of this version.
         """
         form = (entry.name, entry.data.encode().translate(None, b"0123456789"))
         if form in self._known:
@@ -102,7 +102,7 @@ class JournalFormat:
         self._vocabulary: Vocabulary | None = Vocabulary()
 
     def begin(self, entry: JournalEntry) -> None:
-        """Look for fields of another version in the first snapshot.
+        """Report if the first snapshot, though it should be of this version, has other fields.
 
         Raises:
             UnreadableFile: The entry is not a snapshot of this version.
@@ -244,7 +244,7 @@ class Comparison:
 
 
 class Decided(NamedTuple):
-    """The result of one step; without a kernel, or if it diverged, `effects` is None."""
+    """The result of one step; `effects` is None if the kernel diverged or there is no kernel."""
 
     event: Event
     effects: tuple[Effect, ...] | None = None
@@ -254,7 +254,7 @@ class Decided(NamedTuple):
 class Rerun:
     """A new kernel that decides on the recorded events from the first snapshot on.
 
-    After a divergence or `stop` it waits for the next snapshot; until then `kernel` is None.
+    After a divergence or `stop`, `kernel` is None until the next snapshot.
     """
 
     def __init__(self, comparison: Comparison) -> None:
@@ -268,7 +268,9 @@ class Rerun:
         self.kernel = None
 
     def snapshot(self, entry: JournalEntry) -> tuple[Snapshot, Divergence | None]:
-        """Continue from a recorded snapshot; return it, and how the kernel differs from it.
+        """Compare the kernel with a recorded snapshot, then continue from that snapshot.
+
+        Return the snapshot and the kernel's divergence, None if they agree or there is no kernel.
 
         Raises:
             UnreadableFile: The entry is not a snapshot of this version.

@@ -31,8 +31,8 @@ TOLERANCE_M = 0.005
 def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> tuple[Point, ...]:
     """Return waypoints of the last motion in a recording, () if the robot did not drive.
 
-    In a recording without a journal they are those of all odometry. `on_missing` gets a sentence
-    about each part of the recording that cannot be read: it may have contained a later motion.
+    Without a journal, the waypoints are of all recorded odometry. `on_missing` gets a sentence
+    about each part of the recording that cannot be read, and that may contain a later motion.
 
     Raises:
         UnreadableFile: The recording cannot be read, or a part of the motion is missing.
@@ -66,7 +66,7 @@ def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> 
 
 
 def simplified(points: Sequence[Point], tolerance_m: float) -> tuple[Point, ...]:
-    """Return some of the points: each other point is within `tolerance_m` of the path through them.
+    """Leave out points that are within `tolerance_m` of the path through the rest; return the rest.
 
     The algorithm is that of Douglas and Peucker (1973).
     """

@@ -34,7 +34,7 @@ IN_SOURCE = "a clip does not tell what was lost, its source does"
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How a recording ends for one of its topics, and so what a difference there means."""
+    """How a recording ends for one of its topics, which decides what a difference means."""
 
     report: Report
     invariants: Invariants
@@ -65,7 +65,7 @@ class Ending:
             self.invariants.violate(text)
 
     def lack(self, count: int, text: str) -> None:
-        """Report that `count` messages are not there: a violation unless losses explain it."""
+        """Report that `count` messages are absent: a violation unless losses may explain that."""
         if count <= self.lost:
             self.report.notes.append(f"{text}: {self.lost} were counted as lost")
         elif self.ledger is None:
@@ -75,7 +75,7 @@ class Ending:
 
     @property
     def unknown_losses(self) -> str:
-        """Why the losses are not known, where there is no ledger."""
+        """Why the losses of a recording without a ledger are not known."""
         return IN_SOURCE if self.is_clip else "it was not closed, so its losses are not known"
 
 
@@ -108,8 +108,8 @@ NOT_COMPARED: Final = (
 class JournalOrigin:
     """Whether the recorder wrote the journal itself, or received it from a robot.
 
-    It wrote it if the first entry has equal log and publish times, or if the journal's topic is the
-    recording robot's own. An observing recorder writes none, so there the topic proves nothing.
+    A recorder of robotctl wrote it if the first entry has equal log and publish times, or if the
+    topic is that of its own robot and it did not only observe. Any other journal was received.
     """
 
     def __init__(self, info: RecordingInfo, topic: str) -> None:
@@ -129,7 +129,7 @@ class JournalOrigin:
         return bool(self._noted) and self._has_own_name and not self._observes
 
     def first(self, message: Message) -> None:
-        """Note from the first message of the journal who wrote it."""
+        """Note whether log and publish times of the journal's first message differ."""
         self._was_received = not self._noted or message.log_ns != message.publish_ns
 
     def check(self, report: Report) -> None:
@@ -185,7 +185,7 @@ _HASH_KEY: Final = "topic_type_hash"
 
 
 def check_types(recording: Recording, report: Report, topics: Container[str | None]) -> None:
-    """Report each of these topics whose messages have another version of its type, or no hash."""
+    """Report each of `topics` whose recorded type hash is missing or not the one in HASHES."""
     for each in recording.open_files:
         for number, channel in each.index.channels.items():
             name = type_name_of(channel, each.index.schemas.get(channel.schema_id))
@@ -256,7 +256,7 @@ class RecordingEnds:
             report.miss(sentence, is_outside=True)
 
     def snapshot(self, entry: JournalEntry, snapshot: Snapshot) -> int:
-        """Note a snapshot; return the `seq` of the one before it, 0 if that one has no proof."""
+        """Note a snapshot; return the `seq` of the previous snapshot, 0 if that had no proof."""
         before = max(self._last_snapshot, 0)
         self._last_snapshot = entry.seq if snapshot.proof is not None else -1
         reported = snapshot.state.health.reported
@@ -332,7 +332,7 @@ def _is_beginning(snapshot: Snapshot) -> bool:
 
 
 class JournalChain:
-    """The CRC of all entries, continued from a snapshot and compared at the next one."""
+    """The CRC of all entries, continued from one snapshot and compared at the next snapshot."""
 
     def __init__(self) -> None:
         self._seq = -1
@@ -342,7 +342,7 @@ class JournalChain:
         self._crc: int | None = None
 
     def add(self, seq: int, serialized: bytes) -> None:
-        """Add the next entry, serialized; it has the number `seq`."""
+        """Add the bytes of the next entry, whose number is `seq`."""
         self._before = self._crc if seq == self._seq + 1 else None
         self._crc = None if self._before is None else chained(serialized, self._before)
         self._seq = seq
@@ -350,7 +350,7 @@ class JournalChain:
     def is_whole(self, entry: JournalEntry, proof: Proof | None) -> bool:
         """Return whether the CRC of the entries before a snapshot is that of its proof.
 
-        True if it is not known: without a proof, at the beginning and after a gap.
+        Return True as well if this is not known: without a proof, at the beginning, after a gap.
         """
         if proof is None or entry.seq != self._seq:
             return True
@@ -380,7 +380,7 @@ class SnapshotProofs:
         self._is_told = False
 
     def check(self, entry: JournalEntry, proof: Proof | None, before: int) -> None:
-        """Check the next snapshot; `before` is the number of the one before it."""
+        """Check the next snapshot; `before` is the `seq` of the snapshot before it."""
         if not self._chain.is_whole(entry, proof):
             self._invariants.violate(
                 f"the journal was changed between its entries {before} and {entry.seq}"

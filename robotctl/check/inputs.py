@@ -97,7 +97,7 @@ class UnheardChange:
         self._is_begin = True
 
     def settle(self, stall_ns: int) -> None:
-        """Judge the messages up to the newest that became an input; stalls took `stall_ns`."""
+        """Judge the messages up to the newest input; `stall_ns` more than usual may be unheard."""
         newest = max(self._heard, default=0)
         while self._waiting and self._waiting[0].sequence <= newest:
             self._take(self._waiting.popleft(), stall_ns)
@@ -105,7 +105,7 @@ class UnheardChange:
             self._heard.clear()
 
     def end(self, log_ns: int, stall_ns: int) -> None:
-        """Judge the messages up to the end of the journal."""
+        """Judge the messages up to the journal's end `log_ns`; `stall_ns` is as in `settle`."""
         self.settle(stall_ns)
         for shown in self._waiting:
             if shown.log_ns <= log_ns:
@@ -240,19 +240,19 @@ class InputPairs:
         self._waiting.slot(number).sent.append(Heard(value, log_ns))
 
     def received(self, number: int, found: Input) -> None:
-        """Read an input of the journal; it has no message if `number` is 0."""
+        """Read an input of the journal; an input with the `number` 0 has no message."""
         if number:
             begin_ns, _ = self._lives.get(found.source, (found.t_ns, 0))
             self._lives[found.source] = begin_ns, found.t_ns
             self._waiting.slot(number).entries.append(found)
 
     def forget(self) -> None:
-        """Drop what waits and has no counterpart, because journal entries are missing."""
+        """Compare the pairs that wait and drop all else, because journal entries are missing."""
         for number, slot in self._waiting.rest():
             self._pair(number, slot)
 
     def end(self, t_ns: int, stalled_ns: int) -> None:
-        """Judge what waits at the end `t_ns`; stalls of `stalled_ns` delayed the last messages."""
+        """Judge what waits at the end `t_ns`; stalls of `stalled_ns` may have delayed inputs."""
         left = []
         for number, slot in self._waiting.rest():
             self._pair(number, slot)
@@ -375,7 +375,7 @@ class InputCheck:
         self._is_on = False
 
     def message(self, message: Message) -> None:
-        """Read a message; skip a repeat of a latched message, as at the begin of a file."""
+        """Read a message; skip the repeat of a latched message at the beginning of a file."""
         is_repeat = self._is_latched and self._repeats.observe(message)
         if is_repeat or not self._is_on:
             return
@@ -611,7 +611,7 @@ class InputChecks:
             each.stop()
 
     def end(self, ending: EndingOf, moment: JournalEnd) -> None:
-        """Report what differs."""
+        """Report what differs; `ending(topic)` and `moment` say how and when the journal ends."""
         for each in self._checks.values():
             each.end(ending(each.topic), moment, self._stalls.longest_ns)
 

@@ -55,7 +55,7 @@ _REQUESTS = (
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """An invariant that the recording breaks, in a sentence; `t_ns` is that of the event."""
+    """A sentence on an invariant that the recording breaks; the entry's number and steady time."""
 
     seq: int
     t_ns: int
@@ -138,7 +138,7 @@ class Invariants:
             self.violate(f"request {request_id} has no reply")
 
     def violate(self, text: str, at: tuple[int, int] | None = None) -> None:
-        """Count and keep a violation; `at` is (seq, t_ns) of its entry, by default the last one."""
+        """Count and keep a violation; `at` is (seq, t_ns) of its entry, None for the last entry."""
         self.count += 1
         if len(self.violations) < MAX_VIOLATIONS:
             self.violations.append(Violation(*(at or self._at), text))

@@ -102,7 +102,7 @@ def _wrong_in(params: KernelParams) -> str:
 
 
 def decide(kernel: Kernel, event: Event) -> tuple[Effect, ...]:
-    """Step a kernel whose state came from a file.
+    """Return the effects of `event` in a kernel whose state came from a file.
 
     Raises:
         UnreadableFile: The kernel cannot continue from its state.
@@ -152,7 +152,7 @@ class Gap:
 
 
 class EntryOrder:
-    """Holds back each entry until all entries with a lower `seq` have come, and orders them."""
+    """Orders entries by `seq`: while a lower number is missing, holds back up to MAX_DISORDER."""
 
     __slots__ = ("_accepted", "_first", "_following", "_held")
 
@@ -231,7 +231,7 @@ Item = Step | JournalEntry | Gap
 
 
 def steps(entries: Iterable[JournalEntry]) -> Iterator[Item]:
-    """Yield the steps, snapshots (as entries) and gaps of a journal; skip effects without event."""
+    """Yield steps, snapshots (as entries) and gaps of a journal; skip effects without an event."""
     step: Step | None = None
     for entry in in_sequence(entries):
         if isinstance(entry, Gap):

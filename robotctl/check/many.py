@@ -29,7 +29,7 @@ def check_recordings(
     *,
     all_bytes: bool = False,
 ) -> list[dict[str, Any]]:
-    """Return the reports as `Report.as_object` makes them, in the order of `paths`."""
+    """Check each path as `check_recording` does; return the JSON reports in the same order."""
     if len(paths) == 1:
         return [check_recording(paths[0], on_progress, all_bytes=all_bytes).as_object()]
     count = min(len(os.sched_getaffinity(0)), len(paths))

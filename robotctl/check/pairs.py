@@ -19,14 +19,14 @@ Sent = TypeVar("Sent")
 
 @dataclass(slots=True)
 class Slot(Generic[Entry, Sent]):
-    """What has one number: journal entries and messages. Two publishers may use one number."""
+    """The journal entries and the messages with the same number; publishers may share numbers."""
 
     entries: list[Entry] = field(default_factory=list)
     sent: list[Sent] = field(default_factory=list)
 
 
 class Waiting(Generic[Entry, Sent]):
-    """The slots that are not judged yet, the oldest first."""
+    """The slots, one per number, that are not judged yet; the oldest first."""
 
     def __init__(self, judge: Callable[[int, Slot[Entry, Sent]], None]) -> None:
         """`judge` gets each slot with its number, when nothing more is to be expected."""

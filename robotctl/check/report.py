@@ -154,14 +154,14 @@ class Report:
         return Verdict.INCOMPLETE if self.missing else Verdict.SAME
 
     def count_divergence(self, found: Divergence) -> None:
-        """Count a divergence, which need not be the first."""
+        """Count a divergence, whether it is the first or a later one."""
         self.divergences += 1
         self.divergences_crc = crc32(rounded(found.sentence()).encode(), self.divergences_crc)
 
     def miss(self, sentence: str, *, is_outside: bool = False) -> None:
         """Add a sentence about something that could not be checked.
 
-        If that lies outside of the checked part (`is_outside`), it explains no difference there.
+        Set `has_gaps`, unless what is missing is outside of the checked part (`is_outside`).
         """
         note_missing(self.missing, sentence)
         self.has_gaps |= not is_outside

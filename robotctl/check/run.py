@@ -124,7 +124,7 @@ class Comparisons:
             each.stop()
 
     def end(self, ending: EndingOf, end_ns: int, log_ns: int) -> None:
-        """Report what differs; the journal ends at `end_ns`, or at `log_ns` since the epoch."""
+        """Report what differs; the journal ends at `end_ns` (steady), `log_ns` since the epoch."""
         self._ticks.stop()
         for found in self._ticks.missing:
             self._invariants.violate(f"{found.ticks} ticks are missing before entry {found.seq}")

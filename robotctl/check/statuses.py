@@ -58,7 +58,7 @@ class ShownModes:
         self._t_ns = self._offset_ns = self._begin_ns = 0
 
     def snapshot(self, mode: Mode, t_ns: int, wall_ns: int) -> None:
-        """Continue from a snapshot at the steady time `t_ns`, or `wall_ns` since the epoch."""
+        """Continue from a snapshot at the steady time `t_ns`, `wall_ns` since the epoch."""
         self._t_ns, self._offset_ns = t_ns, wall_ns - t_ns
         if not self._spans:
             self._spans.append(_ModeSpan(mode.value, t_ns))
@@ -184,7 +184,7 @@ class StatusCheck:
         return True
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Continue from a snapshot at the steady time `t_ns`, or `log_ns` since the epoch."""
+        """Continue from a snapshot at the steady time `t_ns`, `log_ns` since the epoch."""
         if snapshot.proof is None:
             return
         self._repeats.snapshot()
@@ -204,7 +204,7 @@ class StatusCheck:
         self._modes.stop()
 
     def end(self, ending_of: EndingOf, moment: JournalEnd) -> None:
-        """Report what differs."""
+        """Report what differs; `ending_of` and `moment` say how and when the journal ends."""
         ending = ending_of(self.topic)
         if not self.is_on or not ending.is_own or self._report.has_gaps:
             return

@@ -42,7 +42,7 @@ class MeasurementOrder:
         self._newest_ns: int | None = None
 
     def step(self, event: Event, seq: int) -> None:
-        """Compare the time of an event with those before; `seq` is the number of its entry."""
+        """Compare the event's time with the times before; `seq` is the number of its entry."""
         if type(event) not in MEASUREMENTS:
             return
         if self._newest_ns is not None and event.t_ns < self._newest_ns - SLACK_NS:
@@ -80,11 +80,11 @@ class MissingTicks(NamedTuple):
 
 
 class TickSchedule:
-    """Finds missing ticks by the lateness of the others, from a snapshot on.
+    """Finds missing ticks by how late the recorded ticks are, from a snapshot on.
 
     The control loop ticks at multiples of the period, each time a little late, and counts the ticks
     that it missed. So the lateness often returns to its minimum. After a tick that was removed from
-    the journal, or was missed and not counted, it stays one period above that minimum.
+    the journal, or missed and not counted, the lateness stays one period above the minimum.
     """
 
     def __init__(self) -> None:
@@ -113,7 +113,7 @@ class TickSchedule:
             self._least = least._replace(late_ns=late_ns)
 
     def stop(self) -> None:
-        """Look for missing ticks until here and start over: events are missing or the journal ends.
+        """Add the ticks missing so far to `missing`, and start over: a gap or the end follows.
 
         The last window is too short to be judged alone.
         """

@@ -88,8 +88,8 @@ class RobotTopics:
 class RepeatedLatched:
     """Counts the messages of a latched topic that repeat the message before them.
 
-    Each file begins with one such repeat and a snapshot, so that no more repeats than snapshots are
-    allowed, even in joined files. A journal that was received has its snapshots elsewhere: there,
+    Each file begins with one such repeat and a snapshot, so that as many repeats as snapshots are
+    allowed, even in joined files. A received journal has its snapshots elsewhere, so that at least
     as many repeats as files are allowed.
     """
 
@@ -100,14 +100,14 @@ class RepeatedLatched:
         self._count = 0
 
     def observe(self, message: Message) -> bool:
-        """Observe a message; return whether it repeats the one before it."""
+        """Observe a message; return whether it equals the message before it, except in log time."""
         last, self._last = self._last, message
         is_again = last is not None and last._replace(log_ns=message.log_ns) == message
         self._count += is_again
         return is_again
 
     def count(self) -> None:
-        """Count a repeat that comes before the message that it repeats."""
+        """Count a repeat that `observe` cannot find: it is recorded before its original."""
         self._count += 1
 
     def snapshot(self) -> None:
@@ -116,5 +116,5 @@ class RepeatedLatched:
 
     @property
     def excess(self) -> int:
-        """The number of repeats beyond one for the beginning of each file."""
+        """By how much the repeats exceed what files and snapshots allow, at least 0."""
         return max(self._count - max(self._files, self._snapshots), 0)

@@ -102,7 +102,7 @@ def simulated(config: Config, info: RecordingInfo) -> tuple[Config, list[str]]:
 
 @dataclass(slots=True)
 class DriveCommands:
-    """The commands of one kernel in one drive, which is first seen at `begin_ns` (steady)."""
+    """The commands of one kernel in one drive; the drive's first step is at `begin_ns` (steady)."""
 
     begin_ns: int
     in_mode_ns: dict[Mode, int] = field(default_factory=dict)
@@ -150,7 +150,7 @@ class DrivesOfKernel:
     def add(
         self, before: State, after: State, effects: Iterable[Effect], t_ns: int, elapsed_ns: int
     ) -> None:
-        """Add a step at `t_ns` from one state to another, `elapsed_ns` after the step before."""
+        """Add a step from `before` to `after` at `t_ns`, `elapsed_ns` after the previous step."""
         drive, following = before.drive, after.drive
         if drive is not None:
             self._add_time(self._of(drive.request_id, t_ns - elapsed_ns), before, elapsed_ns)
@@ -185,7 +185,7 @@ def drives_of_both(
     """Return the drives of two kernels, side by side, as JSON values, in their order.
 
     A drive is `None` on the side that did not begin it. `measured` is what the robot did under the
-    recorded commands: how it would have followed others is not known.
+    recorded commands; how it would have followed the other kernel's commands is not known.
     """
 
     def began_ns(request_id: int) -> int:
@@ -217,7 +217,7 @@ def what_if(
     settings: Settings,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Compare the decisions, and return the JSON object of `replay --what-if --json`.
+    """Compare recorded decisions with those under `settings`; return the `--what-if --json` object.
 
     `on_progress` is called with the bytes that are done and the bytes in total.
 

@@ -55,7 +55,7 @@ _SILENT = "a silence is zero at once, and ends the motion"
 class Why:
     """The explanation of an incident, in sentences; a field is empty if there is nothing to say.
 
-    `remedies` is what the operator was told to do; a recording of 0.1.0 holds that in `what`.
+    `remedies` is what the operator was told to do; for a recording of 0.1.0, `what` says it.
     """
 
     what: str

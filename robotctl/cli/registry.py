@@ -53,7 +53,7 @@ COMMANDS = tuple(name for names in SECTIONS.values() for name in names)
 
 
 def module_of(command: str) -> str:
-    """Return a command's module, relative to `commands`: it is in the folder of its section."""
+    """Return the name of a command's module in `commands`, such as "robot.estop"."""
     section = next(title for title, names in SECTIONS.items() if command in names)
     folder = section.removeprefix("The ").lower().replace(" ", "_")
     return f"{folder}.{command.replace('-', '_')}"
@@ -91,7 +91,7 @@ OTHER_WORDS = {
 
 
 def other_words() -> dict[str, str]:
-    """Return OTHER_WORDS, and for each motion such as `square`, the command that drives it."""
+    """Return OTHER_WORDS, extended by a `robotctl drive` command for each motion, like "square"."""
     from robotctl.cli.commands.robot.drive import MOTIONS
 
     return OTHER_WORDS | {word: f"`robotctl drive {word}`" for word in MOTIONS}
@@ -123,7 +123,7 @@ class LazyGroup(TyperGroup):
         If there is none, load all commands, so that typer can suggest one, and return None.
 
         Raises:
-            UsageError: It is a retired name or one of `other_words`; the error names the right one.
+            UsageError: The name is retired or in `other_words`; the error names the right command.
         """
         if cmd_name not in COMMANDS:
             if cmd_name in retired.COMMANDS:

@@ -71,7 +71,7 @@ _TYPES_IN_FILES: Final = {
 
 
 def stamps_in(path: Path | str) -> Stamps:
-    """Return the stamps of the recordings in an index or a catalogue, {} for a wrong file.
+    """Return the stamps of the recordings in one file, {} if unusable; see `stamps_of_each`.
 
     Raises:
         UsageError: duckdb is not installed.
@@ -80,10 +80,10 @@ def stamps_in(path: Path | str) -> Stamps:
 
 
 def stamps_of_each(paths: Sequence[Path | str]) -> list[Stamps]:
-    """Return the stamps of the recordings in each file, {} for a wrong file.
+    """Return for each index or catalogue the stamps of the recordings in it.
 
-    A file is wrong if it cannot be read, is a link, has another layout, or has more than
-    `MAX_ROWS` rows other than samples.
+    The result is {} for a file that cannot be read, is a link, does not have the columns of an
+    index, or has more than `MAX_ROWS` rows other than samples.
 
     Raises:
         UsageError: duckdb is not installed.
@@ -155,9 +155,10 @@ def _verified_stamps(
 def write_catalogue(
     targets: Iterable[Path], before: str | None, kept: Collection[str], indexes: Sequence[Path]
 ) -> Path:
-    """Write a catalogue: recordings in `indexes`, and the `kept` ones of the catalogue `before`.
+    """Write a catalogue to the first of `targets` that can be written, and return its path.
 
-    Write it to the first of `targets` that can be written, and return this path.
+    The rows come from the files `indexes`, without samples. The rows of the recordings that are
+    named in `kept` come from `before`, the path of an older catalogue or None.
 
     Raises:
         Refused: None of the targets can be written.
@@ -192,10 +193,10 @@ NOT_ALLOWED: Final = "this user may not read it"
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """A catalogue that is up to date: its file, and the path of each recording's index.
+    """A catalogue that is up to date; `indexes` are the paths of its recordings' index files.
 
-    `left_out` has a sentence for each recording that is missing, or missing in part because it is
-    still being recorded. `failures` are those that cannot be indexed, each with the reason.
+    `left_out` has a sentence for each recording that is not in the catalogue, or only without its
+    last file. `failures` are the recordings that cannot be indexed, each with the reason.
     """
 
     path: Path
@@ -210,11 +211,11 @@ def catalogue_of(
 ) -> Iterator[Catalogue]:
     """Index the changed recordings of a folder, and yield the folder's catalogue.
 
-    If the folder cannot be written or is full, the catalogue is a temporary file for the block.
+    If the folder cannot be written, the catalogue is a temporary file, removed after the block.
 
     Raises:
         OSError: The folder cannot be listed.
-        Refused: The catalogue cannot be written anywhere, or the folder's path is not UTF-8.
+        Refused: Not even a temporary file can be written, or the folder's path is not UTF-8.
         UsageError: duckdb is not installed.
     """
     path = folder / CATALOGUE_NAME
@@ -269,8 +270,8 @@ def _opened(path: Path, stack: ExitStack) -> str | None:
 def _stamps(folder: Path, known: Stamps) -> tuple[Stamps, list[str]]:
     """Return the stamp of each recording directly below a folder, and sentences on those left out.
 
-    If a recording is still being made, its stamp covers only its closed files. One whose stamp is
-    the `known` one is not examined for this: it is complete. Links are not followed.
+    If a recording is still being made, its stamp covers only its closed files. If the stamp of all
+    files is already in `known`, they are not opened to see this. Links are not followed.
     """
     stamps: Stamps = {}
     left_out = []

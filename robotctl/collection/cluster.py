@@ -38,7 +38,7 @@ _ADDRESS = re.compile(r"(?:tcp|tls)://(?P<host>[^/\s]+|\[[^]\s]+\]):(?P<port>\d{
 
 
 class Cluster:
-    """The workers of the Dask scheduler at an address; each must see the folder `place`."""
+    """Runs a gate's jobs on a Dask scheduler's workers; all must see the recordings' folder."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class Cluster:
         connect_s: float = CONNECT_S,
         patience_s: float = PATIENCE_S,
     ) -> None:
-        """Check the address, without connecting yet.
+        """Check the scheduler's address, without connecting; `place` is the recordings' folder.
 
         Raises:
             UsageError: The address is not tcp:// or tls://HOST:PORT, or Dask is not installed.
@@ -69,11 +69,11 @@ class Cluster:
         self._patience_s = patience_s
 
     def judge(self, judging: Judging, recordings: Sequence[Path], on_progress: Done) -> Answers:
-        """Judge recordings on the workers; a restarted scheduler gets the unfinished ones again.
+        """Judge recordings on the workers; after a restart of the scheduler, send the rest again.
 
         Raises:
-            Refused: The scheduler or all workers are away for too long, or a worker has a different
-                robotctl, or does not see the recordings or the results.
+            Refused: There is no scheduler or no worker for too long, or a worker has a different
+                robotctl, or does not see the recordings or the stored results.
         """
         left = dict.fromkeys(recordings)
         connect_s = self._connect_s

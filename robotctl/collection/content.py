@@ -46,12 +46,12 @@ class Content:
 
 
 def read_content(path: Path) -> Content:
-    """Return the content of a recording.
+    """Read all files of a recording, and return the hash of its content.
 
     Raises:
         OSError: A file cannot be read.
-        UnreadableFile: There are no files.
-        BeingWritten: A process still writes it.
+        UnreadableFile: The recording has no files.
+        BeingWritten: A process is still writing the recording.
     """
     digest = hashlib.sha256()
     for file in recording_files(path):

@@ -33,9 +33,9 @@ ABANDONED_S: Final = 3600.0
 def database(
     files: Sequence[Path | str] = (), memory: str = READING
 ) -> Iterator[DuckDBPyConnection]:
-    """Open a database that may read and write these files, and no others.
+    """Open a database that may read and write `files`, but no other files, and use no extension.
 
-    It loads no extension. Queries cannot change these limits.
+    Queries cannot lift these limits. `memory` is DuckDB's memory limit, such as "120MB".
 
     Raises:
         UsageError: duckdb is not installed.
@@ -69,7 +69,7 @@ _CLOSED: Final[Mapping[str, str]] = {
 def write_parquet(
     target: Path, query: str, sources: Sequence[Path | str], options: str = ""
 ) -> None:
-    """Write to `target` all rows of `query`, which reads the files `sources`, or nothing at all.
+    """Write the rows of `query` over the files `sources` to `target`; on failure, keep `target`.
 
     Raises:
         OSError: The file cannot be written, or a source cannot be read.
@@ -108,7 +108,7 @@ def _remove_abandoned(target: Path) -> None:
 
 
 def parquet(paths: Iterable[Path | str], options: str = "") -> str:
-    """Return SQL for the rows of Parquet files; special characters in the paths are escaped."""
+    """Return the SQL call that reads Parquet files; its further `options` begin with a comma."""
     return f"read_parquet([{patterns(paths)}], hive_partitioning = false{options})"
 
 

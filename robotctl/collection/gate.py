@@ -38,9 +38,9 @@ FORMAT: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """One accepted result: the outcome of the recording with this hash under these settings.
+    """An accepted result: the hash of a recording, the settings, and the outcome with these.
 
-    `outcome` is the hash over all findings; `verdict` and `says` describe it for a reader.
+    `outcome` is the hash over all findings; `verdict` and `says` describe them for people.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Baseline:
         return self._accepted.get(_key(result.recording, result.settings, result.outcome))
 
     def accept(self, name: str, result: Judgement, *, by: str, why: str, at: str) -> None:
-        """Accept a result."""
+        """Add an entry: the person `by` accepts a result at the time `at` [ISO 8601]."""
         recording, settings, outcome = result.recording, result.settings, result.outcome
         says = result.says or "other parameters change modes or answers"
         self._accepted[_key(recording, settings, outcome)] = Accepted(
@@ -87,10 +87,10 @@ class Baseline:
         )
 
     def write(self, path: Path) -> None:
-        """Write the file, completely or not at all.
+        """Write the baseline to a file, completely or not at all.
 
         Raises:
-            Refused: It cannot be written.
+            Refused: The file cannot be written.
         """
         accepted = sorted(self._accepted.values(), key=lambda each: (each.name, each.says))
         file = {"format": FORMAT, "accepted": [asdict(each) for each in accepted]}
@@ -108,7 +108,7 @@ def read_baseline(path: Path) -> Baseline:
     """Return the baseline in a file, an empty one if there is no file.
 
     Raises:
-        ConfigError: The file is not a baseline, or an older robotctl wrote it.
+        ConfigError: The file cannot be read, is not a baseline, or has another format.
     """
     try:
         with open_regular(path) as opened:
@@ -139,10 +139,10 @@ CHANGED: Final = "changed"
 
 @dataclass(slots=True)
 class GateReport:
-    """The judgement of each recording by its path, in the order of the given recordings.
+    """The judgements of recordings, by path, in the order in which the recordings were given.
 
-    `lost` are the recordings whose process was killed twice, or that cannot be read. `live` are
-    those still being written: they are not judged. `stored` counts the results found in the store.
+    `lost` has the reason for each recording that got no judgement. `live` recordings are still
+    being written, so they are not judged. `stored` counts the results that came from the store.
     """
 
     results: dict[Path, Judgement] = field(default_factory=dict)
@@ -191,7 +191,7 @@ class GateReport:
         return groups
 
     def totals(self) -> Totals | None:
-        """Return the totals with other parameters over all drives, None if none were tried."""
+        """Return sums and maxima over all drives, None if no other parameters were tried."""
         changes = [each.other for each in self.results.values() if each.other is not None]
         return totals_of(changes) if changes else None
 
@@ -200,7 +200,7 @@ class GateReport:
 
 
 def cause_of(result: Judgement) -> str:
-    """Return `verdict: cause`; the verdict is CHANGED if only other parameters make it fail."""
+    """Return "VERDICT: CAUSE", or "changed: CAUSE" for a failure only with other parameters."""
     if result.verdict not in FAILED and result.differs:
         failure = None if result.other is None else result.other.failure
         if failure is not None:
@@ -224,10 +224,10 @@ def judge_all(
     engine: Engine = judge_here,
     on_progress: Done = lambda done, total: None,
 ) -> GateReport:
-    """Judge recordings; those with a stored result are not judged again.
+    """Judge recordings, mark the results that `baseline` accepts, and return the report.
 
-    Recordings that are being written are left out. Each result is stored at once, so the next run
-    after a kill judges only the rest.
+    `settings` are other parameters to try, {} for none. A result that is in the store is not
+    computed again. New results are stored at once: a run after a kill judges only the rest.
 
     Raises:
         Refused: A result cannot be stored, or the engine is not available.
@@ -254,8 +254,8 @@ def judge_all(
 def junit_text(report: GateReport) -> str:
     """Return the report as JUnit XML: a test case per recording, a failure if it fails the gate.
 
-    A recording that could not be judged is an error. One that is being written is skipped. An
-    accepted one passes, with the reason.
+    A recording that could not be judged is an error. A recording that is being written is skipped.
+    A recording with an accepted result passes; its output says who accepted it, when and why.
     """
     failures, unknown = report.failures(), report.unknown()
     suite = ElementTree.Element(

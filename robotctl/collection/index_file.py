@@ -148,7 +148,7 @@ def columns(kind: type[Any]) -> dict[str, str]:
 
 
 def all_columns() -> dict[str, str]:
-    """Return the columns of the table: `kind`, then those of each class."""
+    """Return the columns of all classes of rows, `kind` first, with their types in SQL."""
     found = {"kind": "VARCHAR"}
     for kind in KINDS:
         found |= columns(kind)
@@ -167,7 +167,7 @@ def index_path(recording: Path) -> Path:
 
 
 def index_path_text(recording: str) -> str:
-    """Return `index_path` as text, without `Path`: for 10,000 recordings this saves a second."""
+    """Do the same as `index_path` on strings: for 10,000 recordings this saves a second."""
     return (
         f"{recording}.{INDEX_FILE}" if recording.endswith(".mcap") else f"{recording}/{INDEX_FILE}"
     )
@@ -190,7 +190,7 @@ def files_of(recording: Path | str) -> list[str]:
 
 
 def closed_files(files: Iterable[Path | str]) -> list[Path]:
-    """Return those files of a recording that no process is writing, in natural order.
+    """Return those of the files that no process is writing, sorted with `_2` before `_10`.
 
     Raises:
         OSError: A file cannot be opened.
@@ -200,7 +200,7 @@ def closed_files(files: Iterable[Path | str]) -> list[Path]:
 
 
 def stamp_of(files: Iterable[Path | str]) -> str:
-    """Return the stamp of an index: LAYOUT, then a hash of the files' names, sizes and mtimes.
+    """Return a stamp: the index layout's version, and a hash over files' names, sizes and mtimes.
 
     Raises:
         OSError: A file does not exist any more.
@@ -211,10 +211,10 @@ def stamp_of(files: Iterable[Path | str]) -> str:
 
 
 def write_index(target: Path, recording: str, rows: Sequence[IndexRow], stamp: str) -> None:
-    """Write the rows of the recording with this name as the index file `target`.
+    """Write an index to the file `target`; `recording` is the name of the recording.
 
     Raises:
-        Refused: It cannot be written.
+        Refused: The file cannot be written.
         UsageError: duckdb is not installed.
     """
     columns = ", ".join(f"{name(key)}: {text(kind)}" for key, kind in table_columns().items())
@@ -241,5 +241,5 @@ def _lines(rows: Iterable[IndexRow], first: dict[str, str]) -> Iterable[bytes]:
 
 
 def table_columns() -> dict[str, str]:
-    """Return all columns of an index file with their types."""
+    """Return the columns of an index file, with SQL types: name, stamp, and `all_columns`."""
     return {"recording": "VARCHAR", "stamp": "VARCHAR", **all_columns()}

@@ -61,12 +61,12 @@ _DIGEST = "digest"
 def rows_of(
     path: Path, check: str, check_says: str | None, verify: str, files: Sequence[Path] = ()
 ) -> list[IndexRow]:
-    """Return the rows of a recording with these verdicts; its RecordingRow comes first.
+    """Return the index rows of a recording; the first, a RecordingRow, gets the given verdicts.
 
-    If `files` are given, only these files of its folder are read.
+    If `files` is not empty, only these files of the recording's folder are read.
 
     Raises:
-        UnreadableFile: Nothing can be read from it.
+        UnreadableFile: Nothing can be read from the recording.
     """
     with Recording(path, files=files) as recording:
         info = recording.info()
@@ -283,10 +283,10 @@ NOT_CHECKED: Final = "not checked"
 
 
 def index_recording(recording: Path) -> str:
-    """Write the index of a recording, with its verdicts; return the error as text, "" for none.
+    """Check, verify and index a recording; return "", or why it could not be indexed.
 
-    If the recording is still being made, only its closed files are indexed. The error is returned
-    as text because this runs in another process.
+    If the recording is still being made, only its closed files are indexed, unchecked. Errors are
+    returned as text because this runs in another process.
     """
     try:
         files = files_of(recording)

@@ -38,8 +38,8 @@ def results_of(
 ) -> Iterator[tuple[Path, Result | None]]:
     """Yield each recording with its result, in the order of completion.
 
-    When a process dies, all unfinished jobs are lost; they run again, each in a separate process.
-    The result is None if that process dies, too.
+    `processes` starts the executor. If one of its processes dies, all unfinished jobs are lost, and
+    each runs again in a separate process. If that process dies, too, the result is None.
     """
     done = 0
     lost: list[Path] = []
@@ -71,7 +71,7 @@ def _run(
 
 @contextmanager
 def local_threads(jobs: int) -> Iterator[Executor]:
-    """Yield an executor of threads, for jobs that wait for disks and stores or hash files."""
+    """Yield an executor with a thread per job, at most `THREADS`; for jobs that wait for I/O."""
     executor = ThreadPoolExecutor(min(jobs, THREADS))
     try:
         yield executor

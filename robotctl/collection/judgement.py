@@ -24,7 +24,7 @@ Kind = TypeVar("Kind")
 
 
 class Typed(Generic[Kind]):
-    """Converts plain values to one class. Create it while a module is imported.
+    """Converts parsed JSON to objects of one class. Create it while a module is imported.
 
     msgspec prepares a class on its first use; two threads that do this at once crash Python.
     """
@@ -47,7 +47,7 @@ class Typed(Generic[Kind]):
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """A number with the recorded parameters, and with the other parameters (`what_if`)."""
+    """Two values of one quantity: with the recorded parameters, and with others (`what_if`)."""
 
     recorded: float
     what_if: float
@@ -55,7 +55,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class Apart:
-    """The difference of two kernels' commands; `max_after_s` is None if they are equal."""
+    """By how much two kernels' commands differ; `max_after_s` is None if they never differ."""
 
     rms: float
     max: float
@@ -64,7 +64,7 @@ class Apart:
 
 @dataclass(frozen=True, slots=True)
 class FirstDifference:
-    """The first event on which both kernels decide differently."""
+    """The first event on which the kernels with recorded and with other parameters differ."""
 
     after_s: float
     event: str
@@ -74,7 +74,7 @@ class FirstDifference:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """The first event at which the kernel fails, but only with the other parameters."""
+    """The first event on which the kernel fails only with the other parameters."""
 
     after_s: float
     text: str
@@ -102,7 +102,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Commanded:
-    """What one kernel decided in a drive; the last five fields are None for an unfinished drive."""
+    """What one kernel decided in a drive; the last five fields are None until it has ended."""
 
     modes_s: dict[str, float]
     commanded_m: float
@@ -116,13 +116,13 @@ class Commanded:
 
     @property
     def end(self) -> tuple[bool | None, str | None, str | None]:
-        """Completion, cause and mode at the end; not the reason, whose numbers may differ."""
+        """How the drive ended: `completed`, `cause` and `end_mode`, but not the text `ended`."""
         return self.completed, self.cause, self.end_mode
 
 
 @dataclass(frozen=True, slots=True)
 class DriveChange:
-    """A drive with `recorded` and with other parameters (`what_if`); None if it did not begin."""
+    """A drive under the recorded and under other parameters; None where the drive did not begin."""
 
     drive: int
     request_id: int
@@ -133,14 +133,14 @@ class DriveChange:
 
     @property
     def ends_otherwise(self) -> bool:
-        """Whether one of the two did not begin, or they differ in completion, cause or end mode."""
+        """Whether the drive began with one kernel only, or the two differ in their `end`."""
         mine, theirs = self.recorded, self.what_if
         return mine is None or theirs is None or mine.end != theirs.end
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What other parameters change in one recording; the robot's recorded motion stays the same."""
+    """What would change in a recording with other parameters, if the robot moved as recorded."""
 
     duration_s: float
     settings: dict[str, dict[str, Any]]
@@ -225,9 +225,9 @@ def outcome_of(
     report: Report | None,
     other: Change | None,
 ) -> str:
-    """Return the SHA-256 over a verdict, all findings of the check, and what settings change.
+    """Return a SHA-256 over the verdict, the check's findings, and what `settings` change.
 
-    It is the same in any folder, and for any version of robotctl that finds the same.
+    Equal findings have an equal hash, wherever the recording is and whichever robotctl judges it.
     """
     found = None if report is None else report.divergence
     parts = {
@@ -296,7 +296,7 @@ class Judgement:
 
     @property
     def key(self) -> str:
-        """The key of this result in a store: a hash over recording, software and settings."""
+        """The key of this result in a store of results: `key_of` its recording and settings."""
         return key_of(self.recording, self.settings)
 
     @property
@@ -310,9 +310,9 @@ class Judgement:
 
 
 def judge(path: Path, settings: Mapping[str, str], content: Content | None = None) -> Judgement:
-    """Repeat a recording's decisions and, if there are `settings`, once more with these.
+    """Judge a recording: repeat its decisions, and once more with `settings` if there are any.
 
-    `content` is the recording's content if it has been read already.
+    `content` is the recording's content if the caller has read it already.
 
     Raises:
         OSError: A file cannot be read.
@@ -357,7 +357,7 @@ def crashed(content: Content, settings: Mapping[str, str], error: Exception) -> 
 
 
 def key_of(recording: str, settings: Mapping[str, str]) -> str:
-    """Return the key of a result: the SHA-256 over the recording's hash, software and settings."""
+    """Return a result's key: a SHA-256 over the recording's hash, this robotctl and `settings`."""
     parts = [recording, software_hash(), *(f"{key}={settings[key]}" for key in sorted(settings))]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 

@@ -72,7 +72,7 @@ class ResultStore:
         return result if result.key == key else None
 
     def put(self, result: Judgement) -> Judgement:
-        """Store a result unless there is one with its key; return the one that is stored.
+        """Store a result, unless the store has one with the same key; return the stored result.
 
         Raises:
             Refused: The store cannot be written.
@@ -89,7 +89,7 @@ class ResultStore:
         return result
 
     def put_token(self) -> str:
-        """Store a file by which workers see that they use the same folder; return its name.
+        """Write a new token: a file that workers see if they use the same folder. Return its name.
 
         Raises:
             Refused: The store cannot be written.
@@ -102,11 +102,11 @@ class ResultStore:
         return name
 
     def has_token(self, name: str) -> bool:
-        """Return whether a token is there."""
+        """Return whether the token with this name is in the folder."""
         return (self.folder / name).is_file()
 
     def remove_token(self, name: str) -> None:
-        """Remove a token.
+        """Remove the token with this name, if it exists.
 
         Raises:
             Refused: The folder cannot be written.
@@ -147,9 +147,9 @@ def _name(key: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """The answer of a job: a judgement and whether it `was_stored`, or the `problem`.
+    """The answer of a job: a judgement, or else the `problem` that prevented it.
 
-    A recording that is `live` is still being written; it is not judged.
+    If `was_stored`, the judgement is from the store. A `live` recording is still being written.
     """
 
     judgement: Judgement | None
@@ -160,7 +160,7 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class Judging:
-    """What the jobs of a gate have in common; can be pickled for another process or machine."""
+    """What each job of a gate needs; it can be pickled and sent to another process or machine."""
 
     settings: dict[str, str]
     store: ResultStore
@@ -168,10 +168,10 @@ class Judging:
     """The hash of the gate's robotctl; a process with another one refuses the job."""
 
     def judged(self, path: Path) -> Judged:
-        """Return the stored result, or judge the recording and store the result.
+        """Return the stored result; if there is none, judge the recording and store the result.
 
-        If robotctl itself fails, the verdict is `crashed`. It is not stored, because the software
-        installed on this machine may be the cause.
+        If robotctl itself fails, the verdict is `crashed`. This result is not stored, because the
+        software installed on this machine may be the cause.
 
         Raises:
             Refused: This process runs a different robotctl than the gate, or the store cannot be
@@ -200,7 +200,7 @@ class Judging:
         return Judged(self.store.put(found))
 
     def stored(self, path: Path) -> Judged | None:
-        """Return the stored result, None if there is none, or why the recording cannot be read.
+        """Return the stored result, None if there is none, or the problem of an unreadable file.
 
         Raises:
             Refused: The store cannot be read.
@@ -228,7 +228,7 @@ def judge_here(
     on_progress: Done,
     processes: Processes = local_processes,
 ) -> Answers:
-    """Run the jobs on this machine; stored results need no process."""
+    """Yield each recording with its answer, from the store or else judged in local processes."""
     new: list[Path] = []
     done = 0
     for path, known in results_of(judging.stored, recordings, local_threads):

@@ -62,7 +62,7 @@ def parse_condition(source: str, columns: Collection[str]) -> Condition:
     """Return a condition as SQL.
 
     Raises:
-        UsageError: It is not a condition, or names an unknown column.
+        UsageError: The text is not a condition, or names an unknown column.
     """
     if len(source) > MAX_CHARACTERS:
         raise UsageError(f"the condition has more than {MAX_CHARACTERS} characters")
@@ -163,22 +163,22 @@ class Answer:
     rows: tuple[tuple[Any, ...], ...]
 
     def as_objects(self) -> list[dict[str, Any]]:
-        """Return each row as an object."""
+        """Return each row as a dict of its values by column name."""
         return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
 
 
 def columns_of(table: str) -> tuple[str, ...]:
-    """Return the columns of a table."""
+    """Return the names of the columns of a table in `TABLES`."""
     return ("recording", *columns(TABLES[table]))
 
 
 def find(
     catalogue: Catalogue, table: str, condition: str, sort: str = "", limit: int = 0
 ) -> Answer:
-    """Return those rows of a table that meet `condition`, all rows if that is "".
+    """Return the rows of a table that meet `condition`; all rows if `condition` is "".
 
-    `sort` is a column, with "-" before it for descending order. If it is "", rows are sorted by
-    `start_ns`, or by recording in a table without it. A `limit` of 0 means no limit.
+    `sort` is a column; a "-" before its name means descending order. If `sort` is "", rows are
+    sorted by `start_ns`, in `topics` by recording. A `limit` of 0 means no limit.
 
     Raises:
         UsageError: The condition or the column is wrong.

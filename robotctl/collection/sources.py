@@ -62,7 +62,7 @@ class FileChanged(UnreadableFile):
 
 
 class WrongContent(Divergence):
-    """An object of a store has other content than its file, or than its hash."""
+    """The content of an object in a store differs from the local file, or from its own hash."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,11 +119,11 @@ class StoredFile:
 
     @property
     def modified_ns(self) -> int:
-        """When its content was written, as far as the store knows."""
+        """When the content was written [ns since the epoch]; in a listing, when it was stored."""
         return self.found.modified_ns
 
     def with_stamp(self) -> StoredFile:
-        """Return the file with the hash and mtime from the object's metadata, if they are there.
+        """Ask the store for the object's hash (may be "") and mtime; return a file with both.
 
         Raises:
             StoreError: The store fails, or the object does not exist any more.
@@ -167,12 +167,12 @@ class OfferedRecording:
 
     @property
     def size_bytes(self) -> int:
-        """Bytes of its files."""
+        """The total size of `files`."""
         return sum(file.size_bytes for file in self.files)
 
 
 def recording_of(key: str) -> str:
-    """Return the name of the recording that a file in a copy belongs to."""
+    """Return the name of the recording to which a file belongs; `key` is its path in a copy."""
     return key.partition("/")[0].removesuffix(SUFFIX)
 
 
@@ -181,7 +181,7 @@ def open_regular_file(path: Path) -> Iterator[FileIO]:
     """Open a regular file for the block; links are not followed.
 
     Raises:
-        UnreadableFile: It is not a regular file, or an OSError occurs, also within the block.
+        UnreadableFile: It is not a regular file, or an OSError occurs on opening or in the block.
     """
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
     try:
@@ -194,13 +194,13 @@ def open_regular_file(path: Path) -> Iterator[FileIO]:
 
 
 def stored_recordings(place: str) -> list[OfferedRecording]:
-    """Return the recordings below a URL, or in a folder in the layout RECORDING/SHA256/FILE.
+    """Return the recordings in a store; `place` is its URL or folder.
 
-    `place` is a folder of recordings, one recording, or one MCAP file. If several objects are
-    copies of the same file, the newest counts.
+    At `place` are many recordings, one recording, or one MCAP file. If the store has several
+    copies of a file (RECORDING/SHA256/FILE), only the newest one is returned.
 
     Raises:
-        StoreError: The store cannot be listed, or there is no such file.
+        StoreError: The store cannot be listed, or the MCAP file does not exist.
     """
     above, _, last = place.rstrip("/").rpartition("/")
     if last.endswith(SUFFIX):
@@ -235,7 +235,7 @@ def local_recordings(place: Path, now_ns: int) -> list[OfferedRecording]:
     """Return the recordings in the folder `place` by name, or `place` itself if it is a recording.
 
     A single file is a recording named like the file without `.mcap`. Links are not followed.
-    `now_ns` is since the epoch.
+    `now_ns` (since the epoch) shows which files are too young to be finished.
 
     Raises:
         OSError: The folder cannot be listed.

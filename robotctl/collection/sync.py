@@ -72,7 +72,7 @@ class Synced:
 
     @property
     def copied_bytes(self) -> int:
-        """Bytes of the files that were copied."""
+        """The total size of the files in `copied`."""
         return sum(file.size_bytes for file in self.copied)
 
 
@@ -93,9 +93,9 @@ def copy_recordings(
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     dry_run: bool = False,
 ) -> Synced:
-    """Copy what the store lacks; `on_progress` gets the bytes done and in total.
+    """Copy the files that the store lacks; `on_progress` gets the bytes done and in total.
 
-    A failure adds a sentence to `problems`, and the next file or recording is tried.
+    Each failure adds a sentence to `problems`. `GIVE_UP_AFTER` failures in a row end the run.
 
     Raises:
         StoreError: The store cannot be listed.
@@ -257,10 +257,10 @@ def prune(
     complete: Collection[str],
     pace: Pace = lambda count: None,
 ) -> Pruned:
-    """Remove the files that exceed `policy`, the oldest first, as retention does.
+    """Remove the files in the folder `recordings` that exceed `policy`, the oldest first.
 
-    A file is removed only if its recording is in `complete`, and if the bytes that the store sends
-    now equal those of the file. `now_s` is in seconds since the epoch.
+    A file is kept unless the name of its recording is in `complete`, and the store, asked now,
+    returns exactly the bytes of the file. `now_s` is in seconds since the epoch.
 
     Raises:
         OSError: The folder cannot be listed.

@@ -62,7 +62,7 @@ class Motion:
         return [(c.t_s, c.angular_rps if self.is_turn else c.linear_mps) for c in self.commands]
 
     def way(self) -> list[tuple[float, float]]:
-        """Return each sample's time [s] and its way from the first sample: [m], in a turn [rad]."""
+        """Return each sample's time [s], and how far the base had moved [m] or turned [rad]."""
         begin = self.samples[0].pose if self.samples else ORIGIN
         if not self.is_turn:
             return [(each.t_s, begin.express(each.pose).x) for each in self.samples]
@@ -82,7 +82,7 @@ class Trial:
     motions: list[Motion] = field(default_factory=list)
 
     def begin(self, held: Held, t_s: float) -> None:
-        """Begin the next motion; its first sample is the newest so far: the base still stands."""
+        """Begin a motion; its first sample is the newest so far, from before the base moved."""
         self.motions.append(Motion(held, t_s, samples=self.samples[-1:]))
 
     def sample(self, sample: TrialSample) -> None:
@@ -197,10 +197,11 @@ class _Line:
 
 
 def measured(trial: Trial) -> Measured:
-    """Measure a base from three motions: two straight, stopped by zero and by silence, one turn.
+    """Measure a base by two straight motions, ended by a zero command and by silence, and a turn.
 
     Raises:
-        Refused: There are other motions or too few samples, or the base did not move or stop.
+        Refused: The motions are others, there are too few samples, or the base did not move or
+            stop, or turned the other way.
     """
     kinds = [(motion.is_turn, motion.held.quiet_s > 0.0) for motion in trial.motions]
     if kinds != [(False, False), (False, True), (True, False)]:

@@ -35,7 +35,7 @@ class Proposal:
 
 
 def proposals(base: Measured, present: KernelParams) -> list[Proposal]:
-    """Return the proposed values for this base, each in the range that its key allows."""
+    """Return values that suit the base; limits and gains are at most the `present` ones."""
     follow_s = base.command_delay_s
     lag_s = _rounded(min(max(follow_s - (base.odometry_delay_s or 0.0), 0.0), 0.5))
     steer_s = max(follow_s, base.turn.command_delay_s if base.turn else 0.0)
@@ -74,7 +74,7 @@ def proposals(base: Measured, present: KernelParams) -> list[Proposal]:
 
 
 def configuration(settings: Mapping[str, object], proposed: list[Proposal]) -> dict[str, object]:
-    """Return `settings`, in which each proposed value replaces the value of its key."""
+    """Return a copy of `settings` with the proposed values."""
     return {**settings, **{each.key: each.value for each in proposed}}
 
 

@@ -32,7 +32,7 @@ MAX_FILE_BYTES = 1_000_000
 
 
 def load(path: Path, warn: Callable[[str], object] = log_warning) -> Config:
-    """Return the configuration in the file `path`; call `warn` for a retired key, and ignore it.
+    """Return the configuration in the file `path`; skip each retired key with a call of `warn`.
 
     Raises:
         ConfigError: The file cannot be read, or a key or value is not allowed.
@@ -162,7 +162,7 @@ def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:
 def flatten(
     settings: Mapping[Any, Any], path: Path, prefix: str = ""
 ) -> Iterator[tuple[str, object]]:
-    """Yield each setting as a dotted key and its value; the value of RATE_KEYS may be a mapping."""
+    """Yield each dotted key and value of nested mappings; a mapping at RATE_KEYS is a value."""
     for name, value in settings.items():
         key = f"{prefix}{name}"
         if isinstance(value, dict) and key not in RATE_KEYS:

@@ -35,7 +35,7 @@ PREFIXES: Final = {
     SIMULATED_ROBOT: ("sim.",),
     MODE_SERVICE: ("",),
 }
-"""The prefixes of the keys that each node declares; the first node that matches has the key."""
+"""The prefixes of the keys that each node declares; the first node with a match has the key."""
 
 NODES: Final = tuple(PREFIXES)
 """The nodes that have parameters."""
@@ -102,7 +102,7 @@ def is_for(pattern: str, node: str) -> bool:
 
 
 def check_parameter_files(words: Sequence[str], node: str) -> None:
-    """Check that each `--params-file` of a command line has a parameter for the node.
+    """Check that each `--params-file` in the command line `words` has a parameter for `node`.
 
     Raises:
         ConfigError: A file cannot be read, or has parameters for other nodes only.

@@ -134,7 +134,7 @@ PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/
 
 
 def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any]) -> object:
-    """Return `value` as the type `kind` of its field, if it is allowed for `key`.
+    """Return `value` as the type `kind` of its field; `metadata` is that of the dataclass field.
 
     Raises:
         ConfigError: The value is not allowed; the error says what is.
@@ -254,7 +254,7 @@ def check_together(kernel: KernelParams) -> None:
 
 
 def warn_of_retired(key: str, warn: Callable[[str], object], where: str = "") -> bool:
-    """If `key` is retired, call `warn` with a text beginning with `where`; return whether it is."""
+    """Return whether `key` is retired; if so, call `warn` with a text that begins with `where`."""
     instead = retired.CONFIG_KEYS.get(key)
     if instead is not None:
         warn(f"{where}{key} is retired and ignored: {instead}")

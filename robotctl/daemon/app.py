@@ -86,13 +86,13 @@ LOOK_S: Final = 0.05
 
 
 async def refuse_same_names(host: Host) -> None:
-    """Wait until the other nodes of the domain are discovered; refuse a second `mode_service`.
+    """Refuse to start if another daemon in the domain has a `mode_service` of the same full name.
 
-    Two daemons with this node would serve the same requests and command the same robot. The check
-    runs before this daemon has a publisher that could disturb the other daemon.
+    Two such daemons would serve the same requests and command the same robot. Wait until the nodes
+    of the domain are discovered. This daemon has no publisher yet that could disturb the other one.
 
     Raises:
-        Refused: Another daemon has nodes of the same names, and `--allow-same-names` is not set.
+        Refused: There is such a daemon, and `--allow-same-names` is not set.
     """
     options = host.options
     if host.alone or options.allow_same_names:
@@ -155,7 +155,7 @@ def _note_start(
 async def noted(
     log: DecisionLog, options: DaemonOptions, config: Config, recorder: FlightRecorder
 ) -> AsyncIterator[None]:
-    """Log START before the block and END after it; then wait for the disk, for END_S at most."""
+    """Log the start before the block and the end after it, then wait for the disk up to END_S."""
     _note_start(log, options, config, recorder)
     recorder.tidier.on_removed = lambda path: log.add(DecisionKind.REMOVED, file=path)
     failure: dict[str, str] = {}
@@ -172,9 +172,10 @@ async def noted(
 async def serve(
     options: DaemonOptions, notes: list[str], on_ready: Ready, at_end: ExitStack
 ) -> None:
-    """Run the daemon until it is stopped; when it is ready, call `on_ready` with the summary.
+    """Run the daemon until it is stopped; when it is ready, call `on_ready` with its summary.
 
-    The exit of `at_end` leaves the ROS domain. The caller owns the robot's lock.
+    `notes` are sentences for the summary. To leave the ROS domain, the caller closes `at_end`
+    afterwards. The caller owns the robot's lock.
 
     Raises:
         RobotctlError: The daemon cannot start, or ran out of memory.

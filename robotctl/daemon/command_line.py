@@ -19,7 +19,7 @@ from robotctl.kernel.patterns import PatternKind
 
 @dataclass(frozen=True, slots=True)
 class DaemonOptions:
-    """The options of a start. If `sim` is None, simulate unless odometry has a publisher."""
+    """The options of a start. If `sim` is None, the daemon simulates unless there is odometry."""
 
     robot: str
     config: Path | None
@@ -48,7 +48,7 @@ class DaemonOptions:
 
     @property
     def log_levels(self) -> tuple[LogLevel, ...]:
-        """The levels of `--log-level`, then of `--ros-args`; a logger's last one counts."""
+        """The levels of `--log-level`, then of `--ros-args`; the last level of a logger counts."""
         return (*self.log_level, *self.ros.log_levels)
 
     @property
@@ -60,7 +60,7 @@ class DaemonOptions:
         return namespace_of(self.robot)
 
     def applied_to(self, config: Config, warn: Callable[[str], object]) -> RosSettings:
-        """Return `config` changed by the command line, with the settings that are for ROS.
+        """Return `config` with the changes of the command line, and the settings that rcl applies.
 
         `warn` is called with a sentence for each retired key.
 

@@ -213,8 +213,8 @@ class Driver:
 def build(host: Host, command: CommandType) -> Driver:
     """Create the kernel, the ROS nodes and the recorder, and connect them.
 
-    Each part is created after the parts that it uses. Control and recorder also use later parts:
-    these become their attributes before the first event arrives.
+    A part that uses another part is created after it. Only control and recorder also use parts that
+    are created later: they get these as attributes, before the first event arrives.
     """
     session, params, robot = host.session, host.config.kernel, host.options.robot
     say = partial(_sentence, robot=robot)

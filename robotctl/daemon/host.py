@@ -87,7 +87,7 @@ MAX_WARNINGS: Final = 100
 
 
 class Diagnostics:
-    """Samples the recorder's rates and publishes its diagnosis and the daemon's, once a second."""
+    """Once a second, samples the message rates and publishes diagnoses of recorder and daemon."""
 
     def __init__(
         self, session: Session, robot: str, recorder: RecorderReport, warnings: Warnings
@@ -97,7 +97,7 @@ class Diagnostics:
         self._warnings = warnings
 
     async def run(self) -> None:
-        """Publish until cancelled."""
+        """Sample and publish once a second, until cancelled."""
         while True:
             self._recorder.sample(self._recorder.stats())
             self.publish()

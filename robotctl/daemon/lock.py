@@ -22,7 +22,7 @@ def owned(path: Path, robot: str) -> Iterator[None]:
     """Own the robot's lock within the block.
 
     Raises:
-        AlreadyRunning: Another daemon owns it; the message has the pid of that daemon.
+        AlreadyRunning: Another daemon owns the lock; the message has its pid, or "unknown".
     """
     make_private(path.parent)
     fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)

@@ -93,7 +93,7 @@ class Observer:
         }
 
     def remedies(self) -> tuple[Remedy, ...]:
-        """Return nothing: the mode is unknown."""
+        """Return (): an observer has no mode to leave."""
         return ()
 
     def _note(self, event: Event) -> None:

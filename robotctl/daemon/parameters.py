@@ -58,7 +58,7 @@ class Parameters:
         return Setting(key, flat(with_text(self.config, key, text))[key])
 
     def request(self, settings: Sequence[Setting], source: str) -> Reply:
-        """Change all parameters, or none if one is refused; return the last reply or the refusal.
+        """Change all parameters and return the last reply, or change none and return a refusal.
 
         Raises:
             ConfigError: There is no such key, or a value is not allowed.
@@ -90,7 +90,7 @@ class Parameters:
         return replies[-1]
 
     def changed(self, change: ParameterChanged) -> None:
-        """Apply a change that the kernel granted, and pass it to the followers."""
+        """Apply a change that the kernel granted, then call `on_change` and all `followers`."""
         if change.key not in kernel_leaves():
             self._config = with_text(self._config, change.key, change.new)
         config = self.config
@@ -118,7 +118,7 @@ def listed(config: Config) -> list[ParameterAnswer]:
 
 
 def serve_parameters(session: Session, parameters: Parameters, robot: str) -> None:
-    """Give each visible node its parameters and their services; cures in errors name `robot`."""
+    """Give each visible node its parameters and services; errors suggest commands for `robot`."""
 
     def ask(settings: Sequence[tuple[str, Any]], source: str) -> str:
         try:

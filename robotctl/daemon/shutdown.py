@@ -58,9 +58,9 @@ async def stand_still(
 
 
 def send_zero(control: Control, velocity: VelocityPublisher) -> None:
-    """Report DAEMON_ENDS to the kernel, then send a zero: by the kernel if it can, else directly.
+    """Report the fault DAEMON_ENDS, by which checks of the journal know the end; then send a zero.
 
-    It can if it works and the robot stands. In the journal, this fault shows later checks the end.
+    If the robot stands, the kernel sends the zero at a tick. If that fails, it is sent directly.
     """
     sent = velocity.published
     with suppress(Exception):  # the kernel may be what has failed
@@ -96,7 +96,7 @@ class LastZero:
         self._received = received
 
     async def arrived(self) -> None:
-        """Wait until both are recorded, then until the robot acknowledges; warn if it does not."""
+        """Wait for both messages, then for the robot's acknowledgement; warn if that is missing."""
         await until(self._is_recorded, DRAIN_S)
         if not await until(self._velocity.is_acknowledged, ACKNOWLEDGED_S):
             _log.warning(

@@ -27,7 +27,7 @@ async def simulate(
     at_end: ExitStack,
     only_if_missing: bool = False,
 ) -> None:
-    """Run the robot in this process until a signal ends it; the exit of `at_end` leaves the domain.
+    """Run the robot in this process until a signal ends it; then close `at_end` to leave ROS.
 
     With `only_if_missing`, return without a robot if another node publishes the odometry topic.
     """
@@ -67,7 +67,7 @@ def simulated_robot(session: Session, config: Config, command_type: CommandType)
 def recorded_robot(
     session: Session, config: Config, command_type: CommandType, tap: Tap
 ) -> SimulatedRobot:
-    """Return a daemon's robot, after subscribing the daemon's recorder to the robot's topics."""
+    """Subscribe the daemon's recorder to the robot's topics, then return the simulated robot."""
     topics = config.kernel
     tap.subscribe_own(odometry_topic(topics.odometry.topic))
     if topics.battery.topic:

@@ -39,7 +39,7 @@ class StartReport:
     def send(self, report: Mapping[str, Any]) -> None:
         """Send a report; on `ready_fd`, send only the first one.
 
-        If the report of a ready daemon finds no reader, the daemon ends itself with SIGTERM.
+        If a ready daemon cannot write its report to `ready_fd`, it sends itself a SIGTERM.
         """
         line = f"{json.dumps(report)}\n".encode()
         if not self._in_background:  # stdout may block: the loop must not wait
@@ -63,7 +63,7 @@ class StartReport:
         return error.exit_code
 
     def fail_unexpectedly(self, error: Exception) -> int:
-        """Report a bug as `fail` does; in the background, also log its traceback."""
+        """Report a bug as `fail` does; a daemon in the background also logs the traceback."""
         if self._in_background:
             _log.error("the daemon failed", exc_info=error)
         return self.fail(RobotctlError(f"unexpected {type(error).__name__}: {error}"))

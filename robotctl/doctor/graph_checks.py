@@ -27,7 +27,7 @@ MAX_ENDPOINTS: Final = 200
 
 
 def check_command(topic: GraphTopic, *, has_odometry: bool) -> Iterator[Finding]:
-    """Check the command topic; if `has_odometry`, there is a robot that should subscribe to it."""
+    """Check the command topic; a topic without subscribers is a fault only if `has_odometry`."""
     yield from _check_topic("command", topic, COMMAND_TYPES)
     listeners = [each for each in topic["subscriptions"] if "/_" not in each["node"]]  # not hidden
     if has_odometry and not listeners:
@@ -45,7 +45,7 @@ def check_command(topic: GraphTopic, *, has_odometry: bool) -> Iterator[Finding]
 
 
 def check_odometry(topic: GraphTopic) -> Iterator[Finding]:
-    """Check the odometry topic: its types, its QoS, and that it has one publisher."""
+    """Check the odometry topic: its types, its QoS, and that it has at most one publisher."""
     yield from _check_topic("odometry", topic, ODOMETRY_TYPES)
     if len(topic["publishers"]) > 1:
         yield fault(

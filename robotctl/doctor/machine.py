@@ -253,7 +253,7 @@ def check_wheels(
 
 
 def check_shell(environment: Mapping[str, str], prefix: Path) -> Iterator[Finding]:
-    """Warn if the shell has sourced another ROS that precedes ours; ours is below `prefix`."""
+    """Warn if the variables of the shell lead to another ROS than robotctl's below `prefix`."""
     check = "shell"
     paths = {name: value for name, value in environment.items() if name != "RMW_IMPLEMENTATION"}
     _, found = without_foreign_ros(paths, prefix)
@@ -268,7 +268,7 @@ def check_shell(environment: Mapping[str, str], prefix: Path) -> Iterator[Findin
 
 
 def check_two_rclpys(folders: Iterable[str]) -> Iterator[Finding]:
-    """Warn if more than one of `folders`, where Python searches for modules, contains an rclpy."""
+    """Warn if rclpy is in more than one of `folders`, in which Python searches for modules."""
     found = {
         (Path(folder) / "rclpy").resolve()
         for folder in folders
@@ -331,7 +331,7 @@ def check_memory(folder: Path = SHARED_MEMORY) -> Iterator[Finding]:
 
 
 def stale(folder: Path = SHARED_MEMORY) -> list[Path]:
-    """Return this user's files in `folder` whose process is certainly dead."""
+    """Return the shared memory files of this user in `folder` whose process is certainly dead."""
     try:
         names = [entry.name for entry in os.scandir(folder) if _LOCKED.fullmatch(entry.name)]
     except OSError:
@@ -347,7 +347,7 @@ def stale(folder: Path = SHARED_MEMORY) -> list[Path]:
 
 
 def clean(folder: Path = SHARED_MEMORY) -> list[Path]:
-    """Remove the stale files, and return those that were removed."""
+    """Remove the files that `stale` finds in `folder`, and return the removed files."""
     removed = []
     for path in stale(folder):
         with suppress(FileNotFoundError):
@@ -416,7 +416,7 @@ def check_middleware(environment: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def check_range(environment: Mapping[str, str]) -> Iterator[Finding]:
-    """Warn if the discovery range is invalid, overruled or OFF, and so may hide other processes."""
+    """Warn if the variable of the discovery range is OFF, unknown to ROS, or without effect."""
     check, cure = "discovery", f"export {RANGE}=SUBNET, or LOCALHOST for this machine only"
     given = environment.get(RANGE, "")
     if environment.get(LOCALHOST_ONLY) == "1" and given not in ("", "LOCALHOST"):

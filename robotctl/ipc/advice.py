@@ -15,7 +15,7 @@ from robotctl.kernel.types import Cause
 
 
 def condition_of(cause: Cause) -> str:
-    """Return what must hold so that `cause` does not apply."""
+    """Return the condition that is broken when `cause` applies, such as "path free"."""
     match cause:
         case Cause.OPERATOR_STOP | Cause.OPERATOR_ERROR:
             return "no stop of an operator"

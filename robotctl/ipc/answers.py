@@ -51,7 +51,7 @@ class ModeAnswer(TypedDict):
 class DriveAnswer(ModeAnswer, total=False):
     """The answer of `drive`, `drive_path` and `drive_velocity`.
 
-    With `wait` it also has the figures of the drive, as in `DriveFacts`; None: unknown.
+    If the request had `wait`, it also has the drive's figures, as in `DriveFacts`; None: unknown.
     """
 
     laps: int
@@ -70,7 +70,7 @@ class DriveAnswer(ModeAnswer, total=False):
 
 
 class HoldAnswer(ModeAnswer):
-    """The answer of `hold`; `message` is the kernel's reply, and later the reason for the mode."""
+    """The answer of `hold`; if a hold is repeated, `message` is the reason for the mode."""
 
     hold: int
     """The number of the held motion, for the next request; 0: the motion has ended."""
@@ -222,7 +222,7 @@ class Stopped(TypedDict):
 
 
 class LeaseAnswer(TypedDict):
-    """The answer of `lease_release`, and of `lease_take`, which is answered when the lease ends."""
+    """The answer of `lease_release`, and of `lease_take`, which is answered when its lease ends."""
 
     message: str
 
@@ -305,7 +305,7 @@ class SimSet(TypedDict):
 
 
 class SimFaulted(SimSet):
-    """The answer of `sim_fault`, sent when the moving robot stops, or else 1 s after the fault."""
+    """The answer of `sim_fault`, sent once the mode is not MOVING, or 1 s after the fault's end."""
 
     mode: str
     stopped_after_ms: float | None
@@ -331,7 +331,7 @@ class Graph(TypedDict):
 class GraphEndpoint(TypedDict):
     """A publisher or a subscription; `node` is "" while its node is unknown.
 
-    `qos` has reliability, durability, history and depth, "unknown" if DDS does not announce it.
+    `qos` has reliability, durability, history and depth: "unknown" or 0 if not announced by DDS.
     """
 
     node: str

@@ -55,12 +55,12 @@ def socket_group(name: str) -> SocketGroup | None:
 
 
 def open_folder(path: Path, group: SocketGroup | None) -> None:
-    """Give `group`, or only the owner if it is None, access to the folder of the socket `path`.
+    """Open the folder of the socket `path` to `group` or, if that is None, only to the owner.
 
-    If another robot of this user shares the folder with a group, that group keeps its access.
+    With None, a folder that another robot of this user shares with a group stays shared.
 
     Raises:
-        UsageError: The folder is shared with another group, or this group cannot reach it.
+        UsageError: Another robot shares the folder with another group, or `group` cannot reach it.
     """
     folder = path.parent
     others = any(other != path for other in folder.glob("*.sock"))
@@ -207,8 +207,8 @@ class Listener:
     async def accept(self, make_room: Callable[[], bool]) -> socket.socket:
         """Wait for the next client and return its socket.
 
-        If the process has no free descriptor, close the reserved one. If that is closed already,
-        call `make_room`, which closes a connection if it can and returns whether it did. Try again
+        If the process has no free descriptor, close the one in reserve or, if that is closed
+        already, call `make_room`, which returns whether it could close a connection. Try again
         until a descriptor is free.
         """
         self._keep_spare()

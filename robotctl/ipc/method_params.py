@@ -54,7 +54,7 @@ class NoParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class AnyParams(Struct, frozen=True):
-    """Any parameters: their method refuses each call."""
+    """Any parameters, for a method that refuses each call."""
 
 
 class HelloParams(Struct, frozen=True, forbid_unknown_fields=True):

@@ -309,13 +309,13 @@ class Peer(NamedTuple):
 
 
 def peer_of(sock: socket.socket) -> Peer:
-    """Return the process at the other end of a socket, as it was when it connected or listened."""
+    """Return the process at the other end of a socket, as of its call of `connect` or `listen`."""
     raw = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _UCRED.size)
     return Peer(*_UCRED.unpack(raw))
 
 
 def groups_of(sock: socket.socket) -> frozenset[int]:
-    """Return the gids of the process at the other end; above 256, return only the primary one."""
+    """Return the gids of the process at the other end; of more than 256, only the primary gid."""
     primary = peer_of(sock).gid
     try:
         raw = sock.getsockopt(socket.SOL_SOCKET, SO_PEERGROUPS, _GROUPS_BYTES)
@@ -325,6 +325,6 @@ def groups_of(sock: socket.socket) -> frozenset[int]:
 
 
 def guest_of(sock: socket.socket) -> int | None:
-    """Return the uid of the process at the other end, or None if it is this user or root."""
+    """Return the uid of the process at the other end, or None if that is root or our user."""
     uid = peer_of(sock).uid
     return None if uid in (ROOT_UID, os.getuid()) else uid

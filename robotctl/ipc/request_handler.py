@@ -65,7 +65,7 @@ class Deadline:
             await work()
 
     At the deadline the task is cancelled, as by `asyncio.timeout`, and the block raises
-    DeadlineMissed. One timer is reused: new ones would take a tenth of the time of `status`.
+    DeadlineMissed. One timer is reused: new timers would take a tenth of the time of `status`.
     """
 
     def __init__(self) -> None:
@@ -77,7 +77,7 @@ class Deadline:
         """Fires at `_due_s` or earlier; if earlier, `_look` sets it again."""
 
     def within(self, limit_s: float | None) -> Self:
-        """Set the deadline of the `with` block to `limit_s` seconds from now (None: none)."""
+        """Set the deadline of the `with` block to `limit_s` seconds from now; None: no deadline."""
         loop, self._task = asyncio.get_running_loop(), asyncio.current_task()
         assert self._task is not None
         self._cancelling = self._task.cancelling()
@@ -203,7 +203,7 @@ class RequestHandler:
             return _internal_error(request)
 
     def busy(self) -> Refused:
-        """Return the error for a client above the limit."""
+        """Return the error for a client beyond the limit on clients."""
         return Refused(f"the daemon is busy with {self._limits.clients} clients", "try again")
 
     async def _call(self, request: Request) -> object:

@@ -27,7 +27,7 @@ Check = Callable[[Health, KernelParams, int], str]
 
 
 def healthy(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return "": the check for a cause that only an event or a request raises."""
+    """Return "" always; this is the check of causes that only an event or a request raises."""
     return ""
 
 
@@ -44,7 +44,7 @@ def reported(cause: Cause) -> Check:
 
 
 def not_active(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if `mode_service`, which gates motion, is not active, else ""."""
+    """Return a sentence if the lifecycle node `mode_service` is not active, else ""."""
     if health.lifecycle is LifecycleState.ACTIVE:
         return ""
     return f"mode_service is {health.lifecycle.value}, not active"
@@ -86,7 +86,7 @@ def battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
 def odometry_wrong(health: Health, params: KernelParams, t_ns: int) -> str:
     """Return a sentence if the received odometry is unusable, else "".
 
-    A frame other than `odometry.frame_id` is reported at once, faults only when odometry is lost.
+    A frame other than `odometry.frame_id` counts at once, other faults only if odometry is lost.
     """
     wanted, sources = params.odometry.frame_id, health.odometry_sources
     if wanted:
@@ -122,7 +122,7 @@ def odometry_contradicted(health: Health, params: KernelParams, t_ns: int) -> st
 
 
 def second_odometry(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if two nodes publish odometry, else ""."""
+    """Return a sentence if a second node has just published odometry as well, else ""."""
     second = health.odometry_sources.second
     if second is None or _age_s(second.t_ns, t_ns) > params.odometry.timeout_s:
         return ""
@@ -162,7 +162,7 @@ def foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def foreign_command(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if another node just sent a command or, except with YIELD, could do so."""
+    """Return a sentence if another node just sent a command or, unless YIELD, has a publisher."""
     if health.foreign_publishers and params.command.foreign is not Foreign.YIELD:
         names = ", ".join(health.foreign_publishers)
         verb = "publishes" if len(health.foreign_publishers) == 1 else "publish"

@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 
 def to_json(value: Any) -> str:
-    """Return the JSON text of a kernel dataclass, or of any value in one."""
+    """Return the JSON text of a kernel dataclass, or of any value of its fields."""
     return _WRITERS[type(value)](value)
 
 
@@ -154,9 +154,9 @@ def finite_or_none(value: float) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """What was sent and written before a snapshot, so that a check finds what a recording lacks.
+    """Counts what was sent and written before a snapshot, so that a check finds what is missing.
 
-    `commands` counts the velocity commands, `journal_crc` is the CRC-32 of the serialized entries.
+    `commands` counts the velocity commands, `journal_crc` is the CRC-32 of the journal's entries.
     """
 
     commands: int
@@ -165,7 +165,7 @@ class Proof:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """A kernel between two events; `made_by` says what computed its floats.
+    """The state of a kernel between two events; `made_by` says what computed its floats.
 
     `proof` is None in a recording of version 0.1.0.
     """

@@ -60,7 +60,7 @@ class Held:
         return ""
 
     def begun(self, t_ns: int) -> Held:
-        """Return this velocity as begun at `t_ns`; a hold-to-run client counts as heard then."""
+        """Return a copy that begins at `t_ns`, when a hold-to-run client counts as last heard."""
         return replace(self, heard_t_ns=t_ns) if self.is_held_to_run else self
 
     @property
@@ -91,7 +91,7 @@ class Course:
     - `corner_m`: the radius of the corners of a rounded square. On waypoints, how far before a
       corner the robot leaves the straight line; 0 to stop and turn at each point.
     - `angle_rad`: the angle of a turn or an arc, to the left if positive.
-    - `reverse`: drive rear first. A pattern then lies behind the robot; waypoints do not move.
+    - `reverse`: drive rear first. Then a pattern lies behind the robot; waypoints are unchanged.
     - `open_loop`: drive without feedback from odometry.
     - `waypoints`, in `frame` [m]: drive through them instead of a pattern.
     - `held`: command this velocity instead of following a pattern or waypoints.

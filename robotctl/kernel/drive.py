@@ -55,7 +55,10 @@ class Progress:
 
 
 def begun(speed: float, ticks: int, dt_s: float, legs: tuple[Leg, ...], *, turns: bool) -> Progress:
-    """Return the progress of a reference that begins at `speed`, or at 0 on a turn or short leg."""
+    """Return the progress of a reference and a lead that begin at `speed` [m/s].
+
+    They begin at 0 on a turn (`turns`) or a first leg too short for `ticks` ticks of `dt_s`.
+    """
     ahead = 0.5 * speed * dt_s * (ticks - 1)
     if turns or speed <= 0.0 or legs[0].length <= ahead:
         return Progress()
@@ -67,7 +70,7 @@ def advanced(
 ) -> tuple[Progress, bool]:
     """Return the progress after `dt_s`, and whether the reference stands at a stop now.
 
-    `laps` is the number of laps to drive, 0 for no end. An acceleration builds up over `ticks`.
+    `laps` is the number of laps to drive, 0 for no end. Accelerations build up over `ticks` ticks.
     """
     # The place of the lead.
     index, lap, lead, ahead = at.segment, at.laps, at.length + at.ahead, at.ahead

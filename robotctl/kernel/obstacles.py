@@ -22,7 +22,7 @@ STANDING_MPS = 1e-3
 
 
 def look_ahead(t_ns: int, sectors: tuple[float, ...], command: Twist, params: KernelParams) -> Scan:
-    """Return a new scan, with the distance to the nearest obstacle in the path of `command`."""
+    """Return a Scan of `sectors` with the distance to the nearest obstacle in `command`'s path."""
     ahead_m = distance_ahead(sectors, command, params.scan, _reach_m(command.linear, params))
     return Scan(t_ns, sectors, min(sectors, default=inf), ahead_m)
 
@@ -50,7 +50,7 @@ def distance_ahead(
     """Return the distance from the robot to the nearest obstacle in its path [m], inf if none.
 
     `sectors` are the nearest ranges by direction; an obstacle may be anywhere in its sector. Only
-    what is at most `reach_m` away along the path counts. A command of zero looks straight ahead.
+    what is at most `reach_m` away along the path counts. A command of zero has a straight path.
     """
     nearest_m, side_m = inf, _side_m(command, params, reach_m)
     for x, y in _points(sectors, params, farthest_m(params, reach_m)):
@@ -61,7 +61,7 @@ def distance_ahead(
 
 @lru_cache(maxsize=2)
 def free_beside_m(sectors: tuple[float, ...], params: ScanParams, reach_m: float) -> float:
-    """Return the smallest |y| of the obstacles near a path of `reach_m` [m], inf if none."""
+    """Return the least |y| [m] of obstacles that a path of `reach_m` may touch, inf if none."""
     points = _points(sectors, params, farthest_m(params, reach_m))
     return min([abs(y) for _, y in points], default=inf)
 

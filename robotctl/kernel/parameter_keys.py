@@ -30,7 +30,7 @@ class Conflict(NamedTuple):
 
 
 def leaves(section: Any, path: tuple[str, ...] = ()) -> Iterator[Leaf]:
-    """Yield each parameter of nested dataclasses, in the order of declaration."""
+    """Yield each parameter of `section` and of the dataclasses in it; `path` leads to `section`."""
     for item in fields(section):
         value = getattr(section, item.name)
         if is_dataclass(value):

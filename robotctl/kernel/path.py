@@ -34,7 +34,7 @@ class Segment(Protocol):
         """Return the signed curvature [1/m], left positive; for a turn, 1 to the left or -1."""
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance to the segment's nearest point [m], which is near length `guess`."""
+        """Return the distance [m] from `point` to the segment, searched near length `guess`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Line:
         return 0.0
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance to the nearest point of the line, ends included [m]."""
+        """Return the distance [m] from `point` to the nearest point of the line, ends included."""
         c, s = direction(self.start.theta)
         dx, dy = point.x - self.start.x, point.y - self.start.y
         along = min(max(c * dx + s * dy, 0.0), self.length)
@@ -83,7 +83,7 @@ class Turn:
         return self.side
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance to the place of the turn [m]."""
+        """Return the distance [m] from `point` to the place of the turn."""
         return self.start.distance(point)
 
 
@@ -115,7 +115,7 @@ class Circle:
         return 1.0 / self.radius
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance to the circle [m]."""
+        """Return the distance [m] from `point` to the nearest point of the circle."""
         return abs(hypot(point.x, point.y - self.radius) - self.radius)
 
 
@@ -146,7 +146,7 @@ class Arc:
         return self.side / self.radius
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance to the nearest point of the arc, ends included [m]."""
+        """Return the distance [m] from `point` to the nearest point of the arc, ends included."""
         local = self.start.express(point)
         ahead, aside = local.x, self.radius - self.side * local.y
         half = 0.5 * self.length / self.radius
@@ -177,7 +177,7 @@ class Path:
     end: Pose = ORIGIN
 
     def distance_to(self, point: Pose, index: int, length: float) -> float:
-        """Return the distance of `point` from the path near `length` in segment `index` [m]."""
+        """Return the distance [m] from `point` to the path near `length` in segment `index`."""
         segment = self.segments[index]
         if segment.turns:
             return self._distance_to_sides(point, index)

@@ -52,7 +52,7 @@ class FigureEight:
         return self.top_curvature * sin(tau * length / self.length)
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance to the nearest point of the curve near length `guess` [m]."""
+        """Return the distance [m] from `point` to the curve, searched near length `guess`."""
         near = self.pose_at(guess % self.length).express(point)
         nearest = self.pose_at((guess + near.x) % self.length)
         return abs(nearest.express(point).y)
@@ -80,7 +80,7 @@ class FigureEightPart:
         return self.whole.curvature_at(self.begin + length)
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance to the nearest point of the whole curve near `guess` [m]."""
+        """Return the distance [m] to the whole curve, searched near length `guess` of the part."""
         return self.whole.distance_to(point, self.begin + guess)
 
 
@@ -137,9 +137,9 @@ def local_points(course: Course, start: Pose) -> tuple[Point, ...]:
 
 
 def waypoint_path(points: tuple[Point, ...], corner_m: float, *, again: bool) -> Path:
-    """Return the path from the origin through the points; with `again` it returns to its start.
+    """Return the path from the origin through the points; with `again`, back to the origin.
 
-    Points in the same place are one point. If the first is not at the origin, a leg leads to it.
+    Points in the same place are one point. A leg leads to the first point if that is elsewhere.
     A path whose points are all at the origin has no segments.
     """
     places = _places(points, again=again)
@@ -342,7 +342,7 @@ SHAPES: Mapping[PatternKind, Shape] = MappingProxyType(
 
 
 def named(pattern: Pattern, course: Course) -> str:
-    """Return what is driven, with its article: "a square", "an arc in reverse"."""
+    """Return a phrase for what is driven, such as "a square" or "an arc in reverse"."""
     if course.held is not None:
         held = course.held
         if held.is_held_to_run:

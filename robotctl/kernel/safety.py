@@ -193,7 +193,7 @@ class Finding:
 
     @property
     def remedies(self) -> tuple[Remedy, ...]:
-        """What the operator can do about it."""
+        """What the operator can do about the cause."""
         return (self.rule.remedy,)
 
 

@@ -43,7 +43,7 @@ class Leg:
 
 
 def speed_plan(path: Path, speed_mps: float, limits: VelocityLimits) -> tuple[Leg, ...]:
-    """Return the plan of each segment."""
+    """Return the plan of each segment: `speed_mps`, or less where the limits require it."""
     segments = path.segments
     tops = [_top_speed(segment, speed_mps, limits) for segment in segments]
     accels = [_accel(segment, limits) for segment in segments]
@@ -113,7 +113,7 @@ _last_plan: list[tuple[Path, float, VelocityLimits, tuple[Leg, ...]]] = []
 
 
 def path_for(pattern: Pattern, course: Course, laps: int) -> Path:
-    """Return the path of one lap; unless `laps` is 1, a lap of waypoints returns to its start."""
+    """Return the path of one lap, cached; unless `laps` is 1, a lap of waypoints is closed."""
     again = laps != 1
     for known_pattern, known_course, known_again, path in _last_path:
         if known_pattern is pattern and known_course is course and known_again is again:
@@ -124,7 +124,7 @@ def path_for(pattern: Pattern, course: Course, laps: int) -> Path:
 
 
 def legs_for(path: Path, speed_mps: float, limits: VelocityLimits) -> tuple[Leg, ...]:
-    """Return the speed plan of a path."""
+    """Return what `speed_plan` returns; the last result is cached."""
     for known_path, known_mps, known_limits, legs in _last_plan:
         if known_path is path and known_limits is limits and known_mps == speed_mps:
             return legs

@@ -44,7 +44,7 @@ def service_of(topic: TopicInfo) -> str:
 
 
 def selected(recorded: Sequence[TopicInfo], job: Job) -> list[TopicInfo]:
-    """Return the topics to play. The job may name a service or its introspection topic.
+    """Return the topics to play. A job can name a service, or the service's introspection topic.
 
     Raises:
         UsageError: A name in --topics is not in the recording.
@@ -96,10 +96,10 @@ def routes(recorded: Sequence[TopicInfo], chosen: Iterable[TopicInfo], job: Job)
 
 
 def main_types(recorded: Sequence[TopicInfo]) -> tuple[list[TopicInfo], list[str]]:
-    """Return the topics to keep, and a sentence about each topic that is left out.
+    """Return the topics to keep, and a sentence about each topic whose messages are left out.
 
-    If one type has more than half of the messages of a name, only this type is kept: a node may
-    have used another type until it discovered which type its subscribers want.
+    If topics share a name, and one has more than half of their messages, only this one is kept: a
+    node may have used another type until it discovered which type its subscribers want.
     """
     totals: Counter[str] = Counter()
     for topic in recorded:

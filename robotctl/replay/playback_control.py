@@ -26,7 +26,7 @@ RATES: Final = tuple(
 class Schedule:
     """Maps recorded time to steady time: `at_ns` (recorded) is due at `moment_ns` (steady).
 
-    From there on, `rate` seconds of the recording are due per second; if it is None, all at once.
+    From then on, `rate` seconds of the recording are due each second, or all at once if it is None.
     While `paused`, nothing is due.
     """
 
@@ -61,12 +61,12 @@ class Schedule:
 
 
 def faster(rate: float) -> float:
-    """Return the next higher one of RATES, or `rate` if there is none."""
+    """Return the next higher rate in RATES, or `rate` if none is higher."""
     return min((each for each in RATES if each > rate), default=rate)
 
 
 def slower(rate: float) -> float:
-    """Return the next lower one of RATES, or `rate` if there is none."""
+    """Return the next lower rate in RATES, or `rate` if none is lower."""
     return max((each for each in RATES if each < rate), default=rate)
 
 
@@ -87,9 +87,9 @@ class PlaybackControl:
         return self._schedule
 
     def begin(self, moment_ns: int) -> None:
-        """Make recorded time 0 due at the steady time `moment_ns`, or at the end of a pause.
+        """Start the recording at the steady time `moment_ns` or, if paused, when the pause ends.
 
-        Nothing was played before this call, so the position of the schedule is discarded.
+        Recorded time begins at 0: nothing was played before, so the old position is discarded.
         """
         with self._changing:
             self._schedule = replace(self._schedule, moment_ns=moment_ns, at_ns=0)
@@ -119,7 +119,7 @@ class PlaybackControl:
         self._change_rate(slower)
 
     def step(self) -> None:
-        """During a pause, allow one more message."""
+        """Allow one more message during this pause; do nothing if playback is not paused."""
         with self._changing:
             self._steps += self._schedule.paused
 
@@ -155,7 +155,7 @@ class Command(Enum):
 
 
 def command_of(line: bytes) -> Command | None:
-    """Return the command in a line, or None if the line has no valid one."""
+    """Return the command in a line, or None if the line has no valid command."""
     try:
         message = json.loads(line)
         return Command(message["do"])

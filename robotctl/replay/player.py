@@ -93,7 +93,7 @@ class Lateness:
         self.max_ns = 0
 
     def add(self, late_ns: int) -> None:
-        """Add one value; a negative one counts as 0."""
+        """Add one delay [ns]; a negative delay counts as 0."""
         late_ns = min(max(late_ns, 0), _LARGEST)
         self._counts[_step(late_ns)] += 1
         self.count += 1
@@ -134,7 +134,7 @@ SLICE_NS: Final = 50_000_000
 
 @dataclass(slots=True)
 class TopicSender:
-    """The function that sends messages of one topic, and counts of accepted and failed ones."""
+    """The function that sends the messages of a topic, and how many it sent and failed to send."""
 
     send: Send
     sent: int = 0
@@ -158,7 +158,7 @@ class ClockPublisher:
 
 
 class Player:
-    """Sends every entry with its topic's `Send`. If `rate` is None, it sends as fast as possible.
+    """Sends each entry when it is due, with the `Send` of its topic; if `rate` is None, at once.
 
     `run` must be called in one thread; everything else may be used from any thread.
     """

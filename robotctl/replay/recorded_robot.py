@@ -28,7 +28,7 @@ MAX_POINTS: Final = 4000
 class RecordedRobot:
     """The state of the recorded robot; None means unknown, and `path` is in metres.
 
-    `advance` only moves forward. A replay in a loop clears the path at the start of each pass.
+    `advance` only goes forward in time. With `loop`, each new pass begins with an empty path.
     """
 
     def __init__(self, recording: Recording, span: Span, *, loop: bool) -> None:

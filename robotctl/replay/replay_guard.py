@@ -48,7 +48,7 @@ def running_daemons() -> list[RunningDaemon]:
 
 
 def daemons_in(domain_id: int) -> list[RunningDaemon]:
-    """Return the daemons that can drive in a ROS domain, or whose domain is unknown."""
+    """Return the daemons that can drive a robot and whose domain is `domain_id` or unknown."""
     return [
         daemon
         for daemon in running_daemons()
@@ -57,7 +57,7 @@ def daemons_in(domain_id: int) -> list[RunningDaemon]:
 
 
 def domain_to_play_in(requested: int | None, robot: str) -> int:
-    """Return `requested` or, if it is None, the domain of the robot's daemon; 0 if unknown.
+    """Return `requested`; if it is None, the domain of the robot's daemon, or 0 if that is unknown.
 
     Raises:
         Refused: A process of another user listens in place of the daemon.
@@ -199,7 +199,7 @@ def check_still(daemons: Iterable[RunningDaemon]) -> None:
 
 
 def is_command(route: Route) -> bool:
-    """Return whether the route may move a robot: it has requests, or a command's type or name."""
+    """Return whether a route may move a robot: it is a service, or has a command's type or name."""
     names = (route.topic.name, route.name)
     return (
         route.requests

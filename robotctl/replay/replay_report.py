@@ -36,7 +36,7 @@ class ReplayReport:
             self._emit({"note": text})
 
     def skip(self, topic: str, reason: str) -> None:
-        """Report that a topic is not played; `reason` follows "it ", as in "has no type"."""
+        """Report that a topic is not played; `reason` ends "it ...", as in "has no type"."""
         self.skipped[topic] = reason
         self.note(f"{topic} is skipped: it {reason}")
 

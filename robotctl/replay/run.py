@@ -33,7 +33,7 @@ def playable(
     """Return the routes whose types are installed; report the others as skipped.
 
     Raises:
-        Refused: An installed type differs from the recorded one, and --force-types is not given.
+        Refused: An installed type differs from the recorded type, without --force-types.
     """
     reasons = plan.unplayable(route.topic for route in routes)
     if job.clock_hz is not None:
@@ -56,7 +56,7 @@ def playable(
 def open_routes(
     routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
 ) -> tuple[list[Route], dict[str, Send]]:
-    """Return the routes that could be opened, and `Send` by topic; report others as skipped."""
+    """Return the opened routes, and the `Send` of each topic; report other routes as skipped."""
     opened: list[Route] = []
     sends: dict[str, Send] = {}
     for route in routes:
@@ -75,7 +75,7 @@ def open_routes(
 
 
 def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> ClockPublisher | None:
-    """Return the publisher of recorded time, or None without --clock. In a loop, time jumps back.
+    """Return the publisher of /clock, None without --clock. Each pass of a loop sets time back.
 
     Raises:
         Refused: Another node publishes the clock topic.

@@ -23,7 +23,7 @@ MIN_PASS_NS: Final = 100_000_000
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """The part of a recording that is played: log times [ns since the epoch], both included."""
+    """The part of a recording that is played: log times [ns since the epoch], both inclusive."""
 
     start_ns: int
     end_ns: int
@@ -35,7 +35,7 @@ class Span:
 
     @property
     def pass_ns(self) -> int:
-        """Duration of one pass of a loop."""
+        """Duration of one pass of a loop: `length_ns`, but at least MIN_PASS_NS."""
         return max(self.length_ns, MIN_PASS_NS)
 
 
@@ -66,10 +66,10 @@ def recorded(
     *,
     loop: bool,
 ) -> Iterator[Entry]:
-    """Return the messages to send for a span, those latched at its start first.
+    """Return the messages to send for a span; first come those that were latched at its start.
 
     `topics` has the type of each topic to play; messages of another type are left out. `latched`
-    has, for each latched topic, how many of its messages from before the span are sent at most.
+    limits, for each latched topic, how many of its messages from before the span are sent.
     """
 
     def typed(messages: Iterable[Message]) -> Iterable[Message]:
@@ -124,7 +124,7 @@ AHEAD_BYTES: Final = 64 << 20
 class ReadAhead:
     """Iterates over `entries` in batches, which a thread reads while the `with` block runs.
 
-    The thread reads about `ahead` entries in advance.
+    The thread reads about `ahead` entries in advance. Any thread may call `close` and `count`.
     """
 
     def __init__(self, entries: Iterable[Entry], ahead: int = AHEAD_ENTRIES) -> None:
@@ -152,7 +152,7 @@ class ReadAhead:
         self._thread.join()
 
     def close(self) -> None:
-        """End the iteration at the next batch. May be called from any thread."""
+        """End the iteration at the next batch."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -177,7 +177,7 @@ class ReadAhead:
             raise self._failure
 
     def count(self, after_ns: int, until_ns: int) -> int:
-        """Count the read messages after `after_ns` up to `until_ns`. Callable from any thread."""
+        """Count the messages in memory with `after_ns` < replay time <= `until_ns`."""
         with self._changed:
             batches = [self._given, *(batch for batch, _ in self._batches)]
         return sum(

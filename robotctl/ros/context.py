@@ -44,7 +44,7 @@ def close_context(
 ) -> None:
     """Call the functions of `before`, then destroy the nodes and leave the domain.
 
-    Call this as the last step of a process. If it takes more than END_S, the process prints the
+    Call this as the last step of a process. If the call takes over END_S, the process prints the
     stacks of its threads on stderr and ends with exit code 1.
     """
     with ExitStack() as leaving:

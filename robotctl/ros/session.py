@@ -24,7 +24,7 @@ SERVICE_EVENTS = "/_service_event"
 
 @dataclass(frozen=True, slots=True)
 class Naming:
-    """New names for topics, services and nodes."""
+    """New names, which replace the usual names of topics, services and nodes."""
 
     remaps: tuple[str, ...] = ()
     """Rules FROM:=TO for topics and services."""

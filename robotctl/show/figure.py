@@ -40,7 +40,7 @@ class Axis:
 
     @property
     def scale(self) -> float:
-        """Pixels per unit."""
+        """How many pixels one unit of the values takes."""
         return (self.end - self.begin) / (self.high - self.low)
 
     def at(self, value: float) -> float:
@@ -48,7 +48,7 @@ class Axis:
         return self.begin + (value - self.low) * self.scale
 
     def ticks(self, at_most: int) -> list[float]:
-        """Return round numbers within the axis, about `at_most` of them or fewer."""
+        """Return evenly spaced round numbers from `low` to `high`, at most `at_most` + 1."""
         rough = (self.high - self.low) / at_most
         magnitude = 10.0 ** floor(log10(rough))
         step = next(m for m in (1.0, 2.0, 5.0, 10.0) if m * magnitude >= rough * 0.999) * magnitude
@@ -70,7 +70,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line: its unbroken runs of points, its kind (which style to use), its name in a legend."""
+    """A line to draw: runs of points with gaps between them, a style (`kind`), a legend name."""
 
     runs: Sequence[Sequence[Point]]
     kind: str
@@ -131,7 +131,7 @@ def ground_figure(title: str, lines: Iterable[Line]) -> Figure:
 def path_figure(reference: Path2D, driven: Path2D, title: str = "") -> Figure:
     """Return the figure of a driven path over the reference path, without infinite points or NaN.
 
-    Both have an entry in the legend.
+    Both paths have an entry in the legend.
     """
     lines = [
         Line([points] if points else [], kind, name)
@@ -145,7 +145,7 @@ def path_figure(reference: Path2D, driven: Path2D, title: str = "") -> Figure:
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """Lines through points in pixels."""
+    """Lines through points [pixels], in the style `kind`."""
 
     runs: Sequence[Sequence[Point]]
     kind: str
@@ -153,7 +153,7 @@ class Stroke:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A text, vertically centred at `y`. It is centred at `x`; if `is_end`, it ends at `x`."""
+    """A text, vertically centred at `y` [pixels]; centred at `x`, or ending there if `is_end`."""
 
     text: str
     x: float
@@ -163,7 +163,7 @@ class Label:
 
 
 def laid_out(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
-    """Yield grid, numbers at the axes, and lines of a figure in a frame; nothing without lines."""
+    """Yield what to draw of a figure: grid, numbers, lines; nothing if the figure has no lines."""
     if not figure.lines:
         return
     x, y = figure.axes(frame)

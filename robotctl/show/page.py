@@ -40,7 +40,7 @@ RATE_WIDTH, RATE_HEIGHT = 120, 18
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[Content]]) -> Markup:
-    """Return a table; if its limits leave out rows, a note below it says how many."""
+    """Return a table; if it gets too large, a note below it says how many rows are left out."""
     body: list[Markup] = []
     characters = 0
     for row in rows[:MAX_ROWS]:
@@ -75,7 +75,7 @@ def drives_table(drives: Sequence[EndedDrive]) -> Markup:
 
 
 def moments_table(moments: Sequence[TracedMoment]) -> Markup:
-    """Return the table of the moments; each row is a link to its place in the plots."""
+    """Return the table of the moments; each row links to the moment's place in the plots."""
     rows = [
         (
             tag("span", str(number), class_="number"),
@@ -226,7 +226,7 @@ _FOLDER: Final = Path(__file__).parent
 
 
 def report_page(recorded: Recorded, judged: ReportFindings) -> str:
-    """Return the page of a recording."""
+    """Return the complete HTML page of a recording."""
     name = recorded.info.path.resolve().name
     body = joined(
         _header(recorded, judged.judgements),

@@ -43,7 +43,7 @@ MAX_PLACES: Final = 1000
 
 @dataclass(frozen=True, slots=True)
 class TimePlot:
-    """A plot over time. `series` has the values, name in the legend and kind of each line."""
+    """A plot over time. `series` has for each line the values, the legend name and the style."""
 
     title: str
     unit: str
@@ -119,7 +119,7 @@ def path_plot(traces: Traces) -> Markup | None:
 
 
 def cursor_data(traces: Traces) -> dict[str, object]:
-    """Return the times, pixels and values that the script of a page needs for its cursor."""
+    """Return the times, pixels and values with which the page's script moves the cursor."""
     time, _ = time_figure("", (), traces.duration_s).axes(TIME_FRAME)
     figure, places = _path_figure(traces), traces.driven.whole()
     x, y = figure.axes(_path_frame(figure))

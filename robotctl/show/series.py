@@ -40,7 +40,7 @@ Sample = tuple[float, float]
 
 
 class SeriesColumn(NamedTuple):
-    """The values in one column: the first and last with their times, the least and the largest."""
+    """The values in one of a plot's COLUMNS: first and last with times, least and largest."""
 
     begin_s: float
     first: float
@@ -51,9 +51,9 @@ class SeriesColumn(NamedTuple):
 
 
 class Series:
-    """Values at times from 0 to `duration_s`; memory use does not depend on how many there are.
+    """Values over time, from 0 to `duration_s`, reduced to the COLUMNS of a plot while they come.
 
-    `count` is the number of values, and `odd` how many were not finite or too large.
+    `count` is the number of values; `odd` counts those left out: not finite, or above MAX_VALUE.
     """
 
     def __init__(self, duration_s: float) -> None:
@@ -63,7 +63,7 @@ class Series:
         self._columns: dict[int, SeriesColumn] = {}
 
     def add(self, t_s: float, value: float) -> None:
-        """Add a value; values in one column must be added in the order of time."""
+        """Add a value; call this in the order of time."""
         if not (isfinite(value) and abs(value) <= MAX_VALUE):
             self.odd += 1
             return
@@ -92,7 +92,7 @@ class Series:
         return max((column.most for column in self._columns.values()), default=None)
 
     def lines(self) -> Iterator[list[Sample]]:
-        """Yield the points of each unbroken line."""
+        """Yield the points of each unbroken line; a long pause (see GAP) begins another line."""
         columns = self.columns
         if not columns:
             return
@@ -141,7 +141,7 @@ class DrivenPlace(NamedTuple):
 
 
 class ThinnedPath:
-    """The places of a robot in the order of time; a place too close to the last one is skipped."""
+    """The path of a robot as at most MAX_PLACES places; places too close together are skipped."""
 
     def __init__(self) -> None:
         self.places: list[DrivenPlace] = []
@@ -149,7 +149,7 @@ class ThinnedPath:
         self._last: DrivenPlace | None = None
 
     def add(self, t_s: float, x: float, y: float) -> None:
-        """Add a position, unless it is impossible or too close to the last place."""
+        """Add a position [m] if it `is_on_earth` and is not too close to the last place."""
         if not is_on_earth(x, y):
             return
         self._last = DrivenPlace(t_s, x, y)
@@ -180,9 +180,9 @@ MAX_FIELDS: Final = 8
 
 @dataclass(slots=True)
 class FieldSeries:
-    """A field and its values over time.
+    """A field of a message, given by its path, and its values over time.
 
-    `absent` counts the messages whose list is too short for the index in the path.
+    `absent` counts the messages without the field: a list is shorter than an index in `path`.
     """
 
     path: str
@@ -217,7 +217,7 @@ def read_fields(
     on_missing: Callable[[str], None],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[FieldSeries]:
-    """Read these fields of all messages of a topic; times count from the recording's first message.
+    """Return the values of fields in all messages of a topic; time 0 is the recording's start.
 
     `on_missing` gets a sentence about each part that cannot be read.
     """

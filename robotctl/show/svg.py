@@ -30,7 +30,7 @@ Content = str | float | None
 
 
 def tag(name: str, /, *content: Content, **attributes: Content) -> Markup:
-    """Return an element.
+    """Return an element of HTML or SVG; content that is not markup is escaped.
 
     Write `data_t` for the attribute `data-t`, and `class_` for `class`. None omits an attribute.
     """
@@ -107,7 +107,7 @@ def drawing(
 
 
 def figures_svg(figures: Sequence[Figure]) -> str:
-    """Return the text of a file with figures over time, one below the other."""
+    """Return the text of an SVG file with figures over time, one below the other."""
     width, step, pieces = TIME_FRAME.width, TIME_FRAME.height + TITLE_HEIGHT, []
     for number, figure in enumerate(figures):
         top = number * step

@@ -95,7 +95,7 @@ class EndedDrive:
 
 
 class Rates:
-    """Per topic: message counts in RATE_COLUMNS parts of the recording, and longest pause [s]."""
+    """Counts each topic's messages in RATE_COLUMNS parts of the time; notes the longest pause."""
 
     def __init__(self, duration_s: float) -> None:
         self.counts: dict[str, list[int]] = {}
@@ -104,7 +104,7 @@ class Rates:
         self._per_s = RATE_COLUMNS / duration_s if duration_s > 0.0 else 0.0
 
     def add(self, topic: str, t_s: float) -> None:
-        """Count a message."""
+        """Count a message of a topic at `t_s` [s into the recording]."""
         counts = self.counts.get(topic)
         if counts is None:
             counts = self.counts[topic] = [0] * RATE_COLUMNS
@@ -147,7 +147,7 @@ class Traces:
         self.rates = Rates(self.duration_s)
 
     def enter_mode(self, t_s: float, mode: str, reason: str) -> None:
-        """End the previous mode and begin a new one, unless mode and reason are the same."""
+        """End the previous span and begin a new one, unless both have the same mode and reason."""
         if self.modes:
             self.modes[-1].end_s = t_s
             if self.modes[-1].mode == mode and self.modes[-1].reason == reason:
@@ -156,12 +156,12 @@ class Traces:
             self.modes.append(ModeSpan(t_s, t_s, mode, reason))
 
     def happened(self, t_s: float, kind: str, text: str) -> None:
-        """Add a moment, if there is room."""
+        """Add a moment; after MAX_MOMENTS, count it as left out."""
         if self._has_room(self.moments, MAX_MOMENTS):
             self.moments.append(TracedMoment(t_s, kind, text))
 
     def drive_ended(self, drive: EndedDrive) -> None:
-        """Add the end of a drive, if there is room."""
+        """Add the end of a drive; after MAX_DRIVES, count it as left out."""
         if self._has_room(self.drives, MAX_DRIVES):
             self.drives.append(drive)
 
@@ -197,7 +197,7 @@ class JournalTraces:
     """Fills traces from the entries of a journal, in their order.
 
     Commands, modes and ends of drives are as recorded. Only a kernel knows the wanted path, so a
-    kernel repeats the decisions; after missing entries, a new one begins at the next snapshot.
+    kernel repeats the decisions; after missing entries, another kernel begins at a snapshot.
     """
 
     def __init__(self, traces: Traces) -> None:
@@ -208,10 +208,10 @@ class JournalTraces:
         self._outlined: tuple[int, Pose] | None = None
 
     def take(self, entry: JournalEntry, t_s: float) -> None:
-        """Add an entry that was recorded at this time.
+        """Add to the traces what an entry says; `t_s` is its time [s into the recording].
 
         Raises:
-            UnreadableFile: This version cannot read it; the next entry can be added all the same.
+            UnreadableFile: This version cannot read the entry; later entries can still be added.
         """
         if entry.seq != self._next_seq:
             self._kernel = self._tick_ns = None
@@ -323,7 +323,7 @@ Taker = Callable[[Traces, float, bytes], None]
 
 @dataclass(frozen=True, slots=True)
 class TopicTraces:
-    """Fills traces from the messages of the drawn topics; `takers` has a function for each."""
+    """Fills traces from messages; `takers` has a function for each topic to draw and its type."""
 
     takers: dict[tuple[str, str], Taker]
 

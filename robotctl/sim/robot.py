@@ -47,7 +47,7 @@ class Faults:
         return bool(left_s) and fault in left_s  # nearly always none: no member is hashed then
 
     def begin(self, fault: SimFault, for_s: float) -> None:
-        """Begin a fault for `for_s` seconds; an active fault now ends in `for_s` seconds."""
+        """Begin a fault, or change the end of an active fault: it lasts `for_s` from now on."""
         self._left_s[fault] = for_s
 
     def advance(self, dt_s: float) -> None:
@@ -73,7 +73,7 @@ class SimParams:
 
     Actuation errors change the motion, so odometry measures them. Odometry errors change only what
     is reported, so only a comparison with the true pose shows them. Each noise is the standard
-    deviation of a random factor around 1, which multiplies the linear and the angular factor.
+    deviation of random numbers around 1, by which both factors of its kind are multiplied.
     """
 
     lag_s: float = bounded(0.08, 0.0, 2.0, "s", "time constant of the drives", Change.START)

@@ -104,7 +104,7 @@ def drive(
 ) -> list[Written]:
     """Return what a daemon writes and publishes while a simulated robot drives.
 
-    `requests` may be any events. The events in `then` follow after the simulation has ended.
+    `requests` may be any events; None is one drive. The events in `then` follow the simulation.
     If `closed` is False, the last snapshot is missing, as after the kill of a daemon.
     """
     config = config or Config()

@@ -103,8 +103,8 @@ class VolatileFile(DiskFile):
     def after_power_cut(self, dice: random.Random) -> bytes:
         """Return a possible content of the file after a power cut now.
 
-        Its size is between those of the last sync and of the present content. Each page written
-        since the sync is old, new, or new up to a sector and old after it.
+        Its size is between the size at the last sync and the present size. Each page written since
+        that sync has the old content, the new content, or first some new sectors and then old ones.
         """
         size = dice.choice(
             [len(self.synced), len(self._cached), dice.randint(len(self.synced), len(self._cached))]

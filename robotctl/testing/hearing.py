@@ -78,7 +78,7 @@ def _scan(sectors: tuple[float, ...]) -> bytes:
 class HearingKernel(Kernel):
     """A kernel that serializes and numbers the message of each input before it decides.
 
-    `heard` is the last event, and `messages` holds the serialized messages, by topic and number.
+    `heard` is the last event that was decided; `messages` has the messages, by topic and number.
     """
 
     def __init__(self, config: Config) -> None:

@@ -172,7 +172,7 @@ def while_moving(bench: Bench) -> Iterator[None]:
     """Yield while the robot is MOVING.
 
     Raises:
-        AssertionError: It is still MOVING after MOST_TURNS iterations.
+        AssertionError: The robot is still MOVING after MOST_TURNS iterations.
     """
     for _ in range(MOST_TURNS):
         if bench.state.mode is not Mode.MOVING:

@@ -81,7 +81,7 @@ def unadvertise(channel_ids: Iterable[int]) -> str:
 
 
 def status(level: StatusLevel, message: str, id: str = "") -> str:  # noqa: A002 - the field's name
-    """Return a status message; with an `id`, it replaces an earlier one with the same `id`."""
+    """Return a status message; with an `id`, it replaces an earlier message with that `id`."""
     said: dict[str, Any] = {"op": "status", "level": level.value, "message": message}
     return json.dumps(said | ({"id": id} if id else {}))
 
@@ -190,7 +190,7 @@ class ClientWithdrawal:
 
 @dataclass(frozen=True, slots=True)
 class ClientMessage:
-    """A message of the client on a channel that it offers; `id` is the channel's."""
+    """A message that a client publishes; `id` is the channel's id, from the client's `Offer`."""
 
     id: int
     data: bytes
@@ -205,7 +205,7 @@ def text_request(text: bytes) -> ViewRequest:
     """Decode a text message.
 
     Raises:
-        WrongRequest: It violates the protocol, or this server does not support it.
+        WrongRequest: The message violates the protocol, or this server does not support it.
     """
     try:
         said = json.loads(text)
@@ -229,7 +229,7 @@ def binary_request(data: bytes) -> ViewRequest:
     """Decode a binary message.
 
     Raises:
-        WrongRequest: It violates the protocol, or this server does not support it.
+        WrongRequest: The message violates the protocol, or this server does not support it.
     """
     opcode, content = data[:1], data[1:]
     try:

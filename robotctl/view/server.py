@@ -248,7 +248,7 @@ class ViewServer:
         return int(sock.getsockname()[1])
 
     async def run(self) -> None:
-        """Until cancelled, end stalled connections and late handshakes; report dropped messages."""
+        """Until cancelled, end stalled connections and slow handshakes; report dropped messages."""
         while True:
             await asyncio.sleep(PERIOD_S)
             now_s = time.monotonic()
@@ -296,7 +296,7 @@ class ViewServer:
         self._unflushed.update(subscribers)
 
     def note(self, id: str, level: StatusLevel, message: str) -> None:  # noqa: A002 - the field's name
-        """Show a message to all viewers, including later ones, until `clear`."""
+        """Show a message to all present and later viewers, until `clear`."""
         if self._notes.get(id) != (level, message):
             self._notes[id] = (level, message)
             self._tell_all(status(level, message, id))

@@ -56,7 +56,7 @@ _WILDCARDS: Final = ("0.0.0.0", "::")
 
 
 async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
-    """Serve a view until something ends it; the caller closes what `at_end` has collected.
+    """Serve a view until a signal, the daemon's end or closed stdin; the caller closes `at_end`.
 
     Raises:
         RobotctlError: The view cannot be served; the text says why.

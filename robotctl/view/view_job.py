@@ -12,7 +12,7 @@ _ORIGIN: Final = re.compile(r"[a-z][a-z0-9+.-]*://[^\sA-Z/?#@*]+|file://|null")
 
 
 def is_origin(text: str) -> bool:
-    """Return whether a browser can send this text as an origin; other text matches no page."""
+    """Return whether `text` has the form in which browsers send an origin, as http://host:80."""
     return _ORIGIN.fullmatch(text) is not None
 
 

@@ -39,7 +39,7 @@ MAX_BYTES: Final = 256 << 10
 the same topics share the bytes. A message larger than this may wait if no other one does."""
 
 MAX_CONTROL_BYTES: Final = 16 << 20
-"""Limit on the bytes of waiting offers, states and answers, which are never dropped. A larger offer
+"""Limit on the bytes of waiting offers, notes and answers, which are never dropped. A larger offer
 may wait if nothing else does: one of 5,000 topics of nav_msgs/msg/Odometry has 19 MB."""
 
 PIECE_BYTES: Final = 1 << 16
@@ -60,11 +60,11 @@ def frame_head(kind: int, length: int) -> bytes:
 
 
 class OverfullOutbox(Exception):
-    """More offers, states and answers wait than MAX_CONTROL_BYTES allows."""
+    """More than MAX_CONTROL_BYTES of offers, notes and answers would wait to be sent."""
 
 
 class Outbox:
-    """Queues frames: offers, states and answers are sent first, then messages, then large ones."""
+    """Queues frames: first offers, notes and answers, then small messages, then large messages."""
 
     def __init__(self) -> None:
         self._control: deque[bytes] = deque()
@@ -85,14 +85,14 @@ class Outbox:
 
     @property
     def waits_for_control(self) -> bool:
-        """Whether offers, states or answers wait."""
+        """Whether offers, notes or answers wait to be sent."""
         return bool(self._control)
 
     def put_control(self, frame: bytes) -> None:
         """Add a frame that is never dropped.
 
         Raises:
-            OverfullOutbox: More than MAX_CONTROL_BYTES would wait.
+            OverfullOutbox: More than MAX_CONTROL_BYTES would wait, in more than one frame.
         """
         if self._control and self._control_bytes + len(frame) > MAX_CONTROL_BYTES:
             raise OverfullOutbox
@@ -100,7 +100,7 @@ class Outbox:
         self._control_bytes += len(frame)
 
     def put_message(self, head: bytes, data: bytes) -> None:
-        """Add a message of a topic, and drop the oldest ones beyond the limits."""
+        """Add a message of a topic; drop the oldest messages above MAX_MESSAGES or MAX_BYTES."""
         (self._large if len(data) > LARGE_BYTES else self._messages).put(head, data)
 
     def take(self) -> bytes:
@@ -169,7 +169,7 @@ _LOGGER.disabled = True  # or any client could fill the terminal with warnings
 
 
 class ViewerHost(Protocol):
-    """The server, as its connections see it."""
+    """The methods of the server that its connections call."""
 
     def connected(self, viewer: Viewer) -> None:
         """Accept a connection before its handshake."""
@@ -192,7 +192,7 @@ class ViewerHost(Protocol):
 
 
 class Viewer(asyncio.Protocol):
-    """A connection: answers its handshake, passes requests to the server, and sends what waits."""
+    """A connection: answers its handshake, passes requests to the server, and sends its queue."""
 
     def __init__(self, host: ViewerHost, admission: Admission) -> None:
         self.outbox = Outbox()
@@ -252,7 +252,7 @@ class Viewer(asyncio.Protocol):
         self.since_s = time.monotonic()
 
     def resume_writing(self) -> None:
-        """Schedule `flush`: a call here could close the transport, which would then end twice."""
+        """Schedule `flush`: if it closed the transport in this call, asyncio would end it twice."""
         self._full = False
         asyncio.get_running_loop().call_soon(self.flush)
 
@@ -269,7 +269,7 @@ class Viewer(asyncio.Protocol):
     # From the server
 
     def tell(self, message: str | bytes) -> None:
-        """Send an offer, a state or an answer; these are never dropped."""
+        """Send an offer, a note or an answer; these are never dropped."""
         kind, data = (TEXT, message.encode()) if isinstance(message, str) else (BINARY, message)
         try:
             self.outbox.put_control(frame_head(kind, len(data)) + data)
@@ -279,7 +279,7 @@ class Viewer(asyncio.Protocol):
         self.flush()
 
     def flush(self) -> None:
-        """Send what waits, until the socket is full or the connection is closing."""
+        """Send the queued frames, until the socket is full or the connection is closing."""
         transport = self._transport
         if transport is None:
             return
@@ -295,7 +295,7 @@ class Viewer(asyncio.Protocol):
             self._send_protocol_bytes()
 
     def abort(self) -> None:
-        """End the connection at once; what waits is lost."""
+        """End the connection at once; queued frames are lost."""
         if self._transport is not None:
             self._transport.abort()
 

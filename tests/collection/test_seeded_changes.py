@@ -138,7 +138,7 @@ tracking.py: an expression in place of a variable
 +         reference.turning + reference.curvature * reference.linear,
 +     )
 speed_plan.py: another docstring
-- """Return the plan of each segment."""
+- """Return the plan of each segment: `speed_mps`, or less where the limits require it."""
 + """Return how fast each segment may be driven."""
 drive.py: a sum in place of a product
 - 2.0 * leg.accel * left

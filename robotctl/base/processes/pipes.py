@@ -17,7 +17,7 @@ nothing overwrites our ends, even in a process that was started without stdin, s
 
 
 def open_pipe() -> tuple[int, int]:
-    """Return the read and write ends of a pipe; a child does not inherit them by itself."""
+    """Return the read and write ends of a pipe; a child inherits only the end that it is given."""
     ends = os.pipe()
     try:
         reading = _moved(ends[0])
@@ -41,7 +41,7 @@ def _moved(end: int) -> int:
 
 
 def write_whole(descriptor: int, line: bytes) -> None:
-    """Write the whole line, in several writes if a signal interrupts one."""
+    """Write the whole line; continue if a signal interrupts the write."""
     while line:
         line = line[os.write(descriptor, line) :]
 

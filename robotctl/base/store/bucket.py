@@ -174,7 +174,7 @@ class RemoteStore:
         return self._run(asked, key)
 
     def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
-        """Return bytes `begin` to `end` (excluded) of the object `found`, if it is unchanged."""
+        """Return bytes `begin` to `end` (excluded); raise ObjectChanged if `found` is outdated."""
         return requests().run(self._range(found, begin, end))
 
     async def _range(self, found: StoredObject, begin: int, end: int) -> bytes:
@@ -362,7 +362,7 @@ def requests() -> RequestLoop:
 
 
 def error_of(error: Exception, scheme: str, where: str) -> StoreError:
-    """Return the error for the user; `where` is the name of the object or the store."""
+    """Return the StoreError for an `error` of the library; `where` names the object or store."""
     text = str(error)
     kind = type(error).__name__
     cure = _CREDENTIALS.get(scheme, _OF_THE_SERVER)

@@ -24,7 +24,7 @@ class NoSuchObject(StoreError):
 
 
 class AccessDenied(StoreError):
-    """A store that denies access with these credentials, or that needs some and got none."""
+    """A store that denied access: the credentials are wrong, or there are none."""
 
 
 class ObjectChanged(StoreError):
@@ -92,8 +92,8 @@ def check_key(key: str) -> None:
 class ObjectStore(Protocol):
     """A folder, a bucket, or the part of a bucket below a prefix. Threads may share it.
 
-    Every method may raise StoreError; Ctrl-C interrupts it at once. Failed requests to a server
-    are retried for about 20 s.
+    Every method may raise StoreError. Ctrl-C ends a call at once. Failed requests to a server are
+    retried for about 20 s.
     """
 
     @property
@@ -114,19 +114,19 @@ class ObjectStore(Protocol):
         """Return bytes `begin` to `end` (excluded) of the object that `found` describes.
 
         Raises:
-            ObjectChanged: Its content has changed since.
-            NoSuchObject: It does not exist any more.
+            ObjectChanged: The object's content has changed since `found` was made.
+            NoSuchObject: The object does not exist any more.
         """
 
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
         """Store an object as `put` does, unless the key is in use; return whether it was stored.
 
-        If False matters, compare contents: a first try may have succeeded without an answer.
+        It is also False if the answer to a successful try was lost: if needed, compare contents.
         """
 
     def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
-        """Store an object from parts of any length; replace an object with that key.
+        """Store an object from parts of any length; replace the object that has that key.
 
-        The object appears when all parts are stored. If `parts` raises an exception, nothing is
-        stored, and `put` raises it.
+        The object appears when all parts are stored. If iterating `parts` raises an exception,
+        nothing is stored, and `put` raises that exception.
         """

@@ -42,7 +42,7 @@ def wait_while_stdout_open(driving: Background[DriveAnswer], at_most_s: float = 
     """Wait until the drive ends, at most `at_most_s`.
 
     Raises:
-        KeyboardInterrupt: The reader of stdout has closed it. This is how an ssh connection
+        KeyboardInterrupt: The reader of stdout has closed the pipe. This is how an ssh connection
             without a terminal ends: no signal arrives.
     """
     poll = select.poll()
@@ -56,7 +56,7 @@ def wait_while_stdout_open(driving: Background[DriveAnswer], at_most_s: float = 
 
 
 def stop_drive(robot: str, driving: Background[DriveAnswer]) -> Interrupted:
-    """Ramp the robot down, and return the error to raise; Ctrl-C during the ramp stops at once.
+    """Ramp the robot down, and return the error to raise; another Ctrl-C is an emergency stop.
 
     Other signals are ignored during the ramp, because a terminal that closes sends several.
 
@@ -105,7 +105,7 @@ KEEP_S = 0.2
 class HeldLease:
     """The robot's lease during a `with` block, in which other clients cannot start motion.
 
-    A process that is frozen or killed loses it within about a second, and the robot ramps down.
+    If this process freezes or is killed, the lease ends in about a second: the robot ramps down.
 
     Raises:
         Refused: Another client holds the lease, or the robot moves already.
@@ -133,7 +133,7 @@ class HeldLease:
         """Return how the lease ended.
 
         Raises:
-            RobotctlError: It was refused or lost.
+            RobotctlError: The lease was refused or lost.
         """
         return self._holding.result()
 

@@ -46,7 +46,7 @@ class Background(threading.Thread, Generic[T]):
 def interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
     """Make signals that would end this process raise KeyboardInterrupt, as Ctrl-C does.
 
-    After the first of them the others are ignored until the end of the block: a terminal that
+    After the first such signal, all are ignored until the end of the block: a terminal that
     closes sends several, and the reaction to the first must be completed.
     """
     previous = {

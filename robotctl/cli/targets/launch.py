@@ -91,7 +91,7 @@ class StartOptions:
 def launch(
     options: StartOptions, on_ready: Callable[[StartSummary], None] = lambda ready: None
 ) -> StartSummary:
-    """Start a daemon in its own session; pass its report `ready` to `on_ready`, and return it.
+    """Start a daemon in its own session; pass its report to `on_ready`, and return the report.
 
     A signal before `on_ready` has returned ends the daemon: none runs without the user knowing.
 
@@ -201,7 +201,7 @@ END_S: Final = 10.0
 def live_target(robot: str) -> LiveTarget:
     """Return a robot's running daemon and its domain.
 
-    If this shell sets no discovery range, the daemon's is used from now on.
+    If this shell sets no discovery range, this process uses the daemon's from now on.
 
     Raises:
         NoDaemon: No daemon runs.
@@ -237,7 +237,7 @@ def start_view_of(robot: str) -> dict[str, Any]:
 def start_view(job: ViewJob, log: Path | None = None) -> tuple[Child, dict[str, Any]]:
     """Start the process of a view, and return it with its report `ready`.
 
-    With a `log`, its stderr goes there, and it may outlive this process.
+    With a `log`, the view writes its stderr to this file, and may outlive this process.
 
     Raises:
         RobotctlError: The view cannot be served; the process has ended.
@@ -290,10 +290,10 @@ def ready_lines(job: ViewJob, ready: dict[str, Any]) -> Iterator[str]:
 
 
 def reports_of(child: Child, seconds: float | None = None) -> Iterator[dict[str, Any]]:
-    """Yield the process's reports until it ends; wait for each at most `seconds`, if given.
+    """Yield the reports of a view's process until it ends; wait for each at most `seconds`.
 
     Raises:
-        RobotctlError: A report contains this error, or no report came in time.
+        RobotctlError: The process reported this error, or sent no report in time.
     """
     while True:
         try:

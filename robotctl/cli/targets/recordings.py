@@ -67,12 +67,12 @@ RecordedBy = Annotated[
 def recordings_folder(robot: str | None, given: Path | None) -> Path:
     """Return the folder `given`, or else ./recordings if it holds a recording of `robot`.
 
-    If it holds none, return the latest existing folder of a daemon of `robot`, or ./recordings if
-    there is no such folder. If `robot` is None, any robot counts.
+    If ./recordings holds none, return the latest existing folder of a daemon of `robot`; if there
+    is no such folder, return ./recordings all the same. If `robot` is None, any robot counts.
 
     Raises:
-        UsageError: `given` is not a folder, or another user could have changed the note that
-            names the daemon's folder.
+        UsageError: `given` is not a folder, or another user could have changed the file in
+            which the daemon noted its folder.
     """
     if given is not None:
         if not given.is_dir():
@@ -87,10 +87,10 @@ def recordings_folder(robot: str | None, given: Path | None) -> Path:
 
 
 def file_path(text: str) -> Path:
-    """Return the path that an argument names: on this computer, or of one file at a URL.
+    """Return the path that an argument names; for a URL, a path that reads the file from there.
 
     Raises:
-        UsageError: The URL is not of one file in a store.
+        UsageError: The URL does not name one file in a store.
     """
     from robotctl.base.store.remote_file import path_of
 
@@ -173,12 +173,12 @@ def robot_of(recording: Path) -> str | None:
 
 
 def noted_folders(robot: str | None) -> Iterator[Path]:
-    """Yield the recordings folder that the last daemon of `robot` noted.
+    """Yield the folder in which the last daemon of `robot` recorded, as the daemon noted it.
 
-    If `robot` is None, yield that of each robot; the one noted last comes first.
+    If `robot` is None, yield such a folder for each robot, the most recently noted first.
 
     Raises:
-        UsageError: Another user could have changed a note that names one of them.
+        UsageError: Another user could have changed a file with such a note.
     """
     note = recordings_note_path(robot or DEFAULT_ROBOT)
     notes = [note]
@@ -209,7 +209,7 @@ COMMIT_DEADLINE_S = 8.0
 
 
 def committed_recording(robot: str, missing: list[str]) -> Path | None:
-    """Make the robot's daemon commit its recording; return the folder, None if that fails.
+    """Make the robot's daemon commit its recording; return its folder, None if this fails.
 
     A sentence about messages that the daemon did not write is added to `missing`.
     """
@@ -270,7 +270,7 @@ MAX_SECONDS = 366 * DAY_S
 
 
 def is_offset(text: str) -> bool:
-    """Return whether a time is given as seconds into a recording."""
+    """Return whether the text is a number; as a time, it is in seconds into a recording."""
     try:
         float(text)
     except ValueError:
@@ -281,8 +281,8 @@ def is_offset(text: str) -> bool:
 def parse_moment(text: str, start_ns: int, end_ns: int, option: str = "--at") -> int:
     """Return a time in a recording from `start_ns` to `end_ns`, as nanoseconds since the epoch.
 
-    A time of day belongs to the day on which the recording begins, or to the next day if only that
-    lies within the recording.
+    A time of day is on the day on which the recording begins; or on the next day, if only then it
+    lies within the recording. `option` is named in the error.
 
     Raises:
         UsageError: The text is not a time.

@@ -53,12 +53,12 @@ def names() -> list[str]:
 
 
 def find(robots: Iterable[str]) -> list[RobotDaemon]:
-    """Return the daemons of these robots, each with its status or the problem in getting it."""
+    """Return the running daemons of these robots, each with its status, or why it gave none."""
     return [found for found in at_once(_look, robots) if found is not None]
 
 
 def at_once(ask: Callable[[str], T], robots: Iterable[str]) -> list[T]:
-    """Call `ask` for all robots in parallel, so that a daemon that hangs delays no other."""
+    """Call `ask` for all robots in parallel, and return the results in the order of `robots`."""
     asking = [Background(partial(ask, robot)) for robot in robots]
     for each in asking:
         each.start()

@@ -87,7 +87,7 @@ class RosView:
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def listen(self, topic: str, type_name: str, *, data: bool) -> MessageListener:
-        """Subscribe to a topic; without `data`, only the times and sizes of its messages are sent.
+        """Subscribe to a topic; without `data`, the listener gets only times and sizes.
 
         Raises:
             UsageError: There is no such topic, or it has several types and `type_name` is "".
@@ -106,7 +106,7 @@ class RosView:
         """Call a service and return {"type", "definition", "data"} of its response.
 
         Raises:
-            NoDaemon: No such service appears, or it does not answer in time.
+            NoDaemon: No such service appears within `wait_s`, or no answer within `answer_s`.
             UsageError: A value does not fit the service's type.
         """
         expected = self.through_daemon and name in _names(self.names()["services"])
@@ -181,7 +181,7 @@ class MessageListener:
         """Yield the messages that have arrived; nothing if none comes within `seconds`.
 
         Raises:
-            RobotctlError: The process has ended.
+            RobotctlError: The process that listens has ended, or reported an error.
         """
         try:
             reports = self._child.receive(seconds)
@@ -195,7 +195,7 @@ class MessageListener:
 def ros_view(robot: str, domain_id: int | None) -> RosView:
     """Return the view of the ROS domain `domain_id`.
 
-    If this is None, use the daemon's domain; without a daemon, use ROS_DOMAIN_ID or else 0.
+    If `domain_id` is None, use the daemon's domain; without a daemon, use ROS_DOMAIN_ID or else 0.
 
     Raises:
         UsageError: The number is not a ROS domain.

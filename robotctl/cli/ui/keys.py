@@ -69,7 +69,7 @@ class Keyboard:
         return -1 if self._saved is None else self._file
 
     def read(self) -> str:
-        """Return the keys that were pressed; call it when one of `sources` is readable."""
+        """Return the pressed keys as text, "" for none; call it when a source is readable."""
         ready, _, _ = select.select(self.sources, [], [], 0.0)
         if self._stop_asked in ready:
             os.eventfd_read(self._stop_asked)
@@ -77,9 +77,9 @@ class Keyboard:
         return os.read(self._file, 64).decode(errors="ignore") if self._file in ready else ""
 
     def has_ended(self, ready: Sequence[object]) -> bool:
-        """Return whether the terminal has ended. Call it if `read` returned no key.
+        """Return whether the terminal has ended. Call this only if `read` has returned "".
 
-        `ready` are the `sources` that were readable before that call of `read`.
+        `ready` are the `sources` that were readable before `read` was called.
         """
         return self._saved is not None and self._file in ready and self._stop_asked not in ready
 
@@ -154,7 +154,7 @@ class KeyEvent(Enum):
 class Key(NamedTuple):
     """A key by its character, or `up`, `down`, `left`, `right`, or ANSWER.
 
-    `is_text`: it came in a form that has no release event, as pasted text does.
+    `is_text`: the key came in a form that has no release event, as pasted text does.
     """
 
     name: str
@@ -176,7 +176,7 @@ class KeyParser:
         self._is_pasted = False
 
     def feed(self, text: str, now_s: float) -> Iterator[Key]:
-        """Yield the keys of the text, which was read at `now_s`; a sequence may come in parts."""
+        """Yield the keys in `text`, read at `now_s`; a key's sequence may end in the next text."""
         if not self._rest:
             self._rest_s = now_s
         text, self._rest = self._rest + text, ""
@@ -256,7 +256,7 @@ _IS_ANSWERED: Final = re.compile(rb"\x1b\[\?[\d;]*c")
 class ReleaseEvents:
     """A context in which the terminal reports key releases, if it can; `told` says whether it can.
 
-    A terminal that can mark pasted text does that, too. Keys must arrive one by one (`Keyboard`).
+    If the terminal can mark pasted text, it does so. Keys must arrive one by one (`Keyboard`).
     `suspend` and `resume` enclose the time in which another program uses the terminal.
     """
 
@@ -311,7 +311,7 @@ _ASK_FLAGS: Final = b"\x1b[?u"
 
 
 class TerminalAnswers:
-    """A context in which a terminal can be asked; `KeyParser` yields its answers as ANSWER.
+    """A context to ask whether the terminal is alive; `KeyParser` yields each answer as ANSWER.
 
     The question goes through a separate descriptor that does not block, so that a terminal that
     accepts no data delays no key.

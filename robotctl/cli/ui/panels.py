@@ -110,14 +110,14 @@ _MAP_ROWS: Final = range(5, 15)
 
 
 class History:
-    """The last speeds [m/s] and cross-track errors [m]."""
+    """The last HISTORY speeds [m/s] and cross-track errors [m] of the robot."""
 
     def __init__(self) -> None:
         self.speeds: deque[float] = deque(maxlen=HISTORY)
         self.errors: deque[float] = deque(maxlen=HISTORY)
 
     def add(self, status: Mapping[str, Any]) -> None:
-        """Add speed and cross-track error of a status; if it has none, drop the earlier errors."""
+        """Add speed and cross-track error of a status; without an error, drop earlier errors."""
         self.speeds.append(_finite((status.get("velocity") or {}).get("linear")))
         error_m = (status.get("drive") or {}).get("cross_track_m")
         if error_m is None:

@@ -23,7 +23,7 @@ def shown(names: Sequence[NameAndTypes], every: bool) -> list[NameAndTypes]:
 
 
 def name_lines(names: Iterable[NameAndTypes], types: bool) -> Iterator[str]:
-    """Yield a line for each name, with its types in brackets if wanted."""
+    """Yield a line for each name; if `types`, with the name's types in brackets."""
     for each in names:
         kinds = f" [{', '.join(map(printable, each['types']))}]" if types else ""
         yield f"{printable(each['name'])}{kinds}"
@@ -46,7 +46,7 @@ _WORDS = frozenset({"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 
 
 def message_lines(value: Any, limit: int | None = SHOWN_LENGTH) -> Iterator[str]:
-    """Yield a message, or a field of one, as lines of YAML.
+    """Yield a ROS message, or a field of a message, as lines of YAML.
 
     Of lists and texts at most `limit` items or characters are shown, then `...`; None shows all.
     """

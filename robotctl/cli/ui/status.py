@@ -26,7 +26,7 @@ _INDENT_AND_GAPS = 5
 
 
 class TopicLines:
-    """Formats a table of topics; on a terminal, types get the width that the names do not need."""
+    """Formats a table of topics; the type column gets the width that the names leave free."""
 
     def __init__(self, topics: Iterable[tuple[object, object]]) -> None:
         """Fit the columns to `topics`, the names and types of the rows."""
@@ -143,9 +143,9 @@ def pose_text(status: Mapping[str, Any]) -> str:
 
 
 def drive_lines(drive: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what is driven, and how far off its path the robot is, if that is measured.
+    """Yield lines about a drive: what is driven and, if known, how far off its path the robot is.
 
-    The closure is how far the robot was from the end of the path when its last lap ended.
+    The closure is how far the robot was from the end of the path when the last lap ended.
     """
     now, rms, worst, true_m, heading, most, closure = (
         number(drive.get(key), ".3f")

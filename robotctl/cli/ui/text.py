@@ -82,7 +82,7 @@ def _terminal_columns() -> int | None:
 
 
 def column_width(texts: Iterable[object], *, at_least: int, at_most: int) -> int:
-    """Return the width of a column for these texts, within the limits."""
+    """Return the width of the longest of `texts`, but from `at_least` to `at_most`."""
     longest = max((len(printable(text)) for text in texts), default=0)
     return min(max(longest, at_least), at_most)
 
@@ -98,7 +98,7 @@ def can_show_braille() -> bool:
 
 
 def size(count: float) -> str:
-    """Return a number of bytes for people, in decimal units."""
+    """Return a number of bytes as text for people, in decimal units such as MB."""
     for unit in ("B", "kB", "MB"):
         if count < 1000:
             return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
@@ -107,7 +107,7 @@ def size(count: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a number of seconds for people."""
+    """Return a number of seconds as text for people."""
     whole = int(seconds)
     if whole < 60:
         return f"{seconds:.1f} s"

@@ -50,7 +50,7 @@ from robotctl.kernel.types import (
 
 
 def default_laps(kind: PatternKind, *, wait: bool) -> int:
-    """Return the default number of laps of a drive; 0 means until it is stopped."""
+    """Return 0 (endless) for a closed pattern, 1 otherwise or if the client will `wait`."""
     return 1 if wait or not SHAPES[kind].closed else 0
 
 
@@ -58,7 +58,7 @@ def shape_size_m(params: DriveParams) -> float | None:
     """Return the requested size [m], or None if none was requested.
 
     Raises:
-        UsageError: The pattern does not have this size, as a circle has no side.
+        UsageError: A size was requested that the pattern does not have, such as a circle's side.
     """
     kind = params.pattern
     wanted = SHAPES[kind].size_name
@@ -109,7 +109,7 @@ MODE_DEADLINE_S = 30.0
 
 
 class DrivingMethods:
-    """The handlers of the methods that drive."""
+    """The handlers of the control socket's methods that drive the robot."""
 
     def __init__(
         self,
@@ -147,7 +147,7 @@ class DrivingMethods:
     ) -> Pattern:
         """Return a pattern; an argument that is None gets its configured value.
 
-        If the shape is not the configured one, a missing size gets the default of the shape.
+        If `kind` is not the configured kind, a size of None gets the default size of `kind`.
 
         Raises:
             UsageError: The speed is above the configured limit.
@@ -165,7 +165,7 @@ class DrivingMethods:
         )
 
     async def begin(self, kind: PatternKind, source: str) -> Reply:
-        """Request one lap of an open pattern, or endless laps of a closed one; return the reply."""
+        """Request one lap, or endless laps if the pattern is closed; return the kernel's reply."""
         request_id, pattern = self._control.new_request_id(), self.pattern(kind)
         laps = default_laps(kind, wait=False)
         return await self._control.request(

@@ -99,8 +99,8 @@ class _Holder:
 class LeaseMethods:
     """The handlers of the lease, which ends when the connection of `lease_take` closes.
 
-    It ends earlier if `lease_keep` is not called in SILENT_PERIODS periods of `listen_s` seconds: a
-    frozen process keeps its connection open, but makes no calls.
+    The lease ends earlier if `lease_keep` is not called for SILENT_PERIODS periods of `listen_s`
+    [s]: a frozen process keeps its connection open, but makes no calls.
     """
 
     def __init__(

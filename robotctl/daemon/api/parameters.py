@@ -16,7 +16,7 @@ from robotctl.ipc.request_handler import Method
 
 
 def list_method(config: Callable[[], Config]) -> dict[str, Method[Any]]:
-    """Return the method `param_list`; `config` returns the present configuration."""
+    """Return the method `param_list` by its name; `config` returns the present configuration."""
 
     async def get_list(_: NoParams) -> ParameterList:
         return {"parameters": listed(config())}
@@ -25,7 +25,7 @@ def list_method(config: Callable[[], Config]) -> dict[str, Method[Any]]:
 
 
 def parameter_methods(parameters: Parameters, robot: str) -> dict[str, Method[Any]]:
-    """Return `param_list` and `param_set`; the cures in errors name `robot`."""
+    """Return `param_list` and `param_set`; error texts suggest commands for `robot`."""
 
     async def set_one(params: ParamSetParams) -> ParameterSet:
         setting = parameters.parsed(params.key, params.value)

@@ -22,7 +22,7 @@ COMMIT_DEADLINE_S = 5.0
 
 
 def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[Any]]:
-    """Return the methods for status, commit, split and mark; the cures in errors name `robot`."""
+    """Return methods for status, commit, split and mark; errors suggest commands for `robot`."""
 
     def failure() -> str:
         return for_robot(recorder.failure, robot)

@@ -66,7 +66,7 @@ class RobotView(Protocol):
 
 
 class StatusSource:
-    """Makes the status from its parts; `scheduling` is how Linux schedules the loop's thread."""
+    """Makes status and start summary; `scheduling` is how Linux schedules the loop's thread."""
 
     def __init__(
         self,
@@ -111,7 +111,7 @@ class StatusSource:
         }
 
     def summary(self, notes: list[str]) -> StartSummary:
-        """Return what a daemon that is ready reports to the process that started it."""
+        """Return what a ready daemon reports to the process that started it, `notes` included."""
         status = self.status(self.stats())
         return {
             "ready": True,

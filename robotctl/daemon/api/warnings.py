@@ -53,10 +53,10 @@ _CHECKS = tuple(
 
 
 class Warnings:
-    """Collects the warnings of a daemon; the commands in their cures name `robot`.
+    """Collects the warnings of a daemon; some suggest commands for `robot`.
 
-    `control` is None for a daemon that only records, which passes its own `faults` instead. Each
-    function in `parts` returns the warning of one part of the daemon.
+    A daemon that only records passes None as `control`, and sentences as `faults`. Each function
+    in `parts` returns the warning of one part of the daemon, or "".
     """
 
     def __init__(

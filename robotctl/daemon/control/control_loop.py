@@ -29,7 +29,7 @@ _PRESSURE = "/proc/pressure/cpu"
 class ProcessorWait:
     """Measures how long the thread that creates this object has waited for a CPU.
 
-    Any thread may read it. The file is opened only once: later there may be no free descriptor.
+    Any thread may read it. `schedstat` is opened only once: later no descriptor may be free.
     """
 
     def __init__(self) -> None:
@@ -152,9 +152,9 @@ class Watchdog:
             self._thread.start()
 
     def take(self) -> LoopStalled | FaultReported | None:
-        """Open the gate after a stall; return the event of the stall or of a watchdog failure.
+        """After a stall, open the gate and return LoopStalled; after a failure, FaultReported.
 
-        None if there is no new event. The kernel must handle it first. For the loop's thread.
+        Otherwise return None. The kernel must handle the event first of all. In the loop's thread.
         """
         if self._holding:
             return self._end_stall()
@@ -264,7 +264,7 @@ class ControlLoop:
         )
 
     async def run(self, look_at_odometry: Callable[[], None]) -> None:
-        """In each period until cancelled, look for commands and odometry, then dispatch a tick."""
+        """In each period until cancelled, handle foreign commands and odometry, then a tick."""
 
         def decide(tick: LoopTick) -> None:
             self.look_at_commands()

@@ -71,7 +71,7 @@ class UnsavedReply(Reply):
 
 
 def granted(reply: Reply, robot: str) -> ModeAnswer:
-    """Return the answer to a request that was granted; the cures in errors name `robot`.
+    """Return the answer to a request that was granted; errors suggest commands for `robot`.
 
     Raises:
         Refused: The kernel refused the request.
@@ -228,7 +228,7 @@ class Control:
         return self._requests.new_id()
 
     def begin(self, event: Request) -> asyncio.Future[Reply]:
-        """Dispatch a request now; return the future of its reply, which comes after its effects."""
+        """Dispatch a request now; return a future that gets the reply after all other effects."""
         reply = self._requests.expect_reply(event.request_id)
         self._asked(event)
         try:

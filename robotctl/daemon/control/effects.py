@@ -66,7 +66,7 @@ class Effects:
         self._decided = decided
 
     def carry_out(self, effect: Effect) -> None:
-        """Carry out an effect or begin to save the latch; replies wait until the latch is saved."""
+        """Carry out an effect. A stop is saved by a thread; replies wait until it is on disk."""
         if isinstance(effect, PublishTwist):
             self._publish_twist(effect.twist)
             return

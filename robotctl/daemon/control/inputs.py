@@ -97,7 +97,7 @@ LOOKS_PER_INSPECTION = 5
 async def has_odometry_publisher(
     odometry: OdomSubscriber, stop: asyncio.Event, until_s: float
 ) -> bool:
-    """Return whether odometry gets a publisher before the steady time `until_s` [s] or `stop`."""
+    """Wait until odometry has a publisher, `until_s` or `stop`; return whether it has one."""
     remaining_s = until_s - time.monotonic()
     await until(lambda: odometry.count_publishers() > 0 or stop.is_set(), remaining_s)
     return odometry.count_publishers() > 0
@@ -108,9 +108,9 @@ async def watch_graph(
     odometry: OdomSubscriber,
     dispatch: Callable[[Event], None],
 ) -> None:
-    """Dispatch an event when other publishers or the subscribers of the command topic change.
+    """Dispatch an event when the other publishers or the subscribers of the command topic change.
 
-    Also find the names of the publishers of odometry. Runs until cancelled.
+    Also look up the node names of the odometry publishers. Runs until cancelled.
     """
     publishers: tuple[str, ...] = ()
     listeners: tuple[int, tuple[str, ...], str] | None = None
@@ -203,9 +203,9 @@ HOST = slice(4)
 
 
 class RemoteRequests:
-    """Compares the gid of the client of the present request with a gid of this process.
+    """Tells whether a request comes from another host, by the host bytes of its client's DDS gid.
 
-    The host part has two bytes, and a client can send any gid: this prevents mistakes, not attacks.
+    These are only two bytes, and a client can send any gid: this prevents mistakes, not attacks.
     """
 
     def __init__(self, own_gid: bytes) -> None:
@@ -214,9 +214,9 @@ class RemoteRequests:
     def is_remote(self) -> bool:
         """Return whether the request that is handled now may come from another host.
 
-        That may be so even if discovery is limited to this machine: a client on another host can
-        name it as a static peer. A client without a known gid counts as remote unless discovery is
-        limited to this machine.
+        This is possible even if discovery is limited to this machine: a client on another host can
+        name this machine as its static peer. If the client's gid is unknown, the request counts as
+        remote unless discovery is limited to this machine.
         """
         gid = requester()
         if gid is None:

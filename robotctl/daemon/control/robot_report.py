@@ -156,7 +156,7 @@ class RobotReport:
                 del self._driven[1::2]
 
     def drive_ended(self, ended: DriveEnded) -> DriveEnded:
-        """Note a drive's end; return `ended`, or a copy with NaN errors if none was measured."""
+        """Note a drive's end; return `ended`, with NaN errors if its errors were not measured."""
         self.ground_truth.end(ended)
         if ended.request_id == self._measured_id:
             return ended
@@ -170,7 +170,7 @@ class RobotReport:
         }
 
     def missing(self) -> list[str]:
-        """Return a sentence for each topic that the configuration needs but that is missing."""
+        """Return a sentence for each input or subscriber that a start needs but that is absent."""
         health, now = self._control.state.health, time.monotonic_ns()
         found = (RULE_OF[cause].check(health, self._control.params, now) for cause in _EXPECTED)
         missing = [text for text in found if text]
@@ -202,7 +202,7 @@ class RobotReport:
         }
 
     def preflight(self, robot: str) -> Preflight:
-        """Return each start condition, its problem and cure; commands in the cures name `robot`."""
+        """Return each start condition, its problem if any, and a cure with commands for `robot`."""
         health, now_ns = self._control.state.health, time.monotonic_ns()
         conditions: list[ConditionAnswer] = []
         for rule, problem in start_conditions(health, self._control.params, now_ns):
@@ -255,7 +255,7 @@ SHOW_PERIOD_S = 1.0
 
 
 class ShownStatus:
-    """Publishes the robot status, and the lock that blocks velocity commands of other nodes."""
+    """Publishes the robot status and the lock, a topic by which a mux blocks other commands."""
 
     def __init__(self, modes: ModeService, control: Control, lock: CommandLock) -> None:
         self._lock = lock
@@ -263,7 +263,7 @@ class ShownStatus:
         self._control = control
 
     def show(self, mode: Mode) -> None:
-        """Publish mode, battery level, whether odometry is fresh, and the lock, now."""
+        """Publish the lock for `mode`, then mode, battery level and whether odometry is fresh."""
         self._lock.show(mode)
         level = self._control.state.health.battery_level
         level = level if is_level(level) else nan

@@ -1,7 +1,6 @@
 """Log lines: their format, a filter for repeated ones, and the queue in front of stderr.
 
-The reader of stderr may stop: a terminal after Ctrl-S, a full pipe, a disk that hangs. Nothing that
-logs waits for it.
+No logging call waits for the reader of stderr: a terminal after Ctrl-S or a hung disk may stop it.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ class _Burst:
 
 
 class Repeats:
-    """Leaves out the equal warnings and errors of a burst (WINDOW_S) after the first WRITTEN.
+    """Passes only the first WRITTEN of equal warnings or errors in a burst, which lasts WINDOW_S.
 
     Equal records have the same logger, level, text and exception. Lower levels always pass.
     """
@@ -67,7 +66,7 @@ class Repeats:
         self._bursts: dict[tuple[str, int, str, str], _Burst] = {}
 
     def admit(self, record: logging.LogRecord) -> Iterator[logging.LogRecord]:
-        """Yield what to write now: notes about finished bursts, then `record` unless left out."""
+        """Yield notes on past bursts, then `record`, unless its burst already has WRITTEN lines."""
         yield from self._over(record.created)
         if record.levelno < logging.WARNING:
             yield record

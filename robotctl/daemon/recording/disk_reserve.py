@@ -58,7 +58,7 @@ class DiskReserve:
             await asyncio.sleep(LOOK_S)
 
     def look(self, free_bytes: int, sizes: Mapping[str, int]) -> None:
-        """Stop a topic, or record all again; `sizes` has the bytes received so far by topic."""
+        """By `free_bytes`, stop the topic whose size grew most, record all again, or do nothing."""
         self._free_bytes = free_bytes
         grown = {topic: size - self._sizes.get(topic, 0) for topic, size in sizes.items()}
         self._sizes = sizes

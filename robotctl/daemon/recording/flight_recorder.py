@@ -54,7 +54,7 @@ _log = logging.getLogger(__name__)
 
 
 class FlightRecorder:
-    """Records own topics from its creation, and other topics while the tasks of `work` run.
+    """Records robotctl's topics from its creation, other topics while the tasks of `work` run.
 
     The topic filter cannot exclude command, odometry, robot status and journal.
     """
@@ -205,9 +205,9 @@ class FlightRecorder:
         return counts
 
     async def close(self) -> None:
-        """Finish the recording in a thread, then send the last head, cut clips and start the index.
+        """Close the recording; then send the seal's last head, cut clips and start the indexing.
 
-        Messages that arrive from now on are dropped.
+        Messages that arrive from now on are dropped. The files are closed in a thread.
         """
         self._closing = True
         stats = await asyncio.to_thread(self._recorder.close)

@@ -35,9 +35,9 @@ def has_grown(files: int, indexed: int) -> bool:
 class Indexer:
     """Starts processes of the lowest priority that write the index of the present recording.
 
-    One runs at a time. The last one indexes the closed recording, and the daemon does not wait for
-    its end. For the loop's thread, which is not blocked: other threads look at files and start the
-    processes.
+    Only one process runs at a time. The last process indexes the closed recording; the daemon does
+    not wait for its end. Call the methods in the loop's thread: they do not block it, as other
+    threads look at files and start the processes.
     """
 
     def __init__(self, recording: Path, log: Path, *, enabled: bool) -> None:

@@ -151,10 +151,10 @@ SHORT_CHARACTERS: Final = 16
 
 @cache
 def software(package: Path = Path(robotctl.__file__).parent) -> dict[str, str]:
-    """Return the start of each module's SHA-256 by the module's name, and the digest over all.
+    """Return the short hash of each module by its name, and under DIGEST one digest of all modules.
 
     The digest is the SHA-256 of lines `HASH  NAME`, as sha256sum(1) prints them: one for each
-    module, ordered by name, with the whole hash. The files are read at the first call: call this
+    module, ordered by name, with its whole SHA-256. Files are read at the first call only: call it
     soon after the start, before an update replaces them. Modules that cannot be read are left out.
     """
     hashes = dict(_hashes(package))

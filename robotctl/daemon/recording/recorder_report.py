@@ -223,7 +223,7 @@ NO_MEMORY = "are not recorded, because memory ran out: end other programs, or ex
 
 
 class RecorderReport:
-    """Reports the counts of the recorder; the cures in its warnings name `robot`."""
+    """Reports the counts of the recorder; its warnings suggest commands for `robot`."""
 
     def __init__(
         self,
@@ -275,7 +275,7 @@ class RecorderReport:
             _log.warning("messages %s", NO_MEMORY)
 
     def diagnosis(self, stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
-        """Return the recorder's diagnosis, as `diagnose` does; cures in it name the robot."""
+        """Return what `diagnose` returns, with the robot's name in suggested commands."""
         told = replace(stats, failure=for_robot(stats.failure, self._robot))
         return diagnose(told, warnings)
 

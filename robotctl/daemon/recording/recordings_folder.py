@@ -31,7 +31,7 @@ def retention_policy(params: RecordingParams) -> RetentionPolicy:
 
 
 def save_recordings_path(recordings: Path, robot: str) -> list[str]:
-    """Save the path of the robot's recordings for later commands; return a note if that fails."""
+    """Save the path of the robot's recordings for later commands; if that fails, return a note."""
     note = recordings_note_path(robot)
     try:
         make_private(note.parent)
@@ -60,11 +60,11 @@ def open_recorder(
     """Start the recording ROBOT_DATE_TIME.
 
     The callbacks may be called in any thread. For the metadata of each file, `mode()` returns the
-    robot's mode and `present()` the configuration; without `present`, that is `config`.
+    robot's mode, and `present()` the configuration, which is `config` if `present` is None.
     `on_failure(detail)` is called when recording fails, `on_split(file)` when the next file begins,
     and `on_full(file)` when a file is full: it must schedule a call of the recorder's `split`.
-    `sealer` is used if `recording.seal` is set. `evidence` has the full names of the topics that a
-    check needs, `names` those of the daemon's topics and services by their keys in the metadata.
+    `sealer` is used if `recording.seal` is set. `evidence` has the full names of topics that checks
+    need. `names` has those of the daemon's topics and services, by their keys in the metadata.
 
     Raises:
         Refused: The recording cannot be written.

@@ -94,9 +94,9 @@ class TopicWatch:
         self.trouble = self._judge(now_s)
 
     def look_at_publishers(self, now_s: float, next_numbers: Mapping[bytes, int]) -> None:
-        """Detect a restart; `next_numbers` has each publisher's next sequence number, oldest first.
+        """Detect a restart: a publisher is new, and none of the older publishers sends any more.
 
-        A new publisher counts as a restart if no older publisher sends any more.
+        `next_numbers` has the next sequence number of each publisher, the oldest publisher first.
         """
         if len(next_numbers) != self._publishers:
             if self._publishers:

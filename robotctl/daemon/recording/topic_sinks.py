@@ -51,8 +51,8 @@ class TopicSinks:
     """Opens the sinks, which pass messages to the recorder; for the loop's thread.
 
     `is_own(topic)` returns whether robotctl publishes the topic, `is_evidence(topic)` whether a
-    check needs it. Neither kind is throttled, nor are latched topics; of own and latched topics the
-    usual rate is not learned.
+    check needs it. Own topics, evidence topics and latched topics are never throttled. The usual
+    rate is not learned for own topics and for latched topics.
     """
 
     def __init__(

@@ -51,7 +51,7 @@ class MotionRequest(Protocol):
 
     @property
     def request_id(self) -> int:
-        """The id that its reply carries."""
+        """The id of the request, which the reply carries as well."""
 
     @property
     def client(self) -> int:

@@ -39,7 +39,7 @@ T = TypeVar("T", bound=_Dataclass)
 def changed(value: T, **changes: Any) -> T:
     """Return a copy of a frozen dataclass without slots, with some fields changed.
 
-    Use it for what each step copies: `dataclasses.replace` takes four times as long.
+    Use it for the dataclasses that each step copies: `dataclasses.replace` is four times as slow.
     """
     fields = value.__dict__ | changes
     assert len(fields) <= len(value.__dataclass_fields__), changes  # a name that is no field

@@ -45,10 +45,10 @@ def make_folder(path: Path, *, shared: bool) -> None:
 
 
 def protect_like(path: Path, source: Path) -> None:
-    """Make `path` readable for its owner only, or for its group too if that may read `source`.
+    """Limit reading of `path` to its owner or, if the group may read `source`, owner and group.
 
     Raises:
-        OSError: One of them does not exist.
+        OSError: `path` or `source` does not exist.
     """
     _set(path, (_GROUP_READS if is_shared(source) else _OWNER_READS)[path.is_dir()])
 
@@ -66,7 +66,7 @@ def share_like(path: Path, source: Path) -> None:
     """Make `path` readable for its group if the group may read `source`, its origin.
 
     Raises:
-        OSError: One of them does not exist.
+        OSError: `path` or `source` does not exist.
     """
     if is_shared(source):
         share_with_group(path)

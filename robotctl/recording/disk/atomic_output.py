@@ -26,7 +26,7 @@ from robotctl.recording.disk.access import (
 def replaced_file(target: Path) -> Iterator[IO[bytes]]:
     """Yield a file that replaces `target` at the end of the block, unless the block raises.
 
-    The group may read it if the group may read the folder. A link or a device is not replaced.
+    The group may read the file if it may read the folder. A link or a device is not replaced.
 
     Raises:
         OSError: The file cannot be written, or `target` is not a regular file.

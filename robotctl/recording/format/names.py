@@ -101,7 +101,7 @@ _COMPARISONS: Final = "compared_with_*.html"
 
 
 def derived_files(folder: Path) -> Iterator[Path]:
-    """Yield the files in a recording's folder that robotctl made from it.
+    """Yield the files in a recording's folder that robotctl made from that recording.
 
     Raises:
         OSError: The folder cannot be read.

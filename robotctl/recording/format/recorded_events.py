@@ -88,7 +88,7 @@ class RecordedEvent:
 
 
 def events_in(metadata: Iterable[Metadata]) -> list[RecordedEvent]:
-    """Return the events among these records, in their order; unknown records are skipped."""
+    """Return the events in `metadata`, in its order; skip other records and unreadable events."""
     events = []
     for record in metadata:
         if record.name == EVENT_RECORD:

@@ -63,8 +63,8 @@ class Topic:
 class TopicStats(NamedTuple):
     """The MessageCounts of one topic; `bytes` counts the data of received messages.
 
-    It is a tuple, which begins with those counters in their order: `status` creates and sums one
-    per topic in the event loop, and creating a data class takes 1.3 times as long.
+    It is a tuple that begins with the counters in the order of MessageCounts: `status` creates and
+    sums one per topic in the event loop, and creating a data class takes 1.3 times as long.
     """
 
     received: int = 0

@@ -45,7 +45,7 @@ class WrittenFile:
     """The end of a valid file without attachments: what a writer must know to continue it.
 
     `data_end` is the offset of the DataEnd record, `data_crc` the checksum in that record. `groups`
-    has the records of the summary by their opcode, those of an opcode concatenated.
+    has the records of the summary, concatenated, by opcode.
     """
 
     data_end: int

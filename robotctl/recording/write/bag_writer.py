@@ -29,8 +29,8 @@ def repeats(
 ) -> list[PlainMessage]:
     """Return the last latched message of each publisher, to be repeated in a new file.
 
-    `newest_ns` replaces their log times unless it is 0. If they exceed MAX_SHARE of `split_bytes`,
-    the smallest are chosen, and the others are counted in `not_repeated` of their channel.
+    The log time becomes `newest_ns` unless that is 0. If the messages exceed MAX_SHARE of
+    `split_bytes`, only the smallest are returned; their channels count the rest in `not_repeated`.
     """
     latched = [
         (
@@ -68,8 +68,8 @@ MAX_INDEX_BYTES = 8 << 20
 class BagWriter:
     """Writer of the files of one folder: writes chunks, and begins a new file when one is full.
 
-    Not thread-safe. `channels` may grow; a channel's position in it is its channel id. Every method
-    may raise OSError; after that only `abandon` may be called.
+    Not thread-safe. `channels` may grow; the position of a channel in it is the channel id. Every
+    method may raise OSError; after that only `abandon` may be called.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class BagWriter:
         """Write `packed` as a chunk, and count its messages as written.
 
         Raises:
-            OutOfMemory: The chunk is not written; the next one may be.
+            OutOfMemory: The chunk is not written; the next chunk may succeed.
         """
         self._replace_full()
         self._file.write(packed)
@@ -156,7 +156,7 @@ class BagWriter:
     def split(self) -> None:
         """Finish the current file and continue in a new one, which repeats the latched messages.
 
-        The current file is finished first, because the seal of the new file continues its seal.
+        The current file is finished first: the seal of the new file continues that of the current.
         """
         self._file.finish()
         successor = self._new_file()
@@ -202,7 +202,7 @@ class BagWriter:
     def refresh_metadata(self) -> None:
         """Write `metadata.yaml` if it is older than METADATA_PERIOD_S or lists a removed file.
 
-        Players rely on its list. Only the oldest file is checked, which retention removes first.
+        Players rely on its list. Only the oldest file is checked, as retention removes it first.
         """
         removed = bool(self._finished) and not self._is_there(self._finished[0])
         if removed or time.monotonic() >= self._metadata_due:
@@ -262,10 +262,10 @@ def begin_bag(
     on_split: Callable[[Path], None],
     on_full: Callable[[Path], None] | None,
 ) -> BagWriter:
-    """Create `folder` and its writer.
+    """Create `folder`, and return a BagWriter for it, made with the other arguments.
 
     Raises:
-        Refused: The folder cannot be written; it is then removed again.
+        Refused: The folder cannot be written; if it was created, it is removed again.
     """
     created = False
     try:

@@ -47,8 +47,8 @@ class PackBuffer:
     """Memory for many messages. `Recorder.write` packs into it and uses its attributes directly.
 
     A message that would end beyond byte `limit` does not fit; the packer then changes to another
-    buffer. To make it change, the writer thread sets `limit` to 0. `unordered` holds the channels
-    whose log times may step back; the others need no search for their lowest and highest time.
+    buffer. The writer thread sets `limit` to 0 to cause that change. `unordered` has the channels
+    whose log times may step back: only these need a search for the lowest and highest log time.
     """
 
     __slots__ = ("_taken", "data", "end", "indexes", "limit", "size", "unordered")
@@ -66,7 +66,7 @@ class PackBuffer:
         self._taken = 0
 
     def weigh(self) -> int:
-        """Add the bytes of the indexes to `size`, return them. Called after the last message."""
+        """Add the bytes of the indexes to `size` and return them. Called after the last message."""
         added = sum(len(index) * index.itemsize for index in self.indexes)
         self.size += added
         return added
@@ -108,9 +108,7 @@ class PackBuffer:
         return result
 
     def drop(self) -> dict[int, int]:
-        """Discard the messages packed since the last take, and return their number by channel.
-        Called by the writer thread.
-        """
+        """In the writer thread: discard the messages since the last take; count them by channel."""
         end = self.end
         counts = {channel: _entries_below(index, end) for channel, index in enumerate(self.indexes)}
         for channel, count in counts.items():

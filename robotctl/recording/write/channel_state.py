@@ -21,9 +21,9 @@ MAX_MISSING = 64
 class SequenceGaps:
     """The gaps in the sequence numbers of one topic.
 
-    `expected` maps each publisher (its gid) to its next sequence number. `Recorder.write` advances
-    it if a message has that number, and calls `note` otherwise. Sequence number 0 means that the
-    publisher does not count its messages.
+    `expected` maps each publisher (its gid) to its next sequence number. If a message has that
+    number, `Recorder.write` increases the entry, otherwise it calls `note`. Sequence number 0 means
+    that the publisher does not count its messages.
     """
 
     expected: dict[bytes, int] = field(default_factory=dict)
@@ -36,7 +36,7 @@ class SequenceGaps:
     _missing: dict[bytes, set[int]] = field(default_factory=dict)
 
     def note(self, gid: bytes, sequence: int) -> None:
-        """Count the messages missing before `sequence`; one that arrives late is no longer lost."""
+        """Count the messages missing before `sequence`, or uncount `sequence` if it is late."""
         if sequence <= 0:
             return
         expected = self.expected.get(gid)
@@ -140,10 +140,10 @@ class ChannelState:
     def keep_latched(
         self, gid: bytes, data: Buffer, log_ns: int, publish_ns: int, sequence: int, room: int
     ) -> int:
-        """Keep the last message of publisher `gid` if it needs at most `room` bytes more.
+        """Keep `data` as the last message of publisher `gid`, in place of the previous one.
 
-        Return the change in memory use [bytes]. A message that does not fit is counted in
-        `not_kept`; the older message is discarded too, because it is out of date.
+        Return the change in memory use [bytes]. If that would exceed `room`, `data` is only counted
+        in `not_kept`; the previous message is discarded as well, because it is out of date.
         """
         if self.latched is None:
             return 0

@@ -78,7 +78,7 @@ class FileSeal:
         return self._seal is not None and self._clock() >= self._due
 
     def link(self, covered: int) -> bytes:
-        """Return the record of a link for the bytes before `covered`; empty if it cannot sign."""
+        """Return the record of a signed link for the bytes before `covered`; empty on failure."""
         link = self._signed(LinkKind.LINK, covered)
         if link is None:
             return b""
@@ -90,7 +90,7 @@ class FileSeal:
         return link.record()
 
     def head(self, covered: int) -> bytes:
-        """Return the record of a head for the bytes before `covered`; empty if it cannot sign."""
+        """Return the record of a signed head for the bytes before `covered`; empty on failure."""
         if self._seal is None:
             return b""
         self._head = self._signed(LinkKind.HEAD, covered)

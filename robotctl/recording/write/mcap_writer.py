@@ -28,8 +28,7 @@ If the room is too small, the trailer is first moved to a later offset:
 do not need the old trailer; (4) the head of the room, which reaches to the copy.
 
 A commit that changes the summary before its end (a topic, an event, the end of the recording)
-removes the room: the trailer is written into it, behind the new records, and the file is truncated
-behind the trailer.
+removes the room: the trailer is written into it, behind the new records, where the file then ends.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ from robotctl.recording.write.writer_thread import WriterCommand, WriterThread
 
 
 class RecorderState(StrEnum):
-    """Whether the recorder records messages (RECORDING), or counts them as dropped."""
+    """Whether messages are recorded (RECORDING) or only counted as dropped (FAILED, CLOSED)."""
 
     RECORDING = "recording"
     FAILED = "failed"
@@ -228,10 +228,9 @@ class Recorder:
         return self._channels[channel]
 
     def split(self) -> None:
-        """Continue in a new file: it gets all messages that are passed to `write` from now on.
+        """Continue in a new file, for all messages that are passed to `write` from now on.
 
-        Returns at once; `on_split` is called when the new file has begun. Does nothing after
-        `close`.
+        Returns at once; `on_split` is called when the file has begun. After `close`, do nothing.
         """
         if self._closed:
             return
@@ -264,9 +263,9 @@ class Recorder:
         )
 
     def close(self) -> RecorderStats:
-        """Write what is queued, finish file and `metadata.yaml`. Blocks; a second call is harmless.
+        """Write what is queued, finish file and `metadata.yaml`; return the final counts. Blocks.
 
-        Messages passed to `write` from now on count as dropped.
+        Messages passed to `write` from now on count as dropped. A second call is harmless.
         """
         self._closed = True
         self._thread.stop()
@@ -363,8 +362,8 @@ def _new_packer(state: ChannelState, channel: int, size: int) -> Packer:
 class MessageGate:
     """A sink that passes messages to the recorder, or counts them as throttled.
 
-    It passes the first message of each interval. An interval begins where the last one ended, so
-    that the average rate is `most_hz`; after a pause, it begins with the next message.
+    It passes the first message of each interval of 1 / `most_hz`. An interval begins at the end of
+    the previous interval, or after a pause with the next message.
     """
 
     def __init__(self, recorder: Recorder, channel: int, most_hz: float = inf) -> None:

@@ -29,7 +29,7 @@ from robotctl.recording.write.recorder_options import RecorderOptions
 class RecordingFile:
     """Writer of one file. Not thread-safe.
 
-    `channels` may grow; a channel's position in it is its channel id. Every method may raise
+    `channels` may grow; the position of a channel in it is the channel id. Every method may raise
     OSError; after that only `abandon` may be called.
     """
 

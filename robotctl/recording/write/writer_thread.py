@@ -94,7 +94,7 @@ class EvidenceChunks:
         self._evidence: set[int] = set()
 
     def separate(self, packed: PackedMessages) -> tuple[PackedMessages, ...]:
-        """Return `packed`, or a copy of its evidence and a copy of the rest if the rest is heavy.
+        """Return copies of the evidence and of the rest if the rest is heavy, else only `packed`.
 
         Raises:
             MemoryError: Nothing is changed.

@@ -1,8 +1,8 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
 """Node `mode_service` of the first-package tutorial: it serves modes and drives no robot.
 
-It has the modes and transitions of the daemon, but sends no commands. If a robot is in the domain,
-it refuses MOVING, or returns from it to IDLE. To drive a robot, use `robotctl start`.
+It has the modes and transitions of the daemon, but sends no commands. It refuses MOVING, and
+leaves MOVING for IDLE, while a robot may be in the domain. To drive a robot, use `robotctl start`.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class ModeService(Node):
         self.get_logger().warning(f"{NO_ROBOT}; to drive one: robotctl start")
 
     def robot(self) -> str:
-        """Return what shows that a robot is in the graph, as a sentence, or "" if nothing does."""
+        """Return a clause that says why a robot may be in the graph, or "" if nothing shows one."""
         if self.count_publishers("odom"):
             return "odometry is published"
         if self.count_subscribers("cmd_vel"):

@@ -16,7 +16,7 @@ LOG_EVERY = 10
 
 
 class OdomSubscriber(Node):
-    """Counts messages on `odom`, of publishers of any QoS; logs the position of every tenth."""
+    """Counts the messages on `odom`, whatever the publisher's QoS; logs every tenth position."""
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:
         """Create the node and its subscription; `options` are those of rclpy's Node."""

@@ -65,12 +65,12 @@ def sweep_mps(number: int) -> float:
 class VelocityPublisher(Node):
     """Publishes `cmd_vel`: the tutorial's sweep.
 
-    It publishes zeros for 4 s, then a sweep between -2 and 2 m/s in steps of 0.1 each 0.5 s. It
+    It publishes zeros for 4 s, then a sweep between -2 and 2 m/s in 0.1 m/s steps, each 0.5 s. It
     publishes zeros instead, and logs why, while another node publishes on the topic, while a node
     that may be a robot subscribes to it, or if discovery reaches beyond this machine.
 
-    If the parameter `sweep` is true, it sweeps even then; if false, it never sweeps. The method
-    `set_velocity` ends the sweep.
+    If the parameter `sweep` is true, it sweeps in these cases as well; if false, it never sweeps.
+    The method `set_velocity` ends the sweep.
     """
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:

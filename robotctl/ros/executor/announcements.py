@@ -33,7 +33,7 @@ _RET_UNSUPPORTED = 3
 
 
 class Announcement(Enum):
-    """What rcl can announce; the value is (library, its function that sets the callback)."""
+    """What rcl can announce; each value is (library, function that sets rcl's callback)."""
 
     MESSAGE = ("librcl.so", "rcl_subscription_set_on_new_message_callback")
     REQUEST = ("librcl.so", "rcl_service_set_on_new_request_callback")
@@ -71,9 +71,9 @@ def check_platform() -> None:
 
 @cache
 def counts_each_message() -> bool:
-    """Return whether the announced counts include every message that has arrived.
+    """Return whether the count in the eventfd includes every message that has arrived.
 
-    True for rmw_fastrtps: it also announces messages that arrived before the callback was set.
+    True for rmw_fastrtps, which also counts messages that arrived before rcl's callback was set.
     """
     return str(get_rmw_implementation_identifier()) == "rmw_fastrtps_cpp"
 
@@ -148,9 +148,9 @@ _passed = False
 
 
 async def check_announcements(context: Context) -> None:
-    """Check that a message from this process to itself is announced and correctly read.
+    """Send this process a message; check that rcl announces it, and that it is read correctly.
 
-    Later calls do nothing: platform, middleware and its structures do not change in a process.
+    When this has passed once, calls do nothing: a process does not change platform or middleware.
 
     Raises:
         UnsupportedPlatform: The check failed; the message says at which step.

@@ -253,7 +253,7 @@ class Engine:
         return "SCHED_OTHER" if self._fifo is None else self._fifo.description
 
     def open(self, fifo_priority: int | None) -> None:
-        """Request the scheduling, attach the nodes' entities, watch for the context's shutdown."""
+        """Request SCHED_FIFO (None: do not), attach the nodes' entities, watch for shutdown."""
         futures.open_bridge(self.runtime.loop)
         if fifo_priority is not None:
             self._fifo = FifoScheduling(fifo_priority)
@@ -284,7 +284,7 @@ class Engine:
         self.attachments.follow(self._nodes.entities())
 
     def request_close(self) -> None:
-        """Begin no more callbacks, and close the executor in the loop."""
+        """Begin no more callbacks; close the executor in a later turn of the loop."""
         self._closing = True
         self.runtime.stale = True
         # Not at once: this may run in a signal handler, amid code that uses what is released.

@@ -66,7 +66,7 @@ _START_NS = time.monotonic_ns()
 
 
 def beat_before(t_ns: int, period_ns: int = BEAT_NS) -> int:
-    """Return the last beat at or before the steady time `t_ns` [ns]."""
+    """Return the last beat [ns] at or before steady time `t_ns`; beats are `period_ns` apart."""
     return t_ns - (t_ns - _START_NS) % period_ns
 
 
@@ -141,7 +141,7 @@ class EventLoop(asyncio.SelectorEventLoop):
         super().__init__(self._calling)
 
     def watch(self, fd: int, callback: Callable[[], object]) -> None:
-        """Call `callback` in the current context when `fd` is readable, before other callbacks."""
+        """Whenever `fd` is readable, call `callback` before any other, in the caller's context."""
         self._calling.watch(fd, partial(copy_context().run, callback))
 
     def unwatch(self, fd: int) -> None:

@@ -224,7 +224,7 @@ class AsyncioExecutor:
             self.wake()
 
     def get_nodes(self) -> list[Node]:
-        """Return the nodes whose callbacks run here."""
+        """Return the nodes whose callbacks this executor runs."""
         return list(self._nodes)
 
     def create_task(self, callback: Any, *args: Any, **kwargs: Any) -> Future:
@@ -240,7 +240,7 @@ class AsyncioExecutor:
         return self._tasks.create(callback, args, kwargs)
 
     def wake(self) -> None:
-        """Serve new entities and forget destroyed ones; rclpy calls this when a node changes."""
+        """Look for new and destroyed entities; rclpy calls this when a node changes."""
         if self._engine is not None:
             self._engine.wake()
 
@@ -279,7 +279,7 @@ class AsyncioExecutor:
         return await call(client, request, timeout_s)
 
     async def wait_for(self, future: Future, *, timeout_s: float | None) -> Any:
-        """Return the result of any rclpy Future; cancel the future at a timeout or cancellation.
+        """Return an rclpy Future's result; cancel the future if the wait ends without a result.
 
         Raises:
             TimeoutError: No result came within `timeout_s` seconds (None: no deadline).

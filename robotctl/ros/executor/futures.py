@@ -28,7 +28,7 @@ _rclpy_await: Callable[[Future], Generator[Any, None, Any]] = Future.__await__
 async def wait(future: Future) -> Any:
     """Wait for an rclpy Future without keeping the loop busy, and return its result.
 
-    A cancellation cancels the future as well, so that its client forgets the request.
+    If the wait is cancelled, so is the future; then its client forgets the request.
 
     Raises:
         asyncio.CancelledError: The future was cancelled.
@@ -100,10 +100,10 @@ def _running_loop() -> asyncio.AbstractEventLoop | None:
 
 
 class ImmediateCallbacks:
-    """Stands in for a future's executor while the future is set: runs done callbacks at once.
+    """Replaces a future's executor while the future gets its result: runs done callbacks at once.
 
-    rclpy's futures pass their done callbacks to their executor's `create_task`, which would run
-    them a turn of the loop later.
+    An rclpy future passes its done callbacks to `create_task` of its executor, which would run the
+    callbacks a turn of the loop later.
     """
 
     def __init__(self, report: Callable[[Exception, str], None]) -> None:
@@ -121,10 +121,10 @@ class ImmediateCallbacks:
 def callbacks_at_once(
     future: Future, immediate: ImmediateCallbacks, executor: Any
 ) -> Iterator[None]:
-    """Run the future's done callbacks at once if the future is set within the `with` block.
+    """Run the future's done callbacks at once when it gets its result within the `with` block.
 
-    `executor` runs callbacks that are added after the block; without an executor, rclpy would run
-    them under the future's lock.
+    After the block, `executor` runs the done callbacks that are added later; if it is None, rclpy
+    calls them directly.
     """
     future._set_executor(immediate)
     try:
@@ -136,7 +136,7 @@ def callbacks_at_once(
 def fail_pending(
     pending: dict[Any, Future], error: Exception, immediate: ImmediateCallbacks
 ) -> None:
-    """Set the error in every future of `pending`, so that all waits end, and clear `pending`."""
+    """Fail every future of `pending` with `error`, so that all waits end; then clear `pending`."""
     for future in list(pending.values()):
         with callbacks_at_once(future, immediate, None):
             future.set_exception(error)

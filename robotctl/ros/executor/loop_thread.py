@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 class LoopThread:
     """Runs functions in the loop; any thread may hand them in.
 
-    Before `open` tells the loop, they are kept. After `give_up`, while there is no loop, each runs
-    at once in the thread that hands it in.
+    Until `open` names the loop, functions are kept. After `give_up`, while there is no loop, each
+    function runs at once, in the thread that hands it in.
     """
 
     def __init__(self) -> None:
@@ -31,7 +31,7 @@ class LoopThread:
         return threading.get_ident() == self._thread_id
 
     def open(self, loop: AbstractEventLoop) -> None:
-        """Run the kept functions, and then later ones, in `loop`; called in the loop's thread."""
+        """Run the kept functions, then later functions, in `loop`; called in the loop's thread."""
         with self._lock:
             self._loop, self._thread_id = loop, threading.get_ident()
             waiting, self._waiting = self._waiting, []
@@ -39,7 +39,7 @@ class LoopThread:
                 loop.call_soon(callback)
 
     def give_up(self) -> None:
-        """Run the kept functions now, in the caller's thread; from now on, keep no function."""
+        """Run the kept functions now, in the caller's thread; do not keep functions from now on."""
         with self._lock:
             self._given_up = True
             waiting, self._waiting = self._waiting, []
@@ -47,7 +47,7 @@ class LoopThread:
             callback()
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call `callback` in one of the loop's next turns or, without a loop, as the class says.
+        """Call `callback` in a later turn of the loop; without a loop, keep it or call it at once.
 
         Raises:
             RuntimeError: The loop is closed.

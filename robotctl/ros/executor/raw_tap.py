@@ -36,14 +36,14 @@ class RawTap:
 
     `sink` is called with the serialized message, the wall-clock times in ns at which it was
     received and published, the publisher's sequence number, and the publisher's gid (16 bytes).
-    A gap in the sequence of one gid is a lost message. The sink is synchronous: a task for each
+    A gap in the numbers of one gid is a lost message. The sink is synchronous: a task for each
     message would be too slow for 45,000 messages a second.
 
     An AsyncioExecutor reads such messages without rclpy, and collects them for `latency_s`,
     because one wake-up costs ten times as much as reading one message. The time stamps stay exact:
-    the middleware sets them. If the subscription's queue is too short for that (below 500 for the
-    default), messages are collected for less time or not at all. An executor of rclpy calls the
-    tap as an ordinary callback; the gid is then `UNKNOWN_GID`.
+    the middleware sets them. If the subscription's queue is short (below 500 messages, for the
+    default `latency_s`), messages are collected for less time or not at all. An executor of rclpy
+    calls the tap as an ordinary callback; the gid is then `UNKNOWN_GID`.
     """
 
     __slots__ = ("__weakref__", "latency_s", "poll", "sink", "views")
@@ -124,8 +124,8 @@ message; a buffer beyond it is freed at once."""
 class SerializedTaker:
     """Takes serialized messages of one subscription through one reused buffer.
 
-    It returns the publisher's gid as well: without it, sequence numbers mean nothing on a topic
-    with two publishers. Together, all takers keep at most KEPT_BYTES of large buffers.
+    Each message comes with its publisher's gid: without the gid, sequence numbers mean nothing on a
+    topic with two publishers. Together, all takers keep at most KEPT_BYTES of large buffers.
     """
 
     _kept_by_all = 0
@@ -173,8 +173,8 @@ class SerializedTaker:
     def take(self) -> Taken | bytes | memoryview | None:
         """Return the next message as (data, received_ns, source_ns, sequence, gid).
 
-        None if no message has arrived. A bare taker returns the data alone. The tuple has the order
-        of `TakenMessage`, but is a plain one, because this runs up to 45,000 times a second.
+        None if no message has arrived. With `bare`, return only the data. The fields are those
+        of `TakenMessage`; a plain tuple is faster, and this runs up to 45,000 times a second.
 
         Raises:
             RclCallFailed: rcl could not take the message.

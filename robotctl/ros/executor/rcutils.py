@@ -41,7 +41,7 @@ class _ErrorString(ctypes.Structure):
 
 @cache
 def library() -> Any:
-    """Load rcutils; its calls keep the GIL."""
+    """Load rcutils, and return the library; calls of its functions keep the GIL."""
     loaded = ctypes.PyDLL("librcutils.so")
     loaded.rcutils_get_default_allocator.restype = Allocator
     loaded.rcutils_get_error_string.restype = _ErrorString

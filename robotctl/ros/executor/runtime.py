@@ -39,14 +39,14 @@ class Pooled(Protocol):
     """A source that a pool polls."""
 
     def poll(self) -> bool:
-        """Deliver the waiting data; return whether the slice ended before all was delivered."""
+        """Deliver the waiting data; return whether data are left because the time slice ended."""
 
 
 class Pool:
     """Polls its sources when a message arrives, and rests for `rest_s` seconds after each poll.
 
     Without messages it does not wake the loop. In a flood it rests for FLOOD_REST_S at most: the
-    more messages wait, the longer Fast DDS takes to add one, so a longer rest would cost more than
+    more messages wait, the longer Fast DDS takes to add more, so a longer rest would cost more than
     it saves.
     """
 
@@ -133,7 +133,7 @@ class Pool:
 
 
 def rested_s(rest_s: float) -> float:
-    """Return the steady time [s] at which a rest that begins now ends: on a beat if it is long."""
+    """Return the steady time [s] when a rest that begins now ends; long rests end on a beat."""
     until_ns = time.monotonic_ns() + round(rest_s * NS_PER_S)
     if rest_s * NS_PER_S > BEAT_NS:
         until_ns = beat_before(until_ns)
@@ -144,7 +144,7 @@ _log = logging.getLogger("robotctl.ros.executor")
 
 
 class SlowCallbacks:
-    """Warns about callbacks that hold the loop, at most once per SLOW_WARNING_PAUSE_NS for each."""
+    """Warns about callbacks that hold the loop, each at most once per SLOW_WARNING_PAUSE_NS."""
 
     def __init__(self) -> None:
         self._quiet_until_ns: dict[str, int] = {}
@@ -270,13 +270,13 @@ class Runtime:
         self._pools.clear()
 
     def mark_flooded(self, source: object) -> None:
-        """Note that the source has data left, and shorten the slice of each flooded source."""
+        """Note that the source has data left; share the loop's turn among flooded sources."""
         if source not in self.flooded:
             self.flooded.add(source)
             self._share_turn()
 
     def mark_drained(self, source: object) -> None:
-        """Note that the source has no data left, so it is not flooded."""
+        """Note that the source has no data left; share the loop's turn among flooded sources."""
         if source in self.flooded:
             self.flooded.remove(source)
             self._share_turn()

@@ -118,14 +118,14 @@ class Tick(NamedTuple):
 class Ticker:
     """Ticks on an absolute schedule of the steady clock, for one task at a time.
 
-    The first tick comes within a period after the first wait; later ones follow it at multiples
-    of the period, even if a tick is handled late. All tickers of one rate in a process tick at the
-    same times. A Linux timer drives them, because asyncio's own timers round up to 1 ms.
+    The first tick comes within a period after the first wait. Each later tick is due a whole number
+    of periods after it, even if a tick is handled late. All tickers of one rate in a process tick
+    at the same times. A Linux timer drives them, because asyncio's own timers round up to 1 ms.
 
         async for tick in Ticker(50.0):
             step(tick.t_ns)
 
-    `await Ticker(50.0).run(step)` is the same with a function, and saves a turn of the loop.
+    `await Ticker(50.0).run(on_tick)` calls a function instead, one turn of the loop earlier.
 
     The timer is released when the ticker is garbage collected; `close` or `async with` releases
     it at a known point.

@@ -86,10 +86,10 @@ class IntroductionReader:
 
 
 class IntroductionWriter:
-    """Announces this process again, to learn whether others know its endpoints.
+    """Announces this process again, to find out whether all other processes know our endpoints.
 
     The middleware announces our publishers in the order of their creation. This writer is created
-    last, so a process that has acknowledged its message knows all our other publishers.
+    last, so a process that has acknowledged our message knows all our other publishers.
     """
 
     def __init__(self, node: Node) -> None:
@@ -312,8 +312,8 @@ def _discovered(node: Node) -> Iterator[FoundEndpoint]:
 
 
 def count_complete(known: Iterable[FoundEndpoint], introduced: Mapping[bytes, Introduction]) -> int:
-    """Count the processes that are fully discovered: the endpoints of their nodes in `known` are
-    exactly those that they introduced."""
+    """Count the processes in `introduced` that are fully discovered: `known` has each endpoint that
+    the process introduced, and no other endpoint of its nodes."""
     of_nodes: dict[bytes, set[bytes]] = {}
     all_gids: dict[bytes, set[bytes]] = {}
     for each in known:

@@ -21,7 +21,7 @@ _REQUEST_TYPE = re.compile(r"(\w+)::srv::dds_::(\w+)_Request_|(\w+)::action::dds
 
 
 def overview(node: Node) -> dict[str, Any]:
-    """Return the names of all topics and services with their types, and those of all nodes.
+    """Return the names of all topics and services with their types, and the names of all nodes.
 
     Nodes of `robotctl topic|node|service` commands, including this one, are left out.
     `left_out` counts the names beyond MAX_NAMES.
@@ -89,7 +89,7 @@ def _typed(names: Mapping[str, Iterable[str]]) -> list[dict[str, Any]]:
 
 
 def services(node: Node) -> dict[str, set[str]]:
-    """Return name -> types of each service with a server or a client, found by its DDS topics."""
+    """Return service name -> types, for every service whose request topic is discovered in DDS."""
     found: dict[str, set[str]] = {}
     for topic, types in endpoints.topics(node, dds_names=True).items():
         if match := _REQUEST_TOPIC.fullmatch(topic):

@@ -34,7 +34,7 @@ COMMANDS = {
 class CommandType:
     """A message type of the velocity command, with the functions that encode and decode it.
 
-    They work on serialized messages. `decode` raises `struct.error` if a message is cut short.
+    Both handle serialized messages. `decode` raises `struct.error` if a message is cut short.
     """
 
     message_class: Any

@@ -61,7 +61,7 @@ own queue begins to drop and count messages."""
 
 
 def recording(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile:
-    """Return the profile with which a recorder loses least, of those that match every publisher.
+    """Return the profile for a recorder: it matches every publisher and loses fewest messages.
 
     `offered` has the publishers' profiles; `bulky` is true for images and the like. As in rosbag2,
     the profile is reliable or transient local only if all publishers offer that.
@@ -79,9 +79,9 @@ def recording(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile:
 
 
 def recording_latched(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile | None:
-    """Return the profile of a second subscription that gets the latched messages.
+    """Return the profile of a second subscription, which gets the latched messages.
 
-    None if no publisher latches messages, or all do: then the profile of `recording` gets them.
+    None if no publisher latches messages or all do: then the profile of `recording` is enough.
     """
     offers = list(offered)
     latched = [each for each in offers if each.durability is DurabilityPolicy.TRANSIENT_LOCAL]
@@ -105,7 +105,7 @@ _DURABILITY = {
 
 
 def words(profile: QoSProfile) -> dict[str, str | int]:
-    """Return reliability, durability, history and depth by name, with the words of a recording."""
+    """Return the policies reliability, durability, history and depth in the words of recordings."""
     return {
         "reliability": _RELIABILITY.get(profile.reliability, "unknown"),
         "durability": _DURABILITY.get(profile.durability, "unknown"),

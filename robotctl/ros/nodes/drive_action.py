@@ -65,21 +65,21 @@ class GoalDrive(Protocol):
 
     @property
     def ended(self) -> asyncio.Future[DriveEnded]:
-        """Future of the end of the drive; it stays pending if the drive is refused."""
+        """Future that is set when the drive ends; it stays pending if the drive is refused."""
 
     def progress(self) -> DriveProgress | None:
         """Return how far the drive has come, or None if it has not begun or has ended."""
 
     def ramp_down(self) -> bool:
-        """Ramp down and end the drive; return whether it was still going on."""
+        """Ramp down and end the drive; return False if the drive was not going on any more."""
 
 
 class DriveAction:
     """The action `drive_pattern` (DrivePattern) of a node.
 
     Each accepted goal is submitted to the kernel at once, as a request for a drive. If the kernel
-    refuses that, the goal is aborted and its result says why: a ROS goal is rejected without a
-    reason, so it is accepted first. Feedback is published each `FEEDBACK_PERIOD_S`.
+    refuses the drive, the goal is aborted, and its result says why; ROS could not pass a reason if
+    the goal were rejected instead. Feedback is published each `FEEDBACK_PERIOD_S`.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class DriveAction:
         )
 
     def close(self) -> None:
-        """Destroy the action server: rclpy's node does not, and it would keep the context alive."""
+        """Destroy the action server: the node does not, and the server keeps the context alive."""
         self._server.destroy()
 
     def _has_room(self, _: Any) -> GoalResponse:

@@ -1,4 +1,4 @@
-"""Subscribers of the battery, scans, safety inputs and the guard; each reports what it received."""
+"""Subscribers of battery, scans, safety inputs and the velocities that another node wants."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 
 class NumberedSubscriber(Generic[T]):
-    """Reports each message of a topic, of publishers of any QoS; subscribes on the hidden node."""
+    """Reports each message of a topic, of publishers of any QoS; subscribes on node `_recorder`."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class NumberedSubscriber(Generic[T]):
 
 
 class BatterySubscriber(NumberedSubscriber[float]):
-    """Reports the battery level of each message, NaN for an unreadable one."""
+    """Reports the battery level of each message, NaN for an unreadable message."""
 
     def __init__(
         self, session: Session, topic: str, on_level: Callable[[float, str, int], None]
@@ -77,7 +77,7 @@ class BatterySubscriber(NumberedSubscriber[float]):
 
 
 class ScanSubscriber(NumberedSubscriber[tuple[float, ...]]):
-    """Reports the sectors of each scan, () for an unreadable one."""
+    """Reports the nearest range in each sector of each scan, () for an unreadable scan."""
 
     def __init__(
         self, session: Session, topic: str, on_scan: Callable[[tuple[float, ...], str, int], None]
@@ -87,7 +87,7 @@ class ScanSubscriber(NumberedSubscriber[tuple[float, ...]]):
 
 
 class GuardSubscriber(NumberedSubscriber[Twist]):
-    """Reports each velocity that another node sends to the guard, NaN for an unreadable one."""
+    """Reports each velocity on `guard_topic`, by which another node steers; NaN if unreadable."""
 
     def __init__(
         self,
@@ -129,7 +129,7 @@ class _Last:
 
 
 class SafetyInputs:
-    """Reports the safety inputs in use, of publishers of any QoS; subscribes on the hidden node."""
+    """Reports the values of each safety input that is in use; subscribes on node `_recorder`."""
 
     def __init__(
         self, session: Session, params: SafetyInputParams, robot: str, on_reading: OnReading

@@ -58,8 +58,8 @@ returns why they were refused, or ""."""
 class ParameterServices(ParameterService):
     """The six parameter services of a node.
 
-    rclpy checks types, ranges and read-only parameters of a request, as for every node; then it
-    calls `ask`, which decides. The queues are short, because rclpy's would take 0.3 MB per node.
+    rclpy checks types, ranges and read-only parameters of a request, as for every node; then `ask`
+    sets or refuses the values. The queues are short: rclpy's would take 0.3 MB per node.
     """
 
     def __init__(self, node: Node, declared: Sequence[Declared], ask: Ask) -> None:
@@ -85,7 +85,7 @@ class ParameterServices(ParameterService):
             )
 
     def show(self, key: str, value: Any) -> None:
-        """Adopt a value that these services did not change; ignore a key that the node lacks."""
+        """Show a value that was set without these services; ignore a key that the node lacks."""
         if key not in self._keys or self._asking:  # rclpy itself adopts what it asked for
             return
         self._showing = True
@@ -200,7 +200,7 @@ def set_native_level(name: str, level: int) -> str:
 class ManagedNode(LifecycleNode):
     """A node with the lifecycle services; its other interfaces work in every lifecycle state.
 
-    It calls `changed(state)` after each request for a transition, even if the state is the same.
+    It calls `changed(state)` after each request for a transition, even if the state did not change.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -223,7 +223,7 @@ class ManagedNode(LifecycleNode):
         node.trigger_activate()
 
     def destroy_node(self) -> None:
-        """Destroy the node and, unlike rclpy, its state machine, which keeps the context alive."""
+        """Destroy the node, then its state machine, which would keep the context alive."""
         Node.destroy_node(self)
         self._state_machine.destroy_when_not_in_use()
 

@@ -65,7 +65,7 @@ class Diagnosis:
 
 
 class DiagnosticsPublisher:
-    """Publishes on `DIAGNOSTICS_TOPIC`, from the hidden node."""
+    """Publishes on `DIAGNOSTICS_TOPIC`, from the hidden node `_recorder`."""
 
     def __init__(self, session: Session, robot: str) -> None:
         self._robot = robot
@@ -97,7 +97,7 @@ _log = logging.getLogger(__name__)
 
 
 class HeadPublisher:
-    """Publishes on `HEAD_TOPIC`, from the hidden node."""
+    """Publishes on `HEAD_TOPIC`, from the hidden node `_recorder`."""
 
     def __init__(self, session: Session) -> None:
         node = session.helper()
@@ -115,7 +115,7 @@ JOURNAL_TOPIC = OwnTopic("robotctl/journal", JournalEntry, qos.JOURNAL)
 
 
 class JournalPublisher:
-    """Publishes serialized entries on `JOURNAL_TOPIC`, from the hidden node."""
+    """Publishes serialized entries on `JOURNAL_TOPIC`, from the hidden node `_recorder`."""
 
     def __init__(self, session: Session) -> None:
         node = session.helper()
@@ -126,7 +126,7 @@ class JournalPublisher:
         self._failing = False
 
     def publish(self, serialized: bytes) -> None:
-        """Publish an entry if there is a subscriber; log a failure: no decision uses the topic."""
+        """Publish an entry if the topic has a subscriber; a failure is only logged."""
         if not self._subscriptions:
             return  # the topic is volatile: no later subscriber gets it
         try:
@@ -145,14 +145,14 @@ MARK_TOPIC = OwnTopic("robotctl/marks", String, qos.MARK)
 
 
 class MarkPublisher:
-    """Publishes on `MARK_TOPIC`, from the hidden node."""
+    """Publishes on `MARK_TOPIC`, from the hidden node `_recorder`."""
 
     def __init__(self, session: Session) -> None:
         node = session.helper()
         self._publisher = MARK_TOPIC.create_publisher(node)
 
     def publish(self, text: str) -> bytes:
-        """Publish a mark, and return it serialized; log a failure: the mark is recorded anyway."""
+        """Publish a mark, and return the serialized message; a failure is only logged."""
         serialized = bytes(serialize_message(String(data=text)))
         try:
             self._publisher.publish(serialized)
@@ -184,7 +184,7 @@ class RosoutLine:
 
 
 class RosoutPublisher:
-    """Publishes on `ROSOUT_TOPIC`, from the hidden node."""
+    """Publishes on `ROSOUT_TOPIC`, from the hidden node `_recorder`."""
 
     def __init__(self, session: Session) -> None:
         self._publisher = ROSOUT_TOPIC.create_publisher(session.helper())

@@ -98,7 +98,7 @@ class SimulatedRobot:
         self._battery = battery_topic(battery).create_publisher(node) if battery else None
 
     async def run(self) -> None:
-        """Move the robot until cancelled; publish odometry at its rate, the battery at 1 Hz."""
+        """Move the robot until cancelled; publish odometry at the set rate, the battery at 1 Hz."""
         self._moved_ns = self._battery_due_ns = time.monotonic_ns()
         # Read only once: if the wall clock is set back later, the stamps must still increase.
         self._wall_ns = time.time_ns() - self._moved_ns
@@ -134,7 +134,7 @@ class SimulatedRobot:
         self._is_changed = True
 
     def begin_fault(self, fault: SimFault, for_s: float) -> None:
-        """Begin a fault for `for_s` seconds; a pause of the process counts MAX_STEP_S at most."""
+        """Begin a fault of `for_s` seconds; of a pause of the process, only MAX_STEP_S counts."""
         self._robot.faults.begin(fault, for_s)
         self._is_changed = True
 

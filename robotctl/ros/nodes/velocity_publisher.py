@@ -50,8 +50,8 @@ def publishing_line(twist: Twist) -> str:
 class VelocityPublisher:
     """Node `velocity_publisher`, which sends the velocity commands; `published` counts them.
 
-    `close_gate` and `publish_zero` may be called from any thread. After the first zero that
-    `publish_zero` sends with a closed gate, only zeros are sent until `open_gate` is called.
+    `close_gate` and `publish_zero` may be called from any thread. One command may still pass
+    after `close_gate`; after the next `publish_zero`, only zeros are sent until `open_gate`.
     """
 
     def __init__(
@@ -89,9 +89,9 @@ class VelocityPublisher:
     ) -> Callable[[], None]:
         """Call `heard(gid)` for each command on the topic, of any publisher.
 
-        Commands are collected for `latency_s` seconds; if it is None, they are collected until the
-        returned function is called. That function calls `heard` for the collected commands. The
-        subscription is best effort, so that it receives from publishers of any QoS.
+        Commands are collected for `latency_s` seconds, or without a limit if that is None. The
+        returned function calls `heard` at once for the commands collected so far. The subscription
+        is best effort, so that it receives from publishers of any QoS.
         """
         tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
         # rclpy's types allow a callback of one argument only.
@@ -123,7 +123,7 @@ class VelocityPublisher:
             self._log.debug(publishing_line(twist))
 
     def publish_zero(self) -> None:
-        """Send a zero if the gate is closed, unless `is_silent()`; not to be called in the loop.
+        """Send a zero if the gate is closed and `is_silent()` is false; never call it in the loop.
 
         Raises:
             TimeoutError: `publish`, in the loop's thread, hangs in the middleware.
@@ -147,8 +147,8 @@ class VelocityPublisher:
         self._gated = True
 
     def open_gate(self) -> tuple[int, int]:
-        """From now on, send commands as they are; return how many zeros `publish_zero` has sent,
-        and how many commands `publish` has replaced by zero."""
+        """From now on, send commands unchanged; return how many zeros `publish_zero` has sent since
+        the last call of this, and how many commands `publish` has replaced by zero since then."""
         with self._lock:
             self._gated = False
             counts = self._zeros, self._withheld
@@ -164,7 +164,7 @@ class VelocityPublisher:
         return named_nodes(each for each in publishers if each.gid != self.gid)
 
     def listeners(self) -> tuple[int, tuple[str, ...], str]:
-        """Return how many subscriptions have our type, the types of the other ones, and our type.
+        """Return how many subscriptions have our type, the types of the others, and our type.
 
         Subscriptions of recorders, monitors and tools are left out: they move no robot.
         """

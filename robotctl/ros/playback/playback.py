@@ -85,10 +85,10 @@ metadata."""
 
 
 def replay_qos(offered: str, *, most: int = MAX_DEPTH) -> QoSProfile:
-    """Return a profile with which a publisher matches every subscriber of the recorded ones.
+    """Return a profile that matches every subscriber that the recorded publishers matched.
 
-    `offered` is the topic's `offered_qos_profiles` in a recording. Each policy is the strongest of
-    all these profiles; if `offered` cannot be read, the policies are reliable and volatile. A
+    `offered` is the topic's `offered_qos_profiles` in a recording. Reliability and durability are
+    the strongest of these profiles, or reliable and volatile if `offered` cannot be read. A
     volatile topic's depth is at most `most`.
     """
     profiles = _profiles(offered)
@@ -185,13 +185,13 @@ _MATCHED_POLL_S: Final = 0.002
 
 
 class Unpublishable(Exception):
-    """A topic cannot be published here; the message says why in words that follow its name."""
+    """A topic cannot be published here; the message ends a sentence that begins with the topic."""
 
 
 class ReplaySession:
-    """Creates the publishers and clients of a replay; they exist until the membership ends.
+    """Creates the publishers and clients of a replay, on the node of `membership`.
 
-    Setting `stopped` ends every wait.
+    They exist until the membership ends. Setting `stopped` ends every wait.
     """
 
     def __init__(self, membership: Membership) -> None:
@@ -282,7 +282,7 @@ class ReplaySession:
         return self._patient[-1]
 
     def open_requests(self, service: str, event_type: str) -> Callable[[bytes], bool | None]:
-        """Create a client, and return a `RequestSender`, which sends an event's request with it.
+        """Create a client; return a `RequestSender`, which sends the requests in recorded events.
 
         Raises:
             Unpublishable: ROS does not allow the name, or the type cannot be loaded.
@@ -318,11 +318,11 @@ class ReplaySession:
                 return
 
     def wait_for_matches(self) -> None:
-        """Wait until all discovered subscriptions and servers have matched, on both sides.
+        """Wait until all discovered subscriptions and servers match our publishers and clients.
 
-        The wait takes at most MATCH_S + KNOWN_S, and no time without another process. A publisher
-        matches a subscription before the subscription matches it; a message that is sent in between
-        is lost, or late if the publisher is reliable.
+        The wait takes at most MATCH_S + KNOWN_S, and no time if no other process is there. A
+        publisher matches a subscription before the reverse holds, for which this waits as well; a
+        message in between is lost, or late if the publisher is reliable.
         """
         if self._is_alone:
             return

@@ -48,10 +48,10 @@ def sender(publisher: Publisher) -> Callable[[bytes], bool]:
 class PatientSender:
     """Publishes messages no faster than reliable subscribers acknowledge them.
 
-    After `in_flight` messages it waits until all are acknowledged, at most BLOCKED_S. The publisher
-    has no KEEP_ALL queue instead, because with Fast DDS 2.14 one lost message could then block a
-    subscriber forever: the newer messages, held back until the lost one arrives, fill its queue, so
-    it refuses the lost one each time (`DataReaderHistory::received_change_keep_last`).
+    After `in_flight` messages it waits until all are acknowledged, at most BLOCKED_S. A KEEP_ALL
+    queue would do the same, but with Fast DDS 2.14 one lost message could then block a subscriber
+    forever: while the lost message is missing, newer messages fill the subscriber's queue, and so
+    it refuses the lost message each time (`DataReaderHistory::received_change_keep_last`).
     """
 
     def __init__(self, publisher: Publisher, in_flight: int, stopped: threading.Event) -> None:
@@ -97,8 +97,8 @@ def clock_sender(publisher: Publisher) -> Callable[[int], bool]:
 class RequestSender:
     """Sends the request in a serialized introspection event; does not wait for the response.
 
-    A recording may have two events of one request, one of its client and one of its server, with
-    different client gids. The request is sent for the first of the two only.
+    A recording may have two events of one request, one by the client and one by the server, with
+    different client gids. The request is sent only for the first of these two events.
     """
 
     def __init__(self, client: Client, event_type: Any) -> None:

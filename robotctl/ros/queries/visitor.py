@@ -38,10 +38,10 @@ class Visitor(Membership):
         self.discover(lambda: False)
 
     def discover(self, is_known: Callable[[], bool], *, expected: bool = False) -> bool:
-        """Wait until `is_known()`, or until waiting is no use; return whether it is known.
+        """Wait until `is_known()` is true; return True, or False when the wait is given up.
 
-        Give up when discovery is complete or no other process is there, at the latest SETTLE_S
-        after joining. If `expected`, give up only EXPECTED_S after joining.
+        Give up SETTLE_S after joining the domain, or earlier if discovery is complete or no other
+        process is there. If `expected`, give up only EXPECTED_S after joining.
 
         Raises:
             asyncio.CancelledError: The command has closed stdin: it has ended.

@@ -38,11 +38,11 @@ class TopicWatcher(Protocol):
         """Remove a topic that `appeared` added: no publisher of its type is left."""
 
     def unusable(self, topic: str, problem: str) -> None:
-        """Set why a topic cannot be shown, or "" when it can be shown or no longer exists."""
+        """Set why a topic cannot be shown; "" if it can be shown now or no longer exists."""
 
 
 class OnDemandTap:
-    """Reports the topics that `node` sees, and subscribes to those wanted; loop's thread only."""
+    """Reports the topics that `node` sees; subscribes to topics on request. Loop's thread only."""
 
     def __init__(self, node: Node, watcher: TopicWatcher) -> None:
         self._node = node
@@ -66,8 +66,8 @@ class OnDemandTap:
     def want(self, topic: str, sink: ViewSink) -> None:
         """Subscribe to a topic that has appeared; pass `sink` its messages, the latched ones first.
 
-        If the topic is wanted already, and has latched messages, subscribe again, so that `sink`
-        gets these. If it is wanted and has none, keep the earlier sink and ignore `sink`.
+        If the topic has a sink already: subscribe again if there are latched messages, so that the
+        new `sink` gets them; otherwise keep the earlier sink and ignore `sink`.
         """
         if topic in self._tapped and not self._tapped[topic].is_latched:
             return

@@ -36,7 +36,7 @@ MAX_LOGGED: Final = 1_000
 
 
 class QosMismatches:
-    """Finds a QoS mismatch on each topic for which `look` is called, logs it and keeps it.
+    """Finds QoS mismatches on the topics for which `look` is called; logs and remembers them.
 
     Hidden nodes are left out: a recorder may subscribe to the latched messages of only a part of
     the publishers.
@@ -49,7 +49,7 @@ class QosMismatches:
         self._logged = 0
 
     def look(self, topic: str, publishers: int) -> None:
-        """Compare the QoS on a topic if its number of publishers or subscriptions changed."""
+        """Compare the QoS on a topic if its count of `publishers` or of subscriptions changed."""
         counts = publishers, endpoints.subscription_count(self._node, topic)
         if counts == self._counts.get(topic):
             return
@@ -80,7 +80,7 @@ class QosMismatches:
 
 
 def mismatch(topic: str, publishers: Sequence[Endpoint], subscriptions: Sequence[Endpoint]) -> str:
-    """Return a sentence on the first publisher and subscription that do not match, "" if all do."""
+    """Return a sentence on the first publisher and subscription that mismatch, "" if all match."""
     offers, requests = (
         [each for each in side if not each.node_name.startswith("_")][:MAX_ENDPOINTS]
         for side in (publishers, subscriptions)
@@ -130,7 +130,7 @@ class Unrecorded:
         self._last_missed = ""
 
     def note(self, topic: str, sentence: str) -> None:
-        """Set the sentence of a topic, which stays until `clear`."""
+        """Set the sentence of a topic; the sentence stays until `clear`."""
         self.problems[topic] = sentence
         self._say(sentence)
 
@@ -146,7 +146,7 @@ class Unrecorded:
         self._say(self._last_missed)
 
     def warnings(self) -> Iterator[str]:
-        """Yield the sentences of up to MAX_WARNINGS topics, then how many more there are."""
+        """Yield the sentences of up to MAX_WARNINGS topics, then how many more topics there are."""
         yield from islice(self.problems.values(), MAX_WARNINGS)
         more = len(self.problems) - MAX_WARNINGS
         if more > 0:
@@ -210,7 +210,7 @@ class TooManyTopics(Exception):
 
 
 class Tap:
-    """Subscribes on the hidden node to every topic once, with a QoS that matches its publishers."""
+    """Subscribes to every topic on node `_recorder`, with QoS that the topic's publishers match."""
 
     def __init__(
         self,

@@ -43,7 +43,7 @@ class TypeLoader:
     def problem(self, type_name: str) -> str | None:
         """Return why a type cannot be loaded, "" if it is loaded, None while it is loading.
 
-        The reason continues the words "the type, which". The first call for a type starts its load.
+        The reason ends a sentence "type T, which ...". The first call for a type starts its load.
         """
         known = self._problems.get(type_name)
         if known is not None:

@@ -307,10 +307,10 @@ def unit_path(robot: str, suffix: str = "", *, system: bool) -> Path:
 
 
 def quoted(word: str) -> str:
-    """Return `word` as a unit file has to contain it, quoted by systemd.syntax(7).
+    """Return `word` quoted for a unit file, by the rules of systemd.syntax(7).
 
     Raises:
-        UsageError: It has a character that is not printable.
+        UsageError: The word has a character that is not printable.
     """
     if not word.isprintable():
         raise UsageError(f"{word!r} cannot stand in a unit file", "use printable characters")

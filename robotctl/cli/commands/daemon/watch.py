@@ -57,8 +57,7 @@ def _cell(value: Any, form: str) -> str:
 def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
     """Poll and yield the daemon's status until `working` is done.
 
-    If it is done within POLL_S, nothing is yielded. Failed polls are skipped, because `working`
-    itself reports how it ended.
+    If `working` is done within POLL_S, nothing is yielded. A poll that fails yields nothing.
     """
     period_s = POLL_S if is_terminal() else LINE_S
     working.join(POLL_S)

@@ -237,7 +237,7 @@ def answer_object(place: Path, report: GateReport) -> dict[str, Any]:
 
 
 def answer_lines(place: Path, report: GateReport) -> Iterator[str]:
-    """Yield the lines that are printed without `--json`."""
+    """Yield the lines that `robotctl gate` prints without `--json`."""
     counted = ", ".join(f"{count} {verdict}" for verdict, count in report.counts().items() if count)
     total = len(report.results)
     yield from row("", f"{short_path(place)}: {total} recordings: {counted or 'none'}")

@@ -230,7 +230,7 @@ def _error(run: Synced, pruned: Pruned) -> RobotctlError | None:
 
 
 class SyncPace:
-    """Delays each piece to send, in the calling thread; leaving the `with` block ends all waits."""
+    """Waits before each piece that `sync` sends; the end of the `with` block ends all waits."""
 
     def __init__(self, limit_mbps: float | None, robot: str | None) -> None:
         """Send at most `limit_mbps` [Mbit/s], and nothing while `robot` moves; None: no limit."""

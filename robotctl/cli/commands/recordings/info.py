@@ -156,7 +156,7 @@ def event_lines(events: Sequence[RecordedEvent]) -> Iterator[str]:
 def qos_text(offered: str) -> str:
     """Return the QoS that a topic's publishers offered, in words; "" if the file has none.
 
-    rosbag2 writes a flat list in block style. No YAML parser reads it: the file may be hostile.
+    `offered` is YAML as rosbag2 writes it. No YAML parser is used, as the file may be hostile.
     """
     profiles = (
         dict(_ENTRY.findall(part)) for part in re.split(r"^- ", offered, flags=re.MULTILINE)

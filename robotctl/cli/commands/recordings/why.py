@@ -186,7 +186,7 @@ def _find(
 
 
 def why_lines(found: FoundIncident) -> Iterator[str]:
-    """Yield the lines of the explanation."""
+    """Yield the lines of `robotctl why`."""
     from robotctl.check.why import explain
 
     incident, robot = found.incident, robot_of(found.path) or DEFAULT_ROBOT

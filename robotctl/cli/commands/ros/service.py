@@ -69,7 +69,7 @@ def parse_words(words: list[str]) -> tuple[str, Any]:
     """Return the type ("" if it is left out) and the values that follow the service's name.
 
     Raises:
-        UsageError: The values are not YAML in the form {field: value}, or there are more words.
+        UsageError: The values are not YAML like {field: value}, or a word follows the values.
     """
     given = list(words)
     type_name = given.pop(0) if given and _TYPE.fullmatch(given[0]) else ""

@@ -75,7 +75,7 @@ class Source:
         return True
 
     def run_callback(self, callback: Callable[[], Any]) -> bool:
-        """Run one callback and return True; if its group forbids it, park and return False."""
+        """Run the callback, or park the source if its group forbids that; return whether it ran."""
         if self._custom_group and not self.group.beginning_execution(self.entity):
             self.runtime.park(self.group, self)
             return False
@@ -151,7 +151,7 @@ class EventFdSource(Source):
         self.handle.__exit__(None, None, None)
 
     def listen(self, pool: Pool | None) -> None:
-        """Let `pool` watch the eventfd or, if it is None, the loop, which wakes at each message."""
+        """Make `pool` watch the eventfd; if it is None, make the loop wake at each message."""
         self.stop_listening()
         if pool is None:
             watch(self.runtime.loop, self._fd, self.poll)
@@ -174,7 +174,7 @@ class EventFdSource(Source):
             os.eventfd_write(self._fd, 1)
 
     def poll(self) -> bool:
-        """Deliver the waiting data; return whether the slice ended before all was delivered."""
+        """Deliver the waiting data; return whether data are left because the time slice ended."""
         try:
             self.announced = os.eventfd_read(self._fd)
         except BlockingIOError:
@@ -189,7 +189,7 @@ class EventFdSource(Source):
         return self.drain()
 
     def drain(self) -> bool:
-        """Deliver until nothing is left or the slice ends; return whether the slice ended first."""
+        """Deliver until no data are left or the time slice ends; return True if the slice ended."""
         runtime = self.runtime
         last = time.monotonic_ns()
         end = last + runtime.slice_ns
@@ -231,7 +231,7 @@ class EventFdSource(Source):
         self.runtime.loop.call_later(RETRY_AFTER_FAILED_TAKE_S, self.resume)
 
     def continue_later(self) -> bool:
-        """Make the loop continue in its next turn, because the slice ended; return True."""
+        """Deliver the rest in the loop's next turn, because the time slice ended; return True."""
         self.runtime.mark_flooded(self)
         os.eventfd_write(self._fd, 1)
         return True

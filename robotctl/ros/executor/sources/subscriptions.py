@@ -261,8 +261,7 @@ class RawTapSource(_TakenSource):
 def affordable_rest_s(wanted_s: float, qos: QoSProfile) -> float:
     """Return how long messages may be collected [s]: `wanted_s`, or less if the queue is short.
 
-    Return 0 if the queue allows less than both FLOOD_REST_S and `wanted_s`: so short a rest saves
-    nothing.
+    Return 0 if the queue is too short for a rest that saves CPU time.
     """
     if qos.history == HistoryPolicy.KEEP_ALL:
         return wanted_s

@@ -84,7 +84,7 @@ class WaitSetThread:
         self._signals: GuardCondition | None = None
 
     def watch_signals(self) -> None:
-        """Close the executor when a signal handler of rclpy shuts the context down."""
+        """From now on, close the executor when a signal handler of rclpy shuts the context down."""
         self._signals = SignalHandlerGuardCondition(self._context)
         self._start()
 

@@ -31,7 +31,7 @@ def check_command(
     With `all_bytes` every byte of large recordings is read, too.
 
     Raises:
-        Divergence: A recording is decided differently, or breaks a promise.
+        Divergence: A recording is decided differently, or breaks a promise (see docs/replay.md).
         UnreadableFile: A recording could not be checked completely.
     """
     paths, skipped = select_recordings(files, robot, also_urls=True)
@@ -137,7 +137,7 @@ def compare_settings(
 ) -> None:
     """Compare each recording with a re-run under `settings`; print tables, or one JSON object.
 
-    `compare` does it for one recording, and `lines` makes text of its result. An argument among
+    `compare` compares one recording, and `lines` turns the result into text. An argument among
     `files` that has an equals sign and names no file is one more setting. If `closed_loop`,
     settings of the simulated robot and `rate_hz` are allowed, too.
 
@@ -188,7 +188,7 @@ def table_row(label: str, cells: Sequence[str]) -> str:
 
 
 def missing_lines(found: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what could not be read of a recording."""
+    """Yield a line for each part of a recording that could not be read."""
     for sentence in found["missing"]:
         yield from row("  ", f"missing: {sentence}")
 
@@ -202,7 +202,7 @@ OPEN_LOOP = (
 def what_if_command(
     files: Sequence[Path], settings: Sequence[str], robot: str | None, *, as_json: bool
 ) -> None:
-    """Print how the decisions differ with other parameters.
+    """Print how the decisions in recordings change with the parameters `settings`.
 
     Raises:
         UsageError: A setting is not allowed.
@@ -267,7 +267,7 @@ _SIDES = {"recorded": "recorded", "simulated": "simulated", "what_if": "what if"
 def resim_command(
     files: Sequence[Path], settings: Sequence[str], robot: str | None, *, as_json: bool
 ) -> None:
-    """Print the recorded drives compared with the simulated ones.
+    """Repeat the recorded drives with a simulated robot; print how these drives differ.
 
     Raises:
         UsageError: A setting is not allowed.

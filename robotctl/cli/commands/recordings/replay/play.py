@@ -56,9 +56,9 @@ class PlayerReport:
 def play_in_process(
     job: Job, open_screen: Callable[[], AbstractContextManager[Screen]]
 ) -> PlayerReport:
-    """Play the job in a child process, and return what it reported.
+    """Play a recording in a child process until the process ends; return what it reported.
 
-    The first Ctrl-C asks the process to end. The screen is opened while the process joins ROS.
+    The first Ctrl-C asks the process to end. The screen opens while the process joins ROS.
 
     Raises:
         RobotctlError: The process ended without a summary or an error.
@@ -152,7 +152,7 @@ def play_command(job: Job, *, draw: bool, as_json: bool) -> None:
 
     Raises:
         Interrupted: Ctrl-C or a signal ended the replay.
-        RobotctlError: The player failed; the error has its exit code.
+        RobotctlError: The player process failed.
     """
 
     @contextmanager

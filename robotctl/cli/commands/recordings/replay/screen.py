@@ -23,7 +23,7 @@ LINE_S = 1.0
 
 
 class Screen(Protocol):
-    """The display of the player's reports."""
+    """Shows a replay to the user, from the reports of the player process."""
 
     def show(self, report: dict[str, Any]) -> None:
         """Show a report: a note, the wait for subscribers, the start, or the progress."""
@@ -37,7 +37,7 @@ class Screen(Protocol):
 
 @contextmanager
 def screen(robot: RecordedRobot | None, *, quiet: bool) -> Iterator[Screen]:
-    """Yield a screen: a bar on a terminal, printed notes without one, nothing if `quiet`."""
+    """Yield a screen: a bar on a terminal, printed notes elsewhere, nothing if `quiet`."""
     if quiet:
         yield _Nothing()
     elif is_terminal():

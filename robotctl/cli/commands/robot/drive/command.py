@@ -56,7 +56,7 @@ _OWNERS = {
 
 
 def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") -> list[str]:
-    """Return the arguments after the motion; a path with a `topic` has none.
+    """Return the checked arguments that follow the motion; [] for a path from a `topic`.
 
     Raises:
         UsageError: There is no such motion, or its arguments are too many, too few or wrong.
@@ -92,7 +92,7 @@ def options_of(pattern: PatternKind) -> frozenset[str]:
 
 
 def cure_of(pattern: PatternKind) -> str:
-    """Return the advice to use the option of the pattern's size (--side), "" if it has no size."""
+    """Return the advice to use the pattern's own size option (--side), "" without a size."""
     name = SHAPES[pattern].size_name
     return f"use --{name.value}" if name else ""
 
@@ -102,10 +102,10 @@ def refuse_options(
 ) -> None:
     """Check that only `allowed` options are given, that is, have a value other than None.
 
-    `what` names the motion; `cure` is the advice if the option for another size is given.
+    `what` names the motion in the error; `cure` is the advice if a wrong size option is given.
 
     Raises:
-        UsageError: Another option is given.
+        UsageError: An option that is not allowed is given.
     """
     for name, value in options.items():
         if value is not None and name not in allowed:

@@ -55,8 +55,8 @@ class _WrittenPoint(NamedTuple):
 def read_waypoints(name: str, frame: Frame, robot: str) -> list[list[float]]:
     """Return the points of a path [m], rounded to 0.1 mm.
 
-    `name` is a file, or a recording: its path, its name or `last`. The points of a recording are
-    those of its last motion, relative to its beginning or in the odometry frame (`frame`).
+    `name` is a file, or a recording: its path, its name or `last`. From a recording come the points
+    of the last motion: in the odometry frame, or relative to the motion's start (see `frame`).
 
     Raises:
         UsageError: There is no such file.
@@ -179,8 +179,7 @@ def recorded_path(recording: Path, frame: Frame) -> tuple[Point, ...]:
     """Return the path that the robot of a recording drove in its last motion [m].
 
     Raises:
-        UnreadableFile: The recording cannot be read, its robot did not drive, or a part of its last
-            motion is missing.
+        UnreadableFile: The robot did not drive, or a part of its last motion cannot be read.
     """
     points = driven_path(recording, frame, partial(_note, recording))
     if not points:
@@ -232,7 +231,7 @@ def path_in(
     """Return points [m] and frame of a serialized path; `frames` maps each frame_id to a frame.
 
     Raises:
-        Refused: It holds no path, too many points, or is in another frame.
+        Refused: The message holds no path, too many points, or is in a frame not in `frames`.
     """
     shown = printable(name)
     if len(data) > MAX_MESSAGE_BYTES:

@@ -29,7 +29,7 @@ from robotctl.show.png import write_path_png
 def leave_picture(robot: str, drive: Mapping[str, Any]) -> Path | None:
     """Draw the last drive into the folder of its recording, and return the path of the picture.
 
-    `drive` is the daemon's answer with the figures. An earlier picture is replaced. If drawing
+    `drive` is the daemon's answer about the drive. An earlier picture is replaced. If drawing
     fails, a note on stderr says why, and None is returned: the drive is recorded all the same.
     """
     try:
@@ -47,10 +47,10 @@ def leave_picture(robot: str, drive: Mapping[str, Any]) -> Path | None:
 def write_picture(
     folder: Path, robot: str, reference: Path2D, driven: Path2D, drive: Mapping[str, Any]
 ) -> Path:
-    """Write the picture into a folder, and return its path.
+    """Draw a drive's reference and driven path into PICTURE_FILE in `folder`; return the file.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The file cannot be written.
     """
     rms, worst = (
         number(drive.get(key), ".3f") for key in ("cross_track_rms_m", "cross_track_max_m")

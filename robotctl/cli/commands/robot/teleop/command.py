@@ -118,7 +118,7 @@ class TeleopScreen:
 
 
 def view_below(lines: list[str], status: Status) -> RenderableType:
-    """Return the lines and, below them, the live view; a small terminal cuts off its end."""
+    """Return the lines with the live view below; a small terminal cuts off the view's end."""
     from rich.console import Group
     from rich.text import Text
 
@@ -188,7 +188,7 @@ class TeleopSession:
         return WITHOUT_RELEASES if self._answers is None else WITH_RELEASES
 
     def begin(self, answers: TerminalAnswers | None) -> None:
-        """Begin; `answers` is None unless the terminal reports key releases."""
+        """Begin to read keys; `answers` is None if the terminal does not report key releases."""
         self._answers = answers
         self._hands = HandsWithoutReleases() if answers is None else HandsWithReleases()
         self._holding.silence_lets_go = answers is None and self._gamepad is None

@@ -63,8 +63,8 @@ STOPPING: Final = frozenset(" eq")
 def typed(keys: list[Key], *, tells_releases: bool) -> list[Key]:
     """Return the keys without pasted text; the keys in STOPPING always remain.
 
-    On a terminal that reports releases, all text is pasted: it sends no key as text. On any other,
-    text is pasted if there are over MAX_AT_ONCE keys.
+    A terminal that reports releases (`tells_releases`) sends as text only what was pasted. On any
+    other terminal, text counts as pasted if more than MAX_AT_ONCE keys came at once.
     """
     if not tells_releases and len(keys) <= MAX_AT_ONCE:
         return keys
@@ -86,9 +86,9 @@ class Hands(Protocol):
 class HandsWithReleases:
     """The held keys of a terminal that reports releases: each is held from press to release.
 
-    If no key repeats any more, all are let go, because a release may be lost: in a multiplexer, or
-    when the window loses the focus. Only the key that was pressed last repeats, and none after its
-    release. Text does not count as a press, because its release would never come.
+    A release may be lost: in a multiplexer, or when the window loses the focus. So all keys count
+    as let go if no key repeats any more. A terminal repeats only the key that was pressed last, and
+    no key after its release. Text does not count as a press: no release would follow.
 
     With each answer of the terminal the wish is sent again. Without answers, the robot stops.
     """
@@ -101,7 +101,7 @@ class HandsWithReleases:
         self._patience_s = 0.0
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the sum of the held keys if it has changed or the terminal answered, else None."""
+        """Return the sum of the held keys; None if the sum is unchanged and no answer has come."""
         for key in keys:
             if key.name != ANSWER and not key.is_text:
                 self._hear(key, now_s)
@@ -136,8 +136,8 @@ class HandsWithReleases:
 class HandsWithoutReleases:
     """The held keys of a terminal that sends a held key again and again, and no release.
 
-    The first press moves nothing, because it may be the only one. After pasted text, a key counts
-    only if no key has come for REPEAT_S.
+    The first press of a key moves nothing, because the key may not be held. After pasted text, no
+    key counts until all keys have been silent for REPEAT_S.
     """
 
     def __init__(self) -> None:
@@ -147,7 +147,7 @@ class HandsWithoutReleases:
         self._is_forgotten = False
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the wish of the steering key if it has just repeated, otherwise None."""
+        """Return the wish of the last steering key in `keys` if that key is a repeat, else None."""
         names = [key.name for key in keys if key.name in STEERING]
         is_pasted = len(keys) > MAX_AT_ONCE
         if not (names or is_pasted):
@@ -270,7 +270,7 @@ CALL_S = 1.0
 
 
 class Speeds:
-    """The speeds that the operator has chosen: the same share of linear and angular limit."""
+    """The speeds that the operator has chosen, as one share of both limits, linear and angular."""
 
     def __init__(self, client: Client, speed_mps: float | None) -> None:
         """Begin with `speed_mps`, or with FIRST_SHARE of the daemon's limits.
@@ -307,8 +307,8 @@ class Speeds:
 class Holding:
     """Requests the wanted motion; `message` says why the last motion ended or was refused.
 
-    If `silence_lets_go`, the operator ends a motion by sending no wish, and the next wish begins
-    another one. Otherwise such a silence is a fault, after which the operator must let go first.
+    If no wish is sent for MAX_SILENCE_S, the motion ends. With `silence_lets_go`, the next wish
+    begins a new motion. Without it, silence is a fault, after which the operator must let go first.
     """
 
     def __init__(self, client: Client, params: Mapping[str, Any]) -> None:

@@ -271,9 +271,9 @@ def hz(
 
 
 def statistics(times_ns: Sequence[int]) -> dict[str, Any] | None:
-    """Return rate [Hz] and periods [s] of messages with these times, None if they span no time.
+    """Return the mean rate [Hz] of messages with these times, None if they span no time.
 
-    Of the periods between messages, it has the shortest, the longest and the standard deviation.
+    Also return the shortest and longest time between messages, and the standard deviation [s].
     """
     times = list(times_ns)
     periods_s = [(after - before) / NS_PER_S for before, after in pairwise(times)]

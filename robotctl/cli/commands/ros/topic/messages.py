@@ -19,7 +19,7 @@ from robotctl.recording.table.topic_table import choose_topic
 
 
 class RecordedTopic:
-    """A topic of the recording that `find_recording` returns for `file`."""
+    """A topic in a recording; `file` is any name of a recording that `find_recording` finds."""
 
     def __init__(self, file: str, topic: str, type_name: str) -> None:
         """Find the topic; a leading / may be left out.
@@ -34,7 +34,7 @@ class RecordedTopic:
         self.name = self.info.name
 
     def messages(self) -> Iterator[Message]:
-        """Yield its messages in the order of their log time.
+        """Yield the messages of the topic in the order of their log times.
 
         Raises:
             UnreadableFile: Not everything can be read; raised after the last message.
@@ -79,7 +79,7 @@ class Printer:
     def print_lines(self, data: bytes, time_ns: int | None) -> None:
         """Print YAML and `---`, or one line if the field has a single value.
 
-        A `time_ns` is printed first [s since 1970], as a YAML comment or on the value's line.
+        `time_ns`, unless None, comes first, as seconds: in a YAML comment or on the value's line.
         """
         value = self._value(data)
         lines = list(message_lines(value, self._limit))

@@ -36,7 +36,7 @@ from robotctl.ipc.method_names import STATUS
 def diagnose(
     robot: str, config: Path | None, domain_id: int | None, *, clean: bool
 ) -> tuple[list[str], list[Finding]]:
-    """Return the files that were removed, and all findings.
+    """Run all checks; return the removed files and the findings. `clean` removes stale files.
 
     Raises:
         UsageError: The name of the robot, the configuration or the domain is wrong.
