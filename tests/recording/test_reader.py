@@ -177,6 +177,7 @@ def test_reading_of_what_is_missing_ends_in_the_one_error(tmp_path: Path) -> Non
     ("content", "reason"),
     [
         (b"", "it is empty"),
+        (bytes(100_000), "begins with zeros"),
         (b"\x89MCA", "it is not an MCAP file"),
         (b"SQLite format 3\0" * 10, "it is not an MCAP file"),
         (MAGIC, "in the middle of a record"),

@@ -250,12 +250,25 @@ _BEGIN = struct.Struct("<QQQQI")
 """Start and end time [ns], offset and length of the chunk record, and the size in bytes of the
 following map, which gives the offset of the message index of each channel in the chunk."""
 
+_TIMES = struct.Struct("<QQ")
 _CHANNEL = struct.Struct("<H8x")
 _MIDDLE = struct.Struct("<QI")
 """Bytes of the message indexes, length of the compression's name."""
 
 _SIZES = struct.Struct("<QQ")
 """Compressed and uncompressed size."""
+
+
+def read_chunk_times(data: bytes, position: int, end: int) -> tuple[int, int]:
+    """Return the lowest and the highest log time [ns] that a chunk index gives.
+
+    Raises:
+        Damaged: The record is too short.
+    """
+    if position + _TIMES.size > end:
+        raise Damaged("a chunkindex record is malformed")
+    start_ns, end_ns = _TIMES.unpack_from(data, position)
+    return start_ns, end_ns
 
 
 def read_chunk_index(data: bytes, position: int, end: int) -> tuple[Place, int]:

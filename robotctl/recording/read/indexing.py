@@ -30,6 +30,7 @@ from robotctl.recording.read.file_index import (
     Place,
     PlaceKind,
     read_chunk_index,
+    read_chunk_times,
 )
 from robotctl.recording.read.read_limits import BeyondLimit, Damaged, UnpackBudget
 from robotctl.recording.read.records import (
@@ -107,10 +108,10 @@ def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
     statistics: Statistics | None = None
     metadata: dict[int, MetadataIndex] = {}
     chunks: list[tuple[Place, int]] = []
-    chunk_count = 0
+    times: list[tuple[int, int]] = []
     for opcode, start, end in walk_records(data):
         if opcode == Opcode.CHUNK_INDEX:
-            chunk_count += 1
+            times.append(read_chunk_times(data, start, end))
             if places:
                 chunks.append(read_chunk_index(data, start, end))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -122,17 +123,17 @@ def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
             index.attachments.append(parse(AttachmentIndex, data[start:end]).offset)
         elif opcode == Opcode.STATISTICS:
             statistics = parse(Statistics, data[start:end])
-    if statistics is None or statistics.chunk_count != chunk_count:
+    if statistics is None or statistics.chunk_count != len(times):
         raise Damaged("its summary is incomplete")
     counts = statistics.channel_message_counts
     if statistics.message_count != sum(counts.values()):
         raise Damaged("its summary does not count its messages")
-    if statistics.message_count and not chunk_count:
+    if statistics.message_count and not times:
         raise Damaged("its summary does not say where its messages are")
     if not index.channels.keys() >= counts.keys():
         raise Damaged("its summary does not name all its channels")
     index.counts = dict(counts)
-    index.start_ns, index.end_ns = statistics.message_start_time, statistics.message_end_time
+    _set_times(index, (statistics.message_start_time, statistics.message_end_time), times)
     index.declared_metadata = statistics.metadata_count
     index.declared_attachments = statistics.attachment_count
     index.attachments = sorted(set(index.attachments))
@@ -142,6 +143,19 @@ def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
         index.places = _affordable([place for place, _ in chunks], file, index)
     _read_metadata(file, index, metadata.values())
     return index
+
+
+def _set_times(index: FileIndex, told: tuple[int, int], chunks: list[tuple[int, int]]) -> None:
+    """Believe the `told` lowest and highest log time only if they agree with those of the chunks.
+
+    In files of other writers, messages outside of the chunks may have further times.
+    """
+    known = [each for each in chunks if each[0] <= each[1] and each != (0, 0)]  # else it is empty
+    if known:
+        start_ns, end_ns = min(start for start, _ in known), max(end for _, end in known)
+        if index.own or told[0] > start_ns or told[1] < end_ns:
+            told = start_ns, end_ns
+    index.start_ns, index.end_ns = told
 
 
 def _gaps(chunks: list[tuple[Place, int]], begin: int, data_end: int) -> list[tuple[int, int]]:
