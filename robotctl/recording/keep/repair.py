@@ -10,6 +10,7 @@ import re
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +70,6 @@ def _messages(data: bytes) -> Iterator[PlainMessage]:
 
 
 _UNFINISHED = ".repair"
-_PIECE_BYTES = 1 << 20
 
 
 def repair(recordings: Path) -> Iterator[TidyNote]:
@@ -217,10 +217,7 @@ def _checksum(file: InputFile, data_end: int) -> int:
     Raises:
         Damaged: The file cannot be read.
     """
-    crc = 0
-    for offset in range(0, data_end, _PIECE_BYTES):
-        crc = crc32(file.read(offset, min(_PIECE_BYTES, data_end - offset)), crc)
-    return crc
+    return reduce(lambda crc, piece: crc32(piece, crc), file.pieces(0, data_end), 0)
 
 
 def _replace(path: Path) -> TidyNote:

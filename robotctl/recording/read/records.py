@@ -44,6 +44,7 @@ RecordHead = tuple[int, int, int, int, int, int]
 HeadBlock = list[tuple[int, RecordHead]]
 """Position and head of each record in a part of a chunk."""
 
+_PIECE_BYTES: Final = 1 << 20
 _BLOCK_RECORDS: Final = 512
 _BLOCK_BYTES: Final = 1 << 20
 """A chunk is walked in blocks, which end after _BLOCK_RECORDS records or this many bytes."""
@@ -175,6 +176,15 @@ class InputFile:
             reason = f"the disk cannot read it at byte {offset}: {error.strerror or error}"
             raise self.failed(reason) from error
         return data
+
+    def pieces(self, start: int, end: int) -> Iterator[bytes]:
+        """Yield the bytes from `start` to `end` in pieces.
+
+        Raises:
+            Damaged: They cannot be read.
+        """
+        for offset in range(start, end, _PIECE_BYTES):
+            yield self.read(offset, min(_PIECE_BYTES, end - offset))
 
     def record(self, offset: int) -> Record:
         """Return the record at `offset`.

@@ -5,7 +5,6 @@ The data must have been read: the chain alone does not show whether each byte is
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from hashlib import sha256
@@ -22,8 +21,6 @@ from robotctl.recording.format.seal_records import (
 from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.whole_data import FileState, WholeData
 from robotctl.recording.seal.keyring import is_signed
-
-_PIECE_BYTES = 1 << 20
 
 
 class SealState(StrEnum):
@@ -138,7 +135,7 @@ def _check_links(file: InputFile, opening: Opening, links: list[Link], found: Se
         if link.covered < position or link.number != number or link.covered > file.size:
             found.wrong.append(f"the links of the seal are not in their order {where}")
             return
-        for piece in _pieces(file, position, link.covered):
+        for piece in file.pieces(position, link.covered):
             running.update(piece)
         position = link.covered
         if chained(base, running.digest()) != link.digest:
@@ -150,11 +147,6 @@ def _check_links(file: InputFile, opening: Opening, links: list[Link], found: Se
         found.links.append(link)
         if link.kind is LinkKind.LINK:
             base, start, number, running = link.digest, link.covered, number + 1, sha256()
-
-
-def _pieces(file: InputFile, start: int, end: int) -> Iterator[bytes]:
-    for offset in range(start, end, _PIECE_BYTES):
-        yield file.read(offset, min(_PIECE_BYTES, end - offset))
 
 
 def _is_repaired(links: list[Link]) -> bool:

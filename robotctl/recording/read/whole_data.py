@@ -203,7 +203,6 @@ def read_data_section(
     if data.own and record_bytes(header) != file.read(len(MAGIC), offset - len(MAGIC)):
         flaws.add(len(MAGIC), offset, "the header is not as robotctl writes it")
     walk = _Walk(file, data, flaws)
-    checksum = _Checksum(file)
     while offset < stop:
         end = None
         try:
@@ -219,34 +218,20 @@ def read_data_section(
             break
         on_progress(offset)
         offset = end
-        if offset - checksum.end > _PIECE_BYTES:
-            checksum.add_up_to(offset)
-    checksum.add_up_to(offset)
-    data.end, data.crc = offset, checksum.crc
+        if offset - data.end > _PIECE_BYTES:
+            _add_to_crc(data, file, offset)
+    _add_to_crc(data, file, offset)
     return data
 
 
 _PIECE_BYTES: Final = 1 << 20
 
 
-class _Checksum:
-    """The CRC of a file's bytes up to `end`. It reads them again while they are cached."""
-
-    def __init__(self, file: InputFile) -> None:
-        self._file = file
-        self.end = 0
-        self.crc = 0
-
-    def add_up_to(self, end: int) -> None:
-        """Continue the CRC up to `end`.
-
-        Raises:
-            Damaged: The bytes cannot be read.
-        """
-        while self.end < end:
-            piece = self._file.read(self.end, min(_PIECE_BYTES, end - self.end))
-            self.crc = crc32(piece, self.crc)
-            self.end += len(piece)
+def _add_to_crc(data: WholeData, file: InputFile, end: int) -> None:
+    """Continue the CRC up to `end`. The bytes are read again while they are cached."""
+    for piece in file.pieces(data.end, end):
+        data.crc = crc32(piece, data.crc)
+    data.end = end
 
 
 class _Walk:
