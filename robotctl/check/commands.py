@@ -103,8 +103,9 @@ MAX_ZEROS: Final = 20_000
 JOURNAL_LAG_NS: Final = NS_PER_S
 """How far a journal that a recorder only receives may lag behind the commands."""
 
-TAIL_NS: Final = 2 * NS_PER_S
-"""The message of a decision made at most this long before the journal's end may be under way."""
+EDGE_NS: Final = 2 * NS_PER_S
+"""A command of before the first snapshot may be recorded this long after it, and the message of a
+decision may be under way this long before the end."""
 
 RECENT: Final = 64
 """The number of last commands that a stall may have withheld."""
@@ -194,7 +195,7 @@ class CommandCounts:
 
     old: int = 0
     recent: int = 0
-    """Decided commands without a message at the end: older and younger than TAIL_NS."""
+    """Decided commands without a message at the end: older and younger than EDGE_NS."""
 
     out_of_order: int = 0
     resumed: int = 0
@@ -225,6 +226,9 @@ class CommandPairs:
         self._base = 0
         """The number of the last command before counting began; 0 if there was none."""
 
+        self._base_ns, self._has_begun = 0, False
+        """When counting began (steady), and whether a command after `_base` was read since."""
+
         self._paired: tuple[int, int] | None = None
         """The first and the newest number that was paired since counting began."""
 
@@ -238,22 +242,24 @@ class CommandPairs:
         self._places = self._last_place = 0
         """The number of messages, and the place of the newest one that was paired."""
 
-    # The wire
-
     def message(self, number: int, data: bytes, publish_ns: int) -> None:
         """Read a message of the command topic.
 
         Raises:
             UnreadableFile: The message is too short.
         """
-        if self.is_counting:
-            self._places += 1
-            sent = SentCommand(numbers_of(data), publish_ns, self._t_ns, self._places)
-            self._waiting.slot(number).sent.append(sent)
+        if not self.is_counting:
+            return
+        if self._base and not follows(number, self._base):
+            if not self._has_begun or self._t_ns - self._base_ns <= EDGE_NS:
+                return  # it was decided before the recording began
+        else:
+            self._has_begun = True
+        self._places += 1
+        sent = SentCommand(numbers_of(data), publish_ns, self._t_ns, self._places)
+        self._waiting.slot(number).sent.append(sent)
 
-    # The journal
-
-    def resume(self, proof: Proof) -> None:
+    def resume(self, proof: Proof, t_ns: int) -> None:
         """Continue from a snapshot, with the number of commands in its proof."""
         number = proof.commands & MAX_SEQUENCE
         more = (proof.commands - self._number) & MAX_SEQUENCE
@@ -267,14 +273,13 @@ class CommandPairs:
         if not self.is_counting or more:
             self.stop()
             self._number = self._base = number
+            self._base_ns, self._has_begun = t_ns, False
             self.is_counting = True
 
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""
         for number, slot in self._waiting.rest():
-            lacking = self._pair(number, slot)
-            if lacking or not follows(number, self._number):
-                self._doubt(number, slot.sent)
+            self._pair(number, slot)
         self.is_counting = False
         self._paired, self._last_place = None, 0
         self._recent.clear()
@@ -322,13 +327,11 @@ class CommandPairs:
         for _ in range(min(event.zeros, MAX_ZEROS)):
             self._decide(STILL, during)
 
-    # The comparison
-
     def _judge(self, number: int, slot: Slot[DecidedCommand, SentCommand]) -> None:
         """Count what one number tells."""
         for decided in self._pair(number, slot):
             self._lack(number, decided)
-        self._doubt(number, slot.sent)
+        self._doubt(slot.sent)
 
     def _pair(self, number: int, slot: Slot[DecidedCommand, SentCommand]) -> list[DecidedCommand]:
         """Pair decisions and messages of one number; return the decisions without a message."""
@@ -378,12 +381,10 @@ class CommandPairs:
         else:
             self._lacking_example = self._lacking_example if self._lacking else example
             self._lacking += 1
-            self._lacking_recent += self._t_ns - decided.moments[0] <= TAIL_NS
+            self._lacking_recent += self._t_ns - decided.moments[0] <= EDGE_NS
 
-    def _doubt(self, number: int, sent: Iterable[SentCommand], end_ns: float = inf) -> None:
+    def _doubt(self, sent: Iterable[SentCommand], end_ns: float = inf) -> None:
         """Count messages without a decision; the journal ends at `end_ns`."""
-        if self._paired is None and self._base and not follows(number, self._base):
-            return  # they were decided before the recording began
         counts = self.counts
         for each in sent:
             example = shown_command(each.numbers)
@@ -403,7 +404,7 @@ class CommandPairs:
         a robot (not `is_own`) may end before the recorded commands do.
         """
         end_ns = inf if is_own else self._t_ns - JOURNAL_LAG_NS
-        doubted: list[tuple[int, list[SentCommand]]] = []
+        doubted: list[SentCommand] = []
         lacking: list[tuple[int, DecidedCommand]] = []
         for number, slot in self._waiting.rest():
             for decided in slot.entries:
@@ -417,11 +418,10 @@ class CommandPairs:
                         slot.sent.remove(each)
                         self.counts.undecided += 1
                         break
-            doubted.append((number, slot.sent))
+            doubted += slot.sent
         for number, decided in lacking:
             self._lack(number, decided)
-        for number, sent in doubted:
-            self._doubt(number, sent, end_ns)
+        self._doubt(doubted, end_ns)
         self.counts.recent = self._lacking_recent
         self.counts.old = self._lacking - self._lacking_recent
 
@@ -466,7 +466,7 @@ class CommandCheck:
         if self._by_number is None:
             self._by_number = snapshot.proof is not None
         if snapshot.proof is not None:
-            self._pairs.resume(snapshot.proof)
+            self._pairs.resume(snapshot.proof, t_ns)
 
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""

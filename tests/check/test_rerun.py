@@ -1,8 +1,4 @@
-"""A new kernel decides on a journal again, and the first difference is found.
-
-The entries of a journal may come in any order.
-Each invariant of the architecture is broken once, and the check finds it.
-"""
+"""A new kernel decides on a journal again; each broken invariant is found."""
 
 from __future__ import annotations
 
@@ -48,12 +44,6 @@ def a_journal() -> list[JournalEntry]:
     return journal
 
 
-def test_the_same_events_give_the_same_effects() -> None:
-    journal = a_journal()
-    assert any('"linear":0.3' in entry.data for entry in journal)
-    assert first_divergence(journal) is None
-
-
 def test_a_last_bit_that_differs_is_found() -> None:
     journal = a_journal()
     at = next(i for i, entry in enumerate(journal) if '"linear":0.3' in entry.data)
@@ -80,11 +70,6 @@ def sequence_of(numbers: list[int]) -> list[int | str]:
         each.text if isinstance(each, Gap) else each.seq
         for each in in_sequence(entry(number) for number in numbers)
     ]
-
-
-@given(st.permutations(range(1, 40)))
-def test_entries_after_the_first_may_come_in_any_order(numbers: list[int]) -> None:
-    assert sequence_of([0, *numbers]) == list(range(40))
 
 
 @given(st.lists(st.integers(1, 30), max_size=60))
