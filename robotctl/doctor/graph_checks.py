@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain, islice
 from typing import Final
 
@@ -10,6 +10,7 @@ from robotctl.doctor.machine import Finding, fault, ok, warning
 from robotctl.ipc.answers import GraphEndpoint, GraphTopic, NameAndTypes
 from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 from robotctl.messages.cdr import ODOMETRY
+from robotctl.messages.installed import NOT_INSTALLED, installed_type
 
 ODOMETRY_TYPES: Final = (ODOMETRY,)
 COMMAND_TYPES: Final = (TWIST, TWIST_STAMPED)
@@ -55,13 +56,10 @@ def check_odometry(topic: GraphTopic) -> Iterator[Finding]:
         )
 
 
-def check_definitions(
-    topics: Sequence[NameAndTypes], is_installed: Callable[[str], bool]
-) -> Iterator[Finding]:
+def check_definitions(topics: Sequence[NameAndTypes]) -> Iterator[Finding]:
     """Report the topics whose message type is not installed here."""
-    missing = {
-        kind: each["name"] for each in topics for kind in each["types"] if not is_installed(kind)
-    }
+    types = {kind: each["name"] for each in topics for kind in each["types"]}
+    missing = {kind: types[kind] for kind in types if installed_type(kind) == NOT_INSTALLED}
     if missing:
         shown = [f"{kind} (of {name})" for kind, name in sorted(missing.items())]
         more = f" and {len(shown) - MAX_NAMED} more" if len(shown) > MAX_NAMED else ""

@@ -14,7 +14,7 @@ from robotctl.kernel.geometry import Pose, yaw_of
 from robotctl.kernel.trigonometry import cos, sin
 from robotctl.kernel.types import Odometry, Twist
 from robotctl.kernel.units import NS_PER_S
-from robotctl.messages.cdr import BODY, ENCAPSULATION, LITTLE_ENDIAN, CdrReader
+from robotctl.messages.cdr import BODY, ENCAPSULATION, LITTLE_ENDIAN, CdrReader, CdrWriter
 
 _TWIST = struct.Struct("<4s6d")
 _STAMP = struct.Struct("<iI")
@@ -113,10 +113,10 @@ class StampedTwistEncoder:
     """Serializes geometry_msgs/TwistStamped messages of one frame: only the numbers change."""
 
     def __init__(self, frame_id: str) -> None:
-        head = _header(frame_id)
-        head += bytes(-(len(head) - BODY) % 8)
-        self._twist = len(head)
-        self._buffer = bytearray(head + bytes(_VELOCITY.size))
+        writer = _begun(frame_id)
+        writer.put("d", *[0.0] * 6)
+        self._buffer = writer.data
+        self._twist = len(self._buffer) - _VELOCITY.size
 
     def encode(self, twist: Twist, stamp_ns: int) -> bytes:
         """Return a message with this linear.x and angular.z; `stamp_ns` is in ROS time."""
@@ -143,11 +143,12 @@ class OdometryEncoder:
 
     def __init__(self, frame_id: str, child_frame_id: str) -> None:
         """Encode odometry of `child_frame_id` in `frame_id`, with covariances 0: unknown."""
-        head = _with_text(_header(frame_id), child_frame_id)
-        self._pose = _pose_offset(head)
+        writer = _begun(frame_id)
+        writer.text(child_frame_id)
+        self._pose = _pose_offset(writer.data)
         self._twist = self._pose + _POSE.size + 8 * _COVARIANCES
-        end = self._twist + _VELOCITY.size + 8 * _COVARIANCES
-        self._buffer = bytearray(head.ljust(end, b"\0"))
+        writer.put("d", *[0.0] * (7 + _COVARIANCES + 6 + _COVARIANCES))
+        self._buffer = writer.data
 
     def encode(self, pose: Pose, velocity: Twist, stamp_ns: int) -> bytes:
         """Return a serialized nav_msgs/Odometry."""
@@ -160,14 +161,12 @@ class OdometryEncoder:
         return bytes(buffer)
 
 
-def _header(frame_id: str) -> bytes:
-    """Return a serialized std_msgs/Header with stamp 0, encapsulation included."""
-    return _with_text(ENCAPSULATION + _STAMP.pack(0, 0), frame_id)
-
-
-def _with_text(data: bytes, text: str) -> bytes:
-    content = text.encode() + b"\0"
-    return data + bytes(-len(data) % 4) + _LENGTH.pack(len(content)) + content
+def _begun(frame_id: str) -> CdrWriter:
+    """Return a writer that has written a std_msgs/Header with stamp 0."""
+    writer = CdrWriter()
+    writer.put("I", 0, 0)
+    writer.text(frame_id)
+    return writer
 
 
 FRAME_AT = BODY + _STAMP.size
@@ -187,7 +186,7 @@ def frame_id_of(data: bytes) -> str:
     return frame_bytes(data)[_LENGTH.size :].removesuffix(b"\0").decode(errors="replace")
 
 
-def _pose_offset(data: bytes) -> int:
+def _pose_offset(data: bytes | bytearray) -> int:
     """Return the offset of the pose in a serialized Odometry: after stamp and two frame names."""
     (length,) = _LENGTH.unpack_from(data, BODY + _STAMP.size)
     child = _STAMP.size + _LENGTH.size + length
@@ -199,9 +198,8 @@ def _pose_offset(data: bytes) -> int:
 
 def _read_odometry(message: CdrReader) -> tuple[float, float, float, float, float, int]:
     (seconds,), (nanoseconds,) = message.take("i"), message.take("I")
-    message.text()
-    message.text()
+    for _ in range(2):
+        message.octets(*message.take("I"))
     x, y, _, qx, qy, qz, qw = message.take("d", 7)
-    message.take("d", _COVARIANCES)
-    linear, _, _, _, _, angular = message.take("d", 6)
+    linear, _, _, _, _, angular = message.take("d", _COVARIANCES + 6)[_COVARIANCES:]
     return x, y, yaw_of(qx, qy, qz, qw), linear, angular, seconds * NS_PER_S + nanoseconds

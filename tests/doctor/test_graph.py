@@ -99,9 +99,10 @@ def test_two_sources_of_odometry_are_a_fault() -> None:
 
 
 def test_types_without_a_definition_are_named_up_to_a_number() -> None:
-    topics = [{"name": f"/t{number}", "types": [f"far/msg/T{number}"]} for number in range(9)]
-    (found,) = check_definitions(topics, lambda kind: kind.endswith("8"))  # type: ignore[arg-type]
+    topics = [{"name": f"/t{number}", "types": [f"far/msg/T{number}"]} for number in range(8)]
+    topics.append({"name": "/odom", "types": [ODOMETRY]})
+    (found,) = check_definitions(topics)  # type: ignore[arg-type]
     assert "far/msg/T0 (of /t0)" in found.text
     assert "and 3 more" in found.text
-    (fine,) = check_definitions(topics, lambda kind: True)  # type: ignore[arg-type]
+    (fine,) = check_definitions(topics[-1:])  # type: ignore[arg-type]
     assert fine.level is Level.OK

@@ -165,7 +165,7 @@ def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]
         command = _topic(view, kernel.command.topic, used)
         yield from graph_checks.check_command(command, has_odometry=has_odometry)
         yield from graph_checks.check_odometry(odometry)
-        yield from graph_checks.check_definitions(names["topics"], _is_installed)
+        yield from graph_checks.check_definitions(names["topics"])
     except UsageError:
         raise
     except RobotctlError as error:
@@ -191,9 +191,3 @@ def _topic(view: RosView, name: str, used: set[str]) -> GraphTopic:
         if full in used:
             return view.topic(full)
     return {"name": full, "types": [], "publishers": [], "subscriptions": []}
-
-
-def _is_installed(type_name: str) -> bool:
-    from robotctl.messages.installed import NOT_INSTALLED, installed_type
-
-    return installed_type(type_name) != NOT_INSTALLED
