@@ -6,7 +6,7 @@ import pytest
 
 from robotctl.doctor.graph_checks import MAX_NAMED, check_command, check_definitions, check_odometry
 from robotctl.doctor.machine import Level
-from robotctl.ipc.answers import GraphEndpoint, GraphTopic
+from robotctl.ipc.answers import GraphEndpoint, GraphTopic, NameAndTypes
 
 TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -99,10 +99,10 @@ def test_two_sources_of_odometry_are_a_fault() -> None:
 
 
 def test_types_without_a_definition_are_named_up_to_a_number() -> None:
-    topics = [{"name": f"/t{number}", "types": [f"far/msg/T{number}"]} for number in range(8)]
-    topics.append({"name": "/odom", "types": [ODOMETRY]})
-    (found,) = check_definitions(topics)  # type: ignore[arg-type]
+    types = [*map("far/msg/T{}".format, range(8)), ODOMETRY]
+    topics = [NameAndTypes(name=f"/t{at}", types=[kind]) for at, kind in enumerate(types)]
+    (found,) = check_definitions(topics)
     assert "far/msg/T0 (of /t0)" in found.text
     assert "and 3 more" in found.text
-    (fine,) = check_definitions(topics[-1:])  # type: ignore[arg-type]
+    (fine,) = check_definitions(topics[-1:])
     assert fine.level is Level.OK

@@ -387,9 +387,8 @@ def test_a_description_that_describes_no_type_is_refused(description: Any, said:
 
 
 TYPES = (
-    *("BasicTypes", "Constants", "Defaults", "Empty", "Strings", "WStrings", "Builtins"),
-    *("Arrays", "BoundedPlainSequences", "BoundedSequences", "UnboundedSequences"),
-    *("Nested", "MultiNested"),
+    *("BasicTypes", "Constants", "Defaults", "Empty", "Strings", "WStrings", "Builtins", "Arrays"),
+    *("BoundedPlainSequences", "BoundedSequences", "UnboundedSequences", "Nested", "MultiNested"),
 )
 ODOMETRY = "nav_msgs/msg/Odometry"
 
