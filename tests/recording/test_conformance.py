@@ -40,8 +40,7 @@ from mcap.stream_reader import StreamReader
 from robotctl.recording import Message, Recording, read_info, read_messages
 from robotctl.recording.format.records import MAGIC, record_bytes
 from robotctl.recording.keep.recover import recover
-from robotctl.recording.read.indexing import index_of
-from robotctl.recording.read.records import InputFile, read_attachment
+from robotctl.recording.read.messages import open_readable
 from tests.recording.mcap_files import CHANNEL, chunk, finished
 from tests.support.recordings import salvaged
 
@@ -374,9 +373,8 @@ def assert_read(path: Path, variant: Variant, *, whole: bool) -> None:
     metadata = {each.name: each.metadata for each in records if isinstance(each, Metadata)}
     assert info.metadata == metadata, variant.name
     attachments = [each for each in records if isinstance(each, Attachment)]
-    with InputFile(path) as file:
-        index = index_of(file)
-        assert [read_attachment(file, offset) for offset in index.attachments] == attachments
+    with open_readable(path, "", lambda done, total: None) as file:
+        assert list(file.attachments()) == attachments
     target = path.with_name("out.mcap")
     salvage = recover(path, target) if whole or records else None
     if salvage is not None:

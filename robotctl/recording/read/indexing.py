@@ -237,33 +237,22 @@ def read_written_file(file: InputFile) -> WrittenFile:
     return WrittenFile(last.offset, crc, groups, statistics, seal)
 
 
-_DATA = (
-    Opcode.SCHEMA,
-    Opcode.CHANNEL,
-    Opcode.CHUNK,
-    Opcode.MESSAGE_INDEX,
-    Opcode.METADATA,
-    OPENING_OPCODE,
-    LINK_OPCODE,
-)
-"""The kinds of records that robotctl writes before DataEnd."""
-
-
 def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> int | None:
     """Return the offset of the first record of an unfinished commit, or None.
 
-    The kind of this record is not in _DATA, or the summary lacks the record, or it ends after
+    robotctl writes no record of its kind there, or the summary lacks the record, or it ends after
     `data_end`. Both `index` and `data_end`, the end of the data, are from the file's summary.
 
     Raises:
         Damaged: A record cannot be read, or a chunk in the summary follows that offset.
     """
     chunks = {place.offset for place in index.places}
-    listed: dict[int, Collection[int]] = {
+    listed: dict[int, Collection[int] | None] = {
         Opcode.CHUNK: chunks,
         Opcode.METADATA: index.metadata_offsets,
         Opcode.SCHEMA: index.schemas.keys(),
         Opcode.CHANNEL: index.channels.keys(),
+        **dict.fromkeys((Opcode.MESSAGE_INDEX, OPENING_OPCODE, LINK_OPCODE)),  # in no summary
     }
     _, offset = read_header(file)
     while offset < data_end:
@@ -271,8 +260,8 @@ def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> 
         key = offset
         if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             key = int.from_bytes(file.read(record.content, 2), "little")
-        is_listed = record.opcode in _DATA and key in listed.get(record.opcode, (key,))
-        if not is_listed or record.end > data_end:
+        keys = listed.get(record.opcode, ())
+        if (keys is not None and key not in keys) or record.end > data_end:
             if offset < max(chunks, default=0):
                 raise Damaged("a record of another writer precedes its last chunk")
             return offset
@@ -509,7 +498,19 @@ def index_of(
     Raises:
         Damaged: Not even the header can be read.
     """
-    index = _index_of(file, on_progress, places=places)
+    deadline = time.monotonic() + _GROWING_S
+    while True:
+        file.refresh()
+        try:
+            index = index_from_summary(file, places=places)
+            if places:
+                _complete(file, index)
+            break
+        except Damaged:
+            if not file.is_changing() or time.monotonic() > deadline:
+                index = index_by_scanning(file, on_progress)
+                break
+        time.sleep(_LOOK_AGAIN_S)  # a writer may be interrupted within a write
     index.message_compression = message_compression(index.metadata, file.path)
     if index.message_compression not in ("", ZSTD):
         index.places = []
@@ -518,22 +519,6 @@ def index_of(
             "this is not supported"
         )
     return index
-
-
-def _index_of(file: InputFile, on_progress: Callable[[int], None], *, places: bool) -> FileIndex:
-    deadline = time.monotonic() + _GROWING_S
-    while True:
-        file.refresh()
-        try:
-            index = index_from_summary(file, places=places)
-            if places:
-                _complete(file, index)
-            return index
-        except Damaged:
-            if not file.is_changing() or time.monotonic() > deadline:
-                break
-        time.sleep(_LOOK_AGAIN_S)  # a writer may be interrupted within a write
-    return index_by_scanning(file, on_progress)
 
 
 def _complete(file: InputFile, index: FileIndex) -> None:

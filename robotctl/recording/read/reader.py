@@ -89,30 +89,6 @@ class RecordingInfo:
         return (self.end_ns - self.start_ns) / NS_PER_S
 
 
-def _describe(path: Path, files: Sequence[OpenFile], missing: Sequence[str]) -> RecordingInfo:
-    """Return what these files of the recording `path` hold; there must be at least one."""
-    indexes = [each.index for each in files]
-    metadata = [record for index in indexes for record in index.metadata]
-    with_messages = [index for index in indexes if index.message_count]
-    start_ns = min((index.start_ns for index in with_messages), default=0)
-    end_ns = max((index.end_ns for index in with_messages), default=0)
-    return RecordingInfo(
-        path=path,
-        files=tuple(each.path for each in files),
-        size_bytes=sum(each.file.size for each in files),
-        start_ns=start_ns,
-        end_ns=end_ns,
-        message_count=sum(index.message_count for index in indexes),
-        topics=_topics(indexes, (end_ns - start_ns) / NS_PER_S),
-        profile=indexes[0].header.profile,
-        library=indexes[0].header.library,
-        metadata={record.name: record.metadata for record in metadata},
-        events=tuple(events_in(metadata)),
-        indexed=not any(index.scanned for index in indexes),
-        missing=tuple(missing),
-    )
-
-
 def _topics(indexes: list[FileIndex], duration_s: float) -> tuple[TopicInfo, ...]:
     topics: dict[tuple[str, str], TopicInfo] = {}
     for index in indexes:
@@ -238,7 +214,26 @@ class Recording:
 
     def info(self) -> RecordingInfo:
         """Return what the recording holds."""
-        return _describe(self.path, self._files, self.missing)
+        indexes = [each.index for each in self._files]
+        metadata = self.metadata()
+        with_messages = [index for index in indexes if index.message_count]
+        start_ns = min((index.start_ns for index in with_messages), default=0)
+        end_ns = max((index.end_ns for index in with_messages), default=0)
+        return RecordingInfo(
+            path=self.path,
+            files=tuple(each.path for each in self._files),
+            size_bytes=sum(each.file.size for each in self._files),
+            start_ns=start_ns,
+            end_ns=end_ns,
+            message_count=sum(index.message_count for index in indexes),
+            topics=_topics(indexes, (end_ns - start_ns) / NS_PER_S),
+            profile=indexes[0].header.profile,
+            library=indexes[0].header.library,
+            metadata={record.name: record.metadata for record in metadata},
+            events=tuple(events_in(metadata)),
+            indexed=not any(index.scanned for index in indexes),
+            missing=tuple(self.missing),
+        )
 
     @property
     def is_live(self) -> bool:
