@@ -102,10 +102,8 @@ def remove(records: Records, random: Random) -> Records:
 
 def swap(records: Records, random: Random) -> Records:
     """Exchange two neighbours."""
-    if len(records) < 2:
-        return records
-    at = random.randrange(len(records) - 1)
-    return [*records[:at], records[at + 1], records[at], *records[at + 2 :]]
+    at = random.randrange(max(len(records) - 1, 1))
+    return [*records[:at], *records[at + 1 : at + 2], records[at], *records[at + 2 :]]
 
 
 def change(records: Records, random: Random) -> Records:

@@ -378,10 +378,8 @@ def assert_read(path: Path, variant: Variant, *, whole: bool) -> None:
     target = path.with_name("out.mcap")
     salvage = recover(path, target) if whole or records else None
     if salvage is not None:
-        assert (salvage.message_count, salvage.attachment_count) == (
-            len(expected),
-            len(attachments),
-        ), variant.name
+        counts = salvage.message_count, salvage.attachment_count
+        assert counts == (len(expected), len(attachments)), variant.name
         assert not (whole and salvage.lost), (variant.name, salvage.lost)
     target.unlink(missing_ok=True)
 
