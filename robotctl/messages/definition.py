@@ -149,11 +149,6 @@ class Definition:
         return self.leaf_count(field.item) * (field.length or 0) <= MAX_SPLIT
 
     @property
-    def fields(self) -> tuple[Field, ...]:
-        """The fields of the type `root`."""
-        return self.types[self.root]
-
-    @property
     def text(self) -> str:
         """The definition as ros2msg text, without comments, constants and defaults."""
         return ros2msg(
@@ -334,7 +329,7 @@ def description_of(type_name: str, definition: Definition) -> dict[str, Any]:
 
     others = sorted((full(name), name) for name in definition.types if name != definition.root)
     return {
-        "type_description": one(type_name, definition.fields),
+        "type_description": one(type_name, definition.types[definition.root]),
         "referenced_type_descriptions": [one(name, definition.types[key]) for name, key in others],
     }
 

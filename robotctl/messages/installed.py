@@ -137,3 +137,15 @@ def _file(package: str, kind: str, name: str) -> str:
         if path.is_file():
             return path.read_text(encoding="utf-8")
     raise FileNotFoundError(f"{package}/{kind}/{name} is not installed")
+
+
+def installed_name(type_name: str) -> TypeName:
+    """Split the name of an installed type.
+
+    Raises:
+        UnusableType: ROS does not allow the name, or the type is not installed.
+    """
+    name = parse_type_name(type_name)
+    if installed_type(type_name) == NOT_INSTALLED:
+        raise UnusableType("is not installed")
+    return name

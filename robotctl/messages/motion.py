@@ -63,18 +63,9 @@ def read_sample(data: bytes) -> Sample:
 def read_odometry(data: bytes) -> Odometry:
     """Return serialized odometry as the kernel gets it, `UNREADABLE` if it cannot be read."""
     try:
-        return decode_odometry(data)
+        x, y, theta, linear, angular, stamp_ns = _decode(data)
     except Exception:  # noqa: BLE001 - the bytes may be anything
         return UNREADABLE
-
-
-def decode_odometry(data: bytes) -> Odometry:
-    """Return pose, velocity and stamp of a serialized nav_msgs/Odometry.
-
-    Raises:
-        struct.error: The message is cut short, or not in plain CDR.
-    """
-    x, y, theta, linear, angular, stamp_ns = _decode(data)
     return Odometry(Pose(x, y, theta), Twist(linear, angular), stamp_ns)
 
 

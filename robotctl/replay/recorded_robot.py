@@ -14,7 +14,7 @@ from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Twist
 from robotctl.messages.cdr import ODOMETRY, ROBOT_STATUS, CdrReader
-from robotctl.messages.motion import decode_odometry
+from robotctl.messages.motion import UNREADABLE, read_odometry
 from robotctl.recording import Recording, TopicInfo
 from robotctl.replay.timeline import Entry, Span, recorded
 
@@ -84,7 +84,9 @@ class RecordedRobot:
             self._next = next(self._entries, None)
 
     def _odometry(self, data: bytes) -> None:
-        odometry = decode_odometry(data)
+        odometry = read_odometry(data)
+        if odometry is UNREADABLE:
+            return
         self.pose, self.velocity = odometry.pose, odometry.velocity
         self._trace(odometry.pose.x, odometry.pose.y)
 

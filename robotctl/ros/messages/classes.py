@@ -19,12 +19,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-from robotctl.messages.installed import (
-    NOT_INSTALLED,
-    UnusableType,
-    installed_type,
-    parse_type_name,
-)
+from robotctl.messages.installed import UnusableType, installed_name
 
 
 def type_name_of(message_class: Any) -> str:
@@ -40,9 +35,7 @@ def message_class(type_name: str) -> Any:
     Raises:
         UnusableType: The name is invalid, or the type is not installed or cannot be loaded.
     """
-    name = parse_type_name(type_name)
-    if installed_type(type_name) == NOT_INSTALLED:
-        raise UnusableType("is not installed")
+    name = installed_name(type_name)
     try:
         module = import_module(f"{name.package}.{name.kind}")
         # `T_Event` is defined in the module of `T`; the package does not always export it.

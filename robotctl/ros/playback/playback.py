@@ -24,12 +24,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from robotctl.base.text import short_name
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import JOURNAL_ENTRY
-from robotctl.messages.installed import (
-    NOT_INSTALLED,
-    UnusableType,
-    installed_type,
-    parse_type_name,
-)
+from robotctl.messages.installed import UnusableType, installed_name, installed_type
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.membership import Membership
 from robotctl.ros.messages.classes import message_class
@@ -54,11 +49,9 @@ def serialized_type(type_name: str) -> Any:
     Raises:
         UnusableType: The type is not installed, or loading it failed.
     """
-    name = parse_type_name(type_name)
+    name = installed_name(type_name)
     if name.kind != "msg":
         return message_class(type_name)
-    if installed_type(type_name) == NOT_INSTALLED:
-        raise UnusableType("is not installed")
     suffix = f"msg__msg__{_WORD.sub('_', name.short).lower()}"
     try:
         module = import_module(f"{name.package}.{name.package}_s__rosidl_typesupport_c")
