@@ -13,7 +13,6 @@ import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final, NamedTuple
 
 from robotctl.check.commands import LATE_NS
@@ -33,11 +32,8 @@ from robotctl.recording.read.messages import Message
 _GID_BYTES = 16
 
 
-class EventType(IntEnum):
-    """The two event types of a server in ServiceEventInfo.msg, which also has two of a client."""
-
-    RECEIVED = 1
-    SENT = 2
+RECEIVED, SENT = 1, 2
+"""The event types of a server, as in ServiceEventInfo.msg; the two others are a client's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,13 +85,13 @@ def read_service_event(service: Service, data: bytes, publish_ns: int) -> Servic
     reader.take("I", 2)  # the stamp
     client = reader.octets(_GID_BYTES)
     (number,) = reader.take("q")
-    if kind not in (EventType.RECEIVED, EventType.SENT):
+    if kind not in (RECEIVED, SENT):
         return None
     call = client, number
     (has_request,) = reader.take("I")
     requested = reader.take("B")[0] if has_request else None
     (has_response,) = reader.take("I")
-    if kind == EventType.RECEIVED:
+    if kind == RECEIVED:
         if requested is None:
             raise struct.error("a call without a request")
         return ServiceEvent(

@@ -37,7 +37,13 @@ from robotctl.kernel.types import (
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages import cdr
 from robotctl.messages.inputs import MESSAGE_TYPES, read_battery_level, read_sectors, reader_of
-from robotctl.messages.motion import decode_twist, decode_twist_stamped, read_sample, sample_of
+from robotctl.messages.motion import (
+    Sample,
+    decode_twist,
+    decode_twist_stamped,
+    read_sample,
+    sample_of,
+)
 from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message
@@ -173,7 +179,7 @@ class InputPairs:
 
     def __init__(self) -> None:
         self.tolerance = 0.0
-        """How far the numbers of a message may be from those of its input."""
+        """How far the angle in odometry may be from that of its input: a C library rounded it."""
 
         self.paired = 0
         self.lacking = 0
@@ -332,11 +338,9 @@ class InputPairs:
 def _same(one: Any, other: Any, tolerance: float) -> bool:
     if one == other or repr(one) == repr(other):  # nan differs from itself
         return True
-    if not tolerance or not isinstance(one, tuple) or not isinstance(other, tuple):
+    if not tolerance or not isinstance(one, Sample) or not isinstance(other, Sample):
         return False
-    return len(one) == len(other) and all(
-        abs(mine - theirs) <= tolerance for mine, theirs in zip(one, other, strict=True)
-    )
+    return one._replace(theta=other.theta) == other and abs(one.theta - other.theta) <= tolerance
 
 
 class InputCheck:
@@ -555,27 +559,17 @@ class InputChecks:
         return use != Use.OFF.value
 
     def _safety_input(self, kind: SafetyInput) -> InputCheck:
-        params = SafetyInputParams().of(kind)
-        topic = self._topics.recorded(
-            f"inputs.{kind.value}.topic", params.topic, MESSAGE_TYPES[kind]
-        )
-        timeout_s = _number(
-            self._topics.values, f"parameter.inputs.{kind.value}.timeout_s", params.timeout_s
-        )
-        read = reader_of(
-            kind,
-            button=int(_number(self._topics.values, "parameter.inputs.joy.button", 0.0)),
-            robot=self._topics.values.get("robot", ""),
-        )
+        params, values = SafetyInputParams().of(kind), self._topics.values
+        key = f"inputs.{kind.value}"
+        topic = self._topics.recorded(f"{key}.topic", params.topic, MESSAGE_TYPES[kind])
+        about = self._report, self._topics, NAMES[kind], topic
         if kind is SafetyInput.DIAGNOSTICS:
-            return _DiagnosticsCheck(
-                self._report, self._topics, NAMES[kind], topic, _no_value, is_always_heard=False
-            )
+            return _DiagnosticsCheck(*about, lambda _: None, is_always_heard=False)
+        timeout_s = _number(values, f"parameter.{key}.timeout_s", params.timeout_s)
+        button = int(_number(values, "parameter.inputs.joy.button", 0.0))
+        read = reader_of(kind, button=button, robot=values.get("robot", ""))
         return InputCheck(
-            self._report,
-            self._topics,
-            NAMES[kind],
-            topic,
+            *about,
             lambda data: read(data)[0],
             is_always_heard=False,
             repeat_ns=round(timeout_s * NS_PER_S / REPEATS_PER_TIMEOUT),
@@ -623,10 +617,6 @@ class _DiagnosticsCheck(InputCheck):
         if not ending.is_clip:  # its messages begin later than its journal
             self._pairs.repeated = -self._repeats.excess
             super().end(ending, moment, stall_ns)
-
-
-def _no_value(data: bytes) -> None:
-    """Return no value."""
 
 
 def _number(values: Mapping[str, str], key: str, default: float) -> float:

@@ -132,7 +132,9 @@ class StatusCheck:
         self._foreign = 0
         """The number of statuses of other publishers on the topic."""
 
-        self._misnamed = 0
+        self._misnamed: list[int] = []
+        """The numbers of the statuses of another name."""
+
         self._wrong = 0
         self._example = ""
         self._begin_ns = 0
@@ -162,7 +164,7 @@ class StatusCheck:
             self._example = self._example or "one that cannot be read"
             return
         if self._report.robot and name != self._report.robot:
-            self._misnamed += 1
+            self._misnamed.append(message.sequence)
             self._example = self._example or f"one of {name[:40]!r}"
         elif self._is_own(message.sequence):
             self._modes.status(mode, message.publish_ns)
@@ -214,11 +216,12 @@ class StatusCheck:
         report, modes = self._report, self._modes
         modes.end()
         gaps = len(self._absent) + (self._first - 1 if self._first and ending.has_begin else 0)
-        if gaps < self._misnamed or self._foreign:
-            others = self._foreign + self._misnamed
+        own = {*self._absent, self._first - 1, self._newest + 1}
+        if self._first and (self._foreign or not own.issuperset(self._misnamed)):
+            others = self._foreign + len(self._misnamed)
             report.notes.append(f"another node published robot statuses as well: {others} of its")
             self._foreign = others
-        elif wrong := self._wrong + self._misnamed + modes.wrong:
+        elif wrong := self._wrong + len(self._misnamed) + modes.wrong:
             example = self._example or modes.example
             self._accuse(ending, f"{wrong} robot statuses are wrong: {example}")
         missing = []
