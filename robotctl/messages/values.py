@@ -114,50 +114,43 @@ def _text_reader(field: Field) -> Callable[[CdrReader], str]:
 def encode(definition: Definition, values: Mapping[str, Any]) -> bytes:
     """Return the serialized form of values that fit the definition (see `filled`)."""
     writer = CdrWriter()
-    _write_message(definition, definition.root, values, writer)
+    _write(definition, Field("", definition.root), values, writer)
     return bytes(writer.data)
 
 
-def _write_message(
-    definition: Definition, type_name: str, values: Mapping[str, Any], writer: CdrWriter
-) -> None:
-    fields = definition.types[type_name]
-    if not fields:
-        writer.put(BYTE, 0)
-    for field in fields:
-        value = values[field.name]
-        items = [value] if field.shape is FieldShape.ONE else value
+def _write(definition: Definition, field: Field, value: Any, writer: CdrWriter) -> None:
+    code = NUMBERS.get(field.type_name)
+    if field.shape is not FieldShape.ONE:
         if field.shape is FieldShape.SEQUENCE:
-            writer.put("I", len(items))
-        code = NUMBERS.get(field.type_name)
-        if code and len(items):
-            writer.put(code, *items)
+            writer.put("I", len(value))
+        if code and len(value):  # an empty one is not aligned
+            writer.put(code, *value)
         elif not code:
-            for item in items:
-                _write_item(definition, field.type_name, item, writer)
-
-
-def _write_item(definition: Definition, type_name: str, item: Any, writer: CdrWriter) -> None:
-    if type_name in definition.types:
-        _write_message(definition, type_name, item, writer)
-    elif type_name == TEXT:
-        writer.text(item)
+            item = field.item
+            for each in value:
+                _write(definition, item, each, writer)
+    elif field.is_message:
+        fields = definition.types[field.type_name]
+        if not fields:
+            writer.put(BYTE, 0)
+        for inner in fields:
+            _write(definition, inner, value[inner.name], writer)
+    elif code:
+        writer.put(code, value)
+    elif field.type_name == TEXT:
+        writer.text(value)
     else:
-        writer.wide_text(item)
+        writer.wide_text(value)
 
 
-def zero(definition: Definition, type_name: str) -> dict[str, Any]:
-    """Return a message with numbers 0 and bools False, whose texts and sequences are empty."""
-    return {field.name: _zero(definition, field) for field in definition.types[type_name]}
-
-
-def _zero(definition: Definition, field: Field) -> Any:
+def zero(definition: Definition, field: Field) -> Any:
+    """Return the value of a field that has numbers 0, bools False, empty texts and sequences."""
     if field.shape is FieldShape.SEQUENCE:
         return []
     if field.shape is FieldShape.ARRAY:
-        return [_zero(definition, field.item) for _ in range(field.length or 0)]
+        return [zero(definition, field.item) for _ in range(field.length or 0)]
     if field.is_message:
-        return zero(definition, field.type_name)
+        return {each.name: zero(definition, each) for each in definition.types[field.type_name]}
     return {"?": False, "f": 0.0, "d": 0.0, "": ""}.get(NUMBERS.get(field.type_name, ""), 0)
 
 
@@ -167,47 +160,25 @@ def filled(definition: Definition, defaults: Mapping[str, Any], given: object) -
     Raises:
         WrongValue: A field does not exist, or has a value of another type or size.
     """
-    return _message(definition, definition.root, defaults, given, "")
-
-
-def _message(
-    definition: Definition, type_name: str, values: Mapping[str, Any], given: object, path: str
-) -> dict[str, Any]:
-    if not isinstance(given, Mapping):
-        raise WrongValue(f"{path or type_name}: {given!r} is not in the form {{field: value}}")
-    fields = {field.name: field for field in definition.types[type_name]}
-    merged = dict(values)
-    for name, value in given.items():
-        field = fields.get(str(name))
-        if field is None:
-            raise WrongValue(unknown_field(str(name), type_name, tuple(fields.values())))
-        merged[field.name] = _value(
-            definition, field, merged[field.name], value, f"{path}.{name}".lstrip(".")
-        )
+    merged: dict[str, Any] = _filled(definition, Field("", definition.root), defaults, given, "")
     return merged
 
 
-def _value(definition: Definition, field: Field, before: Any, given: object, path: str) -> Any:
-    if field.shape is FieldShape.ONE:
-        return _item(definition, field, before, given, path)
-    if not isinstance(given, list | bytes):
-        raise WrongValue(f"{path}: {given!r} is no list ({field.type_text})")
-    count, limit = len(given), field.length
-    if field.shape is FieldShape.ARRAY and count != limit:
-        raise WrongValue(f"{path}: {count} values, not {limit} ({field.type_text})")
-    if limit is not None and count > limit:
-        raise WrongValue(f"{path}: {count} values, at most {limit} ({field.type_text})")
-    before = _zero(definition, field.item)
-    return [
-        _item(definition, field, before, item, f"{path}[{place}]")
-        for place, item in enumerate(given)
-    ]
-
-
-def _item(definition: Definition, field: Field, before: Any, given: object, path: str) -> Any:
+def _filled(definition: Definition, field: Field, before: Any, given: object, path: str) -> Any:
+    if field.shape is not FieldShape.ONE:
+        return _filled_list(definition, field, given, path)
     kind = field.type_name
     if field.is_message:
-        return _message(definition, kind, before, given, path)
+        if not isinstance(given, Mapping):
+            raise WrongValue(f"{path or kind}: {given!r} is not in the form {{field: value}}")
+        fields, merged = {each.name: each for each in definition.types[kind]}, dict(before)
+        for name, value in given.items():
+            inner = fields.get(str(name))
+            if inner is None:
+                raise WrongValue(unknown_field(str(name), kind, tuple(fields.values())))
+            place = f"{path}.{name}".lstrip(".")
+            merged[inner.name] = _filled(definition, inner, merged[inner.name], value, place)
+        return merged
     if field.is_text:
         if not isinstance(given, str) or "\0" in given:
             raise WrongValue(f"{path}: {given!r} is no text ({field.type_text}): put it in quotes")
@@ -215,12 +186,27 @@ def _item(definition: Definition, field: Field, before: Any, given: object, path
         if field.text_bound is not None and size > field.text_bound:
             raise WrongValue(f"{path}: longer than {field.text_bound} bytes ({field.type_text})")
         return given
-    code = NUMBERS[kind]
-    if code == "?":
-        if not isinstance(given, bool):
-            raise WrongValue(f"{path}: {given!r} is neither true nor false")
-        return given
-    return _number(code, kind, given, path)
+    if kind != "bool":
+        return _number(NUMBERS[kind], kind, given, path)
+    if not isinstance(given, bool):
+        raise WrongValue(f"{path}: {given!r} is neither true nor false")
+    return given
+
+
+def _filled_list(definition: Definition, field: Field, given: object, path: str) -> list[Any]:
+    if not isinstance(given, list | bytes):
+        raise WrongValue(f"{path}: {given!r} is no list ({field.type_text})")
+    count, limit = len(given), field.length
+    if field.shape is FieldShape.ARRAY and count != limit:
+        raise WrongValue(f"{path}: {count} values, not {limit} ({field.type_text})")
+    if limit is not None and count > limit:
+        raise WrongValue(f"{path}: {count} values, at most {limit} ({field.type_text})")
+    item = field.item
+    before = zero(definition, item)
+    return [
+        _filled(definition, item, before, each, f"{path}[{place}]")
+        for place, each in enumerate(given)
+    ]
 
 
 def _number(code: str, kind: str, given: object, path: str) -> int | float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice, pairwise
+from itertools import pairwise
 from math import hypot, isfinite
 from statistics import median
 from typing import Final, NamedTuple
@@ -168,10 +168,8 @@ class ThinnedPath:
         return [*self.places, self._last] if ends and self._last is not None else self.places
 
 
-MAX_SEARCHED: Final = 5000
-"""Limit on the leaf fields of a type that are searched."""
 MAX_LISTS: Final = 24
-"""Limit on the sequences of messages that are searched: each search looks at all types."""
+"""Limit on the sequences of messages that are searched: a short text may nest 2^64 of them."""
 MAX_NAMED: Final = 24
 """Limit on the fields that an error names."""
 MAX_FIELDS: Final = 8
@@ -268,21 +266,19 @@ def _is_plain_number(path: FieldPath) -> bool:
     return path.kind is ValueKind.NUMBER and not isinstance(path.steps[-1], int)
 
 
-def _with_lists(definition: Definition, found: Iterable[FieldPath]) -> Iterable[FieldPath]:
-    """Return the leaves; each sequence of messages is followed by the leaves of its first item.
+def _with_lists(
+    definition: Definition, found: Iterable[FieldPath], room: Iterator[int] | None = None
+) -> Iterator[FieldPath]:
+    """Yield the leaves; each sequence of messages is followed by the leaves of its first item.
 
-    This is done for the first MAX_LISTS sequences. At most MAX_SEARCHED leaves are returned.
+    Each value in `room` stands for one sequence: by default, the first MAX_LISTS are followed.
     """
-    room = iter(range(MAX_LISTS))
-
-    def walk(found: Iterable[FieldPath]) -> Iterator[FieldPath]:
-        for each in found:
-            yield each
-            if each.kind is ValueKind.NESTED and next(room, None) is not None:
-                first = FieldPath((*each.steps, 0), each.field.item)
-                yield from walk(leaves(definition, first))
-
-    return islice(walk(found), MAX_SEARCHED)
+    room = iter(range(MAX_LISTS)) if room is None else room
+    for each in found:
+        yield each
+        if each.kind is ValueKind.NESTED and next(room, None) is not None:
+            first = FieldPath((*each.steps, 0), each.field.item)
+            yield from _with_lists(definition, leaves(definition, first), room)
 
 
 def _names(found: Iterable[FieldPath]) -> list[str]:

@@ -456,7 +456,7 @@ def test_a_path_beyond_the_end_of_a_sequence_is_refused() -> None:
 
 def test_given_values_replace_the_defaults() -> None:
     described = definition(ODOMETRY)
-    before = zero(described, described.root)
+    before = zero(described, Field("", described.root))
     after = filled(described, before, {"pose": {"pose": {"position": {"x": 1}}}})
     assert after["pose"]["pose"]["position"] == {"x": 1.0, "y": 0.0, "z": 0.0}
     assert before["pose"]["pose"]["position"]["x"] == 0.0
@@ -484,9 +484,9 @@ def test_given_values_replace_the_defaults() -> None:
 def test_a_value_beyond_its_type_is_refused(field: str, value: object, said: str) -> None:
     described = parse_definition("a/msg/T", f"{field}\n{'=' * 80}\nMSG: a/E\n")
     with pytest.raises(WrongValue, match=said):
-        filled(described, zero(described, described.root), {"x": value})
+        filled(described, zero(described, Field("", described.root)), {"x": value})
     with pytest.raises(WrongValue, match="has no field 'xx': did you mean x"):
-        filled(described, zero(described, described.root), {"xx": value})
+        filled(described, zero(described, Field("", described.root)), {"xx": value})
 
 
 EVERYTHING = """\
@@ -529,7 +529,7 @@ def test_short_arrays_are_spread_and_lists_keep_one_column() -> None:
 
 def test_the_leaves_of_a_type_or_of_a_field_are_in_the_order_of_its_definition() -> None:
     described = parse_definition("p/msg/All", EVERYTHING)
-    values = zero(described, described.root)
+    values = zero(described, Field("", described.root))
     found = list(leaves(described))
     for leaf in found:
         assert parse_path(described, leaf.name) == leaf
