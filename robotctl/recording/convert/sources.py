@@ -26,11 +26,12 @@ from robotctl.recording.read.files import (
     each_with_progress,
     recording_files,
 )
-from robotctl.recording.read.messages import ReadableFile, open_readable
+from robotctl.recording.read.messages import ReadableFile, batched, open_readable
 from robotctl.recording.read.read_limits import Damaged, ReadLimits, Tally
 from robotctl.recording.read.source import SUFFIX, unpack_zstd_file
 
 _BATCH_BYTES: Final = 1 << 20
+_PROGRESS_ROWS: Final = 1000
 _MAX_TOPICS: Final = 1 << 16
 """A channel id of MCAP has 16 bits."""
 
@@ -91,25 +92,21 @@ class SqliteSource:
 
     def batches(self) -> Iterator[Sequence[PlainMessage]]:
         """Yield the messages in order of their time, in batches of about 1 MB."""
-        batch: list[PlainMessage] = []
-        size = done = odd = 0
+        yield from batched(self._messages(), _BATCH_BYTES)
+
+    def _messages(self) -> Iterator[PlainMessage]:
+        done = odd = 0
         try:
             for row in self._database.execute(_MESSAGES):
                 done += 1
-                message = self._message(row)
-                if message is None:
+                if message := self._message(row):
+                    yield message
+                else:
                     odd += 1
-                    continue
-                batch.append(message)
-                size += len(message[1])
-                if size >= _BATCH_BYTES:
-                    yield batch
-                    batch, size = [], 0
+                if done % _PROGRESS_ROWS == 0:
                     self._on_progress(done, max(self._count, done))
         except sqlite3.Error as error:
             self.lost.append(f"the database is damaged after {done} messages: {error}")
-        if batch:
-            yield batch
         if odd:
             self.lost.append(f"{odd} messages have no valid topic, time or data")
 

@@ -35,13 +35,12 @@ from robotctl.recording.format.names import (
     EventKind,
 )
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
-from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
 from robotctl.recording.format.topics import Topic
 from robotctl.recording.keep.listing import CLIPS_FOLDER, ListedRecording, list_recording
 from robotctl.recording.read.file_index import note_missing, topic_of
 from robotctl.recording.read.journal_reader import since_snapshot
-from robotctl.recording.read.messages import Message, Window
+from robotctl.recording.read.messages import Message, Window, batched
 from robotctl.recording.read.reader import Recording
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.channel_state import MAX_LATCHED
@@ -214,21 +213,11 @@ class _ClipWriter:
             self._on_progress(message.log_ns - start_ns, end_ns - start_ns)
 
     def _write(self, mcap: McapFile, messages: Iterable[Message]) -> None:
-        waiting: list[PlainMessage] = []
-        size = 0
-        for message in messages:
-            channel = self._channels[message.topic, message.type_name]
-            waiting.append(
-                (channel, message.data, message.log_ns, message.publish_ns, message.sequence)
-            )
-            size += len(message.data)
-            if size >= CHUNK_BYTES:
-                mcap.commit(self._encoder.encode(pack(waiting)), finished=False)
-                self.message_count += len(waiting)
-                waiting, size = [], 0
-        if waiting:
-            mcap.commit(self._encoder.encode(pack(waiting)), finished=False)
-            self.message_count += len(waiting)
+        channels = self._channels
+        plain = ((channels[each.topic, each.type_name], each.data, *each[3:]) for each in messages)
+        for batch in batched(plain, CHUNK_BYTES):
+            mcap.commit(self._encoder.encode(pack(batch)), finished=False)
+            self.message_count += len(batch)
 
     def _about(self) -> dict[str, str]:
         moment, (start_ns, end_ns) = self._moment, self._window

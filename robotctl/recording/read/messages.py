@@ -301,7 +301,7 @@ class ReadableFile:
     def batches(self) -> Iterator[list[PlainMessage]]:
         """Yield all messages in batches: those of one chunk, or of a part of a large chunk."""
         for place in self.index.places:
-            yield from self._read(place)
+            yield from batched(self._messages(place), _BATCH_BYTES)
             self._on_progress(place.offset)
         if sentence := self.index.unaccounted():
             note_missing(self.lost, sentence)
@@ -322,21 +322,27 @@ class ReadableFile:
         self.index.limit_reached |= isinstance(damage, BeyondLimit)
         note_missing(self.lost, f"{what}: {damage}")
 
-    def _read(self, place: Place) -> Iterator[list[PlainMessage]]:
-        messages: list[PlainMessage] = []
-        size = 0
+    def _messages(self, place: Place) -> Iterator[PlainMessage]:
         try:
             for contents in PlaceReader(self._opened, place, self._names, ALWAYS).contents():
                 for (_, _, channel, sequence, log_ns, publish_ns), data in contents:
-                    messages.append((channel, data, log_ns, publish_ns, sequence))
-                    size += len(data)
-                    if size >= _BATCH_BYTES:
-                        yield messages
-                        messages, size = [], 0
+                    yield channel, data, log_ns, publish_ns, sequence
         except Damaged as damage:
             self._lose(f"bytes {place.offset} to {place.offset + place.length} are lost", damage)
-        if messages:
-            yield messages
+
+
+def batched(messages: Iterable[PlainMessage], most_bytes: int) -> Iterator[list[PlainMessage]]:
+    """Yield the messages in lists, each of which ends with the message that fills it."""
+    batch: list[PlainMessage] = []
+    size = 0
+    for message in messages:
+        batch.append(message)
+        size += len(message[1])
+        if size >= most_bytes:
+            yield batch
+            batch, size = [], 0
+    if batch:
+        yield batch
 
 
 @contextmanager
