@@ -31,7 +31,6 @@ from robotctl.collection.sources import (
 from robotctl.recording.disk.access import reason_of
 from robotctl.recording.keep.listing import CLIPS_FOLDER, CatalogFile, CatalogFolder
 from robotctl.recording.keep.retention import (
-    Removed,
     RetentionPolicy,
     enforce_retention,
     note_removal,
@@ -80,7 +79,7 @@ class Synced:
 class Pruned:
     """The removed files, and a sentence for each file that had to be kept."""
 
-    removed: list[Removed] = field(default_factory=list)
+    removed: list[CatalogFile] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
 

@@ -17,11 +17,8 @@ from robotctl.recording.disk.atomic_output import atomic_output
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.names import (
     CONVERSION_RECORD,
-    FOXGLOVE_RECORD,
-    INFO_RECORD,
     LEDGER_RECORD,
     LIBRARY,
-    SOFTWARE_RECORD,
     Compression,
 )
 from robotctl.recording.format.records import PlainMessage
@@ -32,7 +29,7 @@ from robotctl.recording.format.rosbag2 import (
     write_metadata,
 )
 from robotctl.recording.format.topics import Topic
-from robotctl.recording.read.file_index import note_missing, topic_of
+from robotctl.recording.read.file_index import OF_EACH_FILE, note_missing, topic_of
 from robotctl.recording.read.files import Progress
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
@@ -186,9 +183,6 @@ class OutputFile:
         self._schemas, self._channels = len(self._table.schemas), len(self._table.channels)
 
 
-_OF_EACH_FILE: Final = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
-"""Records about the robot and the recording software; each file begins with them."""
-
 _REWRITTEN: Final = (METADATA_RECORD, LEDGER_RECORD, CONVERSION_RECORD)
 
 
@@ -273,7 +267,7 @@ class Converter:
             output.add_attachment(attachment)
             self.done.attachment_count += 1
         kept = [each for each in source.metadata() if each.name not in _REWRITTEN]
-        output.add_metadata([each for each in kept if each.name not in _OF_EACH_FILE])
+        output.add_metadata([each for each in kept if each.name not in OF_EACH_FILE])
         self._ledger = [each for each in source.metadata() if each.name == LEDGER_RECORD][-1:]
         prefix = f"{source.name}: "
         self.done.lost += (prefix + sentence for sentence in source.lost)
@@ -296,7 +290,7 @@ class Converter:
             path, self._table, self._form.compression, source.profile, source.library
         )
         self._sources = [source.name]
-        latest = {each.name: each for each in source.metadata() if each.name in _OF_EACH_FILE}
+        latest = {each.name: each for each in source.metadata() if each.name in OF_EACH_FILE}
         self._output.add_metadata(list(latest.values()))
         return self._output
 

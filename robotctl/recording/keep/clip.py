@@ -25,12 +25,9 @@ from robotctl.recording.disk.storage import new_file
 from robotctl.recording.format.names import (
     CLIP_RECORD,
     EVENT_RECORD,
-    FOXGLOVE_RECORD,
-    INFO_RECORD,
     LEDGER_RECORD,
     LIBRARY,
     RECOVERY_RECORD,
-    SOFTWARE_RECORD,
     Compression,
     EventKind,
 )
@@ -38,7 +35,7 @@ from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
 from robotctl.recording.format.topics import Topic
 from robotctl.recording.keep.listing import CLIPS_FOLDER, ListedRecording, list_recording
-from robotctl.recording.read.file_index import note_missing, topic_of
+from robotctl.recording.read.file_index import OF_EACH_FILE, note_missing, topic_of
 from robotctl.recording.read.journal_reader import since_snapshot
 from robotctl.recording.read.messages import Message, Window, batched
 from robotctl.recording.read.reader import Recording
@@ -49,23 +46,20 @@ from robotctl.recording.write.mcap_writer import McapFile
 _OF_THE_WHOLE = (METADATA_RECORD, LEDGER_RECORD, RECOVERY_RECORD, EVENT_RECORD, CLIP_RECORD)
 """Metadata that describes a whole recording, and would be wrong for a part of it."""
 
-_OF_EACH_FILE = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
-"""Metadata that each file of the recording repeats."""
-
 
 def records_of_clip(
     recorded: Iterable[Metadata], window: Window
 ) -> Iterator[tuple[str, Mapping[str, str]]]:
     """Yield name and values of each metadata record that a clip of `window` copies.
 
-    For each name in _OF_EACH_FILE only the last record is yielded, without its key `mode`.
+    For each name in OF_EACH_FILE only the last record is yielded, without its key `mode`.
     """
     records = list(recorded)
     for record in records:
-        if record.name not in (*_OF_THE_WHOLE, *_OF_EACH_FILE):
+        if record.name not in (*_OF_THE_WHOLE, *OF_EACH_FILE):
             yield record.name, record.metadata
     last = {record.name: record.metadata for record in records}
-    for name in _OF_EACH_FILE:
+    for name in OF_EACH_FILE:
         if name in last:
             yield name, {key: value for key, value in last[name].items() if key != "mode"}
     for event in events_in(records):

@@ -158,21 +158,13 @@ class RetentionPolicy:
     max_age_s: float | None = 30 * DAY_S
 
 
-@dataclass(frozen=True, slots=True)
-class Removed:
-    """A file that retention removed."""
-
-    path: Path
-    size: int
-
-
 def enforce_retention(
     recordings: Path,
     policy: RetentionPolicy,
     now_s: float,
     may_remove: Callable[[CatalogFile, CatalogFolder], bool] = lambda file, folder: True,
     on_failure: Callable[[CatalogFile, OSError], None] = lambda file, error: None,
-) -> list[Removed]:
+) -> list[CatalogFile]:
     """Remove files below `recordings`, the oldest first, until `policy` is met.
 
     Never removed: a file that is being written, a recording with a `keep` file and its clips, and
@@ -186,7 +178,7 @@ def enforce_retention(
     files = [(file, folder) for folder in folders for file in (*folder.files, *folder.clips)]
     files.sort(key=lambda pair: (pair[0].modified_s, pair[0].path))
     total = sum(file.size for file, _ in files)
-    removed: list[Removed] = []
+    removed: list[CatalogFile] = []
     gone: set[Path] = set()
     for file, folder in files:
         too_much = policy.max_bytes is not None and total > policy.max_bytes
@@ -203,7 +195,7 @@ def enforce_retention(
             on_failure(file, error)
             continue
         else:
-            removed.append(Removed(file.path, file.size))
+            removed.append(file)
         gone.add(file.path)
         total -= file.size
         with suppress(OSError):  # at once: this process may be killed before the next removal
@@ -211,7 +203,7 @@ def enforce_retention(
     return removed
 
 
-def remove_recording(folder: CatalogFolder) -> list[Removed]:
+def remove_recording(folder: CatalogFolder) -> list[CatalogFile]:
     """Remove the files and clips of a recording, which must be neither live nor kept. Blocks.
 
     The folder stays if it holds other files.
@@ -219,11 +211,11 @@ def remove_recording(folder: CatalogFolder) -> list[Removed]:
     Raises:
         OSError: A file cannot be removed; the files before it are removed.
     """
-    removed: list[Removed] = []
+    removed: list[CatalogFile] = []
     try:
         for file in (*folder.clips, *folder.files):
             file.path.unlink(missing_ok=True)
-            removed.append(Removed(file.path, file.size))
+            removed.append(file)
     finally:
         with suppress(OSError):
             _tidy(folder, {each.path for each in removed})

@@ -6,11 +6,17 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Final
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema
 
-from robotctl.recording.format.names import OWN_LIBRARY
+from robotctl.recording.format.names import (
+    FOXGLOVE_RECORD,
+    INFO_RECORD,
+    OWN_LIBRARY,
+    SOFTWARE_RECORD,
+)
 from robotctl.recording.format.topics import Topic
 from robotctl.recording.read.chunks import read_chunk, read_chunk_head, stored_size_of
 from robotctl.recording.read.read_limits import BeyondLimit, Damaged, Tally
@@ -125,6 +131,10 @@ class Contents:
         """Return the lowest and the highest log time [ns]; there must be a message."""
         times = [entries[::2] for entries in self.entries.values()]
         return min(map(min, times)), max(map(max, times))
+
+
+OF_EACH_FILE: Final = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
+"""Metadata about the robot and the recording software, which each file of a recording repeats."""
 
 
 def topic_of(channel: Channel, type_name: str) -> Topic:

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol, Self, TypeVar
+from typing import Final, NamedTuple, Self, TypeVar
 
 from isal.isal_zlib import crc32
 from mcap.data_stream import ReadDataStream
@@ -59,12 +59,7 @@ TOO_MANY_RECORDS: Final = (
 _ATTACHMENT_FIXED_BYTES: Final = 8 + 8 + 4 + 4 + 8
 """Log time, create time, lengths of name and media type, size of the data."""
 
-_Record = TypeVar("_Record", bound=McapRecord, covariant=True)
-
-
-class _RecordClass(Protocol[_Record]):
-    @staticmethod
-    def read(stream: ReadDataStream) -> _Record: ...
+_Record = TypeVar("_Record", bound=McapRecord)
 
 
 class _ExactStream(ReadDataStream):
@@ -77,7 +72,7 @@ class _ExactStream(ReadDataStream):
         return data
 
 
-def parse(kind: _RecordClass[_Record], data: bytes) -> _Record:
+def parse(kind: type[_Record], data: bytes) -> _Record:
     """Return the record whose content, without opcode and length, is `data`.
 
     Raises:
@@ -85,9 +80,9 @@ def parse(kind: _RecordClass[_Record], data: bytes) -> _Record:
         MemoryError: There is no memory; this says nothing about the file.
     """
     try:
-        return kind.read(_ExactStream(BytesIO(data)))
+        return kind.read(_ExactStream(BytesIO(data)))  # type: ignore[attr-defined,no-any-return]
     except (McapError, ValueError, struct.error, OverflowError) as error:
-        raise Damaged(f"a {kind.__name__.lower()} record is malformed") from error  # type: ignore[attr-defined]
+        raise Damaged(f"a {kind.__name__.lower()} record is malformed") from error
 
 
 class Record(NamedTuple):
