@@ -224,17 +224,17 @@ def fields_in(owner: str, text: str, most: int) -> Iterator[Field]:
         if match["array"]:
             is_array = match["length"] and not match["upper"]
             shape = FieldShape.ARRAY if is_array else FieldShape.SEQUENCE
-        length, text_bound = _length(match["length"]), _length(match["text_bound"])
+        length, text_bound = (
+            _length(int(digits[:20])) if digits else None
+            for digits in (match["length"], match["text_bound"])
+        )
         yield Field(match["name"], type_name, shape, length, text_bound)
 
 
-def _length(digits: str | None) -> int | None:
-    """Return a length or bound, None if there are no digits."""
-    if not digits:
-        return None
-    length = int(digits[:20])
-    if not 0 < length <= MAX_LENGTH:
-        raise UnreadableType(f"a length of {digits[:20]} is not in 1 to {MAX_LENGTH}")
+def _length(length: object) -> int:
+    """Return the length of an array or text, or a bound, if it is one."""
+    if not isinstance(length, int) or not 0 < length <= MAX_LENGTH:
+        raise UnreadableType(f"a length of {str(length)[:20]} is not in 1 to {MAX_LENGTH}")
     return length
 
 
@@ -364,14 +364,14 @@ def _described_field(described: Mapping[str, Any]) -> Field:
     text_bound = None
     if _NAMES_OF_TYPES.get(number - _BOUNDED_TEXT) in (TEXT, WIDE_TEXT):
         number -= _BOUNDED_TEXT
-        text_bound = _length(str(kind["string_capacity"]))
+        text_bound = _length(kind["string_capacity"])
     if number == _NESTED:
         type_name = _known_name(kind["nested_type_name"])
     elif number in _NAMES_OF_TYPES:
         type_name = _NAMES_OF_TYPES[number]
     else:
         raise UnreadableType(f"the type of {name}, number {kind['type_id']}, has no ros2msg text")
-    length = _length(str(kind["capacity"])) if shape in (1, 2) else None
+    length = _length(kind["capacity"]) if shape in (1, 2) else None
     shapes = (FieldShape.ONE, FieldShape.ARRAY, FieldShape.SEQUENCE, FieldShape.SEQUENCE)
     return Field(name, type_name, shapes[shape], length, text_bound)
 

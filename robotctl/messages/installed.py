@@ -135,7 +135,7 @@ def _file(package: str, kind: str, name: str) -> str:
     for prefix in (*prefixes, sys.prefix):
         path = Path(prefix) / "share" / package / kind / name
         if path.is_file():
-            return path.read_text(encoding="utf-8")
+            return path.read_text(encoding="utf-8", errors="replace")
     raise FileNotFoundError(f"{package}/{kind}/{name} is not installed")
 
 

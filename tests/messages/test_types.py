@@ -373,7 +373,7 @@ def described(**kind: Any) -> dict[str, Any]:
         (described(name="\u00e4"), "is no name of a field"),
         (described(type_id=50), "0 is not in 1 to"),
         (described(type_id=50, capacity=2**32), "is not in 1 to"),
-        (described(type_id=21), "0 is not in 1 to"),
+        (described(type_id=21, string_capacity=[2]), "is not in 1 to"),
         (described() | {"referenced_type_descriptions": [{}] * 200}, "more than 200 types"),
         (
             {"type_description": {"fields": [0] * 2001}, "referenced_type_descriptions": []},
