@@ -7,7 +7,7 @@ MODES = {"idle": 0, "moving": 1, "error": 2, "emergency-stop": 3}
 
 
 def find_mode(text: str) -> int | None:
-    """Return the number of the mode with name (any case, - or _) or number `text`, None if none."""
+    """Return the number of a mode by its name (any case, with - or _) or number, or None."""
     given = text.strip().lower().replace("_", "-")
     for name, number in MODES.items():
         if given in (name, str(number)):

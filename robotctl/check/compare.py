@@ -270,10 +270,10 @@ class Rerun:
     def snapshot(self, entry: JournalEntry) -> tuple[Snapshot, Divergence | None]:
         """Compare the kernel with a recorded snapshot, then continue from that snapshot.
 
-        Return the snapshot and the kernel's divergence, None if they agree or there is no kernel.
+        Return the snapshot and the divergence, None if they agree; without a kernel its text counts.
 
         Raises:
-            UnreadableFile: The entry is not a snapshot of this version.
+            UnreadableFile: This version cannot read the snapshot, or refuses its parameters.
         """
         snapshot = read_snapshot(entry)
         kernel, self.kernel, self._event = self.kernel, snapshot.kernel(), None

@@ -74,7 +74,7 @@ class FirstDifference:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """The first event on which the kernel fails only with the other parameters."""
+    """The first event that the kernel handles with the recorded, but not with other parameters."""
 
     after_s: float
     text: str

@@ -151,7 +151,7 @@ def _tilt(data: bytes) -> tuple[float, str]:
 
 
 def statuses(robot: str, data: bytes) -> Iterator[tuple[str, float, str]]:
-    """Yield name, level and text of each diagnosis that `robot` did not send itself.
+    """Yield name, level and `name: text` of each diagnosis that `robot` did not send itself.
 
     Raises:
         struct.error: The message is cut short, not in plain CDR, or too long.

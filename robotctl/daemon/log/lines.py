@@ -179,7 +179,7 @@ class _StderrListener(QueueListener):
                 return
 
     def stop(self) -> None:
-        """Write the queued lines for FLUSH_S at most; then drop the others and all later output."""
+        """Write the queued lines and restore stderr; after FLUSH_S drop the rest and what follows."""
         self._is_ending = True
         with suppress(BlockingIOError):
             os.write(self.writing, _END)  # fd 2 keeps the pipe open, so there is no end of file

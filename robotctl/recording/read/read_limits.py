@@ -116,7 +116,7 @@ class ReadLimits:
 
 
 def unpacking_cost(unpacked_bytes: int) -> int:
-    """Return how much of `ReadLimits.unpacked_cost` decompressing a chunk of this size uses."""
+    """Return how much so many unpacked bytes count against `ReadLimits.unpacked_cost`."""
     return unpacked_bytes // (FAST_CHUNK_DISCOUNT if unpacked_bytes <= FAST_CHUNK_BYTES else 1)
 
 
