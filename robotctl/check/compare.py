@@ -270,7 +270,7 @@ class Rerun:
     def snapshot(self, entry: JournalEntry) -> tuple[Snapshot, Divergence | None]:
         """Compare the kernel with a recorded snapshot, then continue from that snapshot.
 
-        Return the snapshot and the divergence, None if they agree; without a kernel its text counts.
+        Return the snapshot and the divergence, None if they agree (without a kernel: its text).
 
         Raises:
             UnreadableFile: This version cannot read the snapshot, or refuses its parameters.

@@ -240,7 +240,7 @@ class Pattern:
     )
 
     def refusal(self, course: Course = PLAIN) -> str:
-        """Return why this pattern cannot be driven on this course, "" if it can."""
+        """Return why this pattern cannot be driven with the options in `course`, "" if it can."""
         size_m, speed_mps = self.size_m, self.speed_mps
         if not MIN_SIZE_M <= size_m <= MAX_SIZE_M:
             return f"a size of {size_m:g} m: use {MIN_SIZE_M:g} to {MAX_SIZE_M:g} m"

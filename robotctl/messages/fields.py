@@ -54,7 +54,7 @@ class FieldPath:
 
     @property
     def kind(self) -> ValueKind:
-        """What the values are."""
+        """The kind of the values that the path leads to."""
         code = NUMBERS.get(self.field.type_name)
         if self.field.shape is FieldShape.ONE:
             if self.field.is_message:

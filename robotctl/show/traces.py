@@ -323,7 +323,7 @@ Taker = Callable[[Traces, float, bytes], None]
 
 @dataclass(frozen=True, slots=True)
 class TopicTraces:
-    """Fills traces from messages; `takers` has a function for each topic to draw and its type."""
+    """Adds messages to traces; the keys of `takers` are the topics to draw, with their type."""
 
     takers: dict[tuple[str, str], Taker]
 

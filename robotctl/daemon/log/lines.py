@@ -179,7 +179,7 @@ class _StderrListener(QueueListener):
                 return
 
     def stop(self) -> None:
-        """Write the queued lines and restore stderr; after FLUSH_S drop the rest and what follows."""
+        """Write the queued lines and restore stderr; after FLUSH_S drop them and what follows."""
         self._is_ending = True
         with suppress(BlockingIOError):
             os.write(self.writing, _END)  # fd 2 keeps the pipe open, so there is no end of file

@@ -75,7 +75,7 @@ def _opening(entry: Entry) -> Opening:
 
 
 def known_heads() -> KnownHeads:
-    """Return what the state folder of this user says; what cannot be read is skipped."""
+    """Return the sealed files that this user's journals know; skip what cannot be read."""
     heads = KnownHeads()
     with suppress(RobotctlError, OSError):
         for robot in state_folder().iterdir():
