@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -89,7 +90,7 @@ class Contents:
         self.records = 0
         """The records that were walked."""
 
-        self.entries: dict[int, list[int]] = {}
+        self.entries: dict[int, array[int]] = {}
         """Log time [ns] and position of each message, alternately, by channel."""
 
     def walk(
@@ -116,8 +117,8 @@ class Contents:
                     entries = every.get(channel)
                     if entries is None:
                         begin(channel)
-                        entries = every[channel] = []
-                    entries += log_ns, position
+                        entries = every[channel] = array("Q")
+                    entries.extend((log_ns, position))
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     start = position + RECORD_HEAD.size
                     define(opcode, data[start : start + length])

@@ -403,9 +403,7 @@ class _Walk:
             data.count(found.counts, *window)
         self._entry = self._placed(head, record, empty=not found.entries)
         data.listed[Opcode.CHUNK_INDEX][record.offset] = self._entry
-        self._expected = {
-            channel: array("Q", entries).tobytes() for channel, entries in found.entries.items()
-        }
+        self._expected = {channel: entries.tobytes() for channel, entries in found.entries.items()}
 
     def _check_channel(self, channel: int) -> None:
         if channel not in self._data.channels:
