@@ -23,6 +23,7 @@ from robotctl.recording.read.files import reason_of
 from robotctl.recording.read.indexing import (
     find_unfinished_commit,
     index_from_summary,
+    read_summary,
     read_written_file,
 )
 from robotctl.recording.read.read_limits import Damaged
@@ -194,6 +195,7 @@ def _live(file: InputFile, flaws: Flaws, on_progress: Callable[[int], None]) -> 
     while True:
         try:
             index, written = index_from_summary(file), read_written_file(file)
+            summary, start = read_summary(file)
             if index.limit_reached:
                 raise Damaged("; ".join(index.missing))
             end = find_unfinished_commit(file, index, written.data_end)
@@ -209,10 +211,7 @@ def _live(file: InputFile, flaws: Flaws, on_progress: Callable[[int], None]) -> 
     data.told_crc = written.data_crc
     if written.data_crc:  # otherwise a commit was just being written
         _check_crc(file, found)
-    groups = dict(written.groups)
-    offsets = groups.pop(Opcode.SUMMARY_OFFSET, b"")
-    summary = b"".join([*groups.values(), written.seal, offsets])
-    compare_summary(summary, written.data_end + DATA_END_BYTES, data, flaws)
+    compare_summary(summary, start, data, flaws)
     return found
 
 
