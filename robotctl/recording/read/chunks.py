@@ -267,19 +267,13 @@ class MessageDecompressor:
             Damaged: The frame is corrupt, or exceeds the limits.
         """
         try:
-            size = frame_content_size(frame)
-            self._spend(size)
+            size, most = frame_content_size(frame), self._limits.chunk_bytes
+            if size > most:
+                raise BeyondLimit(f"a message claims {size} bytes, more than {most}")
+            self._cost += unpacking_cost(max(size, 0))
+            if self._cost > self._limits.unpacked_cost - self._tally.others(self._offset):
+                raise beyond_unpacking(self._limits.unpacked_cost)
+            self._tally.note(self._offset, self._cost)
             return self._zstd.decompress(frame, max_output_size=size)
         except (ZstdError, ValueError, MemoryError) as error:
             raise Damaged("messages are not compressed as the metadata says") from error
-
-    def _spend(self, size: int) -> None:
-        if size > self._limits.chunk_bytes:
-            raise BeyondLimit(
-                f"a message claims {size} bytes, more than {self._limits.chunk_bytes}"
-            )
-        self._cost += unpacking_cost(max(size, 0))
-        limit = self._limits.unpacked_cost
-        if self._cost > limit - self._tally.others(self._offset):
-            raise beyond_unpacking(limit)
-        self._tally.note(self._offset, self._cost)

@@ -77,19 +77,6 @@ class PlaceReader:
     gives topic and type of each.
     """
 
-    __slots__ = (
-        "_data",
-        "_decompressor",
-        "_names",
-        "entries",
-        "file",
-        "loaded",
-        "next",
-        "place",
-        "size",
-        "window",
-    )
-
     def __init__(
         self, file: OpenFile, place: Place, names: dict[int, tuple[str, str]], window: Window
     ) -> None:

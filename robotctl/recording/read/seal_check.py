@@ -87,10 +87,7 @@ def check_seal(file: InputFile, data: WholeData, state: FileState, loose: int) -
     if not is_signed(opening.signed(), bytes.fromhex(opening.certificate), opening.previous_key):
         found.wrong.append("the key of the file is not signed by the key of the file before")
     _check_links(file, opening, links, found)
-    _judge(data.end - min(loose, data.end), links, found)
-    partly = found.state is SealState.PARTLY and not _is_repaired(links)
-    if state is FileState.FINISHED and partly:
-        found.notes.append("the recorder stopped signing, or a signature was removed")
+    _judge(data.end - min(loose, data.end), state, links, found)
     return found
 
 
@@ -149,12 +146,8 @@ def _check_links(file: InputFile, opening: Opening, links: list[Link], found: Se
             base, start, number, running = link.digest, link.covered, number + 1, sha256()
 
 
-def _is_repaired(links: list[Link]) -> bool:
-    return any(link.kind is LinkKind.REPAIRED for link in links)
-
-
-def _judge(end: int, links: list[Link], found: SealOfRead) -> None:
-    repaired = _is_repaired(links)
+def _judge(end: int, state: FileState, links: list[Link], found: SealOfRead) -> None:
+    repaired = any(link.kind is LinkKind.REPAIRED for link in links)
     found.is_copy = repaired and found.head is None
     if found.wrong:
         found.state = SealState.BROKEN
@@ -168,3 +161,5 @@ def _judge(end: int, links: list[Link], found: SealOfRead) -> None:
         found.state = SealState.PARTLY
         why = "a repair has written the rest" if repaired else "the rest is not signed for"
         found.notes.append(f"sealed are the first {found.head.covered} bytes: {why}")
+        if state is FileState.FINISHED and not repaired:
+            found.notes.append("the recorder stopped signing, or a signature was removed")
