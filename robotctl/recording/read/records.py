@@ -249,15 +249,12 @@ def head_blocks(data: bytes, most: int = sys.maxsize) -> Iterator[HeadBlock]:
             raise BeyondLimit(TOO_MANY_RECORDS)
         block: HeadBlock = []
         add, block_end = block.append, min(position + _BLOCK_BYTES, size)
-        last_quick = min(last_message, block_end - 1)
         try:
             for _ in range(min(most, _BLOCK_RECORDS)):
-                if position <= last_quick:
-                    head = unpack(data, position)
-                elif position >= block_end:
+                if position >= block_end:
                     break
-                else:
-                    head = _short_head(data, position)
+                is_short = position > last_message
+                head = _short_head(data, position) if is_short else unpack(data, position)
                 end = position + head_bytes + head[1]
                 if end > size or (head[1] < least_bytes and head[0] == message):
                     raise Damaged("a chunk ends in the middle of a record")
