@@ -133,15 +133,9 @@ class OutputFile:
         self._schemas = 0
         self._channels = 0
 
-    @property
-    def size(self) -> int:
-        """Bytes of the file so far."""
-        return self._mcap.size
-
-    @property
-    def has_messages(self) -> bool:
-        """Whether the file has any message."""
-        return bool(self._mcap.summary.counts)
+    def is_full(self, limit: int | None) -> bool:
+        """Return whether it has messages, and at least `limit` bytes; None means no limit."""
+        return limit is not None and bool(self._mcap.summary.counts) and self._mcap.size >= limit
 
     def write(self, messages: Sequence[PlainMessage]) -> None:
         """Write messages as one chunk."""
@@ -259,7 +253,7 @@ class Converter:
         output = self._file_for(source)
         self._ledger = []
         for messages in source.batches():
-            if self._is_full(output):
+            if output.is_full(self._form.split_bytes):
                 self._finish()
                 output = self._begin(source)
             output.write(_renumbered(messages, ids))
@@ -277,7 +271,9 @@ class Converter:
         output = self._output
         if output is None:
             return self._begin(source)
-        if self._form.one_file or (self._form.split_bytes and not self._is_full(output)):
+        if self._form.one_file or (
+            self._form.split_bytes and not output.is_full(self._form.split_bytes)
+        ):
             self._sources.append(source.name)
             return output
         self._finish()
@@ -301,10 +297,6 @@ class Converter:
         self._output.add_metadata([Metadata(name=CONVERSION_RECORD, metadata=about)])
         self.done.files.append(self._output.finish(self._ledger))
         self._output, self._ledger = None, []
-
-    def _is_full(self, output: OutputFile) -> bool:
-        limit = self._form.split_bytes
-        return limit is not None and output.has_messages and output.size >= limit
 
 
 def _renumbered(messages: Sequence[PlainMessage], ids: dict[int, int]) -> list[PlainMessage]:
