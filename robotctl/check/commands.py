@@ -339,9 +339,9 @@ class CommandPairs:
         for decided in slot.entries:
             moments = decided.moments
             sent = next((each for each in slot.sent if _same(decided, each)), None)
-            if sent is None and decided.withheld is not None:
-                moments = decided.withheld
-                sent = next((each for each in slot.sent if each.numbers == STILL), None)
+            if decided.withheld is not None:
+                zero = next((each for each in slot.sent if each.numbers == STILL), None)
+                moments, sent = (decided.withheld, zero) if zero else (moments, sent)
             if sent is None:
                 lacking.append(decided)
             else:
@@ -397,7 +397,7 @@ class CommandPairs:
             else:
                 counts.after_end += 1
 
-    def end(self, cut: int = 0, *, is_own: bool = True) -> None:
+    def end(self, cut: int, *, is_own: bool, is_closed: bool) -> None:
         """Judge the commands and messages that still wait, as the recording ends.
 
         Up to `cut` messages may belong to decisions after the end. A journal that was received from
@@ -408,7 +408,7 @@ class CommandPairs:
         lacking: list[tuple[int, DecidedCommand]] = []
         for number, slot in self._waiting.rest():
             for decided in slot.entries:
-                if decided.moments[0] >= self._tick_ns:  # the end may fall into a stall
+                if not is_closed and decided.moments[0] >= self._tick_ns:  # it may end in a stall
                     decided.withheld = decided.withheld or decided.moments
             lacking += ((number, decided) for decided in self._pair(number, slot))
             if not slot.entries and follows(number, self._number):
@@ -484,7 +484,8 @@ class CommandCheck:
         if not self._by_number:
             return
         ending, notes, counts = ending_of(self._topic), self._report.notes, self._pairs.counts
-        self._pairs.end(CUT if ending.is_clip else 0, is_own=ending.is_own)
+        cut = CUT if ending.is_clip else 0
+        self._pairs.end(cut, is_own=ending.is_own, is_closed=ending.is_closed)
         if counts.foreign:
             names = ", ".join(sorted(ending.invariants.foreign))
             text = _without_decision(counts.foreign, counts.foreign_example)
@@ -522,9 +523,9 @@ class CommandCheck:
             ending.lack(count, text)
 
     def _tell_end(self, ending: Ending, counts: CommandCounts) -> None:
-        is_closed = ending.is_whole and ending.ledger is not None and not ending.invariants.foreign
+        is_closed = ending.is_closed and not ending.invariants.foreign
         count = counts.old + (counts.recent if is_closed else 0)
-        if count <= ending.lost:
+        if count <= max(ending.lost - counts.missing - counts.before_first, 0):
             return
         if not counts.paired and is_closed and counts.old:
             ending.accuse(f"none of {count} decided commands is recorded")

@@ -52,6 +52,11 @@ class Ending:
     """Whether the journal is there from its first entry on."""
 
     @property
+    def is_closed(self) -> bool:
+        """Whether it is whole and was closed: then what is not there was not recorded."""
+        return self.is_whole and self.ledger is not None
+
+    @property
     def lost(self) -> int:
         """The number of messages that were counted as not recorded."""
         ledger = self.ledger or {}
@@ -195,7 +200,8 @@ def check_types(recording: Recording, report: Report, topics: Container[str | No
             if name not in HASHES:
                 continue
             if not type_hash:
-                report.miss(f"{topic} is recorded without the definition of its type")
+                text = f"{topic} is recorded without the definition of its type"
+                report.miss(text, is_outside=True)
             elif type_hash != f"RIHS01_{HASHES[name]}" or channel.message_encoding != "cdr":
                 report.miss(
                     f"{topic} is recorded with another version of {name} than the check reads"

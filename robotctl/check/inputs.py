@@ -55,7 +55,7 @@ GAP_NS = NS_PER_S // 10
 """The time between two messages counts as at most this, since nothing can be missed in a gap."""
 
 BEGIN_NS = 3 * NS_PER_S
-"""Like PATIENCE_NS, but at the beginning, when the control loop may not be connected yet."""
+"""Like UNHEARD_NS, but at the beginning, when the control loop may not be connected yet."""
 
 MAX_WAITING = 100_000
 """The number of messages, and of inputs, that may wait to be compared; the oldest are dropped."""
@@ -243,26 +243,26 @@ class InputPairs:
         """Read a message of the topic."""
         self.repeated += number <= self._newest
         self._newest = number
-        self._waiting.slot(number).sent.append(Heard(value, log_ns))
+        slot = self._waiting.slot(number)
+        slot.sent.append(Heard(value, log_ns))
+        self._pair(number, slot)
 
     def received(self, number: int, found: Input) -> None:
         """Read an input of the journal; an input with the `number` 0 has no message."""
         if number:
             begin_ns, _ = self._lives.get(found.source, (found.t_ns, 0))
             self._lives[found.source] = begin_ns, found.t_ns
-            self._waiting.slot(number).entries.append(found)
+            slot = self._waiting.slot(number)
+            slot.entries.append(found)
+            self._pair(number, slot)
 
     def forget(self) -> None:
-        """Compare the pairs that wait and drop all else, because journal entries are missing."""
-        for number, slot in self._waiting.rest():
-            self._pair(number, slot)
+        """Drop what has no counterpart yet, because journal entries are missing."""
+        self._waiting.clear()
 
     def end(self, t_ns: int, stalled_ns: int) -> None:
         """Judge what waits at the end `t_ns`; stalls of `stalled_ns` may have delayed inputs."""
-        left = []
-        for number, slot in self._waiting.rest():
-            self._pair(number, slot)
-            left.append((number, slot))
+        left = [*self._waiting.rest()]
         newest = max((number for number, slot in left if slot.sent), default=0)
         newest = newest if self.has_one_publisher else 0
         for number, slot in left:
@@ -273,7 +273,7 @@ class InputPairs:
                     if number <= max(newest, self._found.get(each.source, 0))
                     or t_ns - each.t_ns > EDGE_NS + stalled_ns
                 ]
-            self._count(number, slot)
+            self._judge(number, slot)
         for number, each in self._unfound:
             begin_ns, end_ns = self._lives[each.source]
             if each.source in self._found or end_ns - begin_ns > UNFOUND_NS:
@@ -291,6 +291,8 @@ class InputPairs:
                     slot.sent.remove(sent)
                     self._note(number, found)
                     break
+        if not slot.entries and not slot.sent:
+            self._waiting.drop(number)
 
     def _note(self, number: int, found: Input) -> None:
         self.paired += 1
@@ -303,10 +305,6 @@ class InputPairs:
             self._last_ns = found.t_ns
 
     def _judge(self, number: int, slot: Slot[Input, Heard]) -> None:
-        self._pair(number, slot)
-        self._count(number, slot)
-
-    def _count(self, number: int, slot: Slot[Input, Heard]) -> None:
         """Count what of one number has no counterpart with its value."""
         for found in slot.entries:
             if slot.sent:  # it was received, with another value

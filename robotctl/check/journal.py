@@ -209,9 +209,6 @@ def _missing(first: int, last: int) -> Gap:
     return Gap(f"the journal lacks the entries {first} to {last}")
 
 
-LogTimes = tuple[int, int]
-"""When the last two events were recorded, in nanoseconds since the epoch."""
-
 Moments = tuple[int, int, int]
 """When a step began, on the steady and on the wall clock, and ended, on the wall clock [ns]."""
 

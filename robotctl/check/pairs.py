@@ -34,13 +34,20 @@ class Waiting(Generic[Entry, Sent]):
         self._slots: dict[int, Slot[Entry, Sent]] = {}
 
     def slot(self, number: int) -> Slot[Entry, Sent]:
-        """Return the slot of a number."""
-        slot = self._slots.get(number)
-        if slot is None:
-            slot = self._slots[number] = Slot()
-            if len(self._slots) > MAX_WAITING:
-                self._judge(*self._oldest())
+        """Return the slot of a number, which is the youngest from now on."""
+        slot = self._slots.pop(number, None) or Slot()
+        self._slots[number] = slot
+        if len(self._slots) > MAX_WAITING:
+            self._judge(*self._oldest())
         return slot
+
+    def drop(self, number: int) -> None:
+        """Remove the slot of a number, which needs no judgement any more."""
+        self._slots.pop(number, None)
+
+    def clear(self) -> None:
+        """Remove all slots."""
+        self._slots.clear()
 
     def rest(self) -> Iterator[tuple[int, Slot[Entry, Sent]]]:
         """Remove and yield all slots, at the end or where journal entries are missing."""

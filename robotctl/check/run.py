@@ -26,12 +26,11 @@ from robotctl.check.groups import FileGroup, file_groups
 from robotctl.check.inputs import InputChecks
 from robotctl.check.invariants import Invariants
 from robotctl.check.journal import (
+    MAX_DISORDER,
     Gap,
-    LogTimes,
     Moments,
     Step,
     read_effect,
-    read_event,
     read_snapshot,
     steps,
 )
@@ -82,18 +81,11 @@ class Comparisons:
         )
         """What compares all steps but odometry that led to nothing, which most steps are."""
 
-    @property
-    def _all(self) -> tuple[Compared, ...]:
-        return self._of_decisions + self._of_all
+        self._all = self._of_decisions + self._of_all
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
         """Return the message handler of each topic that is compared."""
         return {topic: read for each in self._all for topic, read in each.readers().items()}
-
-    def step_before_snapshot(self, event: Event, effects: tuple[Effect, ...]) -> None:
-        """Note a step before the first snapshot, when the kernel's state is not known."""
-        for each in self._of_decisions:
-            each.step(0, event, effects, (0, 0, 0))
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
         """Continue from a snapshot at the steady time `t_ns`, which is `log_ns` since the epoch."""
@@ -258,8 +250,11 @@ class _Check:
         self._end_ns = 0
         """The steady time of the last entry that was read."""
 
-        self._log_ns: LogTimes = (0, 0)
-        """When the last two events or snapshots so far were recorded, since the epoch [ns]."""
+        self._logged: dict[int, int] = {}
+        """When events and snapshots that are not handled yet were recorded [ns], by `seq`."""
+
+        self._logged_ns = 0
+        """When the last entry was recorded, since the epoch [ns]."""
 
         report.robot = self._info.metadata.get(INFO_RECORD, {}).get("robot", "")
         report.version = _version(self._info)
@@ -282,15 +277,19 @@ class _Check:
         self._ends = RecordingEnds(self._recording, info, report, invariants, origin)
         self._compared = Comparisons(report, invariants, RobotTopics(info, topic))
         self._proofs = SnapshotProofs(report, self._chain, invariants)
-        for item in steps(self._entries(topic)):
-            if isinstance(item, Step):
-                self._step(item)
-            elif isinstance(item, Gap):
-                report.miss(item.text)
-                self._stop()
-            else:
-                self._snapshot(item)
-        self._end()
+        report.violations = invariants.violations
+        try:
+            for item in steps(self._entries(topic)):
+                if isinstance(item, Step):
+                    self._step(item)
+                elif isinstance(item, Gap):
+                    report.miss(item.text)
+                    self._stop()
+                else:
+                    self._snapshot(item)
+            self._end()
+        finally:
+            report.violation_count = invariants.count
 
     def _entries(self, topic: str) -> Iterator[JournalEntry]:
         """Yield each entry of the journal on `topic`, in the order of the file.
@@ -300,7 +299,7 @@ class _Check:
         Raises:
             UnreadableFile: The journal cannot be read.
         """
-        readers, last_ns = self._compared.readers(), 0
+        readers = self._compared.readers()
         for message in self._recording.in_order_written(
             {topic, *readers}, self._report.miss, self._on_progress
         ):
@@ -309,11 +308,12 @@ class _Check:
                 continue
             entry = self._decoder.decode(message.data)
             self._begin_or_continue(entry, message)
-            last_ns = message.log_ns
+            self._logged_ns = message.log_ns
             if entry.kind is not EntryKind.EFFECT:
-                self._log_ns = self._log_ns[1], last_ns
+                self._logged[entry.seq] = message.log_ns
+                if len(self._logged) > 2 * MAX_DISORDER:
+                    del self._logged[next(iter(self._logged))]
             yield entry
-        self._log_ns = self._log_ns[1], max(self._log_ns[1], last_ns)  # of the last step
 
     def _begin_or_continue(self, entry: JournalEntry, message: Message) -> None:
         if not self._report.begin_log_ns:
@@ -346,7 +346,8 @@ class _Check:
         self._proofs.check(entry, snapshot.proof, self._ends.snapshot(entry, snapshot))
         if not self._has_numbers:
             snapshot = replace(snapshot, proof=None)
-        self._compared.snapshot(snapshot, entry.t_ns, self._log_ns[1])
+        log_ns = self._logged.pop(entry.seq, self._logged_ns)
+        self._compared.snapshot(snapshot, entry.t_ns, log_ns)
 
     def _step(self, step: Step) -> None:
         entry, report, rerun = step.event, self._report, self._rerun
@@ -355,16 +356,14 @@ class _Check:
         try:
             if rerun is None:
                 self._before_snapshot += 1
-                if step.effects:
-                    self._compared.step_before_snapshot(
-                        read_event(entry), tuple(map(read_effect, step.effects))
-                    )
                 return
             event, effects = self._decided(rerun, step)
         except UnreadableFile as error:
             self._interrupt_at(error)
             return
-        self._compared.step(entry.seq, event, effects, (event.t_ns, *self._log_ns))
+        begin_ns = self._logged.pop(entry.seq, self._logged_ns)
+        end_ns = self._logged.get(entry.seq + 1 + len(step.effects), self._logged_ns)
+        self._compared.step(entry.seq, event, effects, (event.t_ns, begin_ns, end_ns))
 
     def _decided(self, rerun: Rerun, step: Step) -> tuple[Event, tuple[Effect, ...]]:
         """Re-run one step. Return its event and effects (the recorded ones if it was not re-run).
@@ -375,7 +374,7 @@ class _Check:
         report = self._report
         self._format.compare(step.event, *step.effects)
         event, effects, divergence = rerun.step(step)
-        if effects is None or not report.bitwise:
+        if effects is None or not (report.bitwise or step.cut):
             self._note(divergence)
             effects = tuple(map(read_effect, step.effects))
         return event, effects
@@ -418,8 +417,7 @@ class _Check:
         kernel = self._rerun.kernel
         if kernel is not None:
             invariants.end(kernel.state.waiting)
-        self._compared.end(ends.ending, self._end_ns, self._log_ns[1])
-        report.violations, report.violation_count = invariants.violations, invariants.count
+        self._compared.end(ends.ending, self._end_ns, self._logged_ns)
 
 
 def _version(info: RecordingInfo) -> str:

@@ -47,37 +47,13 @@ def with_motion_after_the_stop(written: list[Written]) -> list[Written]:
     return [*written[:last], *[Twist(0.2, 0.0)] * 20, *written[last:]]
 
 
-def with_one_ulp_changed(written: list[Written]) -> list[Written]:
-    at = moving(written)[30]
-    command = written[at]
-    assert isinstance(command, Twist)
-    changed = replace(command, linear=command.linear * (1 + 2**-52))
-    return [*written[:at], changed, *written[at + 1 :]]
-
-
-def reversed_commands(written: list[Written]) -> list[Written]:
-    positions = moving(written)
-    edited = list(written)
-    for at, other in zip(positions, reversed(positions), strict=True):
-        edited[at] = written[other]
-    return edited
-
-
 EDITS: list[tuple[Edit, str]] = [
     (with_motion_after_the_stop, "commands without a decision, such as 0.2 m/s"),
-    (
-        lambda written: [Twist() if isinstance(each, Twist) else each for each in written],
-        "decided commands are missing, the first is command",
-    ),
     (lambda written: [each for each in written if not isinstance(each, Twist)], "none of"),
-    (with_one_ulp_changed, ""),
-    (reversed_commands, ""),
 ]
 
 
-@pytest.mark.parametrize(
-    ("change", "said"), EDITS, ids=["motion after the stop", "zeros", "none", "ulp", "reversed"]
-)
+@pytest.mark.parametrize(("change", "said"), EDITS, ids=["motion after the stop", "none"])
 def test_other_commands_than_the_decided_are_found(
     tmp_path: Path, stopped_drive: list[Written], change: Edit, said: str
 ) -> None:
@@ -102,28 +78,6 @@ def test_removed_commands_are_found_by_their_number(
     assert report.violations[0].text.startswith(
         f"{count} decided commands are missing, the first is command 61 "
     )
-
-
-def test_a_repeated_command_is_found(tmp_path: Path, contents: Contents) -> None:
-    edited = contents.copy()
-    at = [i for i, each in enumerate(edited.messages) if each.topic == COMMANDS][60]
-    edited.messages.insert(at + 3, edited.messages[at])
-    report = check_recording(write_contents(tmp_path / "run", edited))
-    assert (report.verdict, report.violation_count) == (Verdict.BROKEN, 1)
-    assert "1 commands without a decision" in report.violations[0].text
-
-
-def test_commands_that_are_sent_two_seconds_late_are_found(
-    tmp_path: Path, contents: Contents
-) -> None:
-    edited = edit(
-        contents,
-        COMMANDS,
-        lambda at, each: replace(each, publish_ns=each.publish_ns + 2_000_000_000),
-    )
-    report = check_recording(write_contents(tmp_path / "run", edited))
-    assert report.verdict is Verdict.BROKEN
-    assert "were not sent when decided: command 1, 1.9" in report.violations[0].text
 
 
 def test_the_last_commands_of_a_closed_recording_are_missed(
@@ -186,6 +140,26 @@ def test_commands_of_the_file_before_may_be_recorded_after_the_snapshot(tmp_path
     file.messages[8:8] = before
     report = check_recording(write_contents(tmp_path / "run", file).joinpath("run_0.mcap"))
     assert (report.verdict, report.violations) == (Verdict.SAME, []), report
+
+
+def test_the_last_command_of_a_closed_recording_is_no_zero_of_a_stall(tmp_path: Path) -> None:
+    whole = recorded(tmp_path / "made", drive(3.0))
+    last = sum(each.topic == COMMANDS for each in whole.messages) - 1
+    zero = encode_twist(Twist())
+    edited = edit(whole, COMMANDS, lambda n, each: replace(each, data=zero) if n == last else each)
+    assert check_recording(write_contents(tmp_path / "run", edited)).verdict is Verdict.BROKEN
+
+
+def test_what_was_found_before_a_message_that_is_cut_short_stays_found(tmp_path: Path) -> None:
+    written = [
+        each._replace(data=re.sub(r'"journal_crc":[1-9]', '"journal_crc":', each.data))
+        if isinstance(each, JournalEntry)
+        else each
+        for each in drive(3.0, snapshots_s=(0.0, 1.0))
+    ]
+    whole = recorded(tmp_path / "made", written)
+    cut = edit(whole, COMMANDS, lambda n, each: replace(each, data=b"") if n == 120 else each)
+    assert check_recording(write_contents(tmp_path / "run", cut)).verdict is Verdict.BROKEN
 
 
 def counting_one_more(written: list[Written], snapshot: int) -> list[Written]:

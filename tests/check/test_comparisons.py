@@ -28,7 +28,13 @@ from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
 from robotctl.recording.read.messages import Message
 from robotctl.testing.drives import BEGIN_NS, START_NS, Written, drive_requested, record
-from tests.support.edited_recordings import Contents, Stored, edit, write_contents
+from tests.support.edited_recordings import (
+    Contents,
+    Stored,
+    contents_of,
+    edit,
+    write_contents,
+)
 from tests.support.heard_drives import SET_MODE, STATUS, heard_drive, received, sent
 from tests.tampering.edits import journal
 
@@ -223,6 +229,18 @@ def test_a_clock_that_was_set_once_is_a_note(
     (note,) = report.notes
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
     assert note.startswith(f"the clock was set once, first by {told} s")
+
+
+def test_a_file_that_was_sorted_by_time_after_the_clock_was_set_back_is_not_broken(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    def clock(time_ns: int) -> int:
+        return time_ns - NS_PER_S * (time_ns > START_NS + BEGIN_NS + 1_200 * MS)
+
+    (file,) = record(tmp_path / "made", drive_of_3_s, clock=clock).glob("*.mcap")
+    contents = contents_of(file)
+    contents.messages.sort(key=lambda each: each.log_ns)
+    assert check_recording(write_contents(tmp_path / "run", contents)).violations == []
 
 
 def test_each_setting_of_the_clock_is_counted(tmp_path: Path, drive_of_3_s: list[Written]) -> None:
