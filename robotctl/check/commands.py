@@ -448,7 +448,6 @@ class CommandCheck:
         self._report = report
         self._clock = clock
         self._pairs = CommandPairs()
-        self._by_number: bool | None = None
         self._seen = 0
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
@@ -458,13 +457,10 @@ class CommandCheck:
     def _message(self, message: Message) -> None:
         """Read a message of the command topic."""
         self._seen += 1
-        if self._by_number:
-            self._pairs.message(message.sequence, message.data, message.publish_ns)
+        self._pairs.message(message.sequence, message.data, message.publish_ns)
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
         """Continue from a snapshot."""
-        if self._by_number is None:
-            self._by_number = snapshot.proof is not None
         if snapshot.proof is not None:
             self._pairs.resume(snapshot.proof, t_ns)
 
@@ -474,15 +470,12 @@ class CommandCheck:
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
         """Compare the commands of a step; `moments` is when it began and ended."""
-        if self._by_number:
-            self._clock.look(event.t_ns, moments[1])
-            self._pairs.step(event, effects, moments)
+        self._clock.look(event.t_ns, moments[1])
+        self._pairs.step(event, effects, moments)
 
     def end(self, ending_of: EndingOf, moment: JournalEnd) -> None:
         """Report the differences between commands and decisions."""
         self._report.commands = self._seen
-        if not self._by_number:
-            return
         ending, notes, counts = ending_of(self._topic), self._report.notes, self._pairs.counts
         cut = CUT if ending.is_clip else 0
         self._pairs.end(cut, is_own=ending.is_own, is_closed=ending.is_closed)
