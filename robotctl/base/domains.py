@@ -39,7 +39,7 @@ _TABLES = ("/proc/net/udp", "/proc/net/udp6")
 
 
 def requested_domain(given: int | None) -> int | None:
-    """Return `given` (--domain-id) or, if it is None, ROS_DOMAIN_ID; None if both are unset.
+    """Return `given` (--domain-id), else the value of ROS_DOMAIN_ID; None if both are unset.
 
     Raises:
         UsageError: The number is not a ROS domain.
@@ -61,7 +61,7 @@ def discovery_range() -> str:
 def wider_discovery() -> str:
     """Return the setting that makes this process discover other machines, or "" if none does.
 
-    Static peers and a discovery server also count in the range LOCALHOST and in an unknown range.
+    Unless the range is OFF, static peers and a discovery server are such settings as well.
     """
     if discovery_range() == "OFF":
         return ""
@@ -76,7 +76,7 @@ def is_on_this_machine_only() -> bool:
 
 
 def is_certainly_empty(domain_id: int) -> bool:
-    """Return True if the domain has no participants, and False if it has some or may have."""
+    """Return True if the domain has no participants, False if it has or may have some."""
     ports = _bound_udp_ports()
     if ports is None or not is_on_this_machine_only():
         return False

@@ -36,7 +36,7 @@ _MARKS = {
 
 
 def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
-    """Prepare the environment for the import of rclpy; return a note on a restart, else "".
+    """Prepare the environment for the import of rclpy; return a note after a restart, else "".
 
     If another ROS precedes ours, call `before_restart` and restart the process without that ROS. In
     the new process, `prepare` returns a note on what was changed. Unless the user has chosen
@@ -58,10 +58,10 @@ def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
 
 
 def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[dict[str, str], str]:
-    """Return the environment for processes with the ROS below `prefix`, and a note on the changes.
+    """Return `environment` without a ROS outside `prefix`, and a note on the changes.
 
-    If the sourced ROS is of the same distribution, only folders with another rclpy are removed;
-    message packages of overlays stay. If its distribution differs, all its folders are removed.
+    Of a sourced ROS of the same distribution, only folders with another rclpy are removed;
+    message packages of overlays stay. Of a ROS of another distribution, all folders are removed.
     """
     distro = environment.get("ROS_DISTRO", "")
     cleaned = dict(environment)
@@ -101,7 +101,7 @@ def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[d
 def limit_discovery() -> None:
     """Limit discovery to this machine, unless the user has chosen otherwise.
 
-    ROS_LOCALHOST_ONLY, the variable of Humble, is translated, because rcl would warn about it.
+    The variable of Humble, ROS_LOCALHOST_ONLY, is replaced: rcl would warn about this variable.
     """
     if os.environ.pop("ROS_LOCALHOST_ONLY", "") == "1":
         os.environ[RANGE] = "LOCALHOST"

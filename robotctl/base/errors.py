@@ -26,7 +26,7 @@ IN_PARENTHESES = "{cause} ({cure})"
 
 
 class RobotctlError(Exception):
-    """The base class; raised itself for an internal error of robotctl.
+    """The base class of all errors; an internal error of robotctl is of this class itself.
 
     `str(error)` is the text for people. `cause` says what happened, and `cure` what to do about it;
     if `cure` is empty, `cause` may contain both. `answer` is the partial result: the numbers of a
@@ -45,7 +45,7 @@ class RobotctlError(Exception):
         sentence: str = "{cause}: {cure}",
         answer: Mapping[str, Any] | None = None,
     ) -> None:
-        """Format the text from `cause` and `cure` with `sentence`; without a cure it is `cause`."""
+        """Format the text from `cause` and `cure` by `sentence`; without a cure, use `cause`."""
         super().__init__(sentence.format(cause=cause, cure=cure) if cure else cause)
         self.cause = cause
         self.cure = cure
@@ -72,32 +72,32 @@ class RobotctlError(Exception):
 
 
 class UsageError(RobotctlError):
-    """An argument that is not allowed."""
+    """An argument is not allowed."""
 
     exit_code = 2
     kind = "usage"
 
 
 class ConfigError(UsageError):
-    """A configuration file that is missing, malformed, or has a value that is not allowed."""
+    """A configuration file is missing, malformed, or has a value that is not allowed."""
 
 
 class NoDaemon(RobotctlError):
-    """A request that no daemon answers on the robot's socket."""
+    """No daemon answers a request on the robot's socket."""
 
     exit_code = 3
     kind = "no_daemon"
 
 
 class Refused(RobotctlError):
-    """A request whose condition does not hold; the text names the condition and the cure."""
+    """The condition of a request does not hold; the text names this condition and the cure."""
 
     exit_code = 4
     kind = "refused"
 
 
 class NotSealed(RobotctlError):
-    """A recording that is whole, but whose origin no signature proves."""
+    """A recording is whole, but no signature proves its origin."""
 
     exit_code = 4
     kind = "not_sealed"
@@ -111,28 +111,28 @@ class AlreadyRunning(RobotctlError):
 
 
 class UnreadableFile(RobotctlError):
-    """A file from which nothing, or not everything, can be read."""
+    """Nothing, or not everything, can be read from a file."""
 
     exit_code = 6
     kind = "unreadable_file"
 
 
 class Divergence(RobotctlError):
-    """A re-run that decided differently, or a check that found a broken rule or wrong content."""
+    """A re-run decided differently from the recording, or a check found something wrong in it."""
 
     exit_code = 7
     kind = "divergence"
 
 
 class RecoveredWithLoss(RobotctlError):
-    """A damaged file that was recovered, but not completely."""
+    """A damaged file was recovered, but not completely."""
 
     exit_code = 8
     kind = "recovered_with_loss"
 
 
 class Interrupted(RobotctlError):
-    """A command that was ended by Ctrl-C or a signal; an empty text is not printed."""
+    """Ctrl-C or a signal ended a command; an empty text is not printed."""
 
     exit_code = INTERRUPTED_EXIT_CODE
     kind = "interrupted"
@@ -155,7 +155,7 @@ def error_for_exit_code(
 ) -> RobotctlError:
     """Return the error that another process sent as exit code, text and `details()`.
 
-    Details of an unknown form, such as those of another version, are ignored.
+    Details of an unknown form, for example from another version, are ignored.
     """
     kinds = {kind.exit_code: kind for kind in _KINDS}
     error = kinds.get(exit_code, RobotctlError)(text)

@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file for reading. A FIFO would wait for a writer; a device may never end.
+    """Open a regular file for reading: not a FIFO, which may block, nor a device without an end.
 
     Raises:
         OSError: The file cannot be opened, or is not a regular file.

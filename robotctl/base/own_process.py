@@ -27,7 +27,7 @@ MORE_OPEN_FILES: Final = "raise the limit with ulimit -n 1024, or LimitNOFILE in
 
 
 def end_signals() -> asyncio.Event:
-    """Return an event that SIGINT and SIGTERM set, and SIGHUP unless it is ignored (nohup)."""
+    """Return an event that SIGINT, SIGTERM and (unless ignored, as by nohup) SIGHUP set."""
     import asyncio  # here: quick commands import this module, but not asyncio
     import signal
 

@@ -33,7 +33,7 @@ def check_robot_name(name: str) -> str:
     """Return `name` if it can be a ROS namespace and a file name.
 
     Raises:
-        UsageError: `name` cannot be both.
+        UsageError: `name` is not allowed as a namespace or as a file name.
     """
     if len(name) > MAX_ROBOT_NAME_LENGTH or not _ROBOT_NAME.fullmatch(name) or "__" in name:
         raise UsageError(
@@ -70,7 +70,7 @@ def runtime_folder() -> Path:
 
 
 def unit_runtime_base(robot: str) -> Path:
-    """Return the value of RUNTIME_VARIABLE for a daemon that a systemd system unit starts."""
+    """Return the folder that RUNTIME_VARIABLE names if a systemd system unit starts the daemon."""
     return SYSTEM_RUNTIME / f"{UNIT_PREFIX}{robot}"
 
 
@@ -104,7 +104,7 @@ def make_private(folder: Path) -> Path:
     """Create `folder` with access for this user only, and return it.
 
     Raises:
-        UsageError: Another user could change the folder, or it cannot be created.
+        UsageError: Another user could change the folder, or the folder cannot be created.
     """
     chain_to(folder).make()
     return folder
@@ -151,5 +151,5 @@ def seal_folder(robot: str) -> Path:
 
 
 def recordings_note_path(robot: str) -> Path:
-    """Return the path of the note that names the last daemon's folder of recordings."""
+    """Return the path of the text file with the path of the last daemon's recordings."""
     return robot_state_folder(robot) / "recordings"

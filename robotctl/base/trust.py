@@ -52,7 +52,7 @@ class FolderChain:
         self._trusted = (ROOT_UID, os.getuid(), guest)
 
     def for_client(self) -> FolderChain:
-        """Return the chain for a client; if `variable` is set, it may trust the owner of `base`.
+        """Return the chain for a client; if `variable` is set, this chain may trust `base`'s owner.
 
         Root trusts any owner: `sudo -E robotctl estop` stops the robot of the user who runs it.
         Other users trust the owner if `base` is a folder that root created for a system unit.
@@ -85,7 +85,7 @@ class FolderChain:
     def make(self) -> None:
         """Create missing folders with access for this user only, and make `folder` private.
 
-        With `may_be_shared`, a `folder` that already has SHARED_MODE keeps it.
+        With `may_be_shared`, a `folder` that already has SHARED_MODE keeps this mode.
 
         Raises:
             UsageError: Another user could change one of the folders, `folder` belongs to another

@@ -20,7 +20,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> tuple[str, str]:
 
 
 def only_type(name: str, types: Collection[str]) -> str:
-    """Return the type of the topic `name`, which must be the only item of `types`.
+    """Return the only item of `types`, the types that the topic `name` has.
 
     Raises:
         UsageError: The topic has several types.

@@ -75,7 +75,7 @@ ProfileName = Annotated[
 
 
 def given_options(context: typer.Context) -> dict[str, str]:
-    """Return the option of each parameter that the user typed, such as `{"rate": "--rate"}`."""
+    """Return the options that the user typed, by parameter name, such as `{"rate": "--rate"}`."""
     given = {}
     for parameter in context.command.params:
         name = parameter.name or ""

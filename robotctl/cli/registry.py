@@ -91,7 +91,7 @@ OTHER_WORDS = {
 
 
 def other_words() -> dict[str, str]:
-    """Return OTHER_WORDS, extended by a `robotctl drive` command for each motion, like "square"."""
+    """Return OTHER_WORDS, and each motion, such as "square", with its `robotctl drive` command."""
     from robotctl.cli.commands.robot.drive import MOTIONS
 
     return OTHER_WORDS | {word: f"`robotctl drive {word}`" for word in MOTIONS}

@@ -41,7 +41,7 @@ Failures = dict[Path, str]
 def index_recordings(
     recordings: Sequence[Path], on_progress: Done = lambda done, total: None
 ) -> Failures:
-    """Index recordings, in one process per CPU; return the failed ones, each with the reason."""
+    """Index recordings, in one process per CPU; return those that failed, each with the reason."""
     # Imported here: a question about indexed recordings needs neither processes nor the kernel.
     from robotctl.collection.indexing import index_recording
     from robotctl.collection.jobs import local_processes, results_of
@@ -71,7 +71,7 @@ _TYPES_IN_FILES: Final = {
 
 
 def stamps_in(path: Path | str) -> Stamps:
-    """Return the stamps of the recordings in one file, {} if unusable; see `stamps_of_each`.
+    """Return the stamps of the recordings in an index or a catalogue, {} for an unusable file.
 
     Raises:
         UsageError: duckdb is not installed.
@@ -103,7 +103,7 @@ def _is_file(path: Path) -> bool:
 def _collect(
     connection: DuckDBPyConnection, paths: Sequence[str], found: dict[str, Stamps]
 ) -> None:
-    """Add the stamps in all files to `found` by one query: one per file takes ten times as long.
+    """Add the stamps in all files to `found` by one query: a query per file takes ten times longer.
 
     If the query fails, the list is bisected to skip the unreadable files.
     """
@@ -195,8 +195,8 @@ NOT_ALLOWED: Final = "this user may not read it"
 class Catalogue:
     """A catalogue that is up to date; `indexes` are the paths of its recordings' index files.
 
-    `left_out` has a sentence for each recording that is not in the catalogue, or only without its
-    last file. `failures` are the recordings that cannot be indexed, each with the reason.
+    `left_out` has a sentence for each recording that is not in the catalogue, or whose last file is
+    not in it. `failures` are the recordings that cannot be indexed, each with the reason.
     """
 
     path: Path
@@ -268,10 +268,10 @@ def _opened(path: Path, stack: ExitStack) -> str | None:
 
 
 def _stamps(folder: Path, known: Stamps) -> tuple[Stamps, list[str]]:
-    """Return the stamp of each recording directly below a folder, and sentences on those left out.
+    """Return the stamp of each recording directly in a folder, and sentences on those left out.
 
     If a recording is still being made, its stamp covers only its closed files. If the stamp of all
-    files is already in `known`, they are not opened to see this. Links are not followed.
+    files is already in `known`, no file is opened to find that out. Links are not followed.
     """
     stamps: Stamps = {}
     left_out = []

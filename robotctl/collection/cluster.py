@@ -38,7 +38,7 @@ _ADDRESS = re.compile(r"(?:tcp|tls)://(?P<host>[^/\s]+|\[[^]\s]+\]):(?P<port>\d{
 
 
 class Cluster:
-    """Runs a gate's jobs on a Dask scheduler's workers; all must see the recordings' folder."""
+    """Runs a gate's jobs on the workers of Dask, which must all see the recordings' folder."""
 
     def __init__(
         self,
@@ -69,7 +69,7 @@ class Cluster:
         self._patience_s = patience_s
 
     def judge(self, judging: Judging, recordings: Sequence[Path], on_progress: Done) -> Answers:
-        """Judge recordings on the workers; after a restart of the scheduler, send the rest again.
+        """Yield an answer for each recording; if the scheduler restarts, send lost jobs again.
 
         Raises:
             Refused: There is no scheduler or no worker for too long, or a worker has a different

@@ -33,7 +33,7 @@ ABANDONED_S: Final = 3600.0
 def database(
     files: Sequence[Path | str] = (), memory: str = READING
 ) -> Iterator[DuckDBPyConnection]:
-    """Open a database that may read and write `files`, but no other files, and use no extension.
+    """Open a database in memory that can access only `files`, and load no extensions.
 
     Queries cannot lift these limits. `memory` is DuckDB's memory limit, such as "120MB".
 
@@ -69,7 +69,7 @@ _CLOSED: Final[Mapping[str, str]] = {
 def write_parquet(
     target: Path, query: str, sources: Sequence[Path | str], options: str = ""
 ) -> None:
-    """Write the rows of `query` over the files `sources` to `target`; on failure, keep `target`.
+    """Replace `target` by the rows of `query`, which reads `sources`; on failure, change nothing.
 
     Raises:
         OSError: The file cannot be written, or a source cannot be read.
@@ -108,12 +108,12 @@ def _remove_abandoned(target: Path) -> None:
 
 
 def parquet(paths: Iterable[Path | str], options: str = "") -> str:
-    """Return the SQL call that reads Parquet files; its further `options` begin with a comma."""
+    """Return the SQL call that reads the Parquet files `paths`; `options` begin with a comma."""
     return f"read_parquet([{patterns(paths)}], hive_partitioning = false{options})"
 
 
 def patterns(paths: Iterable[Path | str]) -> str:
-    """Return paths as SQL strings, escaped for functions that read paths as glob patterns."""
+    """Return paths as SQL strings, separated by commas; glob characters are escaped."""
     return ", ".join(text(_pattern(each)) for each in paths)
 
 

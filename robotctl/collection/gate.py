@@ -38,9 +38,9 @@ FORMAT: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """An accepted result: the hash of a recording, the settings, and the outcome with these.
+    """An accepted result of the recording with the hash `recording`, under `settings`.
 
-    `outcome` is the hash over all findings; `verdict` and `says` describe them for people.
+    `outcome` is the hash over all findings; `verdict` and `says` are the result in words.
     """
 
     name: str
@@ -105,7 +105,7 @@ class Baseline:
 
 
 def read_baseline(path: Path) -> Baseline:
-    """Return the baseline in a file, an empty one if there is no file.
+    """Return the baseline in a file, an empty baseline if there is no file.
 
     Raises:
         ConfigError: The file cannot be read, is not a baseline, or has another format.
@@ -175,12 +175,12 @@ class GateReport:
         return {verdict: found[verdict] for verdict in VERDICTS}
 
     def causes(self) -> dict[str, list[Path]]:
-        """Return the recordings of `failures` and `unknown` by cause, the most frequent first."""
+        """Return the paths of `failures` and `unknown` by cause, the most frequent cause first."""
         wrong = self.failures() | self.unknown()
         return _grouped({path: cause_of(each) for path, each in wrong.items()})
 
     def lost_causes(self) -> dict[str, list[Path]]:
-        """Return the lost recordings by reason, the most frequent first."""
+        """Return the lost recordings by reason, the most frequent reason first."""
         return _grouped(self.lost)
 
     def acceptances(self) -> dict[tuple[str, str, str], list[Path]]:
@@ -200,7 +200,7 @@ class GateReport:
 
 
 def cause_of(result: Judgement) -> str:
-    """Return "VERDICT: CAUSE", or "changed: CAUSE" for a failure only with other parameters."""
+    """Return "VERDICT: CAUSE", or "changed: CAUSE" if only other parameters cause a failure."""
     if result.verdict not in FAILED and result.differs:
         failure = None if result.other is None else result.other.failure
         if failure is not None:

@@ -190,7 +190,7 @@ def files_of(recording: Path | str) -> list[str]:
 
 
 def closed_files(files: Iterable[Path | str]) -> list[Path]:
-    """Return those of the files that no process is writing, sorted with `_2` before `_10`.
+    """Return the files that no process is writing, sorted so that `_2` comes before `_10`.
 
     Raises:
         OSError: A file cannot be opened.

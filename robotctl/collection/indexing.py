@@ -61,7 +61,7 @@ _DIGEST = "digest"
 def rows_of(
     path: Path, check: str, check_says: str | None, verify: str, files: Sequence[Path] = ()
 ) -> list[IndexRow]:
-    """Return the index rows of a recording; the first, a RecordingRow, gets the given verdicts.
+    """Return the index rows of a recording; the first has `check`, `check_says` and `verify`.
 
     If `files` is not empty, only these files of the recording's folder are read.
 

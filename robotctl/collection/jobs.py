@@ -36,7 +36,7 @@ def results_of(
     processes: Processes,
     on_progress: Done = lambda done, total: None,
 ) -> Iterator[tuple[Path, Result | None]]:
-    """Yield each recording with its result, in the order of completion.
+    """Call `function` for each recording; yield recording and result in the order of completion.
 
     `processes` starts the executor. If one of its processes dies, all unfinished jobs are lost, and
     each runs again in a separate process. If that process dies, too, the result is None.

@@ -47,7 +47,7 @@ class Typed(Generic[Kind]):
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two values of one quantity: with the recorded parameters, and with others (`what_if`)."""
+    """The values of a quantity with the recorded and with other parameters (`what_if`)."""
 
     recorded: float
     what_if: float
@@ -55,7 +55,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class Apart:
-    """By how much two kernels' commands differ; `max_after_s` is None if they never differ."""
+    """The difference of two kernels' commands: RMS, maximum, and when it occurs (None if 0)."""
 
     rms: float
     max: float
@@ -64,7 +64,7 @@ class Apart:
 
 @dataclass(frozen=True, slots=True)
 class FirstDifference:
-    """The first event on which the kernels with recorded and with other parameters differ."""
+    """The first event that has different effects with the recorded and with other parameters."""
 
     after_s: float
     event: str
@@ -102,7 +102,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Commanded:
-    """What one kernel decided in a drive; the last five fields are None until it has ended."""
+    """One kernel's decisions in a drive; the last five fields are None if the drive did not end."""
 
     modes_s: dict[str, float]
     commanded_m: float
@@ -122,7 +122,7 @@ class Commanded:
 
 @dataclass(frozen=True, slots=True)
 class DriveChange:
-    """A drive under the recorded and under other parameters; None where the drive did not begin."""
+    """A drive with both sets of parameters; None for the set with which the drive never began."""
 
     drive: int
     request_id: int
@@ -133,7 +133,7 @@ class DriveChange:
 
     @property
     def ends_otherwise(self) -> bool:
-        """Whether the drive began with one kernel only, or the two differ in their `end`."""
+        """Whether the drive began with only one kernel, or the `end` of the two kernels differs."""
         mine, theirs = self.recorded, self.what_if
         return mine is None or theirs is None or mine.end != theirs.end
 
@@ -181,7 +181,7 @@ _change = Typed(Change)
 
 
 def change_of(found: Mapping[str, Any]) -> Change:
-    """Return the JSON object of `replay --what-if` as a Change."""
+    """Return a Change from `found`, the JSON object of `replay --what-if`."""
     return _change(found)
 
 
@@ -280,7 +280,7 @@ class Judgement:
 
     - `recording`: the SHA-256 of its files. `software`: the SHA-256 of robotctl.
     - `says`: the first finding as a sentence, "" if nothing is wrong.
-    - `cause`: the same sentence without its numbers.
+    - `cause`: the sentence `says` without its numbers.
     - `outcome`: the SHA-256 over all findings.
     - `other`: what other parameters change, None if none were given.
     """
@@ -296,7 +296,7 @@ class Judgement:
 
     @property
     def key(self) -> str:
-        """The key of this result in a store of results: `key_of` its recording and settings."""
+        """The key of this judgement in a `ResultStore`; see `key_of`."""
         return key_of(self.recording, self.settings)
 
     @property
@@ -310,13 +310,13 @@ class Judgement:
 
 
 def judge(path: Path, settings: Mapping[str, str], content: Content | None = None) -> Judgement:
-    """Judge a recording: repeat its decisions, and once more with `settings` if there are any.
+    """Judge a recording: repeat its decisions, and repeat them with `settings` if there are any.
 
     `content` is the recording's content if the caller has read it already.
 
     Raises:
         OSError: A file cannot be read.
-        UnreadableFile: There are no files, a part of one cannot be read, or a file changes.
+        UnreadableFile: There are no files, a part of a file cannot be read, or a file changes.
     """
     content = content or read_content(path)
     with noted_read_failures() as failures:

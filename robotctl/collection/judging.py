@@ -40,7 +40,7 @@ _sealed_result, _judgement = Typed(_Sealed), Typed(Judgement)
 
 
 class ResultStore:
-    """The results in a folder; several gates may use it at once.
+    """Stores judgements in a folder, which several gates may use at once.
 
     A store can be pickled and sent to another machine, which then uses the same folder.
     """
@@ -54,10 +54,10 @@ class ResultStore:
         return str(self.folder)
 
     def get(self, key: str) -> Judgement | None:
-        """Return the result with this key, None if there is none or it is damaged.
+        """Return the result with this key, None if there is none or the stored one is damaged.
 
         Raises:
-            Refused: It cannot be read.
+            Refused: The result cannot be read.
         """
         try:
             with open_regular(self.folder / _name(key)) as file:
@@ -72,7 +72,7 @@ class ResultStore:
         return result if result.key == key else None
 
     def put(self, result: Judgement) -> Judgement:
-        """Store a result, unless the store has one with the same key; return the stored result.
+        """Store a result, unless its key is in the store already; return the result that is stored.
 
         Raises:
             Refused: The store cannot be written.
@@ -89,7 +89,7 @@ class ResultStore:
         return result
 
     def put_token(self) -> str:
-        """Write a new token: a file that workers see if they use the same folder. Return its name.
+        """Create a token, a file that only workers with the same folder can see; return its name.
 
         Raises:
             Refused: The store cannot be written.
@@ -160,12 +160,12 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class Judging:
-    """What each job of a gate needs; it can be pickled and sent to another process or machine."""
+    """The data that each job of a gate needs; they can be sent to another process or machine."""
 
     settings: dict[str, str]
     store: ResultStore
     software: str
-    """The hash of the gate's robotctl; a process with another one refuses the job."""
+    """The hash of the gate's robotctl; a process with a different robotctl refuses the job."""
 
     def judged(self, path: Path) -> Judged:
         """Return the stored result; if there is none, judge the recording and store the result.
@@ -200,7 +200,7 @@ class Judging:
         return Judged(self.store.put(found))
 
     def stored(self, path: Path) -> Judged | None:
-        """Return the stored result, None if there is none, or the problem of an unreadable file.
+        """Return the stored result, None if nothing is stored; for an unreadable file, the problem.
 
         Raises:
             Refused: The store cannot be read.
@@ -228,7 +228,7 @@ def judge_here(
     on_progress: Done,
     processes: Processes = local_processes,
 ) -> Answers:
-    """Yield each recording with its answer, from the store or else judged in local processes."""
+    """Yield each recording with its answer: the stored result, or that of a local process."""
     new: list[Path] = []
     done = 0
     for path, known in results_of(judging.stored, recordings, local_threads):

@@ -59,7 +59,7 @@ class Condition:
 
 
 def parse_condition(source: str, columns: Collection[str]) -> Condition:
-    """Return a condition as SQL.
+    """Return the condition `source` as SQL; it may name the given `columns`.
 
     Raises:
         UsageError: The text is not a condition, or names an unknown column.
@@ -178,7 +178,7 @@ def find(
     """Return the rows of a table that meet `condition`; all rows if `condition` is "".
 
     `sort` is a column; a "-" before its name means descending order. If `sort` is "", rows are
-    sorted by `start_ns`, in `topics` by recording. A `limit` of 0 means no limit.
+    sorted by `start_ns`, rows of `topics` by recording. A `limit` of 0 means no limit.
 
     Raises:
         UsageError: The condition or the column is wrong.

@@ -78,7 +78,7 @@ class LocalFile:
         """Return the SHA-256 of the content.
 
         Raises:
-            UnreadableFile: It cannot be read.
+            UnreadableFile: The file cannot be read.
         """
         digest = hashlib.sha256()
         with open_regular_file(self.path) as file:
@@ -119,11 +119,11 @@ class StoredFile:
 
     @property
     def modified_ns(self) -> int:
-        """When the content was written [ns since the epoch]; in a listing, when it was stored."""
+        """The time of writing [ns since the epoch]; for a listed object, the time of storing."""
         return self.found.modified_ns
 
     def with_stamp(self) -> StoredFile:
-        """Ask the store for the object's hash (may be "") and mtime; return a file with both.
+        """Ask the store for hash ("" if unknown) and mtime of the object; return a file with both.
 
         Raises:
             StoreError: The store fails, or the object does not exist any more.
@@ -181,7 +181,7 @@ def open_regular_file(path: Path) -> Iterator[FileIO]:
     """Open a regular file for the block; links are not followed.
 
     Raises:
-        UnreadableFile: It is not a regular file, or an OSError occurs on opening or in the block.
+        UnreadableFile: The path is no regular file, or opening or the block raises OSError.
     """
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
     try:
@@ -232,7 +232,7 @@ def _is_copied(key: str) -> bool:
 
 
 def local_recordings(place: Path, now_ns: int) -> list[OfferedRecording]:
-    """Return the recordings in the folder `place` by name, or `place` itself if it is a recording.
+    """Return the recordings in the folder `place`, sorted; or `place` itself if it is a recording.
 
     A single file is a recording named like the file without `.mcap`. Links are not followed.
     `now_ns` (since the epoch) shows which files are too young to be finished.
@@ -265,7 +265,7 @@ def _recording(path: Path, now_ns: int) -> OfferedRecording:
 
 
 def _link(recording: OfferedRecording, path: Path) -> None:
-    """Report a link to recordings elsewhere; ignore one to a neighbour, which is copied itself."""
+    """Report a link to recordings elsewhere; ignore a link to a neighbour, which is copied too."""
     target = path.resolve()
     if target.is_relative_to(path.parent.resolve()):
         return

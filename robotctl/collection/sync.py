@@ -56,7 +56,7 @@ class CopiedFile:
 
 @dataclass(slots=True)
 class Synced:
-    """What a run copied, and a sentence for each thing that it did not copy."""
+    """The files that a run copied, and sentences about the files that it did not copy."""
 
     complete: list[str] = field(default_factory=list)
     """Recordings that the store has completely."""

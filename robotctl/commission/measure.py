@@ -23,7 +23,7 @@ _EVENTS = (OdomReceived.__name__, DriveRequested.__name__)
 
 
 class TrialSample(NamedTuple):
-    """A sample of odometry: steady time of arrival, pose, and age of its stamp on arrival."""
+    """A sample of odometry: arrival on the steady clock, pose, and age of the stamp on arrival."""
 
     t_s: float
     pose: Pose
@@ -62,7 +62,7 @@ class Motion:
         return [(c.t_s, c.angular_rps if self.is_turn else c.linear_mps) for c in self.commands]
 
     def way(self) -> list[tuple[float, float]]:
-        """Return each sample's time [s], and how far the base had moved [m] or turned [rad]."""
+        """Return each sample's time [s], and the way [m] or turn [rad] since the first sample."""
         begin = self.samples[0].pose if self.samples else ORIGIN
         if not self.is_turn:
             return [(each.t_s, begin.express(each.pose).x) for each in self.samples]
@@ -76,13 +76,13 @@ class Motion:
 
 @dataclass(slots=True)
 class Trial:
-    """All odometry of a recording, and its motions at a held velocity."""
+    """The odometry of a recording, and the motions at a held velocity that it contains."""
 
     samples: list[TrialSample] = field(default_factory=list)
     motions: list[Motion] = field(default_factory=list)
 
     def begin(self, held: Held, t_s: float) -> None:
-        """Begin a motion; its first sample is the newest so far, from before the base moved."""
+        """Begin a motion at `t_s`; the last sample before `t_s` is the motion's first sample."""
         self.motions.append(Motion(held, t_s, samples=self.samples[-1:]))
 
     def sample(self, sample: TrialSample) -> None:
@@ -173,7 +173,7 @@ class Measured:
     commanded_mps: float
     reached_mps: float
     command_delay_s: float
-    """How far the measured motion lags behind the command: all delays, and the lag of the base."""
+    """How long after a command the measured motion follows: all delays plus the lag of the base."""
     stopping_m: float
     """The way from the zero command to the standstill."""
     stopping_s: float
@@ -197,11 +197,11 @@ class _Line:
 
 
 def measured(trial: Trial) -> Measured:
-    """Measure a base by two straight motions, ended by a zero command and by silence, and a turn.
+    """Return the properties of a base from its trial: two straight motions and a turn on the spot.
 
     Raises:
-        Refused: The motions are others, there are too few samples, or the base did not move or
-            stop, or turned the other way.
+        Refused: The trial has other motions or too few samples; the base did not move, did not
+            stop, or turned in the wrong direction.
     """
     kinds = [(motion.is_turn, motion.held.quiet_s > 0.0) for motion in trial.motions]
     if kinds != [(False, False), (False, True), (True, False)]:
@@ -232,7 +232,7 @@ def _turned(motion: Motion) -> Turned | None:
     """Return the properties of a turn, None if the base did not turn.
 
     Raises:
-        Refused: There are too few samples, or the base turned the other way or did not stop.
+        Refused: There are too few samples; the base did not stop, or turned the wrong way.
     """
     line = _line(motion)
     if line.speed <= -MOVES_SHARE * motion.wanted:

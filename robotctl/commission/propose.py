@@ -35,7 +35,7 @@ class Proposal:
 
 
 def proposals(base: Measured, present: KernelParams) -> list[Proposal]:
-    """Return values that suit the base; limits and gains are at most the `present` ones."""
+    """Return proposed values for the base; limits and gains do not exceed those in `present`."""
     follow_s = base.command_delay_s
     lag_s = _rounded(min(max(follow_s - (base.odometry_delay_s or 0.0), 0.0), 0.5))
     steer_s = max(follow_s, base.turn.command_delay_s if base.turn else 0.0)

@@ -32,7 +32,7 @@ MAX_FILE_BYTES = 1_000_000
 
 
 def load(path: Path, warn: Callable[[str], object] = log_warning) -> Config:
-    """Return the configuration in the file `path`; skip each retired key with a call of `warn`.
+    """Return the configuration in the file `path`; skip retired keys, and call `warn` for each.
 
     Raises:
         ConfigError: The file cannot be read, or a key or value is not allowed.
@@ -75,7 +75,7 @@ def file_error(path: Path, key: str, error: ConfigError) -> ConfigError:
 
 
 def read_value(name: str, text: str) -> object:
-    """Return the value that a text means in YAML.
+    """Return the value of the YAML `text`; the text of an error begins with `name`.
 
     Raises:
         ConfigError: The text is not valid YAML.
@@ -92,7 +92,7 @@ def read_yaml(path: Path) -> Any:
     """Return the content of a YAML file.
 
     Raises:
-        ConfigError: The file cannot be read, is not valid, or has aliases or duplicate keys.
+        ConfigError: The file cannot be read, is not valid YAML, or has aliases or duplicate keys.
     """
     import yaml  # here: the import lasts 15 ms, and most daemons have no configuration file
 
@@ -162,7 +162,7 @@ def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:
 def flatten(
     settings: Mapping[Any, Any], path: Path, prefix: str = ""
 ) -> Iterator[tuple[str, object]]:
-    """Yield each dotted key and value of nested mappings; a mapping at RATE_KEYS is a value."""
+    """Yield each dotted key and value of nested mappings; a mapping under RATE_KEYS is a value."""
     for name, value in settings.items():
         key = f"{prefix}{name}"
         if isinstance(value, dict) and key not in RATE_KEYS:

@@ -50,7 +50,7 @@ _PARAMETERS = "ros__parameters"
 
 
 class NodeParameter(NamedTuple):
-    """A parameter in a file: the name or pattern of the nodes that it is for, its key and value."""
+    """A parameter in a parameter file; `node` is the name of its node or a pattern of names."""
 
     node: str
     key: str
@@ -86,7 +86,7 @@ def _sections(content: Mapping[Any, Any], path: Path, node: str) -> Iterator[Nod
 
 
 def is_for(pattern: str, node: str) -> bool:
-    """Return whether the name or pattern in a file matches the node with the full name `node`.
+    """Return whether `pattern`, a pattern or name in a file, matches the full node name `node`.
 
     `*` stands for one part of a name, `**` for any number of parts. A name without a slash and
     without `*` matches the node of this name in every namespace.
@@ -122,7 +122,7 @@ USE_SIM_TIME: Final = "use_sim_time"
 
 @dataclass(frozen=True, slots=True)
 class RosSettings:
-    """The configuration with its topics remapped, the remaps left for rcl, and `use_sim_time`."""
+    """The configuration, changed by `--ros-args`; `remaps` are the remaps that rcl must apply."""
 
     config: Config
     remaps: tuple[Remap, ...]

@@ -28,7 +28,7 @@ class RecordingParams:
     """What is recorded, and how long recordings are kept.
 
     A topic is recorded if `include` is empty or has a pattern that matches it, unless a pattern of
-    `exclude` matches it, too. A clip is cut around each emergency stop and each error.
+    `exclude` matches the topic. A clip is cut around each emergency stop and each error.
     """
 
     compression: Compression = setting(Compression.ZSTD, "compression of the chunks", Change.START)
@@ -88,7 +88,7 @@ class DecisionParams:
 
 @dataclass(frozen=True, slots=True)
 class SocketParams:
-    """Who may give commands on the control socket, in addition to its owner and root."""
+    """Who may give commands on the control socket, besides the socket's owner and root."""
 
     group: str = setting(
         "", "Unix group whose members may give every command (0660, 0750)", Change.START, group=True
@@ -134,10 +134,10 @@ PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/
 
 
 def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any]) -> object:
-    """Return `value` as the type `kind` of its field; `metadata` is that of the dataclass field.
+    """Return `value` as a `kind`, the type of `key`; `metadata` is from the dataclass field.
 
     Raises:
-        ConfigError: The value is not allowed; the error says what is.
+        ConfigError: The value is not allowed; the error says which values are.
     """
     if kind == tuple[str, ...]:
         return (_checked_rates if metadata.get("rates") else _checked_patterns)(key, value)
@@ -243,7 +243,7 @@ log_warning: Callable[[str], object] = logging.getLogger(__name__).warning
 
 
 def check_together(kernel: KernelParams) -> None:
-    """Check that the values of the kernel do not conflict.
+    """Check that no two parameters of the kernel conflict.
 
     Raises:
         ConfigError: Two values are allowed separately, but not together.
@@ -279,7 +279,7 @@ def with_setting(config: Config, key: str, value: object) -> Config:
 
 
 def check_all(config: Config) -> None:
-    """Check every value of a configuration that a program made: `load` has not checked it.
+    """Check every value of a configuration that a program made, and not `load`.
 
     Raises:
         ConfigError: A value is not allowed.
@@ -364,7 +364,7 @@ _KINDS = {bool: Kind.BOOLEAN, int: Kind.INTEGER, float: Kind.NUMBER, str: Kind.T
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """Describes one parameter; `range` is that of the allowed numbers, None if there is none."""
+    """Describes one parameter; `range` is None unless the parameter is a number with limits."""
 
     key: str
     kind: Kind

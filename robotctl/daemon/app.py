@@ -88,8 +88,8 @@ LOOK_S: Final = 0.05
 async def refuse_same_names(host: Host) -> None:
     """Refuse to start if another daemon in the domain has a `mode_service` of the same full name.
 
-    Two such daemons would serve the same requests and command the same robot. Wait until the nodes
-    of the domain are discovered. This daemon has no publisher yet that could disturb the other one.
+    Two such daemons would serve the same requests and command the same robot. This function waits
+    until the nodes of the domain are discovered; this daemon must not have a publisher yet.
 
     Raises:
         Refused: There is such a daemon, and `--allow-same-names` is not set.
@@ -155,7 +155,7 @@ def _note_start(
 async def noted(
     log: DecisionLog, options: DaemonOptions, config: Config, recorder: FlightRecorder
 ) -> AsyncIterator[None]:
-    """Log the start before the block and the end after it, then wait for the disk up to END_S."""
+    """Log the daemon's start and, after the block, its end; then wait up to END_S for the disk."""
     _note_start(log, options, config, recorder)
     recorder.tidier.on_removed = lambda path: log.add(DecisionKind.REMOVED, file=path)
     failure: dict[str, str] = {}

@@ -19,7 +19,7 @@ from robotctl.kernel.patterns import PatternKind
 
 @dataclass(frozen=True, slots=True)
 class DaemonOptions:
-    """The options of a start. If `sim` is None, the daemon simulates unless there is odometry."""
+    """The options of a start. If `sim` is None, the robot is simulated unless odometry exists."""
 
     robot: str
     config: Path | None

@@ -64,7 +64,7 @@ class DaemonKind(Protocol):
         """Run every task until the daemon is stopped."""
 
     def mode(self) -> str:
-        """Return the robot's mode, or that the daemon only observes, as one word."""
+        """Return one word: the mode of the robot, or "observing" if the daemon only observes."""
 
     async def stop_robot(self) -> None:
         """Stop the robot at once: the daemon is about to fail."""

@@ -57,7 +57,7 @@ def serve_logger_levels(session: Session, levels: LoggerLevels) -> None:
 
 
 def apply_levels(levels: LoggerLevels, given: tuple[LogLevel, ...]) -> None:
-    """Set the levels that a command line gives, for Python's loggers and for those of rcl."""
+    """Set the levels that a command line gives, for the loggers of Python and of rcl."""
     for each in given:
         _set_native(each)
     levels.apply(given)

@@ -72,7 +72,7 @@ class ServiceManager:
 
 @asynccontextmanager
 async def reporting(manager: ServiceManager, status: Callable[[], str]) -> AsyncIterator[None]:
-    """Run the reports within the block; at its end, report that the daemon is stopping."""
+    """Run `manager.run` within the block; at its end, report that the daemon is stopping."""
     task = asyncio.create_task(manager.run(status))
     try:
         yield

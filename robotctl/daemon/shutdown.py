@@ -60,7 +60,7 @@ async def stand_still(
 def send_zero(control: Control, velocity: VelocityPublisher) -> None:
     """Report the fault DAEMON_ENDS, by which checks of the journal know the end; then send a zero.
 
-    If the robot stands, the kernel sends the zero at a tick. If that fails, it is sent directly.
+    Unless MOVING, the kernel sends the zero at a tick. If it sends none, a zero is sent directly.
     """
     sent = velocity.published
     with suppress(Exception):  # the kernel may be what has failed
@@ -96,7 +96,7 @@ class LastZero:
         self._received = received
 
     async def arrived(self) -> None:
-        """Wait for both messages, then for the robot's acknowledgement; warn if that is missing."""
+        """Wait for both messages; then warn if a subscriber does not acknowledge the last zero."""
         await until(self._is_recorded, DRAIN_S)
         if not await until(self._velocity.is_acknowledged, ACKNOWLEDGED_S):
             _log.warning(

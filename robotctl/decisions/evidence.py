@@ -14,15 +14,15 @@ STANDING: Final = ("ERROR", "EMERGENCY_STOP")
 ENDED: Final = "in order"
 KILLED: Final = "killed, or the power was cut"
 RUNS: Final = "it runs"
-"""These are the values of a daemon's `ended`, unless it failed: then the error is the value."""
+"""The values of `ended` of a daemon; if the daemon failed, `ended` is its error instead."""
 
 
 @dataclass(slots=True)
 class Evidence:
-    """What happened to one robot: the objects of `evidence --json` by their names.
+    """What happened to one robot; `evidence --json` prints each field under the field's name.
 
     `software` and `configuration` are those of the last start. Each item of a list has `time_ns`
-    since the epoch, and the `recording` that its daemon made, "" if there is none.
+    since the epoch, and the `recording` of the daemon that ran then, "" if it made none.
     """
 
     software: Mapping[str, Any] = field(default_factory=dict)
@@ -43,10 +43,10 @@ class Evidence:
 
 
 def collect(entries: Sequence[Entry], since_ns: int = 0) -> Evidence:
-    """Return what happened since `since_ns`, with software and configuration of the last start.
+    """Return what happened from `since_ns` (since the epoch) on, as `entries` report it.
 
-    A daemon that started before `since_ns` is included unless it ended before. If the last daemon
-    has no END entry, it counts as running: the entries cannot show whether it was killed.
+    A daemon is included unless it ended before `since_ns`. If the last daemon has no END entry, it
+    counts as running: the entries cannot show whether it was killed.
     """
     found = Evidence()
     daemon: dict[str, Any] = {}
@@ -104,7 +104,7 @@ def _place(found: Evidence, entry: Entry) -> list[dict[str, Any]] | None:
 def _change(
     before: Mapping[str, Any], after: Mapping[str, Any], daemon: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return by whom what was changed, with `[old, new]` for each key; None for a missing key."""
+    """Return who made a change, and `[old, new]` of each changed key; None for a missing key."""
     keys = [*before, *(key for key in after if key not in before)] if before else []
     changed = {
         key: [before.get(key), after.get(key)] for key in keys if before.get(key) != after.get(key)

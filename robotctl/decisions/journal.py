@@ -1,9 +1,9 @@
 """The journal of decisions: lines of JSON that are appended under a lock, in numbered files.
 
-A line `opened` holds the SHA-256 of the lines before it and of the file before, signed
-(`robotctl.recording.seal`): that shows later whether a line was changed or removed. File 0 keeps
-the lines about sealed files that were in removed files. Early versions wrote the hash of the line
-before into each line (`prev`).
+A line `opened` holds the signed SHA-256 of the earlier lines of its file and of the previous file
+(`robotctl.recording.seal`): the hash shows later whether a line was changed or removed. When a file
+is removed, its lines about sealed files are kept in file 0. Early versions wrote into each line the
+hash of the previous line (`prev`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MAX_FILE_BYTES: Final = 2 * FILE_BYTES
 """Readers read no more than this of a file; robotctl does not write larger files."""
 
 MAX_KEPT_BYTES: Final = 256 << 20
-"""Readers read no more than this of the lines that outlive their files."""
+"""Readers read no more than this of file 0."""
 
 YEAR_S: Final = 365.25 * DAY_S
 """The unit of `decisions.keep_years` in seconds."""
@@ -56,7 +56,7 @@ _RESERVED: Final = ("time_ns", "kind", "prev")
 
 
 class DecisionKind(StrEnum):
-    """What an entry is about; the docstring of each kind names the values of such an entry."""
+    """The kind of an entry; the docstring of each kind lists the keys of the entry's `values`."""
 
     START = "start"
     """A daemon started: `by`, `version`, `software` (digest), `recording`, `observe`, `config`."""
@@ -114,7 +114,7 @@ class Entry:
     values: Mapping[str, Any]
 
     def line(self) -> bytes:
-        """Return the entry as a line."""
+        """Return the entry as a line of JSON; long texts in it are cut."""
         head = {"time_ns": self.time_ns, "kind": self.kind}
         values = {key: _bounded(value) for key, value in self.values.items()}
         return json.dumps({**head, **values, **head}, separators=(",", ":")).encode() + b"\n"
@@ -151,22 +151,22 @@ def log_folder(robot: str) -> Path:
 
 
 def files_of(folder: Path) -> list[Path]:
-    """Return the files from number 1 on, the oldest first; none if there is no such folder."""
+    """Return the journal's files except file 0, the oldest first; [] if `folder` cannot be read."""
     with suppress(OSError):
         return sorted(path for path in folder.iterdir() if _NAME.fullmatch(path.name))
     return []
 
 
 def kept_file(folder: Path) -> Path:
-    """Return the path of file 0, which has the lines about sealed files that outlive the others."""
+    """Return the path of file 0, to which lines about sealed files move from a removed file."""
     return folder / _name(0)
 
 
 def entries_in(path: Path, *kinds: str) -> Iterator[Entry]:
-    """Yield the entries of these kinds in a file, all of them if none is given.
+    """Yield the entries of a file whose kind is in `kinds`; if no kind is given, yield all entries.
 
     Raises:
-        OSError: It cannot be read, or is not a regular file.
+        OSError: The file cannot be read, or is not a regular file.
     """
     marks = [f'"kind":"{kind}"'.encode() for kind in kinds]
     for line in _content_of(path).splitlines():
@@ -193,11 +193,11 @@ def _number_of(path: Path) -> int:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Create the folder if it is missing, and let no other process write to it in the block.
+    """Create the folder if it is missing, and lock it against other writers during the block.
 
     Raises:
-        OSError: It cannot be opened.
-        UsageError: Another user could change the folder, or it cannot be created.
+        OSError: The folder cannot be opened.
+        UsageError: Another user could change the folder, or the folder cannot be created.
     """
     make_private(folder)
     with open_folder(folder) as descriptor:
@@ -207,10 +207,10 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def last_file(folder: Path) -> Path:
-    """Return the file to append to, which ends with a whole line; begin the next if it is full.
+    """Return the newest file, or a new file if the newest is full; end a torn last line first.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The file cannot be written.
     """
     files = files_of(folder)
     number = _number_of(files[-1]) if files else 1
@@ -221,12 +221,12 @@ def last_file(folder: Path) -> Path:
 
 
 def append(path: Path, entries: Iterable[Entry]) -> None:
-    """Append entries to a file (0600) in one write, and wait for the disk.
+    """Append `entries` to a file (mode 0600) in one write, and wait until they are on the disk.
 
-    The end of a line that a kill or a power cut has torn does not spoil the entries.
+    If a kill or a power cut has torn the last line, the entries begin on a new line.
 
     Raises:
-        OSError: Nothing was written: no space, or it is not a regular file of this user.
+        OSError: The disk is full or fails, or `path` is not a regular file of this user.
     """
     begins = not os.path.lexists(path)
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
@@ -255,7 +255,7 @@ def remove_oldest(folder: Path, keep_s: float, now_s: float) -> None:
     remove a journal.
 
     Raises:
-        OSError: It cannot be removed.
+        OSError: The file cannot be removed, or file 0 cannot be written.
     """
     files = files_of(folder)
     if len(files) > KEPT_FILES and keep_s and now_s - files[0].lstat().st_mtime > keep_s:
@@ -268,9 +268,9 @@ def remove_oldest(folder: Path, keep_s: float, now_s: float) -> None:
 
 
 def digests(folder: Path) -> list[str]:
-    """Return the digests of the last file's whole lines, and before it that of the file before.
+    """Return the SHA-256 of the whole lines of each of the last two files, the older file first.
 
-    The lines are on the disk then: what keeps the digests does not outlive them in a power cut.
+    Both files are first synced to the disk: in a power cut, no digest outlives its lines.
 
     Raises:
         OSError: A file cannot be read.
@@ -299,7 +299,7 @@ def head_of(folder: Path) -> str:
 
 @dataclass(frozen=True, slots=True)
 class OpenedLine:
-    """A line `opened`, with the `digests` that it must hold; "" for a file that is not there."""
+    """An OPENED entry at `place`; its `digests` must equal `before` ("" for a missing file)."""
 
     entry: Entry
     place: str
@@ -308,7 +308,7 @@ class OpenedLine:
 
 @dataclass(slots=True)
 class LogContent:
-    """The content of a journal, and what a comparison of its files found."""
+    """The entries of a journal, and sentences about the faults that its files show."""
 
     files: list[Path] = field(default_factory=list)
     entries: list[Entry] = field(default_factory=list)
@@ -318,9 +318,9 @@ class LogContent:
     broken: list[str] = field(default_factory=list)
     """Sentences about entries that were changed, removed or added."""
     notes: list[str] = field(default_factory=list)
-    """Sentences about what is no manipulation: torn lines, and files removed by robotctl."""
+    """Sentences about harmless findings: torn lines, and files that robotctl removed."""
     heads: set[str] = field(default_factory=set)
-    """What recordings may know: the digest behind each line, and the old hash of each line."""
+    """All digests that a recording may store: of a file up to each line; early, of each line."""
 
     @property
     def begins_later(self) -> bool:
@@ -331,9 +331,9 @@ class LogContent:
 def read_log(folder: Path) -> LogContent:
     """Return the content of the journal in `folder`.
 
-    A line that was torn by a kill or a full disk causes a note. Entries that were changed, or
-    removed from the end, are not detected here: compare `opened`, and `heads` with the digests in
-    recordings.
+    A line that was torn by a kill or a full disk causes a note. Changed entries are not detected,
+    nor entries removed from the end: for that, compare the digests in each entry of `opened` with
+    its `before`, and the digests in recordings with `heads`.
     """
     log = LogContent(files_of(folder))
     numbers = [_number_of(path) for path in log.files]

@@ -63,7 +63,7 @@ _log = logging.getLogger(__name__)
 class DecisionLog:
     """Writes the journal of one robot. `add` may be called from any thread, and does not block.
 
-    The bytes that may be written grow at a constant rate, up to DAY_BYTES. Entries that are not
+    It writes DAY_BYTES a day on average, and at most DAY_BYTES at once. Entries that are not
     written are counted by kind; an entry MORE has the counts.
     """
 
@@ -76,7 +76,7 @@ class DecisionLog:
         steady_s: Callable[[], float] = time.monotonic,
         retry_s: float = RETRY_S,
     ) -> None:
-        """Write entries into `folder`; keep its files for `keep_s` seconds, or forever if it is 0.
+        """Write entries into `folder`; remove files older than `keep_s` seconds, none if it is 0.
 
         `now_ns` is the wall clock of the entries, `steady_s` the clock of the limit.
         """
@@ -108,7 +108,7 @@ class DecisionLog:
     def add_values(self, kind: DecisionKind, values: Mapping[str, Any]) -> None:
         """Queue an entry with the present time; the keys of `values` may be any text.
 
-        A SOFTWARE or CONFIGURATION entry is written only if it differs from the last of its kind.
+        A SOFTWARE or CONFIGURATION entry is written only if it differs from the last such entry.
         """
         if self._queue.qsize() >= MAX_WAITING:
             self._unqueued += 1
@@ -130,7 +130,7 @@ class DecisionLog:
         )
 
     def close(self) -> None:
-        """Write what is queued, for END_S at most."""
+        """Write the queued entries; wait at most END_S for the disk."""
         if self._thread.ident is not None:
             self._ending.set()
             self._queue.put(None)

@@ -28,7 +28,7 @@ MAX_ENDPOINTS: Final = 200
 
 
 def check_command(topic: GraphTopic, *, has_odometry: bool) -> Iterator[Finding]:
-    """Check the command topic; a topic without subscribers is a fault only if `has_odometry`."""
+    """Check the command topic; with `has_odometry`, a topic without subscribers is a fault."""
     yield from _check_topic("command", topic, COMMAND_TYPES)
     listeners = [each for each in topic["subscriptions"] if "/_" not in each["node"]]  # not hidden
     if has_odometry and not listeners:

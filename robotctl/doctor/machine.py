@@ -43,7 +43,7 @@ class Level(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The result of a check: the name of the check, and one sentence each for text and cure."""
+    """The result of a check: `text` says what was found, and `cure` what to do, "" for nothing."""
 
     check: str
     level: Level
@@ -61,17 +61,17 @@ class Finding:
 
 
 def ok(check: str, text: str) -> Finding:
-    """Return a finding of something that is as it should be."""
+    """Return the finding of a check that found nothing wrong."""
     return Finding(check, Level.OK, text)
 
 
 def warning(check: str, text: str, cure: str) -> Finding:
-    """Return a finding of something that may fail."""
+    """Return the finding that something may fail."""
     return Finding(check, Level.WARNING, text, cure)
 
 
 def fault(check: str, text: str, cure: str) -> Finding:
-    """Return a finding of something that does not work."""
+    """Return the finding that something does not work."""
     return Finding(check, Level.FAULT, text, cure)
 
 
@@ -91,7 +91,7 @@ AHEAD_S: Final = 60.0
 def check_disk(folder: Path, *, is_used: bool = False) -> Iterator[Finding]:
     """Check the free space for recordings in `folder`, or in its nearest parent that exists.
 
-    If `is_used`, a daemon records there, maybe as another user: write access is not checked.
+    If `is_used`, a daemon (maybe of another user) records there: write access is not checked.
     """
     check = "disk"
     existing = _existing(folder)
@@ -253,7 +253,7 @@ def check_wheels(
 
 
 def check_shell(environment: Mapping[str, str], prefix: Path) -> Iterator[Finding]:
-    """Warn if the variables of the shell lead to another ROS than robotctl's below `prefix`."""
+    """Warn if variables in `environment` lead to a ROS other than robotctl's own below `prefix`."""
     check = "shell"
     paths = {name: value for name, value in environment.items() if name != "RMW_IMPLEMENTATION"}
     _, found = without_foreign_ros(paths, prefix)
@@ -283,7 +283,7 @@ def check_two_rclpys(folders: Iterable[str]) -> Iterator[Finding]:
 
 
 def check_pip(prefix: Path, base_prefix: Path, standard_library: Path) -> Iterator[Finding]:
-    """Warn if pip refuses to install because the distribution owns this Python (PEP 668)."""
+    """Warn if pip installs nothing for this Python, because the distribution owns it (PEP 668)."""
     if prefix == base_prefix and (standard_library / "EXTERNALLY-MANAGED").exists():
         yield warning(
             "pip",
@@ -416,7 +416,7 @@ def check_middleware(environment: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def check_range(environment: Mapping[str, str]) -> Iterator[Finding]:
-    """Warn if the variable of the discovery range is OFF, unknown to ROS, or without effect."""
+    """Warn if the discovery range in `environment` is OFF, unknown to ROS, or overruled."""
     check, cure = "discovery", f"export {RANGE}=SUBNET, or LOCALHOST for this machine only"
     given = environment.get(RANGE, "")
     if environment.get(LOCALHOST_ONLY) == "1" and given not in ("", "LOCALHOST"):

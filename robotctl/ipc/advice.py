@@ -15,7 +15,7 @@ from robotctl.kernel.types import Cause
 
 
 def condition_of(cause: Cause) -> str:
-    """Return the condition that is broken when `cause` applies, such as "path free"."""
+    """Return the start condition that is not met while `cause` applies, such as "path free"."""
     match cause:
         case Cause.OPERATOR_STOP | Cause.OPERATOR_ERROR:
             return "no stop of an operator"
@@ -91,23 +91,23 @@ class Advice(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Cause and cure in one line."""
+        """Cause and cure in one line, or the cause alone if there is no cure."""
         return f"{self.cause}: {self.cure}" if self.cure else self.cause
 
 
 def advice(text: str, remedies: Iterable[Remedy], robot: str) -> Advice:
-    """Return the advice for the operator of `robot`, from a text and remedies of the kernel."""
+    """Return `text` as the cause and `remedies` as the cure, for the operator of `robot`."""
     cure = ", then ".join(cure_of(remedy, robot) for remedy in remedies)
     return Advice(for_robot(text, robot), cure)
 
 
 def for_robot(text: str, robot: str) -> str:
-    """Return `text` with `--robot NAME` after each command, or as it is for the default robot."""
+    """Return `text` with `--robot NAME` after each command; unchanged for the default robot."""
     return _COMMAND.sub(lambda match: command_for(robot, match[1]), text)
 
 
 def cure_of(remedy: Remedy, robot: str) -> str:
-    """Return what to do, with complete commands for `robot`."""
+    """Return the words that tell the operator of `robot` what to do, with complete commands."""
     logs, reset = command_for(robot, "logs"), command_for(robot, "reset")
     start, stop = command_for(robot, "start"), command_for(robot, "stop")
     match remedy:

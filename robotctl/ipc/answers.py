@@ -42,7 +42,7 @@ class DrivenPath(TypedDict):
 
 
 class ModeAnswer(TypedDict):
-    """The answer of `set_mode`, `reset` and `end_drive`, and the base of other answers."""
+    """The answer of `set_mode`, `reset` and `end_drive`, and the base class of other answers."""
 
     message: str
     mode: str
@@ -51,7 +51,7 @@ class ModeAnswer(TypedDict):
 class DriveAnswer(ModeAnswer, total=False):
     """The answer of `drive`, `drive_path` and `drive_velocity`.
 
-    If the request had `wait`, it also has the drive's figures, as in `DriveFacts`; None: unknown.
+    If the request had `wait`, the drive's figures are added (see `DriveFacts`); None: unknown.
     """
 
     laps: int
@@ -70,7 +70,7 @@ class DriveAnswer(ModeAnswer, total=False):
 
 
 class HoldAnswer(ModeAnswer):
-    """The answer of `hold`; if a hold is repeated, `message` is the reason for the mode."""
+    """The answer of `hold`; for a repeated request, `message` is the reason for the mode."""
 
     hold: int
     """The number of the held motion, for the next request; 0: the motion has ended."""
@@ -123,7 +123,7 @@ class RobotFacts(TypedDict):
 
 
 class CountsAnswer(TypedDict):
-    """Message counts of one or all topics; `lost` and `throttled` do not count as received."""
+    """Message counts of a topic, or of all topics; received = written + queued + dropped."""
 
     written: int
     queued: int
@@ -133,7 +133,7 @@ class CountsAnswer(TypedDict):
 
 
 class TopicAnswer(CountsAnswer):
-    """One recorded topic with one of its types."""
+    """The counts of one topic with one type; a topic with two types is listed twice."""
 
     name: str
     type: str
@@ -146,7 +146,7 @@ class TopicAnswer(CountsAnswer):
 
 
 class RecorderAnswer(CountsAnswer):
-    """The recorder's state and counts: received = written + queued + dropped."""
+    """The recorder's state, and the message counts of all topics."""
 
     state: str
     file: str
@@ -184,7 +184,7 @@ class Status(RobotFacts, RecordingFacts):
 
 
 class ConditionAnswer(TypedDict):
-    """One start condition; `problem` and `cure` are "" if it is met."""
+    """One start condition; `problem` and `cure` are "" if the condition is met."""
 
     cause: str
     condition: str
@@ -200,7 +200,7 @@ class Preflight(TypedDict):
 
 
 class StartSummary(TypedDict):
-    """The object of `robotctl start --json`; a new daemon sends it through its report pipe."""
+    """The object of `robotctl start --json`, which a new daemon sends through its report pipe."""
 
     ready: bool
     robot: str
@@ -222,7 +222,7 @@ class Stopped(TypedDict):
 
 
 class LeaseAnswer(TypedDict):
-    """The answer of `lease_release`, and of `lease_take`, which is answered when its lease ends."""
+    """The answer of `lease_release` and `lease_take`; `lease_take` waits until the lease ends."""
 
     message: str
 
@@ -270,7 +270,7 @@ class Marked(TypedDict):
 
 
 class ParameterAnswer(TypedDict):
-    """One parameter; `value` and `default` have the form of a configuration file."""
+    """One parameter; `value` and `default` are written as in a configuration file."""
 
     key: str
     value: bool | int | float | str | list[str]
@@ -305,7 +305,7 @@ class SimSet(TypedDict):
 
 
 class SimFaulted(SimSet):
-    """The answer of `sim_fault`, sent once the mode is not MOVING, or 1 s after the fault's end."""
+    """The answer of `sim_fault`, sent once the mode is not MOVING, or 1 s after the fault ended."""
 
     mode: str
     stopped_after_ms: float | None
@@ -320,7 +320,7 @@ class NameAndTypes(TypedDict):
 
 
 class Graph(TypedDict):
-    """The names that the daemon sees on ROS; `left_out` counts those omitted above a limit."""
+    """The names that the daemon sees on ROS; `left_out` counts the names above a limit."""
 
     topics: list[NameAndTypes]
     services: list[NameAndTypes]
@@ -331,7 +331,7 @@ class Graph(TypedDict):
 class GraphEndpoint(TypedDict):
     """A publisher or a subscription; `node` is "" while its node is unknown.
 
-    `qos` has reliability, durability, history and depth: "unknown" or 0 if not announced by DDS.
+    `qos` has reliability, durability, history and depth; "unknown" or 0 where DDS announces none.
     """
 
     node: str

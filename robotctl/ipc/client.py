@@ -133,7 +133,7 @@ class Client:
 
     @property
     def daemon_pid(self) -> int:
-        """The pid of the daemon, or 0 if it is in another pid namespace."""
+        """The pid of the daemon, or 0 if the daemon is in another pid namespace."""
         return peer_of(self._sock).pid
 
     @overload
@@ -274,7 +274,7 @@ class Client:
 
 
 def no_daemon(robot: str) -> NoDaemon:
-    """Return the error for a command that needs a daemon when none runs."""
+    """Return the error that says that no daemon runs for `robot`, and how to start a daemon."""
     return NoDaemon(
         f"no daemon for robot {robot!r}",
         f"start one with: {command_for(robot, 'start')}",

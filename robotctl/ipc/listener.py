@@ -1,4 +1,4 @@
-"""The listening socket, to which its owner or a group may connect; it is reopened if lost."""
+"""The socket at which a daemon listens, for its user or a group; reopened if it is lost."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def socket_group(name: str) -> SocketGroup | None:
 
 
 def open_folder(path: Path, group: SocketGroup | None) -> None:
-    """Open the folder of the socket `path` to `group` or, if that is None, only to the owner.
+    """Open the folder of the socket `path` to `group` or, if `group` is None, only to the owner.
 
-    With None, a folder that another robot of this user shares with a group stays shared.
+    If `group` is None, a folder that another robot shares with its group stays shared.
 
     Raises:
-        UsageError: Another robot shares the folder with another group, or `group` cannot reach it.
+        UsageError: The folder is shared with another group, or `group` cannot reach it.
     """
     folder = path.parent
     others = any(other != path for other in folder.glob("*.sock"))
@@ -111,7 +111,7 @@ async def until_readable(sock: socket.socket) -> None:
     """Wait until the socket has data, or a client to accept.
 
     Nothing is read from the socket, so no data are lost if the waiting task is cancelled just when
-    data arrive; with `loop.sock_recv` and `loop.sock_accept` they could be.
+    data arrive. With `loop.sock_recv` and `loop.sock_accept`, data could be lost.
     """
     loop = asyncio.get_running_loop()
     readable = loop.create_future()
@@ -171,8 +171,8 @@ class Listener:
         """Bind and listen; from now on clients can connect.
 
         Raises:
-            UsageError: The folder belongs to another user, or the group cannot use it, or `path`
-                is not a socket.
+            UsageError: The folder belongs to another user, the group cannot use the folder, or
+                `path` is not a socket.
             AlreadyRunning: Another process listens at `path`.
         """
         make_private(self._path.parent)
@@ -207,7 +207,7 @@ class Listener:
     async def accept(self, make_room: Callable[[], bool]) -> socket.socket:
         """Wait for the next client and return its socket.
 
-        If the process has no free descriptor, close the one in reserve or, if that is closed
+        If the process has no free descriptor, close the reserved descriptor. If that is closed
         already, call `make_room`, which returns whether it could close a connection. Try again
         until a descriptor is free.
         """

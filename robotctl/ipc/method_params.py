@@ -50,11 +50,11 @@ Size = Annotated[float, Meta(ge=MIN_SIZE_M, le=MAX_SIZE_M)]
 
 
 class NoParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The empty parameters of a method that has none."""
+    """The parameters of a method without parameters: no field."""
 
 
 class AnyParams(Struct, frozen=True):
-    """Any parameters, for a method that refuses each call."""
+    """Parameters of any name and value, for a method that refuses every call."""
 
 
 class HelloParams(Struct, frozen=True, forbid_unknown_fields=True):
@@ -124,7 +124,7 @@ class SimFaultParams(Struct, frozen=True, forbid_unknown_fields=True):
 class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
     """The parameters of `drive`: a pattern and how to drive it; None stands for a default.
 
-    The configuration has the default speed, and a speed limit, which may be below MAX_SPEED_MPS.
+    The configuration sets the default speed, and a speed limit that may be below MAX_SPEED_MPS.
     """
 
     pattern: PatternKind
@@ -164,7 +164,7 @@ class DrivePathParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DriveVelocityParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `drive_velocity`: a velocity for `for_s`; then the robot ramps down."""
+    """The parameters of `drive_velocity`: a velocity for `for_s` seconds, then a ramp down."""
 
     linear_mps: Annotated[float, Meta(ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS)]
     angular_rps: Annotated[float, Meta(ge=-MAX_TURNING_RPS, le=MAX_TURNING_RPS)]
@@ -211,7 +211,7 @@ class LeaseReleaseParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LeaseStatusParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `lease_status`, which says whether `token` is that of the lease."""
+    """The parameters of `lease_status`, which says whether `token` is the token of the lease."""
 
     token: Token | None = None
 

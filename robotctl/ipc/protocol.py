@@ -54,7 +54,7 @@ MAX_GRAPH_NAME = 255
 
 
 class Code(IntEnum):
-    """The error codes of JSON-RPC 2.0, then those of robotctl."""
+    """The error codes of JSON-RPC 2.0, and those that robotctl adds."""
 
     PARSE_ERROR = -32700
     INVALID_REQUEST = -32600
@@ -70,7 +70,7 @@ class Code(IntEnum):
 
 
 class ProtocolError(RobotctlError):
-    """A line of the peer is not a message; `request_id` is None if the line has no valid id."""
+    """A received line is not a valid message; `request_id` is None if the line has no valid id."""
 
     def __init__(self, code: Code, text: str, request_id: int | str | None = None) -> None:
         super().__init__(text)
@@ -206,7 +206,7 @@ def parse_response(line: bytes) -> Result | Failure:
 
 
 def is_emergency_stop(request: Request) -> bool:
-    """Return whether this is an emergency stop: allowed before hello and above the client limit."""
+    """Return whether `request` is an emergency stop: no hello and no client limit apply to it."""
     mode = request.params.get("mode")
     return request.method == "set_mode" and type(mode) is int and mode == EMERGENCY_STOP_MODE
 
@@ -301,7 +301,7 @@ _GROUPS_BYTES: Final = 1024
 
 
 class Peer(NamedTuple):
-    """A process (struct ucred of unix(7)); `pid` is 0 if it is in another pid namespace."""
+    """A process (struct ucred of unix(7)); if it is in another pid namespace, `pid` is 0."""
 
     pid: int
     uid: int
@@ -309,13 +309,13 @@ class Peer(NamedTuple):
 
 
 def peer_of(sock: socket.socket) -> Peer:
-    """Return the process at the other end of a socket, as of its call of `connect` or `listen`."""
+    """Return the process that called `connect` or `listen` at the other end of the socket."""
     raw = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _UCRED.size)
     return Peer(*_UCRED.unpack(raw))
 
 
 def groups_of(sock: socket.socket) -> frozenset[int]:
-    """Return the gids of the process at the other end; of more than 256, only the primary gid."""
+    """Return the gids of the process at the other end; if it has over 256, only its primary gid."""
     primary = peer_of(sock).gid
     try:
         raw = sock.getsockopt(socket.SOL_SOCKET, SO_PEERGROUPS, _GROUPS_BYTES)
@@ -325,6 +325,6 @@ def groups_of(sock: socket.socket) -> frozenset[int]:
 
 
 def guest_of(sock: socket.socket) -> int | None:
-    """Return the uid of the process at the other end, or None if that is root or our user."""
+    """Return the uid of the process at the other end, or None if the uid is root's or our own."""
     uid = peer_of(sock).uid
     return None if uid in (ROOT_UID, os.getuid()) else uid

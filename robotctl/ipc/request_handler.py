@@ -65,7 +65,7 @@ class Deadline:
             await work()
 
     At the deadline the task is cancelled, as by `asyncio.timeout`, and the block raises
-    DeadlineMissed. One timer is reused: new timers would take a tenth of the time of `status`.
+    DeadlineMissed. The blocks share one timer: a timer for each would slow `status` by a tenth.
     """
 
     def __init__(self) -> None:
@@ -292,7 +292,7 @@ def encode_failure(request_id: int | str | None, code: Code, error: RobotctlErro
 
 
 def log_failure(what: str) -> None:
-    """Log the exception that is being handled.
+    """Log the exception that is being handled, with `what` as the message.
 
     A MemoryError is passed to the loop's exception handler, because it concerns the whole daemon.
     """

@@ -66,7 +66,7 @@ class Connection:
         return self._is_listening and not is_readable(self._sock)
 
     def dismiss(self) -> None:
-        """Send the error that the daemon is busy, without waiting; the caller closes the socket."""
+        """Send the error "busy", without waiting; the caller then closes the connection."""
         self._say_last(None, Code.BUSY, self._handler.busy())
 
     async def run(self) -> None:
@@ -85,7 +85,7 @@ class Connection:
                 lines_left -= 1
 
     async def refuse(self, code: Code, error: RobotctlError) -> None:
-        """Send the error for which the caller closes this connection."""
+        """Send `error` to the client; then the caller closes the connection."""
         await self._send(encode_failure(None, code, error))
 
     async def _answer(self, line: bytes) -> bytes | bytearray:

@@ -27,7 +27,7 @@ Check = Callable[[Health, KernelParams, int], str]
 
 
 def healthy(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return "" always; this is the check of causes that only an event or a request raises."""
+    """Return "" always: this check is for the causes that an event or a request raises."""
     return ""
 
 
@@ -86,7 +86,7 @@ def battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
 def odometry_wrong(health: Health, params: KernelParams, t_ns: int) -> str:
     """Return a sentence if the received odometry is unusable, else "".
 
-    A frame other than `odometry.frame_id` counts at once, other faults only if odometry is lost.
+    A wrong frame (`odometry.frame_id`) counts at once, a faulty sample only if odometry is lost.
     """
     wanted, sources = params.odometry.frame_id, health.odometry_sources
     if wanted:
@@ -109,7 +109,7 @@ def odometry_lost(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def odometry_contradicted(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if a second odometry publisher reports another pose, else ""."""
+    """Return a sentence if the poses of two odometry publishers contradict each other, else ""."""
     second, limits = health.odometry_sources.second, params.odometry
     if second is None or _age_s(second.t_ns, t_ns) > limits.timeout_s:
         return ""
@@ -122,7 +122,7 @@ def odometry_contradicted(health: Health, params: KernelParams, t_ns: int) -> st
 
 
 def second_odometry(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if a second node has just published odometry as well, else ""."""
+    """Return a sentence if two nodes publish odometry at present, else ""."""
     second = health.odometry_sources.second
     if second is None or _age_s(second.t_ns, t_ns) > params.odometry.timeout_s:
         return ""
@@ -162,7 +162,7 @@ def foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def foreign_command(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if another node just sent a command or, unless YIELD, has a publisher."""
+    """Return a sentence if another node sends commands or (unless YIELD) has a publisher."""
     if health.foreign_publishers and params.command.foreign is not Foreign.YIELD:
         names = ", ".join(health.foreign_publishers)
         verb = "publishes" if len(health.foreign_publishers) == 1 else "publish"
@@ -174,7 +174,7 @@ def foreign_command(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def command_unheard(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if no node subscribes to the command topic with its type, else ""."""
+    """Return a sentence if no subscription has the topic and type of the command, else ""."""
     topic = health.command_topic
     if topic.listeners is None or topic.listeners > 0:
         return ""

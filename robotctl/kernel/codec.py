@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 
 def to_json(value: Any) -> str:
-    """Return the JSON text of a kernel dataclass, or of any value of its fields."""
+    """Return the JSON text of a kernel dataclass, or of the value of one of its fields."""
     return _WRITERS[type(value)](value)
 
 
@@ -34,7 +34,7 @@ def from_json(kind: Callable[..., T], text: str) -> T:
     ignored. So journals of other versions can be read.
 
     Raises:
-        ValueError: The text is not a value of that type.
+        ValueError: `text` is not a value of type `kind`.
     """
     try:
         value: T = _reader(kind)(json.loads(text))
@@ -165,7 +165,7 @@ class Proof:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The state of a kernel between two events; `made_by` says what computed its floats.
+    """The state of a kernel between two events; `made_by` says what computed its numbers.
 
     `proof` is None in a recording of version 0.1.0.
     """

@@ -38,7 +38,7 @@ class Held:
     Then no command is sent for `quiet_s` seconds, to see when the base stops by itself.
 
     A hold-to-run velocity must be repeated by its client; `heard_t_ns` is the steady time of the
-    last request, None for any other velocity. After `for_s` of silence the command is 0 at once.
+    last request, None if not held to run. After `for_s` of silence the command is 0 at once.
     """
 
     linear_mps: float
@@ -60,7 +60,7 @@ class Held:
         return ""
 
     def begun(self, t_ns: int) -> Held:
-        """Return a copy that begins at `t_ns`, when a hold-to-run client counts as last heard."""
+        """Return a copy that begins at `t_ns`; a hold-to-run client counts as heard at `t_ns`."""
         return replace(self, heard_t_ns=t_ns) if self.is_held_to_run else self
 
     @property
@@ -106,7 +106,7 @@ class Course:
     held: Held | None = None
 
     def refusal(self) -> str:
-        """Return why this course cannot be driven, "" if it can."""
+        """Return what is wrong with these options, "" if nothing is."""
         corner_m, angle_rad = self.corner_m, self.angle_rad
         if self.held is not None:
             return self.held.refusal()

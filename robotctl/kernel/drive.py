@@ -35,8 +35,8 @@ class Progress:
 
     Lengths are in m, in a turn in rad; speeds are per second.
 
-    - `speed`, `accel`: those of the reference.
-    - `ahead`, `lead_speed`: how far the lead is ahead of the reference, and its speed.
+    - `speed`, `accel`: the speed and the acceleration of the reference.
+    - `ahead`, `lead_speed`: how far the lead is ahead of the reference; the speed of the lead.
     - `rates`: the speeds of the lead in the last ticks.
     - `settling_s`: how long the reference has waited at a stop.
     - `closure_m`: how far the robot was from the path's end when the last lap ended, or NaN.
@@ -57,7 +57,7 @@ class Progress:
 def begun(speed: float, ticks: int, dt_s: float, legs: tuple[Leg, ...], *, turns: bool) -> Progress:
     """Return the progress of a reference and a lead that begin at `speed` [m/s].
 
-    They begin at 0 on a turn (`turns`) or a first leg too short for `ticks` ticks of `dt_s`.
+    They begin at speed 0 if the path begins with a turn (`turns`) or with a leg that is too short.
     """
     ahead = 0.5 * speed * dt_s * (ticks - 1)
     if turns or speed <= 0.0 or legs[0].length <= ahead:
@@ -137,9 +137,9 @@ _TURNED = Pose(0.0, 0.0, pi)
 class Score:
     """How well the robot followed so far: sums and maxima over the odometry samples.
 
-    `error_m` is the distance of the last sample from the reference. It is inf if it is larger than
-    the path's `reach_m`, or if a turn is not followed (`LOST_RAD`). Without this, a robot that
-    stands still would go unnoticed on a small circle, whose reference never gets far from it.
+    `error_m` is the distance of the last sample from the reference. It is inf if it would exceed
+    the path's `reach_m`, or if a turn is not followed (`LOST_RAD`). So a robot that stands still is
+    noticed even on a small circle, where the reference never gets far from the robot.
     """
 
     samples: int = 0
@@ -184,7 +184,7 @@ class Drive:
         return held is not None and held.quiet_s > 0.0 and self.progress.length >= held.for_s
 
     def ending(self) -> str:
-        """Return why this drive ends: it has finished, or is no longer held to run."""
+        """Return the reason for the end of this drive: it is finished, or its client let it go."""
         held = self.course.held
         if held is not None and held.is_held_to_run:
             return "let go" if held.is_let_go else f"not held for {held.for_s * 1e3:g} ms"
@@ -215,7 +215,7 @@ class Drive:
         return Reference(pose, rate, segment.curvature_at(length), 0.0)
 
     def command(self, pose: Pose, gains: TrackingParams, limits: VelocityLimits) -> Twist:
-        """Return the held velocity, or the one that brings a robot at `pose` to the reference."""
+        """Return the held velocity, or a command that brings a robot at `pose` to the reference."""
         if self.course.held is not None:
             return Twist(self.course.held.linear_mps, self.course.held.angular_rps)
         reference = self.reference(gains.lag_s)
@@ -232,7 +232,7 @@ class Drive:
         return self._at(begun(speed_mps, ticks, dt_s, legs, turns=turns))
 
     def advance(self, dt_s: float, pose: Pose, limits: VelocityLimits, ticks: int) -> Drive:
-        """Return the drive after `dt_s`, at `pose`; accelerations build up over `ticks` ticks."""
+        """Return the drive `dt_s` later, when the robot is at `pose`; `ticks` as in `advanced`."""
         if dt_s <= 0.0:
             return self
         if self.course.held is not None:
@@ -256,7 +256,7 @@ class Drive:
         return self._at(place)
 
     def measured(self, pose: Pose, moved_m: float) -> Drive:
-        """Return the drive with one more sample in its score: the robot moved by `moved_m`."""
+        """Return the drive; its score has one more sample: the robot moved `moved_m` to `pose`."""
         return changed(self, score=self.score_after(self.score, pose, moved_m))
 
     def score_after(self, so_far: Score, pose: Pose, moved_m: float) -> Score:
@@ -289,7 +289,7 @@ class Drive:
         return self.path.distance_to(self.origin.express(pose), at.segment, at.length)
 
     def report(self, t_ns: int) -> DriveReport:
-        """Return how well the path was followed until `t_ns`."""
+        """Return how well the robot followed the path, from the beginning until `t_ns`."""
         score, count = self.score, max(self.score.samples, 1)
         return DriveReport(
             self.progress.laps,

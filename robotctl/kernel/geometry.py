@@ -22,7 +22,7 @@ class Pose:
     theta: float = 0.0
 
     def compose(self, local: Pose) -> Pose:
-        """Return `local`, a pose relative to this one, in the parent frame of this pose."""
+        """Return `local`, given relative to this pose, as a pose in this pose's parent frame."""
         c, s = direction(self.theta)
         return Pose(
             self.x + c * local.x - s * local.y,
@@ -31,7 +31,7 @@ class Pose:
         )
 
     def express(self, other: Pose) -> Pose:
-        """Return `other`, a pose in the same parent frame, relative to this pose."""
+        """Return `other`, a pose in this pose's parent frame, as a pose relative to this pose."""
         c, s = direction(self.theta)
         dx, dy = other.x - self.x, other.y - self.y
         return Pose(c * dx + s * dy, c * dy - s * dx, wrap_angle(other.theta - self.theta))

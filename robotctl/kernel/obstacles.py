@@ -61,13 +61,13 @@ def distance_ahead(
 
 @lru_cache(maxsize=2)
 def free_beside_m(sectors: tuple[float, ...], params: ScanParams, reach_m: float) -> float:
-    """Return the least |y| [m] of obstacles that a path of `reach_m` may touch, inf if none."""
+    """Return the least |y| [m] of all obstacles within `reach_m` along any path, inf if none."""
     points = _points(sectors, params, farthest_m(params, reach_m))
     return min([abs(y) for _, y in points], default=inf)
 
 
 def is_free(free_m: float, command: Twist, params: ScanParams, reach_m: float) -> bool:
-    """Return whether obstacles with a |y| of `free_m` or more are certainly beside the path.
+    """Return whether the path of `command` is free of obstacles with a |y| of `free_m` or more.
 
     If this is False, an obstacle may be in the path: call `distance_ahead`.
     """

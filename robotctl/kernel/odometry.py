@@ -49,8 +49,8 @@ def with_odometry(state: State, event: OdomReceived, params: OdometryParams) -> 
 def odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -> str:
     """Return why this sample is impossible, "" if it is possible.
 
-    Its stamp is compared with that of the previous sample, even an impossible one: when the wall
-    clock is set back, only one sample is dropped.
+    Its stamp must not be before the previous stamp, even if the previous sample was impossible:
+    when the wall clock is set back, only one sample is dropped.
     """
     last = health.odometry
     if not is_finite(odometry):
@@ -71,7 +71,7 @@ def odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -
 
 
 def is_repeated(health: Health, odometry: Odometry) -> bool:
-    """Return whether this sample equals the last usable one: a source that hangs repeats it.
+    """Return whether this sample repeats the last usable sample, because its publisher hangs.
 
     A sample without a stamp (0) counts as new: it may be from a robot that stands still.
     """
@@ -91,7 +91,7 @@ def is_finite(odometry: Odometry) -> bool:
 
 
 def source_found(sources: OdometrySources, event: OdometrySourceFound) -> OdometrySources:
-    """Return the sources with the name and the frame of the event."""
+    """Return `sources` with the name and the frame that `event` gives for a publisher."""
     others = tuple(named for named in sources.names if named[0] != event.source)
     names = (*others, (event.source, event.name))[-MAX_NAMED_SOURCES:]
     if not event.frame_id:
@@ -104,14 +104,14 @@ def source_found(sources: OdometrySources, event: OdometrySourceFound) -> Odomet
 def may_follow(health: Health, event: OdomReceived, params: OdometryParams) -> bool:
     """Return whether a robot that is not MOVING may switch to the publisher of this sample.
 
-    It may if the followed publisher sent no usable sample for `odometry.timeout_s`, or none so far.
+    It may if the last usable, new sample is older than `odometry.timeout_s`, or if there is none.
     """
     age_s = abs(event.t_ns - health.odometry_t_ns) / NS_PER_S
     return health.odometry is None or age_s > params.timeout_s
 
 
 def dropped(health: Health, event: OdomReceived) -> OdometrySources:
-    """Return the sources after a dropped sample of a publisher that is not followed."""
+    """Return the sources with one more dropped sample, from a publisher that is not followed."""
     last, pose = health.odometry, event.odometry.pose
     distance_m = angle_rad = 0.0
     if last is not None:

@@ -22,7 +22,7 @@ class Leaf(NamedTuple):
 
 
 class Conflict(NamedTuple):
-    """A key and its value, which conflict with another value; `allowed` says what to use."""
+    """A parameter whose value conflicts with another parameter; `allowed` says what to use."""
 
     key: str
     value: object
@@ -84,7 +84,7 @@ def with_text(params: KernelParams, key: str, text: str) -> KernelParams:
 
 
 def conflict(params: KernelParams) -> Conflict | None:
-    """Return the first value that conflicts with another one, None if there is no conflict."""
+    """Return the first conflict between two parameters, None if there is no conflict."""
     battery, two_periods_s = params.battery, 2.0 / params.rate_hz
     taken: dict[str, str] = {}
     topics = {f"{part}.topic": getattr(params, part).topic for part in _WITH_TOPIC}

@@ -83,8 +83,8 @@ class Foreign(Enum):
     """What happens if other nodes publish velocity commands.
 
     ERROR: a publisher, even a silent one, prevents the start of a motion and ends a motion. WARN:
-    there is only a warning. YIELD: other nodes may drive while the mode is IDLE; a command of
-    theirs prevents the start of a motion and ends a motion, a silent publisher does not.
+    there is only a warning. YIELD: other nodes may drive while the mode is IDLE; their
+    commands prevent the start of a motion and end a motion, a silent publisher does not.
     """
 
     ERROR = "error"
@@ -118,7 +118,7 @@ class CommandParams:
 
 @dataclass(frozen=True, slots=True)
 class OdometryParams:
-    """The topic of the odometry, and the limits beyond which it is lost or wrong."""
+    """The topic of the odometry, and the limits beyond which odometry is lost or wrong."""
 
     topic: str = topic("odom", "topic of the odometry")
     timeout_s: float = bounded(0.5, 0.05, 10.0, "s", "age at which odometry counts as lost")
@@ -142,7 +142,7 @@ class BatteryScale(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BatteryParams:
-    """The topic of the battery ("" for a robot without one), and the levels that allow motion."""
+    """The topic of the battery ("": there is none), and the levels that allow motion."""
 
     topic: str = topic("battery_state", "topic of the battery", optional=True)
     scale: BatteryScale = setting(BatteryScale.ONE, "the level of a full battery", Change.START)

@@ -31,7 +31,7 @@ class Segment(Protocol):
         """Return the pose at `length` along the segment, in the frame of the drive."""
 
     def curvature_at(self, length: float) -> float:
-        """Return the signed curvature [1/m], left positive; for a turn, 1 to the left or -1."""
+        """Return the signed curvature [1/m], left positive; for a turn, 1 (left) or -1."""
 
     def distance_to(self, point: Pose, guess: float) -> float:
         """Return the distance [m] from `point` to the segment, searched near length `guess`."""

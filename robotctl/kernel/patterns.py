@@ -63,7 +63,7 @@ class FigureEight:
 
 @dataclass(frozen=True, slots=True)
 class FigureEightPart:
-    """The part of a figure eight that begins at `begin` m along it."""
+    """A part of the figure eight `whole`; it begins at `begin` m along the figure."""
 
     whole: FigureEight
     begin: float
@@ -80,7 +80,7 @@ class FigureEightPart:
         return self.whole.curvature_at(self.begin + length)
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance [m] to the whole curve, searched near length `guess` of the part."""
+        """Return the distance [m] from `point` to the whole curve, searched near length `guess`."""
         return self.whole.distance_to(point, self.begin + guess)
 
 
@@ -139,7 +139,7 @@ def local_points(course: Course, start: Pose) -> tuple[Point, ...]:
 def waypoint_path(points: tuple[Point, ...], corner_m: float, *, again: bool) -> Path:
     """Return the path from the origin through the points; with `again`, back to the origin.
 
-    Points in the same place are one point. A leg leads to the first point if that is elsewhere.
+    Points in the same place are one point. If the first point is not the origin, a leg leads to it.
     A path whose points are all at the origin has no segments.
     """
     places = _places(points, again=again)
@@ -361,7 +361,7 @@ def named(pattern: Pattern, course: Course) -> str:
 
 @lru_cache(maxsize=16)
 def path_of(pattern: Pattern, course: Course, *, again: bool = True) -> Path:
-    """Return the path of one lap; with `again`, a lap of waypoints returns to its start."""
+    """Return the path of one lap; with `again`, a path of waypoints ends where it begins."""
     if course.held is not None:
         return Path((), inf, closed=False)
     if course.waypoints:

@@ -24,7 +24,7 @@ class Change(Enum):
 
 
 def setting(default: Any, about: str, change: Change = Change.STANDING, **metadata: Any) -> Any:
-    """Return a dataclass field with a default; its metadata are `about`, `change` and the rest."""
+    """Return a dataclass field with the `default`; all other arguments become its metadata."""
     return field(default=default, metadata={"about": about, "change": change, **metadata})
 
 

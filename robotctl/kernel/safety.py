@@ -234,7 +234,7 @@ def failed_start_condition(health: Health, params: KernelParams, t_ns: int) -> F
 def start_conditions(
     health: Health, params: KernelParams, t_ns: int
 ) -> tuple[tuple[Rule, str], ...]:
-    """Return the rules that can forbid the start of a motion, each with what is wrong, else ""."""
+    """Return each rule that can forbid the start of a motion, with the result of its check."""
     return tuple(
         (rule, rule.check(health, params, t_ns))
         for rule in RULES
@@ -264,7 +264,7 @@ def remedies_to_move(cause: Cause) -> tuple[Remedy, ...]:
 
 
 def uncleared(cause: Cause, health: Health, params: KernelParams, t_ns: int) -> Finding | None:
-    """Return why `cause` has not cleared, None if it has."""
+    """Return the finding that keeps `cause` from clearing, None if the cause has cleared."""
     rule = RULE_OF[cause]
     detail = rule.clear_check(health, params, t_ns)
     return Finding(rule, detail) if detail else None

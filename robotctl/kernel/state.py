@@ -21,7 +21,7 @@ from robotctl.kernel.units import NS_PER_S
 class SecondOdometry:
     """The last sample of an odometry publisher that the robot does not follow.
 
-    `distance_m` and `angle_rad` compare its pose with that of the followed publisher.
+    `distance_m` and `angle_rad` are the differences from the pose of the followed publisher.
     """
 
     source: int
@@ -32,7 +32,7 @@ class SecondOdometry:
 
 @dataclass(frozen=True, slots=True)
 class OdometrySources:
-    """The publishers of odometry. The robot follows one at a time; `followed` is its number.
+    """The publishers of odometry. The robot follows one publisher at a time, number `followed`.
 
     `names` has the number and the node name of each of the last publishers found, and `frames` has
     the number and the frame. `dropped` counts the samples that were not used.
@@ -67,7 +67,7 @@ class CommandTopic:
 
 @dataclass(frozen=True, slots=True)
 class Stalls:
-    """The number of stalls of the control loop, and the time, length and reason of the last one."""
+    """The number of stalls of the control loop; time, length and reason of the last stall."""
 
     count: int = 0
     last_t_ns: int = 0
@@ -94,11 +94,11 @@ class Health:
     """What the kernel knows about everything that motion depends on.
 
     - `odometry`: the last usable sample of the followed publisher.
-    - `odometry_t_ns`: when its last sample that was both usable and new was received.
-    - `odometry_stamp_ns`, `odometry_fault` ("": none): from its last sample, usable or not.
+    - `odometry_t_ns`: when the followed publisher's last usable and new sample was received.
+    - `odometry_stamp_ns`, `odometry_fault` ("": none): from the last sample, usable or not.
     - `reported`: the faults that the daemon reported and has not cleared.
     - `battery_in_percent`: whether a full battery reports 100 instead of 1.
-    - `inputs`: the last reading of each `SafetyInput`, in their order; () before the first.
+    - `inputs`: the last reading of each `SafetyInput`, in that order; () before all readings.
     - `fence_origin`: the pose of the robot at the start of the first motion.
     - `lifecycle`: the state of the node `mode_service`.
     """
@@ -129,13 +129,13 @@ UNKNOWN = Health()
 
 @dataclass(frozen=True, slots=True)
 class Guarded:
-    """A guarded motion: the last velocity wanted and its time `t_ns`, None before the first one."""
+    """A guarded motion: the last velocity wanted, and its time (None: no velocity so far)."""
 
     twist: Twist = ZERO
     t_ns: int | None = None
 
     def wanted(self, t_ns: int, timeout_s: float) -> Twist | None:
-        """Return the wanted velocity, None if it is not finite or older than the timeout."""
+        """Return the wanted velocity, None if there is none, or it is not finite or too old."""
         if self.t_ns is None or abs(t_ns - self.t_ns) / NS_PER_S > timeout_s:
             return None
         twist = self.twist
@@ -146,7 +146,7 @@ class Guarded:
 class State:
     """The whole memory of the kernel: state, parameters and events determine every later effect.
 
-    - `reason`: why the mode changed last. `cause`: why it is ERROR or EMERGENCY_STOP.
+    - `reason`: why the mode changed last. `cause`: why the mode is ERROR or EMERGENCY_STOP.
     - `stop_reason`: why the robot ramps down.
     - `waiting`: the ids of the requests for IDLE that are answered at the end of the ramp.
     - `tick_t_ns`: when the last tick was.
@@ -173,7 +173,7 @@ class State:
 
 
 def latched(reason: str, cause: Cause = Cause.OPERATOR_STOP) -> State:
-    """Return the state of a robot whose emergency stop was not released before a restart."""
+    """Return the first state after a restart if the emergency stop had not been released."""
     return State(mode=Mode.EMERGENCY_STOP, reason=reason, cause=cause)
 
 
@@ -199,5 +199,5 @@ def full_level(scale: BatteryScale) -> float:
 
 
 def is_level(level: float | None) -> TypeGuard[float]:
-    """Return whether this is a possible battery level; None and NaN are not."""
+    """Return whether `level` is a possible battery level; None and NaN are not."""
     return level is not None and 0.0 <= level <= FULLEST_LEVEL

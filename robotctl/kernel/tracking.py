@@ -57,10 +57,10 @@ def within(command: Twist, limits: VelocityLimits) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The pose that the robot should have now, and the velocity of the reference.
+    """The reference of a drive: the pose that the robot should have now, and its motion.
 
-    `linear` is its speed along the path [m/s], `curvature` is that of the path [1/m], and `turning`
-    is the rate of a turn on the spot [rad/s].
+    `linear` is the speed along the path [m/s], `curvature` the curvature of the path [1/m], and
+    `turning` the rate of a turn on the spot [rad/s].
     """
 
     pose: Pose

@@ -42,7 +42,7 @@ def cos(angle_rad: float) -> float:
 
 
 def direction(angle_rad: float) -> tuple[float, float]:
-    """Return cosine and sine, almost as fast as one of them; ValueError for an infinite angle."""
+    """Return cosine and sine, almost as fast as `sin` alone; ValueError for an infinite angle."""
     quadrant, head, tail = _reduced(angle_rad)
     x, y = _cos(head, tail), _sin(head, tail)
     if quadrant & 1:

@@ -25,11 +25,11 @@ class Job:
     """What to play, and how.
 
     - `rate`: recorded seconds per second; None: as fast as subscribers accept the messages.
-    - `topics`, `regex`: play the topics that either selects, or every topic if both are empty.
+    - `topics`, `regex`: play each topic that one of them selects; every topic if both are empty.
     - `exclude`: never play these topics.
-    - `start_offset_s`, `duration_s`: play this part; recorded time, from the first message on.
-    - `delay_s`: wait this long before the first message; real time.
-    - `wait_for`: send nothing before there are so many subscriptions, summed over all topics.
+    - `start_offset_s`, `duration_s`: the part to play, in recorded time after the first message.
+    - `delay_s`: the real time to wait before the first message is sent.
+    - `wait_for`: the number of subscriptions, over all topics, to wait for before sending.
     - `original_names`: play under the recorded names, even in a domain with a daemon.
     - `changed_types`: also play topics whose recorded type differs from the installed one.
     """
@@ -60,7 +60,7 @@ class Job:
 
     @classmethod
     def from_json(cls, line: str) -> Self:
-        """Return the job in a line from `to_json`."""
+        """Return the job that `to_json` wrote in `line`."""
         fields: dict[str, Any] = json.loads(line)
         for name in ("topics", "exclude"):
             fields[name] = tuple(fields[name])
@@ -69,10 +69,10 @@ class Job:
 
 
 def parse_rate(text: str) -> float | None:
-    """Return the value of `--rate`, with None for `max`.
+    """Return the rate in `text`, the value of `--rate`; None if `text` is `max`.
 
     Raises:
-        UsageError: `text` is not an allowed number.
+        UsageError: `text` is neither `max` nor a number from MIN_RATE to MAX_RATE.
     """
     if text.strip().lower() == AS_FAST_AS_POSSIBLE:
         return None
@@ -89,10 +89,10 @@ def parse_rate(text: str) -> float | None:
 
 
 def check_seconds(option: str, value: float, *, positive: bool = False) -> float:
-    """Return `value` if it is a duration [s].
+    """Return `value` if it is an allowed duration [s] for the command-line option `option`.
 
     Raises:
-        UsageError: `value` is negative, not finite, or 0 with `positive`.
+        UsageError: `value` is negative or not finite, or is 0 although `positive` is true.
     """
     if not isfinite(value) or value < 0 or (positive and value == 0):
         raise UsageError(
@@ -102,10 +102,10 @@ def check_seconds(option: str, value: float, *, positive: bool = False) -> float
 
 
 def parse_remap(text: str) -> tuple[str, str]:
-    """Return the two names of a `--remap OLD:=NEW`.
+    """Return OLD and NEW of `text`, the value of `--remap OLD:=NEW`.
 
     Raises:
-        UsageError: The text has another form.
+        UsageError: `text` is not of this form, or NEW is not a valid topic name.
     """
     old, sign, new = text.partition(":=")
     if not (sign and old and _TOPIC_NAME.fullmatch(new)):

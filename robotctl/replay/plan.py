@@ -22,7 +22,7 @@ _EVENT_TYPE = re.compile(r"[^/]+/srv/[^/]+_Event")
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """A recorded topic, and the name of the topic or service to which it is sent."""
+    """A recorded topic, and the name of the topic or service to which its messages are sent."""
 
     topic: TopicInfo
     name: str
@@ -31,12 +31,12 @@ class Route:
 
 
 def absolute(name: str, prefix: str = "") -> str:
-    """Return the absolute name of a recorded topic, with `prefix` before it."""
+    """Return the absolute name of the recorded topic `name`, preceded by `prefix`."""
     return f"{prefix}/{name.lstrip('/')}"
 
 
 def service_of(topic: TopicInfo) -> str:
-    """Return the service whose introspection events the topic has, or "" for another topic."""
+    """Return the service whose introspection events the topic has, "" if it has no such events."""
     name = absolute(topic.name)
     if name.endswith(_EVENT_TOPIC) and _EVENT_TYPE.fullmatch(topic.type_name):
         return name.removesuffix(_EVENT_TOPIC)
@@ -44,7 +44,7 @@ def service_of(topic: TopicInfo) -> str:
 
 
 def selected(recorded: Sequence[TopicInfo], job: Job) -> list[TopicInfo]:
-    """Return the topics to play. A job can name a service, or the service's introspection topic.
+    """Return the topics to play; `job` may name a service instead of its introspection topic.
 
     Raises:
         UsageError: A name in --topics is not in the recording.
@@ -67,12 +67,12 @@ def selected(recorded: Sequence[TopicInfo], job: Job) -> list[TopicInfo]:
 
 
 def is_named(topic: TopicInfo, names: Collection[str]) -> bool:
-    """Return whether `names` contains the topic or its service."""
+    """Return whether `names` contains the name of the topic or of its service."""
     return not _names(topic).isdisjoint(absolute(name) for name in names)
 
 
 def routes(recorded: Sequence[TopicInfo], chosen: Iterable[TopicInfo], job: Job) -> list[Route]:
-    """Return the routes of the chosen topics, remapped but without prefix.
+    """Return a route for each of the `chosen` topics, with the remapped name, not yet prefixed.
 
     Raises:
         UsageError: A remap names an unknown topic, or joins topics of different types.
@@ -96,9 +96,9 @@ def routes(recorded: Sequence[TopicInfo], chosen: Iterable[TopicInfo], job: Job)
 
 
 def main_types(recorded: Sequence[TopicInfo]) -> tuple[list[TopicInfo], list[str]]:
-    """Return the topics to keep, and a sentence about each topic whose messages are left out.
+    """Return the topics to play, and a sentence about each topic whose messages are left out.
 
-    If topics share a name, and one has more than half of their messages, only this one is kept: a
+    If over half of the messages with a topic name are of one type, the other types are left out: a
     node may have used another type until it discovered which type its subscribers want.
     """
     totals: Counter[str] = Counter()

@@ -26,7 +26,7 @@ RATES: Final = tuple(
 class Schedule:
     """Maps recorded time to steady time: `at_ns` (recorded) is due at `moment_ns` (steady).
 
-    From then on, `rate` seconds of the recording are due each second, or all at once if it is None.
+    From `moment_ns` on, `rate` seconds of the recording are due each second; None: all at once.
     While `paused`, nothing is due.
     """
 
@@ -87,9 +87,9 @@ class PlaybackControl:
         return self._schedule
 
     def begin(self, moment_ns: int) -> None:
-        """Start the recording at the steady time `moment_ns` or, if paused, when the pause ends.
+        """Start to play at the steady time `moment_ns` or, if playback is paused, after the pause.
 
-        Recorded time begins at 0: nothing was played before, so the old position is discarded.
+        Playback begins at the recorded time 0, whatever position the schedule had before.
         """
         with self._changing:
             self._schedule = replace(self._schedule, moment_ns=moment_ns, at_ns=0)
@@ -124,7 +124,7 @@ class PlaybackControl:
             self._steps += self._schedule.paused
 
     def takes_step(self, at_ns: int) -> bool:
-        """Use up one step for the message at `at_ns`; return False if no step is left."""
+        """Use up a step for the message at `at_ns`; return False if no step is left."""
         with self._changing:
             if not (self._steps and self._schedule.paused):
                 return False
@@ -150,7 +150,7 @@ class Command(Enum):
     NEXT = "next"
 
     def line(self) -> bytes:
-        """Return the line that is sent to the replay process."""
+        """Return the line that passes this command to the replay process."""
         return f"{json.dumps({'do': self.value})}\n".encode()
 
 

@@ -101,7 +101,7 @@ class Lateness:
             self.max_ns = late_ns
 
     def quantile_us(self, share: float) -> float:
-        """Return the quantile for `share` (0 to 1) [us], or 0 if there are no values."""
+        """Return the delay [us] that `share` (0 to 1) of all delays do not exceed; 0 if none."""
         rank = share * self.count
         seen = 0
         for step, count in enumerate(self._counts):
@@ -134,7 +134,7 @@ SLICE_NS: Final = 50_000_000
 
 @dataclass(slots=True)
 class TopicSender:
-    """The function that sends the messages of a topic, and how many it sent and failed to send."""
+    """The function that sends a topic's messages, and the numbers of sent and failed messages."""
 
     send: Send
     sent: int = 0
@@ -150,7 +150,7 @@ class ClockPublisher:
         self.due_ns = 0
 
     def tick(self, now_ns: int, position_ns: int) -> None:
-        """Send the position if a tick is due; skip missed ticks."""
+        """Send `position_ns` if a tick is due at `now_ns`; ticks that were missed are skipped."""
         if now_ns >= self.due_ns:
             self.send(position_ns)
             following_ns = self.due_ns + self.period_ns
@@ -158,9 +158,9 @@ class ClockPublisher:
 
 
 class Player:
-    """Sends each entry when it is due, with the `Send` of its topic; if `rate` is None, at once.
+    """Sends each entry with its topic's `Send` when the entry is due; at once if `rate` is None.
 
-    `run` must be called in one thread; everything else may be used from any thread.
+    `run` sends in the thread that calls it; all other members may be used from any thread.
     """
 
     def __init__(

@@ -27,7 +27,7 @@ class RunningDaemon:
 
     @property
     def may_be_moving(self) -> bool:
-        """Whether the robot is moving, or may be because the mode is unknown."""
+        """Whether the robot is moving or, because its mode is unknown, may be moving."""
         return self.mode in (None, "MOVING")
 
 
@@ -35,7 +35,7 @@ def running_daemons() -> list[RunningDaemon]:
     """Return each daemon with a socket in this user's runtime folder, ordered by name.
 
     Raises:
-        UsageError: Another user could have put the sockets there.
+        UsageError: Another user could change the folder, and so could have made the sockets.
     """
     folder = runtime_folder()
     chain_to(folder).for_client().check()
@@ -57,7 +57,7 @@ def daemons_in(domain_id: int) -> list[RunningDaemon]:
 
 
 def domain_to_play_in(requested: int | None, robot: str) -> int:
-    """Return `requested`; if it is None, the domain of the robot's daemon, or 0 if that is unknown.
+    """Return `requested` or, if it is None, the domain of the robot's daemon; 0 if none is known.
 
     Raises:
         Refused: A process of another user listens in place of the daemon.
@@ -69,10 +69,10 @@ def domain_to_play_in(requested: int | None, robot: str) -> int:
 
 
 def ask(robot: str) -> RunningDaemon | None:
-    """Return the robot's daemon, or None if none can be reached.
+    """Ask the robot's daemon for its domain and mode; return None if no daemon can be reached.
 
     Raises:
-        Refused: A process of another user listens in its place.
+        Refused: A process of another user listens in the daemon's place.
     """
     try:
         with Client(robot) as client:
@@ -99,14 +99,14 @@ COMMAND_NAME: Final = "cmd_vel"
 
 
 class DomainGraph(Protocol):
-    """What the guard must know of the ROS graph in the domain."""
+    """Tells the guard which robots have a daemon in the ROS domain."""
 
     def robots_with_daemon(self) -> list[str]:
         """Return the names of the robots with a daemon in the domain, of any user."""
 
 
 class ReplayGuard:
-    """The rules for one replay in one domain; `named` are the topics in the user's --topics."""
+    """Applies the safety rules to one replay; `named` has the topics that --topics names."""
 
     def __init__(
         self, graph: DomainGraph, domain_id: int, named: Collection[str], *, original_names: bool
@@ -118,7 +118,7 @@ class ReplayGuard:
         self._original_names = original_names
 
     def choose_prefix(self) -> str:
-        """Choose the prefix of all names; return a note about it, or "" if there is no daemon.
+        """Choose the prefix of all topic names; return a note for the user, "" if no daemon runs.
 
         Raises:
             Refused: --original-names was given, but the robot of a daemon is or may be moving.
@@ -143,7 +143,7 @@ class ReplayGuard:
     def withheld(self, routes: Iterable[Route]) -> list[Route]:
         """Return the routes that a robot would obey and the user did not name.
 
-        With a prefix there are none. Subscribers do not matter: a robot may join at any time.
+        With a prefix, the list is empty. Routes without subscribers count: a robot may join.
         """
         if self.prefix:
             return []
@@ -154,10 +154,10 @@ class ReplayGuard:
         return is_named(route.topic, self._named)
 
     def check(self) -> None:
-        """Check that no daemon has joined and no robot has begun to move. Call it periodically.
+        """Check, periodically, that the replay is still safe; with a prefix, do nothing.
 
         Raises:
-            Refused: The replay must end.
+            Refused: A daemon has joined or, with --original-names, a robot is or may be moving.
         """
         if self.prefix:
             return
@@ -183,7 +183,7 @@ class ReplayGuard:
 
 
 def check_still(daemons: Iterable[RunningDaemon]) -> None:
-    """Check that no robot of these daemons is moving.
+    """Check that no robot of `daemons` is moving.
 
     Raises:
         Refused: A robot is or may be moving.
@@ -209,7 +209,7 @@ def is_command(route: Route) -> bool:
 
 
 def withheld_note(route: Route) -> str:
-    """Return the note that a route is withheld."""
+    """Return the note that tells the user that the route is withheld."""
     name = route.topic.name
     what = "requests" if route.requests else "commands"
     return f"{name} is withheld: a robot would obey these {what} (send them: --topics {name})"

@@ -16,7 +16,7 @@ Emit = Callable[[dict[str, Any]], None]
 
 
 class ReplayReport:
-    """Collects notes in order, skipped topics, withheld topics and missing data."""
+    """Sends each note; collects the notes, skipped topics, withheld topics and missing data."""
 
     def __init__(self, emit: Emit) -> None:
         self.notes: list[str] = []
@@ -30,13 +30,13 @@ class ReplayReport:
         self._emit = emit
 
     def note(self, text: str) -> None:
-        """Send a sentence; "" is ignored."""
+        """Send `text` as a note, and keep it for the summary; do nothing if `text` is ""."""
         if text:
             self.notes.append(text)
             self._emit({"note": text})
 
     def skip(self, topic: str, reason: str) -> None:
-        """Report that a topic is not played; `reason` ends "it ...", as in "has no type"."""
+        """Report that a topic is not played; `reason` follows the word "it": "has no type"."""
         self.skipped[topic] = reason
         self.note(f"{topic} is skipped: it {reason}")
 
@@ -58,7 +58,7 @@ BEHIND_S = 0.05
 
 
 def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:
-    """Return the progress of a replay; `behind` counts messages overdue by BEHIND_S or more."""
+    """Return the progress of a replay; `behind` counts messages overdue by BEHIND_S."""
     schedule, position_ns = player.control.schedule, player.position_ns
     behind = 0
     if schedule.rate is not None:

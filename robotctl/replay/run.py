@@ -56,7 +56,7 @@ def playable(
 def open_routes(
     routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
 ) -> tuple[list[Route], dict[str, Send]]:
-    """Return the opened routes, and the `Send` of each topic; report other routes as skipped."""
+    """Open each route, or report it as skipped; return the open routes, and each topic's `Send`."""
     opened: list[Route] = []
     sends: dict[str, Send] = {}
     for route in routes:
@@ -75,7 +75,7 @@ def open_routes(
 
 
 def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> ClockPublisher | None:
-    """Return the publisher of /clock, None without --clock. Each pass of a loop sets time back.
+    """Return the publisher of /clock, None without --clock. In a loop, each pass sets time back.
 
     Raises:
         Refused: Another node publishes the clock topic.
@@ -147,7 +147,7 @@ class Replay:
         """Commands received before there was a player."""
 
     def stop(self) -> None:
-        """End the replay early; the summary then has `interrupted`."""
+        """End the replay early; in the summary, `interrupted` is then true."""
         self._stopped.set()
 
     def control(self, command: Command) -> None:

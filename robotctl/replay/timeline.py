@@ -40,7 +40,7 @@ class Span:
 
 
 def span_of(info: RecordingInfo, job: Job) -> Span:
-    """Return the part that a job plays.
+    """Return the part of the recording that `job` plays.
 
     Raises:
         UsageError: The part starts after the end of the recording.
@@ -66,10 +66,10 @@ def recorded(
     *,
     loop: bool,
 ) -> Iterator[Entry]:
-    """Return the messages to send for a span; first come those that were latched at its start.
+    """Return the messages to send: first those latched at the start of `span`, then those in it.
 
-    `topics` has the type of each topic to play; messages of another type are left out. `latched`
-    limits, for each latched topic, how many of its messages from before the span are sent.
+    `topics` has the type of each topic to play; messages of another type are left out. For
+    each latched topic, `latched` limits the number of messages sent from before the span.
     """
 
     def typed(messages: Iterable[Message]) -> Iterable[Message]:

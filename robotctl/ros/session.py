@@ -70,8 +70,8 @@ class Session:
     def resolve(self, topic: str, role: str = "") -> str:
         """Return the full name of a topic after remapping; `topic` may be relative.
 
-        `role` is the usual name of the node that uses the topic, which need not exist yet: a rule
-        may apply to one node only. The introspection topic of a service is remapped as the service.
+        `role` is the usual name of the node that uses the topic, because a remap may be for one
+        node only. The node need not exist yet. Introspection topics are remapped as their service.
         """
         service = topic.removesuffix(SERVICE_EVENTS)
         name = self._remapped(service, self._node_names.get(role, role))
@@ -148,7 +148,7 @@ async def ros_session(
     naming: Naming = Naming(),
     use_sim_time: bool = False,
 ) -> AsyncIterator[Session]:
-    """Open a context in ROS domain `domain_id`; no callback runs after the block.
+    """Open a session in ROS domain `domain_id`; no callback runs after the block.
 
     The context is closed only with `at_end`, which must be the last step of the process (see
     `close_context`). `fifo_priority` requests SCHED_FIFO (1..99) for the loop's thread.

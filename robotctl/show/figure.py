@@ -40,11 +40,11 @@ class Axis:
 
     @property
     def scale(self) -> float:
-        """How many pixels one unit of the values takes."""
+        """The number of pixels per unit of the values."""
         return (self.end - self.begin) / (self.high - self.low)
 
     def at(self, value: float) -> float:
-        """Return the pixel of a value."""
+        """Return the pixel at which a value lies."""
         return self.begin + (value - self.low) * self.scale
 
     def ticks(self, at_most: int) -> list[float]:
@@ -70,7 +70,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line to draw: runs of points with gaps between them, a style (`kind`), a legend name."""
+    """A line to draw: unbroken runs of points, the style `kind`, and a `name` for the legend."""
 
     runs: Sequence[Sequence[Point]]
     kind: str
@@ -79,7 +79,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """Lines and the spans of their axes; later lines lie over earlier ones.
+    """Lines and the spans of their axes; later lines are drawn over earlier lines.
 
     Over time, x is in seconds. On the ground, x and y are in metres and have the same scale.
     """
@@ -109,7 +109,7 @@ def time_figure(
     least_span: float = 0.0,
     from_zero: bool = False,
 ) -> Figure:
-    """Return a figure over time; the y axis spans `least_span` or more, from 0 if `from_zero`."""
+    """Return a figure over time; y spans at least `least_span`, and begins at 0 if `from_zero`."""
     drawn = tuple(line for line in lines if line.runs)
     values = [value for line in drawn for run in line.runs for _, value in run] or [0.0]
     low, high = 0.0 if from_zero else min(values), max(values)
@@ -153,7 +153,7 @@ class Stroke:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A text, vertically centred at `y` [pixels]; centred at `x`, or ending there if `is_end`."""
+    """A text at the height `y` [pixels]; its centre is at `x`, or its end if `is_end`."""
 
     text: str
     x: float
@@ -163,7 +163,7 @@ class Label:
 
 
 def laid_out(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
-    """Yield what to draw of a figure: grid, numbers, lines; nothing if the figure has no lines."""
+    """Yield the strokes and labels of a figure: grid, numbers, lines; none if it has no lines."""
     if not figure.lines:
         return
     x, y = figure.axes(frame)
@@ -208,7 +208,7 @@ def _finite(path: Path2D) -> list[Point]:
 
 
 def _least_span(low: float, high: float) -> float:
-    """Return the least span of an axis for these values at which rounding errors are invisible."""
+    """Return the least span of an axis for these values, so that rounding errors are invisible."""
     if low == high:
         return max(abs(high), SMALLEST_SPAN) if high else 1.0
     return max(RELATIVE_SPAN * max(abs(low), abs(high)), SMALLEST_SPAN)

@@ -40,7 +40,7 @@ RATE_WIDTH, RATE_HEIGHT = 120, 18
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[Content]]) -> Markup:
-    """Return a table; if it gets too large, a note below it says how many rows are left out."""
+    """Return a table of `rows`; a note below says how many rows are left out of a large table."""
     body: list[Markup] = []
     characters = 0
     for row in rows[:MAX_ROWS]:
@@ -75,7 +75,7 @@ def drives_table(drives: Sequence[EndedDrive]) -> Markup:
 
 
 def moments_table(moments: Sequence[TracedMoment]) -> Markup:
-    """Return the table of the moments; each row links to the moment's place in the plots."""
+    """Return the table of moments: when, kind, what; each row links to that time in the plots."""
     rows = [
         (
             tag("span", str(number), class_="number"),
@@ -94,7 +94,7 @@ def moments_table(moments: Sequence[TracedMoment]) -> Markup:
 
 
 def modes_table(spans: Sequence[ModeSpan]) -> Markup:
-    """Return the table of the modes with their reasons."""
+    """Return the table of the modes: from when, for how long, and why."""
     rows = [
         (
             f"{span.begin_s:.2f} s",
@@ -186,7 +186,7 @@ def _number(value: float, unit: str) -> str:
 
 
 class Tone(StrEnum):
-    """What a verdict means for a reader."""
+    """How good a verdict is for the recording."""
 
     GOOD = "good"
     UNSURE = "unsure"
@@ -197,7 +197,7 @@ class Tone(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CommandVerdict:
-    """The verdict of a command: one word, its tone, and the sentences that explain it."""
+    """The verdict of `command`, such as `verify`, on a recording; `sentences` explain it."""
 
     command: str
     verdict: str
@@ -226,7 +226,7 @@ _FOLDER: Final = Path(__file__).parent
 
 
 def report_page(recorded: Recorded, judged: ReportFindings) -> str:
-    """Return the complete HTML page of a recording."""
+    """Return the HTML page of a recording, with the verdicts and explanations in `judged`."""
     name = recorded.info.path.resolve().name
     body = joined(
         _header(recorded, judged.judgements),

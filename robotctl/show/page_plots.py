@@ -98,7 +98,7 @@ def time_plots(traces: Traces) -> Iterator[Markup]:
 
 
 def path_plot(traces: Traces) -> Markup | None:
-    """Return the driven and wanted paths with their legend, None if there are no paths."""
+    """Return the plot of the driven and wanted paths, with a legend; None without any path."""
     figure, places = _path_figure(traces), traces.driven.whole()
     if not figure.lines:
         return None

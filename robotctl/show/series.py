@@ -40,7 +40,7 @@ Sample = tuple[float, float]
 
 
 class SeriesColumn(NamedTuple):
-    """The values in one of a plot's COLUMNS: first and last with times, least and largest."""
+    """The values in one column of a plot: first and last with their times, least and largest."""
 
     begin_s: float
     first: float
@@ -51,9 +51,9 @@ class SeriesColumn(NamedTuple):
 
 
 class Series:
-    """Values over time, from 0 to `duration_s`, reduced to the COLUMNS of a plot while they come.
+    """Values over time, from 0 to `duration_s`; `add` merges them into the COLUMNS of a plot.
 
-    `count` is the number of values; `odd` counts those left out: not finite, or above MAX_VALUE.
+    `count` is the number of values; `odd` counts values left out: not finite, or above MAX_VALUE.
     """
 
     def __init__(self, duration_s: float) -> None:
@@ -63,7 +63,7 @@ class Series:
         self._columns: dict[int, SeriesColumn] = {}
 
     def add(self, t_s: float, value: float) -> None:
-        """Add a value; call this in the order of time."""
+        """Add the `value` at the time `t_s` [s]; call this in the order of time."""
         if not (isfinite(value) and abs(value) <= MAX_VALUE):
             self.odd += 1
             return
@@ -163,7 +163,7 @@ class ThinnedPath:
             self._spacing_m *= 2.0
 
     def whole(self) -> list[DrivenPlace]:
-        """Return the places, including the last position of the robot."""
+        """Return the places, and the last position of the robot even if it was skipped."""
         ends = self._last is not None and self._last != self.places[-1]
         return [*self.places, self._last] if ends and self._last is not None else self.places
 
@@ -178,9 +178,9 @@ MAX_FIELDS: Final = 8
 
 @dataclass(slots=True)
 class FieldSeries:
-    """A field of a message, given by its path, and its values over time.
+    """The values of a field over time; `path` leads to the field in a message.
 
-    `absent` counts the messages without the field: a list is shorter than an index in `path`.
+    `absent` counts the messages without the field, in which a list is too short for `path`.
     """
 
     path: str
@@ -193,11 +193,11 @@ class FieldSeries:
 
 
 def number_fields(topic: TopicInfo, paths: Sequence[str]) -> list[FieldPath]:
-    """Return the path of each number at `paths`; the path of a message gives all its numbers.
+    """Return the number fields to which `paths` lead; a path to a message gives all its numbers.
 
     Raises:
         UsageError: A path leads to no number, no path is given, or there are too many numbers.
-        UnreadableFile: The recording does not describe the type.
+        UnreadableFile: The recording has no definition of the topic's type.
     """
     definition = recorded_definition(topic)
     if not paths:
@@ -282,7 +282,7 @@ def _with_lists(
 
 
 def _names(found: Iterable[FieldPath]) -> list[str]:
-    """Return the path of each number among the leaves; of a list of numbers, that of its first."""
+    """Return the path of each number among the leaves; for a list, the path of the first number."""
     names = []
     for each in found:
         if _is_plain_number(each) or (each.kind is ValueKind.NUMBER and each.steps[-1] == 0):

@@ -64,7 +64,7 @@ def _text(value: Content) -> str:
 
 
 def shown(text: str) -> str:
-    """Return a text of a recording on one line, without control characters, and not too long."""
+    """Return a text on one line of at most MAX_TEXT characters, without control characters."""
     line = printable(text[: MAX_TEXT + 1])
     return line if len(line) <= MAX_TEXT else f"{line[: MAX_TEXT - 1]}…"
 
@@ -78,7 +78,7 @@ def plain(value: float) -> str:
 
 
 TIME_FRAME: Final = Frame(960, 132, 62, 948, 10, 112)
-"""The frame of a figure over time; all of them on a page share the same time axis."""
+"""The frame of a figure over time: all figures over time on a page have the same time axis."""
 
 TITLE_HEIGHT: Final = 22
 BASELINE_PX: Final = 4

@@ -95,7 +95,7 @@ class EndedDrive:
 
 
 class Rates:
-    """Counts each topic's messages in RATE_COLUMNS parts of the time; notes the longest pause."""
+    """Per topic, the messages in each of RATE_COLUMNS spans of time, and the longest pause."""
 
     def __init__(self, duration_s: float) -> None:
         self.counts: dict[str, list[int]] = {}
@@ -116,7 +116,7 @@ class Rates:
 
 @dataclass(slots=True)
 class Traces:
-    """The traces of one recording; times are in seconds from its first message."""
+    """What a report draws of a recording; times are in seconds from its first message."""
 
     duration_s: float
     driven: ThinnedPath = field(default_factory=ThinnedPath)
@@ -147,7 +147,7 @@ class Traces:
         self.rates = Rates(self.duration_s)
 
     def enter_mode(self, t_s: float, mode: str, reason: str) -> None:
-        """End the previous span and begin a new one, unless both have the same mode and reason."""
+        """Begin a span at `t_s`; if mode and reason are unchanged, only extend the last span."""
         if self.modes:
             self.modes[-1].end_s = t_s
             if self.modes[-1].mode == mode and self.modes[-1].reason == reason:
@@ -166,7 +166,7 @@ class Traces:
             self.drives.append(drive)
 
     def want(self, outline: list[Point]) -> None:
-        """Add a wanted path; if it is empty, out of range or without room, count it as left out."""
+        """Add a wanted path; if it is empty, too far away or too long, count it as left out."""
         has_room = sum(map(len, self.wanted)) + len(outline) <= MAX_WANTED_POINTS
         if outline and has_room and all(is_on_earth(x, y) for x, y in outline):
             self.wanted.append(outline)
@@ -197,7 +197,7 @@ class JournalTraces:
     """Fills traces from the entries of a journal, in their order.
 
     Commands, modes and ends of drives are as recorded. Only a kernel knows the wanted path, so a
-    kernel repeats the decisions; after missing entries, another kernel begins at a snapshot.
+    kernel repeats the decisions; after missing entries, a new kernel begins at a snapshot.
     """
 
     def __init__(self, traces: Traces) -> None:
@@ -208,7 +208,7 @@ class JournalTraces:
         self._outlined: tuple[int, Pose] | None = None
 
     def take(self, entry: JournalEntry, t_s: float) -> None:
-        """Add to the traces what an entry says; `t_s` is its time [s into the recording].
+        """Add the content of an entry to the traces; `t_s` is its time [s into the recording].
 
         Raises:
             UnreadableFile: This version cannot read the entry; later entries can still be added.
@@ -340,7 +340,7 @@ class TopicTraces:
 
 
 def topic_traces(topics: Sequence[TopicInfo]) -> TopicTraces:
-    """Choose the topics to draw: of each kind, such as odometry, the one with most messages."""
+    """Choose the topics to draw: the odometry, command and battery topic with most messages."""
     takers: dict[tuple[str, str], Taker] = {}
     kinds: tuple[dict[str, Taker], ...] = (
         {ODOMETRY: _take_odometry},
@@ -383,7 +383,7 @@ def _take_battery(traces: Traces, t_s: float, data: bytes) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A recording as its report shows it."""
+    """The content of a recording that its report shows."""
 
     info: RecordingInfo
     traces: Traces

@@ -73,7 +73,7 @@ class SimParams:
 
     Actuation errors change the motion, so odometry measures them. Odometry errors change only what
     is reported, so only a comparison with the true pose shows them. Each noise is the standard
-    deviation of random numbers around 1, by which both factors of its kind are multiplied.
+    deviation of random numbers with mean 1, which multiply the two factors of the same kind.
     """
 
     lag_s: float = bounded(0.08, 0.0, 2.0, "s", "time constant of the drives", Change.START)

@@ -104,7 +104,7 @@ def drive(
 ) -> list[Written]:
     """Return what a daemon writes and publishes while a simulated robot drives.
 
-    `requests` may be any events; None is one drive. The events in `then` follow the simulation.
+    `requests` are any events, by default `drive_requested()`. After the drive, `then` is handled.
     If `closed` is False, the last snapshot is missing, as after the kill of a daemon.
     """
     config = config or Config()
@@ -176,7 +176,7 @@ def record(
     """Make a recording in `folder`, and return the folder.
 
     Log times follow the times of the journal. `clock` maps them to wall-clock times, so that a
-    test can set the clock. `beside(recorder, time_ns)` is called before each item, to record more.
+    test can set the clock. `beside(recorder, time_ns)`, called before each item, may record more.
     """
     parameters = {f"{PARAMETER_PREFIX}{key}": str(v) for key, v in flat(config or Config()).items()}
     recorder = Recorder(

@@ -21,7 +21,7 @@ class FailingFile(DiskFile):
     """A disk that is full from write number `fail_at` (counted from 1) on.
 
     From then on every write that needs new space fails, after it has put `torn_bytes` of its data
-    into the file. Existing data can still be overwritten, but holes cannot be filled.
+    into the file. Existing data can still be overwritten, but gaps that were never written cannot.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class VolatileFile(DiskFile):
         """Return a possible content of the file after a power cut now.
 
         Its size is between the size at the last sync and the present size. Each page written since
-        that sync has the old content, the new content, or first some new sectors and then old ones.
+        the last sync has its old content, its new content, or new sectors followed by old sectors.
         """
         size = dice.choice(
             [len(self.synced), len(self._cached), dice.randint(len(self.synced), len(self._cached))]
@@ -167,7 +167,7 @@ def chunks_of(data: bytes) -> list[tuple[int, int]]:
 
 
 def zero(path: Path, start: int, end: int) -> None:
-    """Overwrite a range of a file with zeros, as a power cut leaves unwritten data."""
+    """Overwrite a file with zeros from `start` to `end`, as if a power cut had lost these bytes."""
     with path.open("r+b") as stream:
         stream.seek(start)
         stream.write(bytes(end - start))

@@ -37,7 +37,7 @@ _HEADER = struct.pack("<4siII1s3x", ENCAPSULATION, 0, 0, 1, b"\0")
 
 
 def safety_message(kind: SafetyInput, value: float, detail: str = "") -> bytes:
-    """Return an input's message, b"" for NaN; `detail` is "NAME: TEXT" of a diagnosis, or ""."""
+    """Return the message of an input, b"" if `value` is NaN; `detail` is a diagnosis NAME: TEXT."""
     if isnan(value):
         return b""
     if kind is SafetyInput.JOY:

@@ -133,7 +133,7 @@ def moving(params: KernelParams | None = None, ticks: int = 10) -> Bench:
 
 
 def stopping() -> Bench:
-    """Return a bench that is MOVING and ramps down after a request for IDLE."""
+    """Return a bench in MOVING that is ramping down, because IDLE was requested."""
     bench = moving()
     bench.request(Mode.IDLE)
     assert bench.state.phase is Phase.STOPPING
@@ -157,7 +157,7 @@ def reset(bench: Bench) -> bool:
 
 
 def start(bench: Bench) -> str:
-    """Request MOVING; return the refusal, "" if it was accepted."""
+    """Request MOVING; return the text of the refusal, "" if the request was accepted."""
     bench.request(Mode.MOVING)
     return "" if bench.replies[-1].ok else bench.replies[-1].message
 
@@ -169,7 +169,7 @@ def stopped_by(bench: Bench, cause: Cause, mode: Mode) -> bool:
 
 
 def while_moving(bench: Bench) -> Iterator[None]:
-    """Yield while the robot is MOVING.
+    """Yield again and again while the robot is MOVING; the loop's body must step the kernel.
 
     Raises:
         AssertionError: The robot is still MOVING after MOST_TURNS iterations.

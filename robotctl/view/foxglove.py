@@ -81,13 +81,13 @@ def unadvertise(channel_ids: Iterable[int]) -> str:
 
 
 def status(level: StatusLevel, message: str, id: str = "") -> str:  # noqa: A002 - the field's name
-    """Return a status message; with an `id`, it replaces an earlier message with that `id`."""
+    """Return a status message; an `id` makes it replace the earlier message with the same `id`."""
     said: dict[str, Any] = {"op": "status", "level": level.value, "message": message}
     return json.dumps(said | ({"id": id} if id else {}))
 
 
 def remove_status(ids: Iterable[str]) -> str:
-    """Return the message that removes status messages."""
+    """Return the message that removes the status messages with these `ids`."""
     return json.dumps({"op": "removeStatus", "statusIds": list(ids)})
 
 
@@ -115,7 +115,7 @@ def advertise_services(services: Iterable[ViewService]) -> str:
 
 
 def service_response(service_id: int, call_id: int, answer: Mapping[str, Any]) -> bytes:
-    """Return the response to a call, in JSON."""
+    """Return the response to a service call: `answer` in JSON."""
     encoding = b"json"
     head = _SERVICE_RESPONSE.pack(3, service_id, call_id, len(encoding))
     return head + encoding + json.dumps(answer).encode()

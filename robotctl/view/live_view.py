@@ -15,7 +15,7 @@ _NODE: Final = "_view"
 
 
 class LiveView:
-    """Offers the topics of a domain, and publishes the messages of those that are watched."""
+    """Offers the topics of a domain to viewers, and sends messages of the topics they watch."""
 
     def __init__(self, session: Session, server: ViewServer) -> None:
         self._server = server
@@ -44,7 +44,7 @@ class LiveView:
         self._server.withdraw(channel_id)
 
     def unusable(self, topic: str, problem: str) -> None:
-        """Show viewers why a topic is not offered; if `problem` is "", remove that note."""
+        """Show viewers the note `problem` on a topic that is not offered; "" removes the note."""
         if problem:
             self._server.note(topic, StatusLevel.WARNING, problem)
         else:

@@ -173,7 +173,7 @@ def velocity_of(data: bytes) -> tuple[float, float]:
     """Return linear.x [m/s] and angular.z [rad/s] of a Twist in JSON.
 
     Raises:
-        WrongRequest: This is no Twist, a number is not finite, or another component is not 0.
+        WrongRequest: `data` is no Twist, a number is not finite, or another component is not 0.
     """
     try:
         said = json.loads(data)

@@ -45,7 +45,7 @@ _Address = tuple[socket.AddressFamily, tuple[Any, ...]]
 
 
 def listening_socket(host: str, port: int | None) -> socket.socket:
-    """Return a listening socket; `port` None means DEFAULT_PORT, or a free port if it is in use.
+    """Return a socket that listens on `port`; None: DEFAULT_PORT or, if that fails, a free port.
 
     Raises:
         Refused: The socket cannot listen on the address.
@@ -115,7 +115,7 @@ MAX_SUBSCRIPTIONS: Final = 10_000
 
 
 class OfferedChannels:
-    """Channels by id, with their subscriptions; an id is never reused."""
+    """Keeps the offered channels by id, with their subscriptions; channel ids are never reused."""
 
     def __init__(self) -> None:
         self._channels: dict[int, ViewChannel] = {}
@@ -142,15 +142,15 @@ class OfferedChannels:
             del viewer.subscriptions[subscription]
 
     def subscribers(self, channel_id: int) -> Mapping[Viewer, int] | None:
-        """Return the subscription id of each viewer of a channel, None if it has no viewer."""
+        """Return viewer -> its subscription id for a channel; None if the channel has no viewer."""
         return self._subscribers.get(channel_id)
 
     def subscribe(self, viewer: Viewer, subscription: int, channel_id: int) -> bool:
-        """Begin a subscription, and return whether the channel is still offered.
+        """Begin a subscription and return True; False if the channel is not offered any more.
 
         Raises:
-            WrongRequest: The viewer uses the subscription id or watches the channel already, or has
-                MAX_SUBSCRIPTIONS.
+            WrongRequest: The viewer already uses the subscription id, already watches the channel,
+                or already has MAX_SUBSCRIPTIONS subscriptions.
         """
         if channel_id not in self._channels:
             return False
@@ -296,13 +296,13 @@ class ViewServer:
         self._unflushed.update(subscribers)
 
     def note(self, id: str, level: StatusLevel, message: str) -> None:  # noqa: A002 - the field's name
-        """Show a message to all present and later viewers, until `clear`."""
+        """Show a message to all present and later viewers, until `clear(id)` is called."""
         if self._notes.get(id) != (level, message):
             self._notes[id] = (level, message)
             self._tell_all(status(level, message, id))
 
     def clear(self, id: str) -> None:  # noqa: A002 - the field's name
-        """Remove the message of a `note`."""
+        """Remove the message that `note` showed with this `id`; do nothing if there is none."""
         if self._notes.pop(id, None) is not None:
             self._tell_all(remove_status([id]))
 
@@ -315,7 +315,7 @@ class ViewServer:
             viewer.abort()
 
     def admit(self, viewer: Viewer) -> None:
-        """Refuse a new viewer if there are MAX_VIEWERS, else send it greeting, offers and notes."""
+        """Send greeting, offers and notes to a new viewer; if there are MAX_VIEWERS, refuse it."""
         if len(self._viewers) >= MAX_VIEWERS:
             viewer.close(TRY_LATER, f"{MAX_VIEWERS} viewers are connected already")
             return
@@ -368,7 +368,7 @@ class ViewServer:
                 raise WrongRequest("this view is read-only, or does not take that")
 
     def wrong(self, viewer: Viewer, problem: str) -> None:
-        """Tell a viewer what is wrong with its message."""
+        """Tell a viewer, in the words of `problem`, what is wrong with its message."""
         viewer.tell(status(StatusLevel.WARNING, problem))
 
     def _unsubscribe(self, viewer: Viewer, subscription: int) -> None:

@@ -66,7 +66,7 @@ async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
 
 
 class Serving:
-    """Serves the view that a job describes, and reports its address and its end."""
+    """Serves the view that a job describes, and reports the view's address and its end."""
 
     def __init__(self, job: ViewJob, report: Report) -> None:
         self._job = job

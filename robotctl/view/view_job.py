@@ -12,7 +12,7 @@ _ORIGIN: Final = re.compile(r"[a-z][a-z0-9+.-]*://[^\sA-Z/?#@*]+|file://|null")
 
 
 def is_origin(text: str) -> bool:
-    """Return whether `text` has the form in which browsers send an origin, as http://host:80."""
+    """Return whether `text` has the form of a browser's Origin header, such as http://host:80."""
     return _ORIGIN.fullmatch(text) is not None
 
 
@@ -50,7 +50,7 @@ class ViewJob:
 
     @classmethod
     def from_json(cls, line: str | bytes) -> Self:
-        """Return the job from a line that `to_json` made."""
+        """Return the job that `to_json` wrote in `line`."""
         fields = json.loads(line)
         live = LiveTarget(**fields.pop("live"))
         return cls(live=live, origins=tuple(fields.pop("origins")), **fields)

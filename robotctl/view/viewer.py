@@ -51,7 +51,7 @@ BINARY: Final = 0x82
 
 
 def frame_head(kind: int, length: int) -> bytes:
-    """Return the head of a server's frame, which is not masked (RFC 6455, 5.2)."""
+    """Return the head of an unmasked WebSocket frame with `length` bytes (RFC 6455, 5.2)."""
     if length < 126:
         return bytes((kind, length))
     if length < 1 << 16:
@@ -60,7 +60,7 @@ def frame_head(kind: int, length: int) -> bytes:
 
 
 class OverfullOutbox(Exception):
-    """More than MAX_CONTROL_BYTES of offers, notes and answers would wait to be sent."""
+    """The offers, notes and answers that wait to be sent would exceed MAX_CONTROL_BYTES."""
 
 
 class Outbox:
@@ -92,7 +92,7 @@ class Outbox:
         """Add a frame that is never dropped.
 
         Raises:
-            OverfullOutbox: More than MAX_CONTROL_BYTES would wait, in more than one frame.
+            OverfullOutbox: Other such frames wait; all together would exceed MAX_CONTROL_BYTES.
         """
         if self._control and self._control_bytes + len(frame) > MAX_CONTROL_BYTES:
             raise OverfullOutbox
@@ -104,7 +104,7 @@ class Outbox:
         (self._large if len(data) > LARGE_BYTES else self._messages).put(head, data)
 
     def take(self) -> bytes:
-        """Return the next bytes to send, about PIECE_BYTES at most; b"" if nothing waits."""
+        """Remove and return the next bytes to send, about PIECE_BYTES at most; b"" if none wait."""
         if not self._begun and self._control:
             frame = self._control.popleft()
             self._control_bytes -= len(frame)
@@ -169,7 +169,7 @@ _LOGGER.disabled = True  # or any client could fill the terminal with warnings
 
 
 class ViewerHost(Protocol):
-    """The methods of the server that its connections call."""
+    """The methods of the server that the connections of viewers call."""
 
     def connected(self, viewer: Viewer) -> None:
         """Accept a connection before its handshake."""
@@ -252,7 +252,7 @@ class Viewer(asyncio.Protocol):
         self.since_s = time.monotonic()
 
     def resume_writing(self) -> None:
-        """Schedule `flush`: if it closed the transport in this call, asyncio would end it twice."""
+        """Schedule `flush`; a transport that `flush` closes in this call would be ended twice."""
         self._full = False
         asyncio.get_running_loop().call_soon(self.flush)
 

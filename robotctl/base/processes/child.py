@@ -77,7 +77,7 @@ class Child:
         return [decoded(line) for line in self._lines.feed(piece)]
 
     def receive_one(self, seconds: float) -> dict[str, Any]:
-        """Return the next report, and discard others that arrive together with it.
+        """Return the next report; discard the reports that arrive together with this first one.
 
         Raises:
             TimeoutError: No report arrived within `seconds`.
@@ -95,7 +95,7 @@ class Child:
             os.kill(self.pid, number)
 
     def wait(self, seconds: float) -> int | None:
-        """Wait up to `seconds`; return the exit code, negative for a signal, None if it runs on."""
+        """Wait up to `seconds`; return the exit code (-N: signal N), or None if still running."""
         until = time.monotonic() + seconds
         while self._exit_code is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
@@ -113,7 +113,7 @@ class Child:
         os.close(self._reports)
 
     def close(self, patience_s: float = 0.0) -> int:
-        """Close the pipes, wait `patience_s`, kill the process if it runs, return its exit code."""
+        """Close the pipes; kill the child if it runs on for `patience_s`; return its exit code."""
         self.detach()
         exit_code = self.wait(patience_s)
         while exit_code is None:
@@ -143,10 +143,10 @@ def start(
 ) -> Child:
     """Start `command` with the arguments `option` and the number of the descriptor for reports.
 
-    With a `log`, the child's stdout and stderr go there; it runs in a new session, outlives this
-    process and inherits no other descriptors. Without a log, both go to our stderr; the child runs
-    in a new process group, so that Ctrl-C in the terminal reaches only this process. The
-    child's stdin is a pipe if `with_stdin` is set, otherwise /dev/null.
+    With a `log`, the child's stdout and stderr go there; the child runs in a new session, outlives
+    this process and inherits no other descriptors. Without a `log`, both go to this process's
+    stderr; the child runs in a new process group, so that a Ctrl-C in the terminal does not reach
+    it. The child's stdin is a pipe if `with_stdin` is set, otherwise /dev/null.
     """
     ours: list[int] = []
     theirs: list[int] = []

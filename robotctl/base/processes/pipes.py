@@ -50,7 +50,7 @@ def write_whole(descriptor: int, line: bytes) -> None:
 def pidfd_of(pid: int) -> Iterator[int | None]:
     """Yield a descriptor that becomes readable when the process ends; None if it cannot be opened.
 
-    Open it before the process is asked to end: after the end another process may get the pid.
+    Enter the block before you end the process: afterwards, its pid may be another process's.
     """
     try:
         descriptor = os.pidfd_open(pid)
@@ -89,7 +89,7 @@ class LineSplitter:
 
 
 def report_fd(arguments: Sequence[str]) -> int:
-    """Return a child's descriptor for reports. If the child restarts itself, call this afterwards.
+    """Return a child's descriptor for reports; from now on, an exec closes this descriptor.
 
     Raises:
         SystemExit: The process was not started by robotctl.

@@ -170,7 +170,7 @@ class UnfinishedFile:
         self._file.write(data)
 
     def name_if_free(self, target: Path) -> None:
-        """Name the file `target`; return when file and name are on the disk (fsync).
+        """Give the file the name `target`; return when file and name are on the disk (fsync).
 
         Raises:
             FileExistsError: `target` exists.
@@ -184,7 +184,7 @@ class UnfinishedFile:
         _sync_folder(target.parent)
 
     def name_over(self, target: Path) -> None:
-        """Name the file `target`, replacing an existing one; return when it is on disk (fsync).
+        """Give the file the name `target`, in place of an existing file; return after the fsync.
 
         Raises:
             OSError: The disk is full or fails.

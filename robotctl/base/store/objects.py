@@ -16,27 +16,27 @@ _MAX_KEY_BYTES = 1024
 
 
 class StoreError(UnreadableFile):
-    """A request that a store did not carry out; the base class of the errors below."""
+    """A store did not carry out a request; the base class of the errors below."""
 
 
 class NoSuchObject(StoreError):
-    """An object, a bucket or a folder that does not exist."""
+    """An object, a bucket or a folder does not exist."""
 
 
 class AccessDenied(StoreError):
-    """A store that denied access: the credentials are wrong, or there are none."""
+    """A store denied access: the credentials are wrong, or there are none."""
 
 
 class ObjectChanged(StoreError):
-    """An object that changed since it was first read."""
+    """An object has changed since its first read."""
 
 
 class StoreFailed(StoreError):
-    """A store that cannot be reached or answers with an error, even after retries."""
+    """A store cannot be reached or answers with an error, even after retries."""
 
 
 class BrokenAnswer(StoreFailed):
-    """A server's answer that ended before its last byte."""
+    """A server's answer ended before its last byte."""
 
 
 def changed(where: str) -> ObjectChanged:
@@ -45,7 +45,7 @@ def changed(where: str) -> ObjectChanged:
 
 
 def short_answer(where: str, got: int, wanted: int) -> BrokenAnswer:
-    """Return the error for an answer of the wrong length [bytes]."""
+    """Return the error for an answer of `got` instead of `wanted` bytes."""
     return BrokenAnswer(f"{where}: the store sent {got} of {wanted} bytes")
 
 
@@ -121,7 +121,7 @@ class ObjectStore(Protocol):
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
         """Store an object as `put` does, unless the key is in use; return whether it was stored.
 
-        It is also False if the answer to a successful try was lost: if needed, compare contents.
+        The result is also False if the object was stored, but the server's answer was lost.
         """
 
     def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:

@@ -29,10 +29,10 @@ MAX_READ_BYTES: Final = 1 << 30
 
 
 def path_of(text: str) -> Path:
-    """Return the path for `text`, a path on this computer or the URL of one file.
+    """Return `text`, a path on this computer or the URL of an MCAP file, as a Path.
 
     Raises:
-        UsageError: The URL is not that of one MCAP file, or not that of a store.
+        UsageError: The URL is not the URL of an MCAP file, or its scheme is not supported.
     """
     if not is_url(text):
         return Path(text)
@@ -113,7 +113,7 @@ class RemoteFile(PosixPath):
 
 
 class RangeReader:
-    """Reads ranges of one object, and caches the last ones. Use it from one thread."""
+    """Reads ranges of one object, and caches the most recent ranges. Use it from one thread."""
 
     def __init__(self, size: int, fetch: Callable[[int, int], bytes]) -> None:
         """`fetch(begin, end)` returns the bytes from `begin` up to, but not including, `end`."""

@@ -32,7 +32,7 @@ _LOOKED_AT: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class StoreUrl:
-    """The parts of a URL without credentials."""
+    """The parts of the URL of a store or an object, without credentials."""
 
     scheme: str
     host: str
@@ -100,7 +100,7 @@ def hash_in(key: str) -> str:
 
 
 def has_hash_folders(path: Path) -> bool:
-    """Return whether `path` or one of its first subfolders contains a folder named by a SHA-256."""
+    """Return whether `path`, or one of the first folders in it, has a folder named by a SHA-256."""
     return _has_hash_folder(path) or any(map(_has_hash_folder, _first_folders(path)))
 
 

@@ -103,7 +103,7 @@ KEEP_S = 0.2
 
 
 class HeldLease:
-    """The robot's lease during a `with` block, in which other clients cannot start motion.
+    """Holds the robot's lease in a `with` block, so that no other client can start a motion.
 
     If this process freezes or is killed, the lease ends in about a second: the robot ramps down.
 
@@ -130,7 +130,7 @@ class HeldLease:
         return self._holding.is_done
 
     def result(self) -> LeaseAnswer:
-        """Return how the lease ended.
+        """Wait for the end of the lease, and return the daemon's answer.
 
         Raises:
             RobotctlError: The lease was refused or lost.

@@ -93,7 +93,7 @@ def launch(
 ) -> StartSummary:
     """Start a daemon in its own session; pass its report to `on_ready`, and return the report.
 
-    A signal before `on_ready` has returned ends the daemon: none runs without the user knowing.
+    If a signal comes before `on_ready` has returned, the daemon ends: it never runs unnoticed.
 
     Raises:
         RobotctlError: The daemon did not start; the error has its reason and exit code.
@@ -199,7 +199,7 @@ END_S: Final = 10.0
 
 
 def live_target(robot: str) -> LiveTarget:
-    """Return a robot's running daemon and its domain.
+    """Return the process, namespace and ROS domain of a robot's running daemon.
 
     If this shell sets no discovery range, this process uses the daemon's from now on.
 
@@ -215,14 +215,14 @@ def check_view_installed() -> None:
     """Check that the extra robotctl[view] is installed.
 
     Raises:
-        Refused: It is not installed.
+        Refused: The extra is not installed.
     """
     if find_spec("websockets") is None:
         raise Refused("the view needs the package websockets", "pip install 'robotctl[view]'")
 
 
 def start_view_of(robot: str) -> dict[str, Any]:
-    """Start a view that runs until the daemon ends, and return its report `ready`.
+    """Start a view that runs until the daemon ends, and return the view's report `ready`.
 
     Raises:
         RobotctlError: The view cannot be served.
@@ -235,7 +235,7 @@ def start_view_of(robot: str) -> dict[str, Any]:
 
 
 def start_view(job: ViewJob, log: Path | None = None) -> tuple[Child, dict[str, Any]]:
-    """Start the process of a view, and return it with its report `ready`.
+    """Start the process of a view; return the process and the report `ready` that it has sent.
 
     With a `log`, the view writes its stderr to this file, and may outlive this process.
 
@@ -281,7 +281,7 @@ def show_view(job: ViewJob, *, as_json: bool) -> None:
 
 
 def ready_lines(job: ViewJob, ready: dict[str, Any]) -> Iterator[str]:
-    """Yield what a user needs to connect, and what viewers may do."""
+    """Yield the lines that say where to connect, and what viewers may do."""
     may = "viewers may stop and drive it" if job.lease else "viewers may stop it"
     shown = f"robot {job.live.robot} in Foxglove and Lichtblick"
     yield f"{shown}, {may if job.control else 'read-only'}"
@@ -290,7 +290,7 @@ def ready_lines(job: ViewJob, ready: dict[str, Any]) -> Iterator[str]:
 
 
 def reports_of(child: Child, seconds: float | None = None) -> Iterator[dict[str, Any]]:
-    """Yield the reports of a view's process until it ends; wait for each at most `seconds`.
+    """Yield the reports of the view process `child` until its end; wait at most `seconds` for each.
 
     Raises:
         RobotctlError: The process reported this error, or sent no report in time.

@@ -87,7 +87,7 @@ def recordings_folder(robot: str | None, given: Path | None) -> Path:
 
 
 def file_path(text: str) -> Path:
-    """Return the path that an argument names; for a URL, a path that reads the file from there.
+    """Return a path to open the file that `text` names by a path or by a URL.
 
     Raises:
         UsageError: The URL does not name one file in a store.
@@ -152,7 +152,7 @@ def cure_of_damage(path: Path) -> str:
 def recordings_of(robot: str | None, folder: Path) -> list[Path]:
     """Return the recordings of `robot`, or of any robot, in `folder`, newest first.
 
-    A recording is a folder with a name of the form ROBOT_DATE_TIME, which daemons give it.
+    Only folders with a name ROBOT_DATE_TIME count; daemons name recordings in this way.
     """
     try:
         found = [(_NAME.fullmatch(path.name), path) for path in folder.iterdir()]
@@ -209,7 +209,7 @@ COMMIT_DEADLINE_S = 8.0
 
 
 def committed_recording(robot: str, missing: list[str]) -> Path | None:
-    """Make the robot's daemon commit its recording; return its folder, None if this fails.
+    """Make the robot's daemon commit its recording; return its folder, None on failure.
 
     A sentence about messages that the daemon did not write is added to `missing`.
     """
@@ -270,7 +270,7 @@ MAX_SECONDS = 366 * DAY_S
 
 
 def is_offset(text: str) -> bool:
-    """Return whether the text is a number; as a time, it is in seconds into a recording."""
+    """Return whether the text is a number: a time given in seconds into a recording."""
     try:
         float(text)
     except ValueError:

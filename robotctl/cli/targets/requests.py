@@ -43,7 +43,7 @@ def checked_reason(reason: str) -> str:
     """Return the reason if a daemon accepts it.
 
     Raises:
-        UsageError: It is too long, or has control characters.
+        UsageError: The reason is too long, or has control characters.
     """
     if len(reason) > MAX_REASON:
         problem = f"--reason of {len(reason)} characters"

@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 class RobotDaemon(NamedTuple):
-    """One daemon: its status, or why it gave none."""
+    """A daemon: its `status`, or None and the `problem` that prevented an answer."""
 
     robot: str
     status: Status | None
@@ -53,7 +53,7 @@ def names() -> list[str]:
 
 
 def find(robots: Iterable[str]) -> list[RobotDaemon]:
-    """Return the running daemons of these robots, each with its status, or why it gave none."""
+    """Return the running daemons of `robots`, each with its status, or why it did not answer."""
     return [found for found in at_once(_look, robots) if found is not None]
 
 
@@ -87,7 +87,7 @@ class StoppedRobot(TypedDict):
 
 
 def stop_all(params: dict[str, str]) -> tuple[list[StoppedRobot], RobotctlError | None]:
-    """Latch the emergency stop of all robots in parallel; return results and first failure, if any.
+    """Latch the emergency stop of all robots in parallel; return results and first failure or None.
 
     Raises:
         NoDaemon: There is no daemon.
@@ -116,6 +116,6 @@ def stop_all(params: dict[str, str]) -> tuple[list[StoppedRobot], RobotctlError 
 
 
 def others_than(robot: str) -> list[RobotDaemon]:
-    """Return the other robots that move, and those whose status is unknown."""
+    """Return the daemons of all robots but `robot` that move, or whose status is unknown."""
     others = [name for name in names() if name != robot]
     return [found for found in find(others) if found.moves or found.problem]

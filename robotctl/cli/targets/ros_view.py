@@ -54,7 +54,7 @@ class RosView:
         return answer
 
     def topic(self, name: str) -> GraphTopic:
-        """Return the endpoints of a topic, by its full name.
+        """Return the endpoints of the topic with this full name.
 
         Raises:
             UsageError: No node publishes or subscribes to the topic.
@@ -83,7 +83,7 @@ class RosView:
             raise UsageError(*unknown_name("node", name, known)) from None
 
     def full_name(self, name: str) -> str:
-        """Return the full name of a topic, node or service; a relative one gets the namespace."""
+        """Return a full name; the relative name of a topic, node or service gets the namespace."""
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def listen(self, topic: str, type_name: str, *, data: bool) -> MessageListener:

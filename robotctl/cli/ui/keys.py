@@ -65,11 +65,11 @@ class Keyboard:
 
     @property
     def keys_from(self) -> int:
-        """The descriptor of the keys alone, -1 without a terminal."""
+        """The descriptor from which the keys are read, -1 if there are no keys."""
         return -1 if self._saved is None else self._file
 
     def read(self) -> str:
-        """Return the pressed keys as text, "" for none; call it when a source is readable."""
+        """Return the pressed keys as text, "" for none; call this when a source is readable."""
         ready, _, _ = select.select(self.sources, [], [], 0.0)
         if self._stop_asked in ready:
             os.eventfd_read(self._stop_asked)
@@ -164,7 +164,7 @@ class Key(NamedTuple):
 
 
 class KeyParser:
-    """Turns what is read from a terminal into keys.
+    """Turns the text that is read from a terminal into keys.
 
     It reads the forms of xterm and of the kitty keyboard protocol. It skips all other sequences,
     strings of the terminal (OSC, DCS), and the text between the marks of a paste.
@@ -261,7 +261,7 @@ class ReleaseEvents:
     """
 
     def __init__(self, keys_from: int, drawn_on: int) -> None:
-        """Use these descriptors of the terminal for input and output; -1 for none."""
+        """Read answers from `keys_from` (-1 if there are no keys), and write to `drawn_on`."""
         self._keys_from = keys_from
         self._drawn_on = drawn_on
         self.told = False
@@ -278,12 +278,12 @@ class ReleaseEvents:
         self.suspend()
 
     def suspend(self) -> None:
-        """Make the terminal send keys and pastes as before."""
+        """Switch off release events and paste marks, for another program."""
         if self._keys_from >= 0:
             self._write((_END if self.told else b"") + _MARK_NO_PASTES)
 
     def resume(self) -> None:
-        """Make the terminal report releases and mark pastes again."""
+        """Switch on the release events and paste marks that the terminal has."""
         if self._keys_from >= 0:
             self._write((_BEGIN if self.told else b"") + _MARK_PASTES)
 

@@ -35,9 +35,9 @@ def report(error: BaseException, *, as_json: bool) -> int:
 
 
 def drop_output(stream: TextIO) -> None:
-    """Discard what `stream` has buffered.
+    """Discard the text that `stream` has buffered.
 
-    Otherwise Python would try to write it again at exit, and exit with 120.
+    Otherwise Python would try to write the text again at exit, and exit with 120.
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
@@ -84,7 +84,7 @@ def print_answer(
     """Print the answer, as one line of JSON or as lines of text, then raise `error` if given.
 
     With `as_json`, the error carries the answer, so that stdout gets a single object. The error is
-    raised even if the reader of stdout has closed it, because it determines the exit code.
+    raised even if the reader of stdout has closed the pipe: the error sets the exit code.
     """
     if error is not None and as_json:
         error.answer = answer

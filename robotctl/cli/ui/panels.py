@@ -117,7 +117,7 @@ class History:
         self.errors: deque[float] = deque(maxlen=HISTORY)
 
     def add(self, status: Mapping[str, Any]) -> None:
-        """Add speed and cross-track error of a status; without an error, drop earlier errors."""
+        """Add speed and cross-track error of `status`; if the error is missing, clear `errors`."""
         self.speeds.append(_finite((status.get("velocity") or {}).get("linear")))
         error_m = (status.get("drive") or {}).get("cross_track_m")
         if error_m is None:
@@ -127,7 +127,7 @@ class History:
 
 
 def drive_map(path: DrivenPath, history: History, lines: int) -> RenderableType:
-    """Return map and sparklines for a terminal with this number of lines."""
+    """Return the map of `path` and sparklines of `history` for a terminal of `lines` lines."""
     rows = min(max(lines - _OTHER_LINES, _MAP_ROWS.start), _MAP_ROWS.stop)
     figure = path_figure(path["reference"], path["driven"])
     picture = ground_lines(figure, rows=rows) if path["driven"] else []

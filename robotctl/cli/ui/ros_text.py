@@ -18,7 +18,7 @@ def is_hidden(name: str) -> bool:
 
 
 def shown(names: Sequence[NameAndTypes], every: bool) -> list[NameAndTypes]:
-    """Return the names that are listed: all with `every`, else those that are not hidden."""
+    """Return the names to list: all names if `every`, otherwise the names that are not hidden."""
     return [each for each in names if every or not is_hidden(each["name"])]
 
 
@@ -48,7 +48,7 @@ _WORDS = frozenset({"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 def message_lines(value: Any, limit: int | None = SHOWN_LENGTH) -> Iterator[str]:
     """Yield a ROS message, or a field of a message, as lines of YAML.
 
-    Of lists and texts at most `limit` items or characters are shown, then `...`; None shows all.
+    At most `limit` items of a list or characters of a text are shown, then `...`; None: all.
     """
     if isinstance(value, Mapping) and value:
         for name, inner in value.items():

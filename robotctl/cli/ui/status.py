@@ -29,7 +29,7 @@ class TopicLines:
     """Formats a table of topics; the type column gets the width that the names leave free."""
 
     def __init__(self, topics: Iterable[tuple[object, object]]) -> None:
-        """Fit the columns to `topics`, the names and types of the rows."""
+        """Choose the column widths that suit `topics`: the name and type of each row."""
         shown = [(name, _short_type(type_name)) for name, type_name in topics]
         both = columns() - _INDENT_AND_GAPS - _COUNT_WIDTH - _RATE_WIDTH
         names, types = ([each[part] for each in shown] for part in (0, 1))
@@ -40,7 +40,7 @@ class TopicLines:
 
     @property
     def header(self) -> str:
-        """The header line."""
+        """The header line of the table."""
         return self._line("topic", "type", "count", "Hz")
 
     def row(self, name: object, type_name: object, count: object, rate_hz: object) -> str:
@@ -103,7 +103,7 @@ def is_observer(status: Mapping[str, Any]) -> bool:
 
 
 def status_rows(status: Status) -> Iterator[tuple[str, str]]:
-    """Yield label and text of each row except reason and topics; paths are not wrapped."""
+    """Yield label and text of each row, except reason and topics; no text is wrapped yet."""
     if not is_observer(status):
         yield "pose", pose_text(status)
         yield "velocity", velocity_text(status)

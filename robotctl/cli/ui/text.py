@@ -82,7 +82,7 @@ def _terminal_columns() -> int | None:
 
 
 def column_width(texts: Iterable[object], *, at_least: int, at_most: int) -> int:
-    """Return the width of the longest of `texts`, but from `at_least` to `at_most`."""
+    """Return the width of the longest text, but at least `at_least` and at most `at_most`."""
     longest = max((len(printable(text)) for text in texts), default=0)
     return min(max(longest, at_least), at_most)
 
@@ -117,7 +117,7 @@ def duration(seconds: float) -> str:
 
 
 def moment(time_ns: int) -> str:
-    """Return a time since the epoch as local date and time."""
+    """Return `time_ns` (since the epoch) as local date and time; after the year 9999, in ns."""
     from robotctl.kernel.units import NS_PER_S  # here, because `status` does not need it
 
     seconds = time_ns // NS_PER_S
@@ -127,5 +127,5 @@ def moment(time_ns: int) -> str:
 
 
 def number(value: Any, form: str) -> str:
-    """Return a number in the given format, or `unknown` for anything else."""
+    """Return `value` in the format `form`, or "unknown" if it is not a number."""
     return format(value, form) if isinstance(value, int | float) else "unknown"

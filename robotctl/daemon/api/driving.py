@@ -75,7 +75,7 @@ def shape_size_m(params: DriveParams) -> float | None:
 
 
 def shape_course(params: DriveParams) -> Course:
-    """Return the course of a pattern.
+    """Return the options (`Course`) of the drive of a pattern.
 
     Raises:
         UsageError: A corner radius or an angle was given, but the pattern has none.
@@ -94,7 +94,7 @@ def shape_course(params: DriveParams) -> Course:
 
 
 def path_course(params: DrivePathParams) -> Course:
-    """Return the course of a drive along waypoints."""
+    """Return the options (`Course`) of a drive along waypoints."""
     return Course(
         corner_m=PLAIN.corner_m if params.corner_m is None else params.corner_m,
         reverse=params.reverse,

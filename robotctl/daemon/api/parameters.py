@@ -16,7 +16,7 @@ from robotctl.ipc.request_handler import Method
 
 
 def list_method(config: Callable[[], Config]) -> dict[str, Method[Any]]:
-    """Return the method `param_list` by its name; `config` returns the present configuration."""
+    """Return a table with the method `param_list`; `config()` is the present configuration."""
 
     async def get_list(_: NoParams) -> ParameterList:
         return {"parameters": listed(config())}

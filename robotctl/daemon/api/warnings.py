@@ -55,7 +55,7 @@ _CHECKS = tuple(
 class Warnings:
     """Collects the warnings of a daemon; some suggest commands for `robot`.
 
-    A daemon that only records passes None as `control`, and sentences as `faults`. Each function
+    In a daemon that only records, `control` is None, and `faults` are more warnings. Each function
     in `parts` returns the warning of one part of the daemon, or "".
     """
 

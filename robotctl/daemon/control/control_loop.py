@@ -152,9 +152,9 @@ class Watchdog:
             self._thread.start()
 
     def take(self) -> LoopStalled | FaultReported | None:
-        """After a stall, open the gate and return LoopStalled; after a failure, FaultReported.
+        """End a stall (open the gate) and return LoopStalled; return FaultReported after a failure.
 
-        Otherwise return None. The kernel must handle the event first of all. In the loop's thread.
+        Return None otherwise. Call it in the loop's thread; the kernel must handle the event first.
         """
         if self._holding:
             return self._end_stall()
@@ -249,7 +249,7 @@ class ControlLoop:
     def __init__(
         self, rate_hz: float, control: Control, watchdog: Watchdog, velocity: VelocityPublisher
     ) -> None:
-        """Subscribe to the topic of `velocity`, to find commands of other publishers on it."""
+        """Subscribe to the topic of `velocity`, to find commands of other publishers."""
         self._rate_hz = rate_hz
         self._control = control
         self._watchdog = watchdog
@@ -264,7 +264,7 @@ class ControlLoop:
         )
 
     async def run(self, look_at_odometry: Callable[[], None]) -> None:
-        """In each period until cancelled, handle foreign commands and odometry, then a tick."""
+        """Until cancelled, handle foreign commands, odometry and then a tick in each period."""
 
         def decide(tick: LoopTick) -> None:
             self.look_at_commands()

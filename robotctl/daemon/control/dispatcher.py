@@ -35,7 +35,7 @@ class Journal:
     def __init__(
         self, write: Callable[[bytes, int], None], commands: Callable[[], int] = lambda: 0
     ) -> None:
-        """`write(serialized, seq)` is called for each entry; `seq` counts them from 0.
+        """`write(serialized, seq)` is called for each entry; `seq` counts the entries from 0.
 
         `commands()` returns how many of the published commands are in the journal already.
         """
@@ -111,7 +111,7 @@ class PendingRequests:
         self._replies_now[request_id] = None
 
     def keep_now(self, reply: Reply) -> bool:
-        """Keep a reply for which `expect_reply_now` was called; return False for any other."""
+        """Keep the reply if `expect_reply_now` expects it; return whether the reply was kept."""
         if reply.request_id not in self._replies_now:
             return False
         self._replies_now[reply.request_id] = reply
@@ -156,8 +156,8 @@ SNAPSHOT_PERIOD_NS = 10 * NS_PER_S
 class Control:
     """The owner of the kernel. `dispatch` is synchronous, for the loop's thread only.
 
-    An event that is dispatched while another is handled waits in a FIFO. Each event is journaled
-    before the kernel handles it, each effect after it was carried out or has failed.
+    An event that is dispatched while another event is handled waits in a FIFO. Each event is
+    journaled before the kernel handles it, each effect after it was carried out or has failed.
     """
 
     def __init__(
@@ -228,7 +228,7 @@ class Control:
         return self._requests.new_id()
 
     def begin(self, event: Request) -> asyncio.Future[Reply]:
-        """Dispatch a request now; return a future that gets the reply after all other effects."""
+        """Dispatch a request now; the returned future gets the reply after all other effects."""
         reply = self._requests.expect_reply(event.request_id)
         self._asked(event)
         try:

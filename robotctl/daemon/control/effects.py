@@ -66,7 +66,7 @@ class Effects:
         self._decided = decided
 
     def carry_out(self, effect: Effect) -> None:
-        """Carry out an effect. A stop is saved by a thread; replies wait until it is on disk."""
+        """Carry out an effect. A thread saves a stop; replies wait until the stop is on disk."""
         if isinstance(effect, PublishTwist):
             self._publish_twist(effect.twist)
             return

@@ -97,7 +97,7 @@ LOOKS_PER_INSPECTION = 5
 async def has_odometry_publisher(
     odometry: OdomSubscriber, stop: asyncio.Event, until_s: float
 ) -> bool:
-    """Wait until odometry has a publisher, `until_s` or `stop`; return whether it has one."""
+    """Wait for a publisher of odometry, until `until_s` or `stop`; return whether there is one."""
     remaining_s = until_s - time.monotonic()
     await until(lambda: odometry.count_publishers() > 0 or stop.is_set(), remaining_s)
     return odometry.count_publishers() > 0
@@ -108,7 +108,7 @@ async def watch_graph(
     odometry: OdomSubscriber,
     dispatch: Callable[[Event], None],
 ) -> None:
-    """Dispatch an event when the other publishers or the subscribers of the command topic change.
+    """Dispatch an event when subscribers or foreign publishers of the command topic change.
 
     Also look up the node names of the odometry publishers. Runs until cancelled.
     """
@@ -151,11 +151,11 @@ class Inputs:
             self._robot_report.drove_to(odometry.pose)
 
     def odometry_source(self, source: int, gid: str, name: str, frame: str) -> None:
-        """Handle a new publisher of odometry, or an earlier one whose `frame` has changed."""
+        """Handle a new publisher of odometry, or a known publisher with a new `name` or `frame`."""
         self._control.dispatch(OdometrySourceFound(time.monotonic_ns(), source, gid, name, frame))
 
     def battery(self, level: float, publisher: str, sequence: int) -> None:
-        """Handle a battery level from 0 to 1, NaN if unknown."""
+        """Handle a battery level as the gauge reports it, NaN for an unreadable message."""
         self._control.dispatch(BatteryReceived(time.monotonic_ns(), level, publisher, sequence))
 
     def safety_input(
@@ -176,7 +176,7 @@ class Inputs:
             self._control.dispatch(GuardedCommandReceived(now, twist, publisher, sequence))
 
     def lifecycle(self, state: LifecycleState, source: str) -> None:
-        """Handle a transition of the lifecycle node; ramp down unless its state is ACTIVE."""
+        """Handle a transition of the lifecycle node; ramp down unless `state` is ACTIVE."""
         present = self._control.state
         if state is present.health.lifecycle:
             return

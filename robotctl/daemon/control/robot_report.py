@@ -119,7 +119,7 @@ _EXPECTED = (
 
 
 def is_connected(control: Control) -> bool:
-    """Return whether odometry is younger than its timeout."""
+    """Return whether the last usable odometry is younger than `odometry.timeout_s`."""
     health = control.state.health
     if health.odometry is None:
         return False

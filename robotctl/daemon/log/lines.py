@@ -57,7 +57,7 @@ class _Burst:
 
 
 class Repeats:
-    """Passes only the first WRITTEN of equal warnings or errors in a burst, which lasts WINDOW_S.
+    """Passes the first WRITTEN of the equal warnings or errors in a burst, which lasts WINDOW_S.
 
     Equal records have the same logger, level, text and exception. Lower levels always pass.
     """
@@ -66,7 +66,7 @@ class Repeats:
         self._bursts: dict[tuple[str, int, str, str], _Burst] = {}
 
     def admit(self, record: logging.LogRecord) -> Iterator[logging.LogRecord]:
-        """Yield notes on past bursts, then `record`, unless its burst already has WRITTEN lines."""
+        """Yield notes on bursts that are over, then `record` if it is one of the first WRITTEN."""
         yield from self._over(record.created)
         if record.levelno < logging.WARNING:
             yield record
@@ -109,7 +109,7 @@ def _note(burst: _Burst) -> Iterator[logging.LogRecord]:
 
 
 class LineHandler(QueueHandler):
-    """Queues lines without blocking; lines that repeat too often or do not fit are only counted."""
+    """Queues lines without blocking; only counts lines that repeat too often or find no room."""
 
     def __init__(self, lines: Any = None) -> None:
         super().__init__(lines)

@@ -55,7 +55,7 @@ class LoopHandler(LineHandler):
         """Queue a line, and schedule its publication in the loop.
 
         Raises:
-            queue.Full: The line does not fit.
+            queue.Full: The queue has no room for the line.
             RuntimeError: The loop is closed.
         """
         if len(self._waiting) >= CAPACITY:

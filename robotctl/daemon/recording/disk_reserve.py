@@ -58,7 +58,7 @@ class DiskReserve:
             await asyncio.sleep(LOOK_S)
 
     def look(self, free_bytes: int, sizes: Mapping[str, int]) -> None:
-        """By `free_bytes`, stop the topic whose size grew most, record all again, or do nothing."""
+        """If `free_bytes` is low, stop the topic that grew most; if high, record all topics."""
         self._free_bytes = free_bytes
         grown = {topic: size - self._sizes.get(topic, 0) for topic, size in sizes.items()}
         self._sizes = sizes
@@ -71,7 +71,7 @@ class DiskReserve:
                 self._stop(heaviest)
 
     def warnings(self) -> Iterator[str]:
-        """Yield which topics are not recorded, and why."""
+        """Yield a sentence that says which topics are not recorded, and why."""
         if self._unknown:
             yield self._unknown
         for topic in islice(self.stopped, MAX_NAMED):

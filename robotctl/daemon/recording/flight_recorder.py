@@ -139,7 +139,7 @@ class FlightRecorder:
         self._config = config
 
     def work(self) -> dict[str, Work]:
-        """Return by name the tasks of the recorder; the daemon must run them."""
+        """Return the tasks of the recorder by name; the daemon must run all tasks."""
         return {
             "recorder": self.tap.run,
             "black box": self._black_box.run,

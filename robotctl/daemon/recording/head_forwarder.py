@@ -54,13 +54,13 @@ class HeadForwarder:
             self._arrived.set()
 
     async def run(self) -> None:
-        """Run the program for the newest head whenever one has arrived, until cancelled."""
+        """Whenever heads have arrived, run the program for the newest head, until cancelled."""
         while True:
             await self._arrived.wait()
             await self._forward(COMMAND_TIMEOUT_S)
 
     async def finish(self) -> None:
-        """Run the program for the last head, unless this was done already."""
+        """Run the program for the last head, unless it has already run for this head."""
         await self._forward(LAST_TIMEOUT_S)
 
     async def _forward(self, timeout_s: float) -> None:

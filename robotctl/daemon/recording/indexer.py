@@ -60,7 +60,7 @@ class Indexer:
         return f"indexing failed {times}: {self._last_failure}"
 
     def file_finished(self) -> None:
-        """Note that a file of the recording is closed and the next one has begun."""
+        """Note that a file of the recording is closed and the next file has begun."""
         self._closed_files += 1
         self._file_closed.set()
 

@@ -41,9 +41,9 @@ _REVISION = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")
 def provenance() -> dict[str, str]:
     """Return versions, host and git revisions, as far as they are known.
 
-    `git.robotctl` is the commit of robotctl's own source tree, `git.directory` that of the
-    repository in which the daemon was started; each is left out if there is none. `user` is the
-    user who runs the daemon.
+    `git.robotctl` is the commit of robotctl's own source tree, `git.directory` the commit of the
+    repository in which the daemon was started; an unknown commit is left out. `user` is the user
+    who runs the daemon.
     """
     try:
         return dict(_provenance(Path.cwd()))

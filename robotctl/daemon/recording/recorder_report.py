@@ -108,7 +108,7 @@ class _Row:
 
 
 class TopicRows:
-    """Makes the list of topics in the status: a row for each name and type, sorted by these."""
+    """Makes the list of topics in the status: a row for each pair of name and type, sorted."""
 
     def __init__(self) -> None:
         self._rows: list[_Row] = []
@@ -241,7 +241,7 @@ class RecorderReport:
         self._logged_memory = False
 
     def stats(self) -> RecorderStats:
-        """Return the current counts; the other methods get them as their argument."""
+        """Return the current counts; pass these to the other methods."""
         return self._recorder.stats()
 
     def facts(self, stats: RecorderStats) -> RecordingFacts:

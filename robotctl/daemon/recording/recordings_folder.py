@@ -31,7 +31,7 @@ def retention_policy(params: RecordingParams) -> RetentionPolicy:
 
 
 def save_recordings_path(recordings: Path, robot: str) -> list[str]:
-    """Save the path of the robot's recordings for later commands; if that fails, return a note."""
+    """Save the path of the recordings for later commands; return [], or a note on a failure."""
     note = recordings_note_path(robot)
     try:
         make_private(note.parent)
@@ -64,7 +64,7 @@ def open_recorder(
     `on_failure(detail)` is called when recording fails, `on_split(file)` when the next file begins,
     and `on_full(file)` when a file is full: it must schedule a call of the recorder's `split`.
     `sealer` is used if `recording.seal` is set. `evidence` has the full names of topics that checks
-    need. `names` has those of the daemon's topics and services, by their keys in the metadata.
+    need. `names` has the full names of the daemon's own topics and services, by metadata key.
 
     Raises:
         Refused: The recording cannot be written.

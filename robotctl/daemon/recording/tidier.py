@@ -25,7 +25,7 @@ class Tidier:
     """Starts processes of the lowest priority that tidy the folder of recordings.
 
     The first process runs after `begin`: it removes what exceeds the retention policy, and repairs
-    what a crash left. Each later one runs after `file_finished` and only removes. The daemon
+    what a crash left. Each later process runs after `file_finished` and only removes. The daemon
     does not do this itself, as files may be of any origin and size. For the loop's thread.
     """
 

@@ -83,7 +83,7 @@ class TopicWatch:
         return (self._count - self._window[0][1]) / self._window_s
 
     def look(self, now_s: float, count: int, newest_s: float) -> None:
-        """Judge the topic by its number of messages so far and the time of the newest."""
+        """Judge the topic by the `count` of its messages and the time of the newest message."""
         if count != self._count:
             if newest_s - self.newest_s >= self._patience_s:
                 self._begin(newest_s)  # a window that contains the silence would look slow
@@ -184,7 +184,7 @@ class LearnedPeriod:
         self._fewest, self._most = inf, 0.0
 
     def look(self, now_s: float, count: int, newest_s: float, *, late: bool) -> float | None:
-        """Add the count of messages and the newest's time; return the period, None until learned.
+        """Count the new messages; return the expected period [s] once it is learned, None before.
 
         `late` is true after a gap between looks: some messages may not be counted yet.
         """
@@ -332,7 +332,7 @@ class TopicHealth:
         learns: bool,
         now_s: float,
     ) -> None:
-        """Watch a channel of a topic; if `learns`, learn its rate unless one is configured."""
+        """Watch a channel of a topic; if `learns`, learn its rate unless a rate is configured."""
         self._topic(name, type_name, learns=learns, now_s=now_s).channels.append(channel)
 
     def _topic(self, name: str, type_name: str, *, learns: bool, now_s: float) -> _Topic:

@@ -20,7 +20,7 @@ class PublishTwist:
 
 @dataclass(frozen=True, slots=True)
 class ModeChanged:
-    """The mode changed; `cause` is why it is ERROR or EMERGENCY_STOP now."""
+    """The mode changed; `cause` is why the new mode is ERROR or EMERGENCY_STOP, else None."""
 
     previous: Mode
     mode: Mode

@@ -108,7 +108,7 @@ class LifecycleChanged:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """The next command is due; `missed` ticks before it were skipped."""
+    """The next command is due; `missed` ticks just before this tick were skipped."""
 
     t_ns: int
     missed: int = 0
@@ -218,7 +218,7 @@ class DriveRequested:
     """A request to drive `laps` laps (0: until stopped) of a pattern; it gets one `Reply`.
 
     `client`, `reason` and `remote` are as in `ModeRequested`. With `replace`, the drive may replace
-    another one. `course` may replace the pattern by waypoints or a held velocity.
+    a running drive. `course` may replace the pattern by waypoints or a held velocity.
     """
 
     t_ns: int
@@ -248,7 +248,7 @@ class HoldReceived:
 
 @dataclass(frozen=True, slots=True)
 class CommandPublishersSeen:
-    """The nodes other than robotctl's that have a publisher on the command topic now."""
+    """The nodes, except robotctl's own, that have a publisher on the command topic now."""
 
     t_ns: int
     names: tuple[str, ...]
@@ -266,7 +266,7 @@ class ForeignCommandHeard:
 class CommandListenersSeen:
     """The number of subscriptions to the command topic with the type that robotctl sends.
 
-    `type_name` is that type, and `other_types` are those of the other subscriptions to the topic.
+    `type_name` is the sent type; `other_types` are the types of all other subscriptions.
     """
 
     t_ns: int

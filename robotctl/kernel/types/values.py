@@ -22,7 +22,7 @@ ZERO = Twist()
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """A sample of odometry: pose in the `odom` frame, velocity in the robot's, header stamp."""
+    """A sample of odometry: pose in the `odom` frame, velocity in the robot's frame, stamp."""
 
     pose: Pose
     velocity: Twist

@@ -20,7 +20,7 @@ _GROUP_READS = {False: 0o640, True: 0o750}
 
 
 def open_private(path: Path, flags: int) -> int:
-    """Open a file. If `flags` contain O_CREAT, it is created for its owner only.
+    """Open a file. With O_CREAT in `flags`, a new file is accessible to its owner only.
 
     Raises:
         OSError: The file cannot be opened.
@@ -45,7 +45,7 @@ def make_folder(path: Path, *, shared: bool) -> None:
 
 
 def protect_like(path: Path, source: Path) -> None:
-    """Limit reading of `path` to its owner or, if the group may read `source`, owner and group.
+    """Let the owner read `path`, the group only if it may read `source`, and no other users.
 
     Raises:
         OSError: `path` or `source` does not exist.
@@ -117,12 +117,12 @@ def size_of(path: Path) -> int:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return the cause of the error, in words."""
+    """Return what caused the error, as a phrase for an error text."""
     return (error.strerror if isinstance(error, OSError) else None) or repr(error)
 
 
 def cure_of(error: BaseException) -> str:
-    """Return what a user can do about the error, in words."""
+    """Return what a user can do about the error, as a phrase for an error text."""
     if isinstance(error, MemoryError):
         return _CURES[errno.ENOMEM]
     if isinstance(error, OSError) and error.errno is not None:

@@ -26,7 +26,7 @@ from robotctl.recording.disk.access import (
 def replaced_file(target: Path) -> Iterator[IO[bytes]]:
     """Yield a file that replaces `target` at the end of the block, unless the block raises.
 
-    The group may read the file if it may read the folder. A link or a device is not replaced.
+    The group may read the file if it may read the folder of `target`. A link is not replaced.
 
     Raises:
         OSError: The file cannot be written, or `target` is not a regular file.
@@ -53,10 +53,10 @@ def replaced_file(target: Path) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def atomic_output(target: Path, source: Path) -> Iterator[Path]:
-    """Yield a path where the block creates a file or folder; it becomes `target` at the end.
+    """Yield a path for the block's file or folder, which is renamed to `target` at the end.
 
-    If the block raises, nothing remains. The path is in a hidden, private folder next to `target`,
-    which only a killed process leaves there. The group may read the result if it may read `source`.
+    If the block raises, nothing remains. The path is in a hidden, private folder next to `target`;
+    a kill leaves this folder there. The group may read the result if it may read `source`.
 
     Raises:
         Refused: `target` exists already, or cannot be written.

@@ -75,7 +75,7 @@ def encode(entry: JournalEntry) -> bytes:
 
 
 def chained(serialized: bytes, crc: int) -> int:
-    """Return the CRC-32 of a journal with this entry; `crc` is that of all entries before it.
+    """Return the CRC-32 of a journal that ends with this entry; `crc` is the CRC before the entry.
 
     Zeros at the end of the entry are left out, because DDS pads messages with zeros.
     """

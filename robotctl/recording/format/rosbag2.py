@@ -71,7 +71,7 @@ def write_metadata(folder: Path, topics: Iterable[Topic], files: Sequence[BagFil
     """Write `metadata.yaml` into `folder`, completely or not at all.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The file cannot be written.
     """
     lines = ["rosbag2_bagfile_information:", *_indented(_body(topics, files), 2), ""]
     unfinished = folder / f".{METADATA_FILE}.tmp"
@@ -96,8 +96,8 @@ def read_metadata(path: Path) -> str:
     """Return the `metadata.yaml` of a recording (a folder or one of its files), "" if it has none.
 
     Raises:
-        OSError: It cannot be read.
-        ValueError: It is not UTF-8 text, or too long.
+        OSError: The file cannot be read.
+        ValueError: The text is not UTF-8, or too long.
     """
     if isinstance(path, RemoteFile):
         return ""
@@ -125,7 +125,7 @@ def entries_of(folder: Path) -> list[Path]:
     """Return the files and folders in the folder of a recording.
 
     In a copy by an earlier `robotctl sync`, each file is in a subfolder named by its hash. These
-    files are included, of several with the same name only the newest.
+    files are included; if several have the same name, only the newest.
 
     Raises:
         OSError: A folder cannot be listed.
@@ -141,7 +141,7 @@ def entries_of(folder: Path) -> list[Path]:
 
 
 def files_in(text: str) -> list[str]:
-    """Return the file names in the text of a `metadata.yaml`; empty if there is no such list.
+    """Return the file names in the text of a `metadata.yaml`; [] if it has no list of files.
 
     The list is only found if each line has one name, as rosbag2 and robotctl write it. A YAML
     parser would find other forms too, but needs a second for 1 MB.
@@ -168,7 +168,7 @@ def topic_counts_in(text: str) -> dict[tuple[str, str], int]:
 
 
 def total_count_in(text: str) -> int:
-    """Return the message count of all files in the text of a `metadata.yaml`, 0 if it has none."""
+    """Return the total message count in the text of a `metadata.yaml`, 0 if there is none."""
     found = _TOTAL_COUNT.search(text)
     return int(found[1]) if found else 0
 

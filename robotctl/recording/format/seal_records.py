@@ -48,7 +48,7 @@ class LinkKind(IntEnum):
 
 
 def chained(before: bytes, hashed: bytes) -> bytes:
-    """Return the digest that follows `before`; `hashed` is the SHA-256 of the bytes in between."""
+    """Return the digest after `before`; `hashed` is the SHA-256 of the bytes since `before`."""
     return sha256(before + hashed).digest()
 
 
@@ -68,7 +68,7 @@ class Link:
     signature: bytes = bytes(_SIGNATURE_BYTES)
 
     def signed(self) -> bytes:
-        """Return the bytes that the signature is for."""
+        """Return the bytes that the signature of this link covers."""
         return _LINK_DOMAIN + self._fields()
 
     def record(self) -> bytes:
@@ -117,7 +117,7 @@ class Opening:
     """The signature by `previous_key` for all other fields."""
 
     def signed(self) -> bytes:
-        """Return the bytes that the certificate is for."""
+        """Return the bytes that `certificate` is the signature of."""
         values = asdict(self)
         del values["certificate"]
         return _OPENING_DOMAIN + _json(values)
@@ -153,7 +153,7 @@ class Opening:
 
 @dataclass(frozen=True, slots=True)
 class SealOfFile:
-    """What seals one file: its opening, and the function that signs with its key."""
+    """What seals one file: its opening, and the function that signs with the file's key."""
 
     opening: Opening
     sign: Callable[[bytes], bytes]

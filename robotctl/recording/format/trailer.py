@@ -42,7 +42,7 @@ FOOTER_BYTES = RECORD_HEAD_BYTES + FOOTER_CONTENT_BYTES + len(MAGIC)
 
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
-    """The end of a valid file without attachments: what a writer must know to continue it.
+    """What a writer must know to continue a valid file without attachments.
 
     `data_end` is the offset of the DataEnd record, `data_crc` the checksum in that record. `groups`
     has the records of the summary, concatenated, by opcode.
@@ -73,11 +73,11 @@ class TrailerState:
 
     @property
     def kept_bytes(self) -> int:
-        """Bytes at the beginning of the trailer that do not change when only a chunk is added."""
+        """Bytes at the start of the trailer that stay the same if only a chunk is added."""
         return DATA_END_BYTES + sum(self.group_sizes.values())
 
     def distant_footer(self) -> bytes:
-        """Return footer and magic for a later end of the file; they point back to this trailer."""
+        """Return footer and magic for a later end of the file, pointing back to this trailer."""
         return record_bytes(Footer(self.data_end + DATA_END_BYTES, 0, 0)) + MAGIC
 
     def moved_to(self, data_end: int) -> TrailerState:
@@ -162,7 +162,7 @@ class Summary:
         return len(self._groups[Opcode.CHUNK_INDEX])
 
     def group_sizes(self) -> Mapping[Opcode, int]:
-        """Return the bytes of each group that only grows."""
+        """Return the size [bytes] of each group of records, by opcode."""
         return {opcode: len(group) for opcode, group in self._groups.items()}
 
     def add(self, opcode: Opcode, record: bytes) -> None:
@@ -179,7 +179,7 @@ class Summary:
             self.counts[channel] = self.counts.get(channel, 0) + len(entries) // 2
 
     def go_back_to(self, state: TrailerState | None) -> None:
-        """Restore the counts of `state` after a failed write; None means no messages."""
+        """Set the counts back to those in `state` after a failed write; None sets them to 0."""
         counted = None
         if state is not None:
             content = BytesIO(state.statistics[RECORD_HEAD_BYTES:])

@@ -30,11 +30,11 @@ from robotctl.recording.seal.keyring import (
 
 @dataclass(slots=True)
 class KnownHeads:
-    """The sealed files of all robots: their openings and last heads, by the file's public key.
+    """The sealed files of all robots: each file's opening and last head, by its public key.
 
-    `signed` names the files that have at least one signed link. `keys` has the public keys of the
-    files that had a name when they were opened: several if the clock was set back after a recording
-    was removed.
+    `signed` has the names of the files that have at least one signed link. `keys` has the public
+    keys of the files by name: several files can have the same name if the clock was set back after
+    a recording was removed.
     """
 
     opened: dict[str, Opening] = field(default_factory=dict)
@@ -43,7 +43,7 @@ class KnownHeads:
     keys: dict[str, set[str]] = field(default_factory=dict)
 
     def add(self, entry: Entry) -> None:
-        """Add what a line of a journal says.
+        """Add the opening or the last head that a line of a journal contains.
 
         Raises:
             ValueError, TypeError, KeyError: The line is malformed.
@@ -93,7 +93,7 @@ def known_heads() -> KnownHeads:
 
 
 def wrong_openings(lines: Iterable[OpenedLine]) -> Iterator[str]:
-    """Yield a sentence for each line `opened` that does not sign the lines before it."""
+    """Yield a sentence for each line `opened` whose signature does not fit the lines before."""
     for line in lines:
         proved = False
         with suppress(ValueError, TypeError, KeyError):

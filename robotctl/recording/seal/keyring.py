@@ -72,7 +72,7 @@ def is_signed(data: bytes, signature: bytes, public: str) -> bool:
 
 
 def signed_journal(opening: Opening, digests: Sequence[str]) -> bytes:
-    """Return the bytes that the key of a file signs for `digests` of the journal of decisions."""
+    """Return the bytes that a file's key signs to prove `digests` of the journal of decisions."""
     return f"robotctl seal: journal\0{opening.certificate} {' '.join(digests)}".encode()
 
 
@@ -115,7 +115,7 @@ class StoredKey:
 class Keyring:
     """The keys of one robot, made when they are first needed. A `Sealer` for the recorder.
 
-    All but `load` raise also `RobotctlError`, if a folder cannot be trusted or created.
+    All methods but `load` raise RobotctlError if a folder is not trusted or cannot be created.
     """
 
     def __init__(self, folder: Path, robot: str, on_head: Callable[[Head], None] = lambda _: None):
@@ -126,7 +126,7 @@ class Keyring:
         self._on_head = on_head
 
     def load(self) -> StoredKey | None:
-        """Return the present key; None if there is none yet.
+        """Return the present key; None if the robot has no key yet.
 
         Raises:
             OSError: `key.json` cannot be read.
@@ -146,7 +146,7 @@ class Keyring:
         return stored
 
     def open_file(self, file: str) -> SealOfFile:
-        """Make a key for a new file, overwriting the previous file's key; return the file's seal.
+        """Make a key for a new file, and return its seal; overwrite the key of the previous file.
 
         Raises:
             OSError, ValueError: The keys cannot be read or written, so the file gets no seal.
@@ -179,7 +179,7 @@ class Keyring:
         """Store a link as the head that the next file continues.
 
         Raises:
-            OSError, ValueError: It cannot be stored, or another recorder has opened a later file.
+            OSError, ValueError: The link cannot be stored, or another recorder opened a later file.
         """
         head = Head(
             opening.file, opening.number, link.covered, link.time_ns, link.digest.hex(), closed
@@ -199,7 +199,7 @@ class Keyring:
         """Begin a new chain with a new first key, which the present key signs.
 
         Raises:
-            OSError, ValueError: The present key cannot be read, or the new one not be written.
+            OSError, ValueError: The present key cannot be read, or the new key cannot be written.
         """
         with self._locked():
             stored = self._load_or_make()
@@ -263,7 +263,7 @@ OLD_LIST: Final = "heads.jsonl"
 
 
 def entries_of_list(path: Path) -> Iterator[Entry]:
-    """Yield what an early version's list says, as entries of the journal; skip malformed lines.
+    """Yield the lines of an early version's list as entries of the journal; skip malformed lines.
 
     Raises:
         OSError: There is no list, or it cannot be read.

@@ -29,8 +29,8 @@ def repeats(
 ) -> list[PlainMessage]:
     """Return the last latched message of each publisher, to be repeated in a new file.
 
-    The log time becomes `newest_ns` unless that is 0. If the messages exceed MAX_SHARE of
-    `split_bytes`, only the smallest are returned; their channels count the rest in `not_repeated`.
+    If `newest_ns` is not 0, it replaces the log times. If all messages exceed MAX_SHARE of
+    `split_bytes`, only the smallest are returned; the rest is counted in `not_repeated`.
     """
     latched = [
         (
@@ -68,7 +68,7 @@ MAX_INDEX_BYTES = 8 << 20
 class BagWriter:
     """Writer of the files of one folder: writes chunks, and begins a new file when one is full.
 
-    Not thread-safe. `channels` may grow; the position of a channel in it is the channel id. Every
+    Not thread-safe. `channels` may grow; the id of a channel is its position in `channels`. Every
     method may raise OSError; after that only `abandon` may be called.
     """
 
@@ -84,8 +84,8 @@ class BagWriter:
         """Create the first file in `folder`, which must exist.
 
         `metadata` is called when a file begins; the file stores what it returns. `on_split` is
-        called with the path of each later file. When a file is full, the next one begins; but if
-        `on_full` is given, it is called instead, with the path of the full file, once per file.
+        called with the path of each later file. When a file is full, the next file begins; but if
+        `on_full` is given, this is called instead, with the path of the full file, once per file.
         """
         self._folder = folder
         self._options = options
@@ -119,7 +119,7 @@ class BagWriter:
 
     @property
     def size(self) -> int:
-        """Bytes of all files, without the room in the current one."""
+        """Bytes of all files, without the free room in the current file."""
         return self._finished_bytes + self._file.size
 
     def write(self, packed: PackedMessages) -> None:
@@ -137,7 +137,7 @@ class BagWriter:
             state.mark()
 
     def begin_seal(self) -> None:
-        """Begin to seal the first file; later ones are sealed as they begin."""
+        """Begin to seal the first file; each later file is sealed from its beginning."""
         self._file.begin_seal()
 
     def write_topics(self) -> None:
@@ -154,9 +154,9 @@ class BagWriter:
         self._file.sync()
 
     def split(self) -> None:
-        """Finish the current file and continue in a new one, which repeats the latched messages.
+        """Finish the current file; continue in a new file, which repeats the latched messages.
 
-        The current file is finished first: the seal of the new file continues that of the current.
+        The current file is finished first: the new file's seal continues the current file's seal.
         """
         self._file.finish()
         successor = self._new_file()
@@ -202,7 +202,7 @@ class BagWriter:
     def refresh_metadata(self) -> None:
         """Write `metadata.yaml` if it is older than METADATA_PERIOD_S or lists a removed file.
 
-        Players rely on its list. Only the oldest file is checked, as retention removes it first.
+        Players rely on this list. Only the oldest file is looked for: retention removes it first.
         """
         removed = bool(self._finished) and not self._is_there(self._finished[0])
         if removed or time.monotonic() >= self._metadata_due:
@@ -262,7 +262,7 @@ def begin_bag(
     on_split: Callable[[Path], None],
     on_full: Callable[[Path], None] | None,
 ) -> BagWriter:
-    """Create `folder`, and return a BagWriter for it, made with the other arguments.
+    """Create `folder`, and return a BagWriter for it; the other parameters are for BagWriter.
 
     Raises:
         Refused: The folder cannot be written; if it was created, it is removed again.

@@ -66,7 +66,7 @@ class PackBuffer:
         self._taken = 0
 
     def weigh(self) -> int:
-        """Add the bytes of the indexes to `size` and return them. Called after the last message."""
+        """After the last message: add the size of the indexes to `size`, and return it [bytes]."""
         added = sum(len(index) * index.itemsize for index in self.indexes)
         self.size += added
         return added
@@ -82,7 +82,7 @@ class PackBuffer:
         Called by the writer thread. The result is valid until `recycle`.
 
         Raises:
-            MemoryError: Nothing is taken.
+            MemoryError: There is no memory; nothing is taken.
         """
         base, end = self._taken, self.end
         if base == end:
@@ -108,7 +108,7 @@ class PackBuffer:
         return result
 
     def drop(self) -> dict[int, int]:
-        """In the writer thread: discard the messages since the last take; count them by channel."""
+        """Discard the messages packed since the last take; return their count by channel."""
         end = self.end
         counts = {channel: _entries_below(index, end) for channel, index in enumerate(self.indexes)}
         for channel, count in counts.items():

@@ -36,7 +36,7 @@ class SequenceGaps:
     _missing: dict[bytes, set[int]] = field(default_factory=dict)
 
     def note(self, gid: bytes, sequence: int) -> None:
-        """Count the messages missing before `sequence`, or uncount `sequence` if it is late."""
+        """Count messages missing before `sequence`; a late message is not missing any more."""
         if sequence <= 0:
             return
         expected = self.expected.get(gid)
@@ -142,8 +142,8 @@ class ChannelState:
     ) -> int:
         """Keep `data` as the last message of publisher `gid`, in place of the previous one.
 
-        Return the change in memory use [bytes]. If that would exceed `room`, `data` is only counted
-        in `not_kept`; the previous message is discarded as well, because it is out of date.
+        Return the change in memory use [bytes]. If this change would exceed `room`, `data` is
+        only counted in `not_kept`, and the previous message is discarded, as it is out of date.
         """
         if self.latched is None:
             return 0

@@ -34,7 +34,7 @@ class Sealer(Protocol):
         """Return the seal of a new file."""
 
     def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
-        """Store a link outside the recording. The bytes that it covers are on the disk already."""
+        """Store `link` outside the recording; the bytes that the link covers are on the disk."""
 
 
 class FileSeal:

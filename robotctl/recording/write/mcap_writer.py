@@ -79,7 +79,7 @@ class Room(NamedTuple):
     trailer_bytes: int
 
     def for_bytes(self, size: int, storage: Storage, summary: Summary) -> tuple[TrailerState, int]:
-        """Move the trailer to a later offset unless `size` bytes fit before it.
+        """Move the trailer to a later offset unless `size` bytes fit into the room before it.
 
         Returns the trailer's state, and how many bytes were written to move it.
 
@@ -101,8 +101,8 @@ class Room(NamedTuple):
 
 
 def write_hidden(parts: Sequence[Buffer], start: int, storage: Storage) -> None:
-    """Write records into the room at `start`. The head of the first is written last: until then,
-    readers skip all of them.
+    """Write records into the room at `start`. The head of the first record is written last: until
+    then, readers skip all these records.
 
     Raises:
         OSError: The disk is full or fails. The file must be cut back.
@@ -218,7 +218,7 @@ class McapFile:
         """Write the added records, then `chunk`, then the trailer.
 
         With `finished` False the trailer is left out: the file is not valid until another commit.
-        Use that only without `keeps_room`, and for files that are read only when complete.
+        Use False only without `keeps_room`, and for files that are read only when complete.
 
         Raises:
             OSError: The file may be torn until `cut_back` has repaired it.

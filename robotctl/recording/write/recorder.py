@@ -126,8 +126,8 @@ class Recorder:
 
         `metadata` is called when a file begins; the file stores what it returns. `on_failure` is
         called at most once, with a sentence for the operator. `on_split` is called with the path of
-        each later file when it has begun. When a file is full, the next one begins; but if
-        `on_full` is given, it is called instead, once per file, and must cause a call of `split`.
+        each later file when it has begun. When a file is full, the next file begins; but if
+        `on_full` is given, this is called instead, once per file, and must cause a call of `split`.
         All are called in the writer thread, except `metadata` for the first file.
 
         Raises:
@@ -151,7 +151,7 @@ class Recorder:
         )
 
     def add_topic(self, topic: Topic) -> int:
-        """Return the channel of the topic, and add it if it is new.
+        """Return the id of the channel of `topic`; add a channel if the topic is new.
 
         Raises:
             Refused: There are MAX_TOPICS topics already.
@@ -245,7 +245,7 @@ class Recorder:
     def stats(self) -> RecorderStats:
         """Return the current counts. Call it in the loop's thread.
 
-        `topics` and each of its items stay the same object until their counts change.
+        The list `topics` and each item in it are new objects only if their counts have changed.
         """
         self._counts.update()
         return self._stats(self._counts.topics, self._counts.sums)
@@ -363,7 +363,7 @@ class MessageGate:
     """A sink that passes messages to the recorder, or counts them as throttled.
 
     It passes the first message of each interval of 1 / `most_hz`. An interval begins at the end of
-    the previous interval, or after a pause with the next message.
+    the previous interval or, after a pause, at the next message.
     """
 
     def __init__(self, recorder: Recorder, channel: int, most_hz: float = inf) -> None:

@@ -29,7 +29,7 @@ from robotctl.recording.write.recorder_options import RecorderOptions
 class RecordingFile:
     """Writer of one file. Not thread-safe.
 
-    `channels` may grow; the position of a channel in it is the channel id. Every method may raise
+    `channels` may grow; the id of a channel is its position in `channels`. Every method may raise
     OSError; after that only `abandon` may be called.
     """
 
@@ -84,7 +84,7 @@ class RecordingFile:
 
     @property
     def index_bytes(self) -> int:
-        """Bytes of the summary that grow with the number of chunks."""
+        """Size of the chunk index in the summary [bytes]; it grows with the number of chunks."""
         return self._mcap.summary.index_bytes
 
     @property
@@ -93,7 +93,7 @@ class RecordingFile:
         return self._mcap.trailer_bytes
 
     def begin_seal(self) -> None:
-        """Begin the seal. Call it in the writer thread: it may import a library and sync a file."""
+        """Begin the seal, in the writer thread: this may import a library and sync a file."""
         if self.seal is not None:
             self._mcap.add_sealed(self.seal.open(self.path.name))
             self._mcap.commit()
@@ -103,7 +103,7 @@ class RecordingFile:
         """Write `packed` as a chunk.
 
         Raises:
-            OutOfMemory: The file is unchanged.
+            OutOfMemory: There is no memory for the chunk; the file is unchanged.
         """
         chunk = self._encoder.encode(packed)
         self._announce_topics()

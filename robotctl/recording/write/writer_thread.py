@@ -54,7 +54,7 @@ class _Attributes(ctypes.Structure):
 
 
 def rank_below(nice: int) -> None:
-    """Make the calling thread preempt no other thread, and any waking thread preempt it.
+    """Rank the calling thread last: it preempts no thread, and any thread that wakes preempts it.
 
     Increase its niceness by `nice`, which sets its share of CPU time when all cores are busy.
     Other threads are not affected.
@@ -84,7 +84,7 @@ assert MESSAGE_HEAD.size == RECORD_HEAD_BYTES + MESSAGE_FIELDS_BYTES
 
 
 class EvidenceChunks:
-    """Separates the messages of evidence topics from heavy ones. Used by the writer thread."""
+    """Separates messages of evidence topics from those of heavy topics, in the writer thread."""
 
     def __init__(self, topics: Collection[str], channels: Sequence[ChannelState]) -> None:
         """`topics` are the full names of the evidence topics; `channels` may grow."""
@@ -94,10 +94,10 @@ class EvidenceChunks:
         self._evidence: set[int] = set()
 
     def separate(self, packed: PackedMessages) -> tuple[PackedMessages, ...]:
-        """Return copies of the evidence and of the rest if the rest is heavy, else only `packed`.
+        """Return the evidence and the rest as copies, or `packed` alone if the rest is not heavy.
 
         Raises:
-            MemoryError: Nothing is changed.
+            MemoryError: There is no memory for the copies; nothing is changed.
         """
         if not self._topics or len(packed.parts) != 1:  # several parts are one large message
             return (packed,)

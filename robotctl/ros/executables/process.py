@@ -36,7 +36,7 @@ async def opened_node(
 
     Raises:
         UsageError: An argument is wrong, or ROS_DOMAIN_ID is not a domain.
-        ConfigError: A parameter file names other nodes only; rclpy would ignore it silently.
+        ConfigError: A parameter file cannot be read, or has parameters for other nodes only.
     """
     context = Context()
     nodes: list[Node] = []

@@ -69,7 +69,7 @@ class VelocityPublisher(Node):
     publishes zeros instead, and logs why, while another node publishes on the topic, while a node
     that may be a robot subscribes to it, or if discovery reaches beyond this machine.
 
-    If the parameter `sweep` is true, it sweeps in these cases as well; if false, it never sweeps.
+    If the parameter `sweep` is true, the node sweeps in these cases too; if it is false, never.
     The method `set_velocity` ends the sweep.
     """
 

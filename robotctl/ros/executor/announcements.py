@@ -33,7 +33,7 @@ _RET_UNSUPPORTED = 3
 
 
 class Announcement(Enum):
-    """What rcl can announce; each value is (library, function that sets rcl's callback)."""
+    """A kind of data that rcl announces; value: (library, function that sets rcl's callback)."""
 
     MESSAGE = ("librcl.so", "rcl_subscription_set_on_new_message_callback")
     REQUEST = ("librcl.so", "rcl_service_set_on_new_request_callback")
@@ -91,7 +91,7 @@ def watch(announcement: Announcement, pointer: int, fd: int) -> None:
 
 
 def unwatch(announcement: Announcement, pointer: int) -> None:
-    """End a `watch`; after this has returned, no DDS thread uses the eventfd.
+    """Undo a call of `watch`; when `unwatch` has returned, no DDS thread uses the eventfd.
 
     Raises:
         UnsupportedPlatform: The middleware has no such callback.

@@ -46,7 +46,7 @@ from robotctl.ros.executor.sources.waitables import GuardSource, WaitableSource,
 
 
 class Nodes:
-    """The nodes of one executor; sets each node's attribute `executor`, as rclpy does."""
+    """Keeps the nodes of one executor; sets each node's attribute `executor`, as rclpy does."""
 
     def __init__(self, executor: Any) -> None:
         self._executor = executor
@@ -253,7 +253,7 @@ class Engine:
         return "SCHED_OTHER" if self._fifo is None else self._fifo.description
 
     def open(self, fifo_priority: int | None) -> None:
-        """Request SCHED_FIFO (None: do not), attach the nodes' entities, watch for shutdown."""
+        """Attach the entities, watch for shutdown; request SCHED_FIFO if `fifo_priority` is set."""
         futures.open_bridge(self.runtime.loop)
         if fifo_priority is not None:
             self._fifo = FifoScheduling(fifo_priority)

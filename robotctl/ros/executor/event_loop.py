@@ -141,7 +141,7 @@ class EventLoop(asyncio.SelectorEventLoop):
         super().__init__(self._calling)
 
     def watch(self, fd: int, callback: Callable[[], object]) -> None:
-        """Whenever `fd` is readable, call `callback` before any other, in the caller's context."""
+        """Whenever `fd` is readable, call `callback` first, in the context of this call."""
         self._calling.watch(fd, partial(copy_context().run, callback))
 
     def unwatch(self, fd: int) -> None:

@@ -170,8 +170,8 @@ class AsyncioExecutor:
 
         May be called from any thread, callback or signal handler. Called in another thread, it
         waits for running callbacks, at most `timeout_sec` seconds (None or negative: no limit).
-        Called in the loop's own thread, it does not wait; leaving `async with` of the
-        executor waits.
+        Called in the loop's own thread, it does not wait, but the end of the executor's
+        `async with` block does.
 
         Returns:
             Whether no callback runs any more.

@@ -28,7 +28,7 @@ _rclpy_await: Callable[[Future], Generator[Any, None, Any]] = Future.__await__
 async def wait(future: Future) -> Any:
     """Wait for an rclpy Future without keeping the loop busy, and return its result.
 
-    If the wait is cancelled, so is the future; then its client forgets the request.
+    If the wait is cancelled, the future is cancelled too, and its client forgets the request.
 
     Raises:
         asyncio.CancelledError: The future was cancelled.
@@ -74,7 +74,7 @@ def open_bridge(loop: asyncio.AbstractEventLoop) -> None:
 
 
 def close_bridge(loop: asyncio.AbstractEventLoop) -> None:
-    """Undo one `open_bridge`; when all are undone, restore rclpy's own method."""
+    """Undo one call of `open_bridge`; when all calls are undone, restore rclpy's own method."""
     _bridged_loops[loop] -= 1
     if not _bridged_loops[loop]:
         del _bridged_loops[loop]
@@ -100,7 +100,7 @@ def _running_loop() -> asyncio.AbstractEventLoop | None:
 
 
 class ImmediateCallbacks:
-    """Replaces a future's executor while the future gets its result: runs done callbacks at once.
+    """Replaces a future's executor while the future gets its result; runs done callbacks at once.
 
     An rclpy future passes its done callbacks to `create_task` of its executor, which would run the
     callbacks a turn of the loop later.
@@ -121,7 +121,7 @@ class ImmediateCallbacks:
 def callbacks_at_once(
     future: Future, immediate: ImmediateCallbacks, executor: Any
 ) -> Iterator[None]:
-    """Run the future's done callbacks at once when it gets its result within the `with` block.
+    """Run the done callbacks of `future` at once if it gets its result within the `with` block.
 
     After the block, `executor` runs the done callbacks that are added later; if it is None, rclpy
     calls them directly.

@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 
 class LoopThread:
-    """Runs functions in the loop; any thread may hand them in.
+    """Runs in the loop the functions that any thread passes to `call_soon`.
 
-    Until `open` names the loop, functions are kept. After `give_up`, while there is no loop, each
-    function runs at once, in the thread that hands it in.
+    Before `open` sets the loop, functions are kept. If `give_up` is called before `open`, functions
+    are not kept any more, but run at once, in the thread that passes them.
     """
 
     def __init__(self) -> None:
@@ -31,7 +31,7 @@ class LoopThread:
         return threading.get_ident() == self._thread_id
 
     def open(self, loop: AbstractEventLoop) -> None:
-        """Run the kept functions, then later functions, in `loop`; called in the loop's thread."""
+        """Run the kept and all later functions in `loop`; call this in the thread of `loop`."""
         with self._lock:
             self._loop, self._thread_id = loop, threading.get_ident()
             waiting, self._waiting = self._waiting, []
@@ -47,7 +47,7 @@ class LoopThread:
             callback()
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call `callback` in a later turn of the loop; without a loop, keep it or call it at once.
+        """Call `callback` in a later turn of the loop; before `open`, keep it or call it at once.
 
         Raises:
             RuntimeError: The loop is closed.

@@ -92,8 +92,8 @@ Taken = tuple[bytes | memoryview, int, int, int, bytes]
 class TakenMessage(NamedTuple):
     """One serialized message, and what the middleware knows about it.
 
-    received_ns and source_ns are wall-clock times [ns] of reception and publication. gid (16 bytes)
-    identifies the publisher, which numbers its messages by sequence: a gap is a lost message.
+    `received_ns` and `source_ns` are wall-clock times [ns] of reception and publication; `gid` (16
+    bytes) identifies the publisher, and `sequence` numbers its messages: a gap is a lost message.
     """
 
     data: bytes
@@ -173,8 +173,8 @@ class SerializedTaker:
     def take(self) -> Taken | bytes | memoryview | None:
         """Return the next message as (data, received_ns, source_ns, sequence, gid).
 
-        None if no message has arrived. With `bare`, return only the data. The fields are those
-        of `TakenMessage`; a plain tuple is faster, and this runs up to 45,000 times a second.
+        None if no message has arrived. With `bare`, return only the data. The fields mean what
+        they mean in `TakenMessage`; a plain tuple is faster, for up to 45,000 calls a second.
 
         Raises:
             RclCallFailed: rcl could not take the message.
@@ -199,7 +199,7 @@ class SerializedTaker:
         )
 
     def info(self) -> dict[str, int | None]:
-        """Return the info of the message taken last, in the form that rclpy gives a callback."""
+        """Return times and sequence numbers of the last message, in the form of rclpy."""
         source_ns, received_ns, sent, received, _, _ = _MESSAGE_INFO.unpack_from(self._info)
         return {
             "source_timestamp": source_ns,

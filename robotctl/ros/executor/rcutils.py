@@ -16,7 +16,7 @@ class RclCallFailed(RuntimeError):
 
 
 class Allocator(ctypes.Structure):
-    """rcutils_allocator_t"""
+    """The C structure `rcutils_allocator_t`."""
 
     _fields_ = tuple(
         (name, ctypes.c_void_p)
@@ -25,7 +25,7 @@ class Allocator(ctypes.Structure):
 
 
 class SerializedMessage(ctypes.Structure):
-    """rcutils_uint8_array_t"""
+    """The C structure `rcutils_uint8_array_t`."""
 
     _fields_ = (
         ("buffer", ctypes.c_void_p),

@@ -74,10 +74,10 @@ class Replies:
         self._closed = False
 
     def send(self, header: Any, attempt: Callable[[], bool]) -> None:
-        """Call `attempt()` as soon as the reader of the client that sent `header` is discovered.
+        """Call `attempt()`, which sends the response, once the client's reader is discovered.
 
-        `attempt` returns whether the middleware accepted the response; if not, it is called again.
-        After WAIT_S the response is dropped, with a line in the log.
+        `header` belongs to the request. `attempt` returns whether the middleware accepted the
+        response; if not, `attempt` is called again. After WAIT_S the response is dropped.
         """
         gid = reader_of(header)
         if gid is None or self._closed:
@@ -194,7 +194,7 @@ def reader_of(header: Any) -> bytes | None:
 
 
 def is_taken(send: Callable[[], None]) -> bool:
-    """Send a response; return whether the middleware accepted it."""
+    """Send a response by `send()`; return whether the middleware accepted the response."""
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         send()

@@ -133,7 +133,7 @@ class Pool:
 
 
 def rested_s(rest_s: float) -> float:
-    """Return the steady time [s] when a rest that begins now ends; long rests end on a beat."""
+    """Return the steady time [s] at the end of a rest that begins now; long rests end on a beat."""
     until_ns = time.monotonic_ns() + round(rest_s * NS_PER_S)
     if rest_s * NS_PER_S > BEAT_NS:
         until_ns = beat_before(until_ns)
@@ -270,13 +270,13 @@ class Runtime:
         self._pools.clear()
 
     def mark_flooded(self, source: object) -> None:
-        """Note that the source has data left; share the loop's turn among flooded sources."""
+        """Note that the source has data left: flooded sources share the loop's turn."""
         if source not in self.flooded:
             self.flooded.add(source)
             self._share_turn()
 
     def mark_drained(self, source: object) -> None:
-        """Note that the source has no data left; share the loop's turn among flooded sources."""
+        """Note that the source has no data left: it no longer shares the loop's turn."""
         if source in self.flooded:
             self.flooded.remove(source)
             self._share_turn()
@@ -291,7 +291,7 @@ class Runtime:
         where: str,
         finished: Callable[[], None] | None = None,
     ) -> asyncio.Task[None]:
-        """Run an async callback as a task; call `finished` when it ends in any way."""
+        """Run an async callback as a task; call `finished` when the task ends in any way."""
 
         async def run() -> None:
             try:
@@ -314,7 +314,7 @@ class Runtime:
         return task
 
     def on_idle(self, callback: Callable[[], None]) -> None:
-        """Call `callback` when no task runs any more, at once if none does."""
+        """Call `callback` when no task runs any more: at once if no task runs now."""
         self._on_idle = callback
         if not self.tasks:
             callback()

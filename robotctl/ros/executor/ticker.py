@@ -49,7 +49,7 @@ def _fail(what: str) -> OSError:
 
 
 class TimerFd:
-    """A timer on the steady clock; its descriptor `fd` becomes readable when it expires."""
+    """A timer on the steady clock; its descriptor `fd` is readable when the timer has expired."""
 
     __slots__ = ("_closed", "fd")
 
@@ -119,8 +119,8 @@ class Ticker:
     """Ticks on an absolute schedule of the steady clock, for one task at a time.
 
     The first tick comes within a period after the first wait. Each later tick is due a whole number
-    of periods after it, even if a tick is handled late. All tickers of one rate in a process tick
-    at the same times. A Linux timer drives them, because asyncio's own timers round up to 1 ms.
+    of periods after the first, even if a tick is handled late. All tickers of one rate in a process
+    tick at the same times. A Linux timer drives them, because asyncio's timers round up to 1 ms.
 
         async for tick in Ticker(50.0):
             step(tick.t_ns)

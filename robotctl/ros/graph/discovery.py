@@ -211,7 +211,7 @@ REPEAT_S: Final = 0.02
 
 
 class FoundEndpoint(NamedTuple):
-    """An endpoint of any process that the middleware has discovered."""
+    """A discovered endpoint, of this process or of another."""
 
     gid: bytes
     introduces: bool
@@ -312,8 +312,8 @@ def _discovered(node: Node) -> Iterator[FoundEndpoint]:
 
 
 def count_complete(known: Iterable[FoundEndpoint], introduced: Mapping[bytes, Introduction]) -> int:
-    """Count the processes in `introduced` that are fully discovered: `known` has each endpoint that
-    the process introduced, and no other endpoint of its nodes."""
+    """Return how many processes in `introduced` are fully discovered: `known` has all endpoints
+    that the process introduced, and no further endpoint of the process's nodes."""
     of_nodes: dict[bytes, set[bytes]] = {}
     all_gids: dict[bytes, set[bytes]] = {}
     for each in known:

@@ -20,7 +20,7 @@ from robotctl.ros.graph.rcl_graph import Gid, Role
 
 
 class Endpoint(NamedTuple):
-    """A publisher or subscription of any process; bytes that are not UTF-8 become `\\xff`."""
+    """A publisher or subscription of any process; in names, bytes other than UTF-8 are escaped."""
 
     node_name: str
     node_namespace: str
@@ -150,7 +150,7 @@ def gid_of(publisher: Publisher) -> bytes:
     """Return the gid that messages of this publisher carry.
 
     Raises:
-        RuntimeError: The middleware does not report it.
+        RuntimeError: The middleware does not report the gid.
     """
     gid = Gid()
     with publisher.handle:
@@ -169,8 +169,8 @@ def publisher_names(node: Node, topic: str) -> dict[bytes, str]:
 def node_of(node: Node, topic: str, gid: bytes) -> str:
     """Return the full name of the node whose publisher of a topic has this gid, "" if unknown.
 
-    A message may arrive before its publisher is discovered, but not before the publisher's process
-    is. So for an unknown publisher, if its process has only one node, return that node's name.
+    A message may arrive before its publisher is discovered, but by then the publisher's process is.
+    So if the publisher is unknown, but its process has only one node, return this node's name.
     """
     name = publisher_names(node, topic).get(gid, "")
     if name:

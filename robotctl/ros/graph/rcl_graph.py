@@ -25,7 +25,7 @@ GID_BYTES = 16
 
 
 class StringArray(ctypes.Structure):
-    """rcutils_string_array_t"""
+    """The C structure `rcutils_string_array_t`."""
 
     _fields_ = (
         ("size", ctypes.c_size_t),
@@ -35,19 +35,19 @@ class StringArray(ctypes.Structure):
 
 
 class NamesAndTypes(ctypes.Structure):
-    """rmw_names_and_types_t"""
+    """The C structure `rmw_names_and_types_t`."""
 
     _fields_ = (("names", StringArray), ("types", ctypes.POINTER(StringArray)))
 
 
 class Time(ctypes.Structure):
-    """rmw_time_t"""
+    """The C structure `rmw_time_t`."""
 
     _fields_ = (("sec", ctypes.c_uint64), ("nsec", ctypes.c_uint64))
 
 
 class Qos(ctypes.Structure):
-    """rmw_qos_profile_t"""
+    """The C structure `rmw_qos_profile_t`."""
 
     _fields_ = (
         ("history", ctypes.c_int),
@@ -63,7 +63,7 @@ class Qos(ctypes.Structure):
 
 
 class EndpointInfo(ctypes.Structure):
-    """rmw_topic_endpoint_info_t"""
+    """The C structure `rmw_topic_endpoint_info_t`."""
 
     _fields_ = (
         ("node_name", ctypes.c_char_p),
@@ -77,13 +77,13 @@ class EndpointInfo(ctypes.Structure):
 
 
 class EndpointInfos(ctypes.Structure):
-    """rmw_topic_endpoint_info_array_t"""
+    """The C structure `rmw_topic_endpoint_info_array_t`."""
 
     _fields_ = (("size", ctypes.c_size_t), ("array", ctypes.POINTER(EndpointInfo)))
 
 
 class SubscriptionOptions(ctypes.Structure):
-    """rmw_subscription_options_t"""
+    """The C structure `rmw_subscription_options_t`."""
 
     _fields_ = (
         ("payload", ctypes.c_void_p),
@@ -94,7 +94,7 @@ class SubscriptionOptions(ctypes.Structure):
 
 
 class PublisherOptions(ctypes.Structure):
-    """rmw_publisher_options_t"""
+    """The C structure `rmw_publisher_options_t`."""
 
     _fields_ = (
         ("payload", ctypes.c_void_p),
@@ -103,7 +103,7 @@ class PublisherOptions(ctypes.Structure):
 
 
 class Gid(ctypes.Structure):
-    """rmw_gid_t"""
+    """The C structure `rmw_gid_t`."""
 
     _fields_ = (("implementation", ctypes.c_char_p), ("data", ctypes.c_ubyte * GID_BYTES))
 
@@ -116,7 +116,7 @@ class Role(Enum):
 
 
 class RawEndpoint(NamedTuple):
-    """A publisher or subscription: its names as the bytes that were announced, and its QoS."""
+    """A publisher or subscription with its QoS; its names are the bytes that it announced."""
 
     node_name: bytes
     node_namespace: bytes
@@ -182,7 +182,7 @@ def node_names(node: int) -> list[tuple[bytes, bytes]]:
 
 
 def endpoints(node: int, role: Role, topic: bytes, *, dds_names: bool) -> list[RawEndpoint]:
-    """Return the publishers or the subscriptions of a topic, whose name may be any bytes.
+    """Return the endpoints of a topic that have the `role`; `topic` may be any bytes.
 
     Raises:
         RclCallFailed: rcl could not list them.

@@ -34,7 +34,7 @@ COMMANDS = {
 class CommandType:
     """A message type of the velocity command, with the functions that encode and decode it.
 
-    Both handle serialized messages. `decode` raises `struct.error` if a message is cut short.
+    `encode` returns a serialized message; `decode` raises `struct.error` if data are missing.
     """
 
     message_class: Any
@@ -54,7 +54,7 @@ PLAIN = CommandType(TwistMessage, encode_twist, decode_twist)
 
 
 def stamped(frame_id: str) -> CommandType:
-    """Return geometry_msgs/TwistStamped with this frame id; `encode` sets the stamp to now."""
+    """Return the type geometry_msgs/TwistStamped; `encode` sets `frame_id` and the present time."""
     encoder = StampedTwistEncoder(frame_id)
     return CommandType(
         TwistStampedMessage,

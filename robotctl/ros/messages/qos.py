@@ -79,9 +79,9 @@ def recording(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile:
 
 
 def recording_latched(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile | None:
-    """Return the profile of a second subscription, which gets the latched messages.
+    """Return the profile of an additional subscription that gets the latched messages.
 
-    None if no publisher latches messages or all do: then the profile of `recording` is enough.
+    None if no publisher or every publisher latches: the profile of `recording` is enough.
     """
     offers = list(offered)
     latched = [each for each in offers if each.durability is DurabilityPolicy.TRANSIENT_LOCAL]
@@ -105,7 +105,7 @@ _DURABILITY = {
 
 
 def words(profile: QoSProfile) -> dict[str, str | int]:
-    """Return the policies reliability, durability, history and depth in the words of recordings."""
+    """Return reliability, durability, history and depth, in the words that recordings use."""
     return {
         "reliability": _RELIABILITY.get(profile.reliability, "unknown"),
         "durability": _DURABILITY.get(profile.durability, "unknown"),

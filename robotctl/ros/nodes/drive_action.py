@@ -113,7 +113,7 @@ class DriveAction:
         )
 
     def close(self) -> None:
-        """Destroy the action server: the node does not, and the server keeps the context alive."""
+        """Destroy the action server: the node leaves it, and it would keep the context alive."""
         self._server.destroy()
 
     def _has_room(self, _: Any) -> GoalResponse:

@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 
 class NumberedSubscriber(Generic[T]):
-    """Reports each message of a topic, of publishers of any QoS; subscribes on node `_recorder`."""
+    """Subscribes on node `_recorder` to publishers of any QoS; reports each message's value."""
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class ScanSubscriber(NumberedSubscriber[tuple[float, ...]]):
 
 
 class GuardSubscriber(NumberedSubscriber[Twist]):
-    """Reports each velocity on `guard_topic`, by which another node steers; NaN if unreadable."""
+    """Reports each velocity that a node wants, from `guard_topic`; NaN: an unreadable message."""
 
     def __init__(
         self,
@@ -129,7 +129,7 @@ class _Last:
 
 
 class SafetyInputs:
-    """Reports the values of each safety input that is in use; subscribes on node `_recorder`."""
+    """Subscribes on node `_recorder` to each safety input in use, and reports its values."""
 
     def __init__(
         self, session: Session, params: SafetyInputParams, robot: str, on_reading: OnReading

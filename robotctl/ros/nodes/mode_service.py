@@ -54,7 +54,7 @@ NODE_NAME = "mode_service"
 
 
 def names(session: Session) -> dict[str, str]:
-    """Return the full names of the status topic and the services; they need not exist yet."""
+    """Return "topic.NAME" or "service.NAME" -> full name, even if none of these exists yet."""
     return {
         "topic.robot_status": session.resolve(STATUS.name, NODE_NAME),
         **{f"service.{name}": session.resolve(name, NODE_NAME) for name in (SET_MODE, ESTOP)},

@@ -85,7 +85,7 @@ class ParameterServices(ParameterService):
             )
 
     def show(self, key: str, value: Any) -> None:
-        """Show a value that was set without these services; ignore a key that the node lacks."""
+        """Show clients `value`, which was set without these services; ignore an unknown `key`."""
         if key not in self._keys or self._asking:  # rclpy itself adopts what it asked for
             return
         self._showing = True
@@ -212,7 +212,7 @@ class ManagedNode(LifecycleNode):
 
     @property
     def state(self) -> LifecycleState:
-        """The present state."""
+        """The present lifecycle state."""
         _, label = self._state_machine.current_state
         return LifecycleState(label)
 

@@ -124,7 +124,7 @@ class OdomSubscriber:
         self._on_source(self._sources[gid], gid.hex(), name, frame)
 
     def find_names(self) -> None:
-        """Look again for the unknown nodes of known publishers; report each node that is found."""
+        """Look again for the nodes of publishers whose node is unknown; report each node found."""
         if not self._nameless:
             return
         names = publisher_names(self._node, self.topic)

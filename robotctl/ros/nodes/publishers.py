@@ -37,7 +37,7 @@ class CommandLock:
         self._publisher = own.create_publisher(node) if topic else None
 
     def show(self, mode: Mode) -> None:
-        """Publish whether `mode` is one of LOCKING."""
+        """Publish True if `mode` is one of LOCKING, False otherwise."""
         if self._publisher is not None:
             self._publisher.publish(Bool(data=mode in LOCKING))
 
@@ -65,7 +65,7 @@ class Diagnosis:
 
 
 class DiagnosticsPublisher:
-    """Publishes on `DIAGNOSTICS_TOPIC`, from the hidden node `_recorder`."""
+    """Publishes diagnoses on `DIAGNOSTICS_TOPIC`, from the hidden node `_recorder`."""
 
     def __init__(self, session: Session, robot: str) -> None:
         self._robot = robot
@@ -97,14 +97,14 @@ _log = logging.getLogger(__name__)
 
 
 class HeadPublisher:
-    """Publishes on `HEAD_TOPIC`, from the hidden node `_recorder`."""
+    """Publishes heads of the seal on `HEAD_TOPIC`, from the hidden node `_recorder`."""
 
     def __init__(self, session: Session) -> None:
         node = session.helper()
         self._publisher = HEAD_TOPIC.create_publisher(node)
 
     def publish(self, digest: str) -> None:
-        """Publish the head of the seal, a hash in hex; a failure is only logged."""
+        """Publish `digest`, the head of the seal in hex; a failure is only logged."""
         try:
             self._publisher.publish(bytes(serialize_message(String(data=digest))))
         except _rclpy.RCLError as error:
@@ -115,7 +115,7 @@ JOURNAL_TOPIC = OwnTopic("robotctl/journal", JournalEntry, qos.JOURNAL)
 
 
 class JournalPublisher:
-    """Publishes serialized entries on `JOURNAL_TOPIC`, from the hidden node `_recorder`."""
+    """Publishes serialized journal entries on `JOURNAL_TOPIC`, from the hidden node `_recorder`."""
 
     def __init__(self, session: Session) -> None:
         node = session.helper()
@@ -145,7 +145,7 @@ MARK_TOPIC = OwnTopic("robotctl/marks", String, qos.MARK)
 
 
 class MarkPublisher:
-    """Publishes on `MARK_TOPIC`, from the hidden node `_recorder`."""
+    """Publishes marks on `MARK_TOPIC`, from the hidden node `_recorder`."""
 
     def __init__(self, session: Session) -> None:
         node = session.helper()
@@ -184,13 +184,13 @@ class RosoutLine:
 
 
 class RosoutPublisher:
-    """Publishes on `ROSOUT_TOPIC`, from the hidden node `_recorder`."""
+    """Publishes log lines on `ROSOUT_TOPIC`, from the hidden node `_recorder`."""
 
     def __init__(self, session: Session) -> None:
         self._publisher = ROSOUT_TOPIC.create_publisher(session.helper())
 
     def publish(self, line: RosoutLine) -> None:
-        """Publish a line.
+        """Publish a log line.
 
         Raises:
             Exception: A field of `line` has a wrong type or value, or the middleware failed.

@@ -134,7 +134,7 @@ class SimulatedRobot:
         self._is_changed = True
 
     def begin_fault(self, fault: SimFault, for_s: float) -> None:
-        """Begin a fault of `for_s` seconds; of a pause of the process, only MAX_STEP_S counts."""
+        """Begin a fault of `for_s` seconds; a pause of the process counts as MAX_STEP_S at most."""
         self._robot.faults.begin(fault, for_s)
         self._is_changed = True
 

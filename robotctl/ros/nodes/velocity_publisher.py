@@ -32,7 +32,7 @@ LOCK_TIMEOUT_S = 0.02
 
 
 def is_monitor(node_name: str) -> bool:
-    """Return whether a node that subscribes to the command only monitors it, and moves no robot."""
+    """Return whether a subscriber of the command is a monitor or a tool, and so moves no robot."""
     return node_name in MONITORS or node_name.startswith(TOOL_NODES)
 
 
@@ -89,8 +89,8 @@ class VelocityPublisher:
     ) -> Callable[[], None]:
         """Call `heard(gid)` for each command on the topic, of any publisher.
 
-        Commands are collected for `latency_s` seconds, or without a limit if that is None. The
-        returned function calls `heard` at once for the commands collected so far. The subscription
+        Commands are collected for `latency_s` seconds; None: until the returned function is called.
+        This function calls `heard` at once for the commands collected so far. The subscription
         is best effort, so that it receives from publishers of any QoS.
         """
         tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
@@ -123,7 +123,7 @@ class VelocityPublisher:
             self._log.debug(publishing_line(twist))
 
     def publish_zero(self) -> None:
-        """Send a zero if the gate is closed and `is_silent()` is false; never call it in the loop.
+        """Send a zero if the gate is closed and `is_silent()` is false; do not call it in the loop.
 
         Raises:
             TimeoutError: `publish`, in the loop's thread, hangs in the middleware.
@@ -147,8 +147,8 @@ class VelocityPublisher:
         self._gated = True
 
     def open_gate(self) -> tuple[int, int]:
-        """From now on, send commands unchanged; return how many zeros `publish_zero` has sent since
-        the last call of this, and how many commands `publish` has replaced by zero since then."""
+        """From now on, send commands unchanged. Return how many zeros `publish_zero` has sent, and
+        how many commands `publish` has replaced by zero, since the last call of `open_gate`."""
         with self._lock:
             self._gated = False
             counts = self._zeros, self._withheld
@@ -164,7 +164,7 @@ class VelocityPublisher:
         return named_nodes(each for each in publishers if each.gid != self.gid)
 
     def listeners(self) -> tuple[int, tuple[str, ...], str]:
-        """Return how many subscriptions have our type, the types of the others, and our type.
+        """Return how many subscriptions have our type; other subscriptions' types; and our type.
 
         Subscriptions of recorders, monitors and tools are left out: they move no robot.
         """
@@ -186,7 +186,7 @@ class VelocityPublisher:
 
 
 def named_nodes(found: Iterable[endpoints.Endpoint]) -> tuple[str, ...]:
-    """Return the sorted full names of at most MAX_NAMED of the endpoints' nodes, then "N more"."""
+    """Return full names of the endpoints' nodes, sorted; after MAX_NAMED names, "N more"."""
     names = sorted(short_name(full_name(each)) for each in found)
     named = [name or "a node whose name is not known yet" for name in names[:MAX_NAMED]]
     if len(names) > MAX_NAMED:

@@ -178,7 +178,7 @@ _MATCHED_POLL_S: Final = 0.002
 
 
 class Unpublishable(Exception):
-    """A topic cannot be published here; the message ends a sentence that begins with the topic."""
+    """A topic cannot be published here; the text says why, and continues "the topic ..."."""
 
 
 class ReplaySession:
@@ -313,9 +313,9 @@ class ReplaySession:
     def wait_for_matches(self) -> None:
         """Wait until all discovered subscriptions and servers match our publishers and clients.
 
-        The wait takes at most MATCH_S + KNOWN_S, and no time if no other process is there. A
-        publisher matches a subscription before the reverse holds, for which this waits as well; a
-        message in between is lost, or late if the publisher is reliable.
+        The wait takes at most MATCH_S + KNOWN_S, and no time if no other process is there. It
+        includes the time until the subscriptions have matched our publishers in turn: a message
+        sent before that is lost, or late if the publisher is reliable.
         """
         if self._is_alone:
             return
@@ -335,7 +335,7 @@ class ReplaySession:
                         break
 
     def given_up(self) -> list[str]:
-        """Return the topics on which a subscriber failed at least once to acknowledge in time."""
+        """Return the topics on which a subscriber failed once or more to acknowledge in time."""
         return sorted(each.topic for each in self._patient if each.given_up)
 
     def _all_matched(self) -> bool:

@@ -85,7 +85,7 @@ class PatientSender:
 
 
 def clock_sender(publisher: Publisher) -> Callable[[int], bool]:
-    """Return a function that publishes a time [ns], and returns whether that worked."""
+    """Return a function that publishes a time [ns] and returns whether this succeeded."""
     send_once = sender(publisher)
 
     def send(time_ns: int) -> bool:

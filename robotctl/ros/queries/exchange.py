@@ -30,7 +30,7 @@ def run(work: Coroutine[Any, Any, None]) -> None:
     """Run `work` in an event loop until it is done.
 
     Raises:
-        asyncio.CancelledError: The command has closed stdin: it has ended.
+        asyncio.CancelledError: Stdin was closed: the command has ended.
     """
     asyncio.run(_until_stdin_ends(work))
 

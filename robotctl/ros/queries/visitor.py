@@ -38,13 +38,13 @@ class Visitor(Membership):
         self.discover(lambda: False)
 
     def discover(self, is_known: Callable[[], bool], *, expected: bool = False) -> bool:
-        """Wait until `is_known()` is true; return True, or False when the wait is given up.
+        """Wait until `is_known()` is true, and return True; return False if the wait ends earlier.
 
-        Give up SETTLE_S after joining the domain, or earlier if discovery is complete or no other
-        process is there. If `expected`, give up only EXPECTED_S after joining.
+        The wait ends SETTLE_S after the domain was joined, or as soon as discovery is complete or
+        no other process is there. If `expected` is true, it ends only after EXPECTED_S.
 
         Raises:
-            asyncio.CancelledError: The command has closed stdin: it has ended.
+            asyncio.CancelledError: Stdin was closed: the command has ended.
         """
         until_s = self.since_s + (EXPECTED_S if expected else SETTLE_S)
         while not is_known():

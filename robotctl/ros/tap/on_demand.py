@@ -38,11 +38,11 @@ class TopicWatcher(Protocol):
         """Remove a topic that `appeared` added: no publisher of its type is left."""
 
     def unusable(self, topic: str, problem: str) -> None:
-        """Set why a topic cannot be shown; "" if it can be shown now or no longer exists."""
+        """Report why a topic cannot be shown; `problem` is "" if it can be shown now or is gone."""
 
 
 class OnDemandTap:
-    """Reports the topics that `node` sees; subscribes to topics on request. Loop's thread only."""
+    """Reports the topics that `node` sees; subscribes on request. For the loop's thread only."""
 
     def __init__(self, node: Node, watcher: TopicWatcher) -> None:
         self._node = node

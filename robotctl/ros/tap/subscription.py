@@ -123,7 +123,7 @@ class TappedSubscription:
         return latched is not None or requested.durability is DurabilityPolicy.TRANSIENT_LOCAL
 
     def adapt(self, offered: Sequence[QoSProfile]) -> None:
-        """Subscribe again if the profiles that publishers now offer need another QoS.
+        """Subscribe again if `offered`, the publishers' present profiles, requires another QoS.
 
         Messages that are sent before the new subscription has matched are lost, and count as lost.
 

@@ -130,7 +130,7 @@ class Unrecorded:
         self._last_missed = ""
 
     def note(self, topic: str, sentence: str) -> None:
-        """Set the sentence of a topic; the sentence stays until `clear`."""
+        """Set the sentence that says what of a topic is not recorded; it stays until `clear`."""
         self.problems[topic] = sentence
         self._say(sentence)
 
@@ -206,11 +206,11 @@ MAX_TYPES_NAMED = 5
 
 
 class TooManyTopics(Exception):
-    """One more subscription would use a file descriptor that is reserved for other parts."""
+    """No more topics can be subscribed to: the free descriptors are reserved for other parts."""
 
 
 class Tap:
-    """Subscribes to every topic on node `_recorder`, with QoS that the topic's publishers match."""
+    """Subscribes on node `_recorder` to every topic, with a QoS that its publishers match."""
 
     def __init__(
         self,
@@ -268,7 +268,7 @@ class Tap:
             self._subscribe(name, topic.type_name, [topic.qos])
 
     def reserve(self, topic: OwnTopic) -> ViewSink:
-        """Never subscribe to a topic; return its sink, to which robotctl itself writes directly."""
+        """Exclude a topic from subscription; return its sink, to which robotctl writes directly."""
         name = self._resolve(topic.name)
         self._reserved.add(name)
         return self._open_sink(describe(name, topic.type_name, [topic.qos]))

@@ -43,7 +43,7 @@ class TypeLoader:
     def problem(self, type_name: str) -> str | None:
         """Return why a type cannot be loaded, "" if it is loaded, None while it is loading.
 
-        The reason ends a sentence "type T, which ...". The first call for a type starts its load.
+        The reason continues the words "type T, which". The first call for a type starts its load.
         """
         known = self._problems.get(type_name)
         if known is not None:
@@ -106,7 +106,7 @@ class TypeLoader:
 
 
 def load_type(type_name: str) -> str:
-    """Load all that a subscription needs of a type; return why it cannot be loaded, or ""."""
+    """Load what a subscription needs of a type; return why the type cannot be loaded, or ""."""
     try:
         check_for_type_support(message_class(type_name))
         installed_type(type_name)

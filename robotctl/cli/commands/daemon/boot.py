@@ -319,7 +319,7 @@ def quoted(word: str) -> str:
 
 
 def me() -> str:
-    """Return the name of the user, under sudo that of the user who called sudo."""
+    """Return the name of this user; under sudo, the name of the user who called sudo."""
     return os.environ.get("SUDO_USER") or getpass.getuser()
 
 

@@ -36,7 +36,7 @@ _LINE = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}) ([A-Z]+) ([^ :]+): (
 class LogLine:
     """A line of the log; `time_ns` is since the epoch, None where no time is known.
 
-    A line that continues an earlier one has that line's time; its `level` and `logger` are None.
+    If a line continues the line before, both have the same time, and `level` and `logger` are None.
     """
 
     line: str
@@ -46,7 +46,7 @@ class LogLine:
     text: str
 
     def as_object(self) -> dict[str, object]:
-        """Return what `--json` prints."""
+        """Return the line as the object that `--json` prints."""
         return {
             "t_ns": self.time_ns,
             "level": self.level,

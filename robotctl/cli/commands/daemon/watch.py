@@ -34,7 +34,7 @@ HEADER = _ROW.format(
 
 
 def status_line(status: Status) -> str:
-    """Return mode, pose, speed, battery and recorder in the columns of HEADER; `-` if unknown."""
+    """Return the status as a line in the columns of HEADER; `-` stands for an unknown value."""
     pose: Mapping[str, Any] = status["pose"] or {}
     velocity: Mapping[str, Any] = status["velocity"] or {}
     recorder = status["recorder"]
@@ -72,7 +72,7 @@ def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
 
 
 def show(statuses: Iterator[Status]) -> None:
-    """Draw each status over the previous one; without a terminal, print each as one line."""
+    """Draw each status over the previous status; without a terminal, print a line for each."""
     if not is_terminal():
         for row, status in enumerate(statuses):
             if row == 0:

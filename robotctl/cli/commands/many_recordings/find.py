@@ -53,7 +53,7 @@ class OpenAs(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ShownPage:
-    """What `--open` opens: the recording of a row, and the row's time in it."""
+    """The place that `--open` opens: the recording of a row, and the row's time in it."""
 
     path: Path
     at_s: float | None

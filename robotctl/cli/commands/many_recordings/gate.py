@@ -201,7 +201,7 @@ OPEN_LOOP = "the robot does not react, so how far and how well it would drive is
 
 
 def answer_object(place: Path, report: GateReport) -> dict[str, Any]:
-    """Return what `robotctl gate --json` prints."""
+    """Return the object that `robotctl gate --json` prints; `place` is the folder."""
     failures, unknown, totals = report.failures(), report.unknown(), report.totals()
 
     def state(path: Path) -> str:

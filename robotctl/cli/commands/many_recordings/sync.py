@@ -233,7 +233,7 @@ class SyncPace:
     """Waits before each piece that `sync` sends; the end of the `with` block ends all waits."""
 
     def __init__(self, limit_mbps: float | None, robot: str | None) -> None:
-        """Send at most `limit_mbps` [Mbit/s], and nothing while `robot` moves; None: no limit."""
+        """Allow `limit_mbps` [Mbit/s], and nothing while `robot` moves; None means: no limit."""
         self._bytes_per_s = None if limit_mbps is None else limit_mbps / _BITS
         self._robot = robot
         self._ended = threading.Event()

@@ -32,7 +32,7 @@ app = new_app()
 
 
 class TableFormat(Enum):
-    """The format of the table; its value is also the suffix of such a file."""
+    """The format of the table; the value is also the suffix of the file."""
 
     CSV = "csv"
     JSON = "json"

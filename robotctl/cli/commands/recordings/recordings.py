@@ -42,7 +42,7 @@ def remove(path: Path, *, without_asking: bool) -> int:
     """Remove the recording in the folder `path`, and return its size [bytes].
 
     Raises:
-        Refused: It is no recording of robotctl, is being written, is kept, or cannot be removed.
+        Refused: The folder is not robotctl's, is being written, is kept, or cannot be removed.
         UsageError: There is no terminal to ask on.
         Interrupted: The user said no.
     """

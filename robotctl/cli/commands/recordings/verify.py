@@ -104,12 +104,12 @@ def _gravest(answer: dict[str, Any]) -> RobotctlError | None:
 
 
 def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
-    """Print whether a clip is a part of its source, and what seals that part.
+    """Print whether a clip is a part of `source`, and which links of the seal cover that part.
 
     Raises:
-        Divergence: The clip or the source is not as it was written, or they differ.
+        Divergence: The clip or the source was changed, or the clip differs from the source.
         NotSealed: The clip is a part of the source, which is not sealed.
-        UnreadableFile: One of them cannot be read.
+        UnreadableFile: The clip or the source cannot be read.
     """
     from robotctl.recording.keep.clip_origin import compare_with_source
     from robotctl.recording.read.whole_recording import verify_recording
@@ -187,7 +187,7 @@ def _link_line(links: dict[str, Any]) -> str:
 
 
 def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> dict[str, Any]:
-    """Verify each recording, then the chain of all their files, and what this machine knows.
+    """Verify each recording, the chain of all files, and which files this user's journals know.
 
     Return the object for `--json`: `recordings`, and the summary. If `head` is given, one of the
     recordings must contain it.
@@ -307,7 +307,7 @@ def recording_lines(report: dict[str, Any]) -> Iterator[str]:
 
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines to print for the summary of all recordings."""
+    """Yield the lines to print for `summary`, the part of `--json` about all recordings."""
     for name, label in (("wrong", "wrong"), ("notes", "note"), ("not_proved", "not proved")):
         for sentence in summary[name]:
             yield from row("", f"{label}: {sentence}")

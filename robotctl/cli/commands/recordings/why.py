@@ -38,7 +38,7 @@ app = new_app()
 
 @dataclass(frozen=True, slots=True)
 class FoundIncident:
-    """The result of a search: an incident, and what was searched in vain."""
+    """The result of a search: an incident, its recording, and where no incident was found."""
 
     path: Path
     """The recording of the incident."""

@@ -59,7 +59,7 @@ LINES_AROUND_MAP = 10
 
 @dataclass(frozen=True, slots=True)
 class DemoResult:
-    """The answer of the drive, the daemon's status after it, and the reference and driven path."""
+    """The answer about the drive, the status afterwards, and the reference and driven path."""
 
     drive: DriveAnswer
     status: Status

@@ -146,7 +146,7 @@ def seconds(text: str) -> float:
     """Return the seconds of a duration such as `2s` or `500ms`.
 
     Raises:
-        UsageError: The text is no duration above 0, or it is too long.
+        UsageError: The text is no duration, or the duration is not above 0 or too long.
     """
     unit, factor = next((unit, factor) for unit, factor in _UNITS if text.endswith(unit))
     try:

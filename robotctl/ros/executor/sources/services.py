@@ -26,7 +26,7 @@ from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed
 
 
 class ServiceSource(EventFdSource):
-    """A service with a synchronous or async handler."""
+    """Runs a service's handler, synchronous or async, for each request; sends the response."""
 
     announcements = (Announcement.REQUEST,)
 
@@ -70,7 +70,7 @@ class ServiceSource(EventFdSource):
 
 
 class ClientSource(EventFdSource):
-    """A client; it sets the future of each request whose response arrives.
+    """A service client: when a response arrives, sets the future of its request.
 
     Its callback group does not hold back responses: a response runs no callback of the group, and
     an async callback that awaits a client of its own group would otherwise never end.
@@ -229,7 +229,7 @@ def _name_of(server: ActionServer) -> str:
 
 
 class ActionClientSource(_ActionSource):
-    """An action client.
+    """An action client: sets the futures of responses, and runs the callbacks for feedback.
 
     Its callback group holds back feedback, which runs a callback, but not responses and status,
     which only set futures (see `ClientSource`).

@@ -75,7 +75,7 @@ class Source:
         return True
 
     def run_callback(self, callback: Callable[[], Any]) -> bool:
-        """Run the callback, or park the source if its group forbids that; return whether it ran."""
+        """Run the callback, or park the source if the group forbids it; return whether it ran."""
         if self._custom_group and not self.group.beginning_execution(self.entity):
             self.runtime.park(self.group, self)
             return False
@@ -151,7 +151,7 @@ class EventFdSource(Source):
         self.handle.__exit__(None, None, None)
 
     def listen(self, pool: Pool | None) -> None:
-        """Make `pool` watch the eventfd; if it is None, make the loop wake at each message."""
+        """Make `pool` watch the eventfd; if `pool` is None, make the loop wake at each message."""
         self.stop_listening()
         if pool is None:
             watch(self.runtime.loop, self._fd, self.poll)
@@ -250,7 +250,7 @@ class EventFdSource(Source):
 
 
 class TakeFailed(Exception):
-    """rcl could not take an item, and would fail again without a pause."""
+    """rcl could not take an item; without a pause, the next attempt would fail too."""
 
     def __init__(self, reason: Exception) -> None:
         super().__init__(str(reason))

@@ -31,9 +31,9 @@ from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed, coro
 class QosEventSource(EventFdSource):
     """Passes the status of a QoS event of a publisher or subscription to its callback.
 
-    rmw_fastrtps also announces events from before `attach`, but with every change set to zero
-    (`RMWSubscriptionEvent::set_on_new_event_callback`). So the changes in a status are computed
-    here, from its counts.
+    rmw_fastrtps also announces events from before `attach`, but reports their changes as zero
+    (`RMWSubscriptionEvent::set_on_new_event_callback`). So a status's changes are computed here,
+    by comparing its counts with those of the previous status.
     """
 
     announcements = (Announcement.QOS_EVENT,)

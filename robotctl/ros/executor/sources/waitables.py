@@ -202,7 +202,7 @@ class WaitSetThread:
 
 
 class GuardSource(WaitSetSource):
-    """A guard condition."""
+    """Runs the callback of a guard condition when the guard condition is triggered."""
 
     _triggered = False
 
@@ -232,10 +232,10 @@ class GuardSource(WaitSetSource):
 
 
 class WaitableSource(WaitSetSource):
-    """A Waitable of a class that is not rclpy's.
+    """Runs the callbacks of a Waitable whose class is not rclpy's.
 
-    If one of its methods raises an exception, the thread leaves the Waitable out for
-    RETRY_AFTER_FAILED_TAKE_S: it may stay ready, and would keep the thread busy.
+    If a method of the Waitable raises an exception, the thread leaves the Waitable out for
+    RETRY_AFTER_FAILED_TAKE_S: a Waitable that stays ready would keep the thread busy.
     """
 
     def __init__(

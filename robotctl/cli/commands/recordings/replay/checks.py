@@ -267,7 +267,7 @@ _SIDES = {"recorded": "recorded", "simulated": "simulated", "what_if": "what if"
 def resim_command(
     files: Sequence[Path], settings: Sequence[str], robot: str | None, *, as_json: bool
 ) -> None:
-    """Repeat the recorded drives with a simulated robot; print how these drives differ.
+    """Repeat the recorded drives with a simulated robot; print how the repeated drives differ.
 
     Raises:
         UsageError: A setting is not allowed.

@@ -43,7 +43,7 @@ END_DEADLINE_S = 15.0
 
 @dataclass(slots=True)
 class PlayerReport:
-    """What the player process has reported so far."""
+    """The reports of the player process so far."""
 
     summary: dict[str, Any] = field(default_factory=dict)
     error: RobotctlError | None = None
@@ -56,7 +56,7 @@ class PlayerReport:
 def play_in_process(
     job: Job, open_screen: Callable[[], AbstractContextManager[Screen]]
 ) -> PlayerReport:
-    """Play a recording in a child process until the process ends; return what it reported.
+    """Play a recording in a child process; when the process has ended, return its reports.
 
     The first Ctrl-C asks the process to end. The screen opens while the process joins ROS.
 
@@ -148,7 +148,7 @@ class _Player:
 
 
 def play_command(job: Job, *, draw: bool, as_json: bool) -> None:
-    """Publish a recording to ROS, and print the summary; `draw` draws the recorded robot.
+    """Publish a recording to ROS, and print the summary; if `draw`, also draw the robot.
 
     Raises:
         Interrupted: Ctrl-C or a signal ended the replay.
@@ -199,7 +199,7 @@ def draw_command(job: Job, *, quiet: bool) -> None:
 
 @contextmanager
 def recorded_robot(job: Job) -> Iterator[tuple[RecordedRobot, Span]]:
-    """Open the recording, and yield its robot and the span to play."""
+    """Open the recording of `job`; yield the recorded robot and the time span to play."""
     # Here, because only a drawn replay needs these: the import would delay the player by 50 ms.
     from robotctl.recording import Recording
     from robotctl.replay.recorded_robot import RecordedRobot

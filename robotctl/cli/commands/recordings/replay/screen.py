@@ -37,7 +37,7 @@ class Screen(Protocol):
 
 @contextmanager
 def screen(robot: RecordedRobot | None, *, quiet: bool) -> Iterator[Screen]:
-    """Yield a screen: a bar on a terminal, printed notes elsewhere, nothing if `quiet`."""
+    """Yield a screen: a bar on a terminal, otherwise printed notes; `quiet` shows nothing."""
     if quiet:
         yield _Nothing()
     elif is_terminal():

@@ -18,8 +18,8 @@ def select_recordings(
 ) -> tuple[list[Path], list[Path]]:
     """Return the recordings that `files` name (paths, names or `last`), and the paths to skip.
 
-    A folder of recordings stands for all of them. If no path is a recording, all are returned and
-    none is skipped, so that reading each of them raises the error that says why.
+    A folder of recordings stands for all recordings in it. If no path is a recording, no path is
+    skipped: the caller reads each path, and gets an error that says why it is not a recording.
 
     Raises:
         Refused: `last` was given and there is no recording.

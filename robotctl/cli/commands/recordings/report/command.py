@@ -85,7 +85,7 @@ def _read(path: Path, *, quiet: bool) -> Recorded:
 
 
 def page_of(path: Path) -> Path:
-    """Return the page's path: in the recording's folder, or next to a single recorded file."""
+    """Return the path of a recording's page: in the folder, or next to a single recorded file."""
     return path / PAGE_FILE if path.is_dir() else path.with_name(f"{path.stem}.{PAGE_FILE}")
 
 

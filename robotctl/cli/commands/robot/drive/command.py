@@ -56,7 +56,7 @@ _OWNERS = {
 
 
 def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") -> list[str]:
-    """Return the checked arguments that follow the motion; [] for a path from a `topic`.
+    """Return the arguments `given` after `motion`, checked; [] for a path from a `topic`.
 
     Raises:
         UsageError: There is no such motion, or its arguments are too many, too few or wrong.
@@ -92,7 +92,7 @@ def options_of(pattern: PatternKind) -> frozenset[str]:
 
 
 def cure_of(pattern: PatternKind) -> str:
-    """Return the advice to use the pattern's own size option (--side), "" without a size."""
+    """Return the advice to use the pattern's size option, such as --side; "" if it has none."""
     name = SHAPES[pattern].size_name
     return f"use --{name.value}" if name else ""
 
@@ -146,7 +146,7 @@ def velocity_params(values: Sequence[str], duration: str | None) -> dict[str, An
     """Return the parameters of the request for a velocity.
 
     Raises:
-        UsageError: There is no duration, or it is not allowed.
+        UsageError: The duration is missing or not allowed.
     """
     seconds = (duration or "").removesuffix("s")
     for_s = float(seconds) if _is_number(seconds) else 0.0

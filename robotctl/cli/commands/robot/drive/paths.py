@@ -158,7 +158,7 @@ def last_path(robot: str, frame: Frame) -> tuple[Point, ...]:
 
     Raises:
         Refused: The robot has no recording.
-        UnreadableFile: The robot drove in none of the last recordings, or one cannot be read.
+        UnreadableFile: None of the last recordings has a drive, or a recording is unreadable.
     """
     missing: list[str] = []
     newest = committed_recording(robot, missing) or find_recording(LAST, robot)

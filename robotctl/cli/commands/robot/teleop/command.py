@@ -118,7 +118,7 @@ class TeleopScreen:
 
 
 def view_below(lines: list[str], status: Status) -> RenderableType:
-    """Return the lines with the live view below; a small terminal cuts off the view's end."""
+    """Return `lines` with the live view of `status` below; a small terminal cuts off its end."""
     from rich.console import Group
     from rich.text import Text
 
@@ -199,7 +199,7 @@ class TeleopSession:
         self._holding.want(STAND)
 
     def turn(self, keyboard: Keyboard) -> None:
-        """Wait for input or for the end of the period, and send the wanted velocity.
+        """Wait for input, at most for one period; then send the wanted velocity.
 
         Raises:
             Quit: The operator ended the session, or the terminal is gone.

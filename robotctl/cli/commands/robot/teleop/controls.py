@@ -63,7 +63,7 @@ STOPPING: Final = frozenset(" eq")
 def typed(keys: list[Key], *, tells_releases: bool) -> list[Key]:
     """Return the keys without pasted text; the keys in STOPPING always remain.
 
-    A terminal that reports releases (`tells_releases`) sends as text only what was pasted. On any
+    A terminal that reports releases (`tells_releases`) sends only pasted keys as text. On any
     other terminal, text counts as pasted if more than MAX_AT_ONCE keys came at once.
     """
     if not tells_releases and len(keys) <= MAX_AT_ONCE:
@@ -77,7 +77,7 @@ class Hands(Protocol):
     problem: str
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Process the keys read at `now_s`; return the wish to send, None if there is none."""
+        """Process the keys read at `now_s` [s]; return the wish to send, None to send nothing."""
 
     def forget(self) -> None:
         """Let go of every key: each must be pressed again."""
@@ -101,7 +101,7 @@ class HandsWithReleases:
         self._patience_s = 0.0
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the sum of the held keys; None if the sum is unchanged and no answer has come."""
+        """Return the wish of all held keys; None if it is unchanged and `keys` has no ANSWER."""
         for key in keys:
             if key.name != ANSWER and not key.is_text:
                 self._hear(key, now_s)
@@ -160,7 +160,7 @@ class HandsWithoutReleases:
         return STEERING[name] if names and repeats and not self._is_forgotten else None
 
     def forget(self) -> None:
-        """Let go; a key that still repeats must rest for REPEAT_S before it counts again."""
+        """Let go: no key counts until all steering keys have been silent for REPEAT_S."""
         self._is_forgotten = True
 
 
@@ -270,7 +270,7 @@ CALL_S = 1.0
 
 
 class Speeds:
-    """The speeds that the operator has chosen, as one share of both limits, linear and angular."""
+    """The speeds that the operator chose: the same share of the linear and the angular limit."""
 
     def __init__(self, client: Client, speed_mps: float | None) -> None:
         """Begin with `speed_mps`, or with FIRST_SHARE of the daemon's limits.
@@ -322,11 +322,11 @@ class Holding:
 
     @property
     def is_held(self) -> bool:
-        """Whether a motion goes on, according to the daemon's last answer."""
+        """Whether the daemon's last answer says that the motion goes on."""
         return self._number != 0
 
     def want(self, velocity: tuple[float, float]) -> bool:
-        """Begin or continue a motion [m/s, rad/s]; return False if it was refused or has ended."""
+        """Request a motion at `velocity` [m/s, rad/s]; return False if it is refused or over."""
         now_s = time.monotonic()
         if self.silence_lets_go and now_s - self._sent_s >= MAX_SILENCE_S:
             self._number = 0

@@ -19,7 +19,7 @@ from robotctl.recording.table.topic_table import choose_topic
 
 
 class RecordedTopic:
-    """A topic in a recording; `file` is any name of a recording that `find_recording` finds."""
+    """A topic in a recording; `file` names the recording in a form that `find_recording` reads."""
 
     def __init__(self, file: str, topic: str, type_name: str) -> None:
         """Find the topic; a leading / may be left out.

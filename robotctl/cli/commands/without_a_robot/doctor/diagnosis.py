@@ -36,7 +36,7 @@ from robotctl.ipc.method_names import STATUS
 def diagnose(
     robot: str, config: Path | None, domain_id: int | None, *, clean: bool
 ) -> tuple[list[str], list[Finding]]:
-    """Run all checks; return the removed files and the findings. `clean` removes stale files.
+    """If `clean`, remove stale files; run all checks; return the removed files and the findings.
 
     Raises:
         UsageError: The name of the robot, the configuration or the domain is wrong.
@@ -73,7 +73,7 @@ def _robots() -> Iterator[str]:
 
 
 def _daemons() -> list[RobotDaemon]:
-    """Return all daemons; one that does not answer is asked twice, as the machine may be busy."""
+    """Return all daemons; a silent daemon is asked twice, as the machine may be busy."""
     found = robots.find(_robots())
     answered = [each for each in found if not each.problem]
     return [*answered, *robots.find(each.robot for each in found if each.problem)]
@@ -101,7 +101,7 @@ def _killed() -> Iterator[Finding]:
 
 
 def dead_robots() -> list[str]:
-    """Return the robots that have a socket, and whose lock no daemon owns."""
+    """Return the robots with a socket that a killed daemon left: no daemon owns their lock."""
     found = []
     for robot in robots.names():
         with suppress(UsageError):  # not a name of a robot
@@ -111,7 +111,7 @@ def dead_robots() -> list[str]:
 
 
 def _remove_sockets() -> list[Path]:
-    """Remove the sockets of killed daemons, and return them; own a robot's lock while removing."""
+    """Remove and return the sockets of killed daemons; own each robot's lock while removing."""
     removed = []
     for robot in dead_robots():
         with suppress(AlreadyRunning, UsageError), owned(lock_path(robot), robot):
