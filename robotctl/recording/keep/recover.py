@@ -73,9 +73,8 @@ def seal_of_copy(file: InputFile) -> Iterator[bytes]:
             offset = record.end
             if record.opcode == Opcode.FOOTER:
                 break
-            if record.opcode not in (OPENING_OPCODE, LINK_OPCODE):
-                continue
-            if record.length > MAX_OPENING_BYTES:
+            is_seal = record.opcode in (OPENING_OPCODE, LINK_OPCODE)
+            if not is_seal or record.length > MAX_OPENING_BYTES:
                 continue
             with suppress(ValueError):  # not written by robotctl
                 if record.opcode == LINK_OPCODE:
@@ -132,8 +131,8 @@ def recover(
                 raise UnreadableFile(f"{source} holds no readable message: {'; '.join(file.lost)}")
     total = 2 * file.file.size
     on_progress(total, total)
-    limit_reached, failure = file.index.limit_reached, file.file.failure
-    return RecoveryReport(target, messages, attachments, tuple(file.lost), limit_reached, failure)
+    limited, failure = file.index.limit_reached, file.file.failure
+    return RecoveryReport(target, messages, attachments, tuple(file.lost), limited, failure)
 
 
 def _copy(file: ReadableFile, storage: Storage) -> tuple[int, int]:

@@ -241,20 +241,22 @@ def head_blocks(data: bytes, most: int = sys.maxsize) -> Iterator[HeadBlock]:
         BeyondLimit: There are more than `most` records.
     """
     position, size = 0, len(data)
-    last_message = size - _MESSAGE_HEAD.size
+    last_message, least_bytes = size - _MESSAGE_HEAD.size, MESSAGE_FIELDS.size
     unpack, message, head_bytes = _MESSAGE_HEAD.unpack_from, Opcode.MESSAGE.value, RECORD_HEAD.size
-    least_bytes = MESSAGE_FIELDS.size
     while position < size:
         if most <= 0:
             raise BeyondLimit(TOO_MANY_RECORDS)
         block: HeadBlock = []
         add, block_end = block.append, min(position + _BLOCK_BYTES, size)
+        last_quick = min(last_message, block_end - 1)
         try:
             for _ in range(min(most, _BLOCK_RECORDS)):
-                if position >= block_end:
+                if position <= last_quick:
+                    head = unpack(data, position)
+                elif position < block_end:
+                    head = _short_head(data, position)
+                else:
                     break
-                is_short = position > last_message
-                head = _short_head(data, position) if is_short else unpack(data, position)
                 end = position + head_bytes + head[1]
                 if end > size or (head[1] < least_bytes and head[0] == message):
                     raise Damaged("a chunk ends in the middle of a record")

@@ -163,10 +163,9 @@ def read_whole_file(
             found = _check_bytes(file, on_progress)
             found.seal = check_seal(file, found.data, found.state, found.loose)
             return found
-    except OSError as error:
-        raise UnreadableFile(f"{path} cannot be read: {reason_of(error)}") from error
-    except Damaged as damage:
-        raise UnreadableFile(f"{path} cannot be read: {damage}") from damage
+    except (OSError, Damaged) as error:
+        reason = reason_of(error) if isinstance(error, OSError) else error
+        raise UnreadableFile(f"{path} cannot be read: {reason}") from error
 
 
 def _check_bytes(file: InputFile, on_progress: Callable[[int, int], None]) -> WholeFile:
