@@ -294,6 +294,7 @@ class ServiceCheck:
         """Report what differs; `ending` and `moment` say how and when the journal ends."""
         if self._unreadable:
             self._report.miss(f"{self._unreadable} messages of {self.topic} cannot be read")
+            return
         if self._is_full:
             self._report.miss(f"of the calls on {self.topic} only the first were compared")
             return

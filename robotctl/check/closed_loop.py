@@ -69,11 +69,7 @@ class Start:
 
 
 def closed_loop(
-    kernel: Kernel,
-    sim: SimParams,
-    requests: Iterable[Event],
-    begin_ns: int,
-    start: Start = Start(),
+    kernel: Kernel, sim: SimParams, requests: Iterable[Event], begin_ns: int, start: Start = Start()
 ) -> Iterator[tuple[Event, tuple[Effect, ...]]]:
     """Yield every event with its effects from `begin_ns` (steady) on, without end.
 

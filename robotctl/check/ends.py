@@ -22,7 +22,7 @@ from robotctl.kernel.types import Cause
 from robotctl.messages import cdr
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry, chained, encode
-from robotctl.recording.format.names import CLIP_RECORD, INFO_RECORD, natural_order
+from robotctl.recording.format.names import CLIP_RECORD, INFO_RECORD, OBSERVING, natural_order
 from robotctl.recording.format.records import type_name_of
 from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.read.journal_reader import own_journal_topic
@@ -51,6 +51,9 @@ class Ending:
     has_begin: bool
     """Whether the journal is there from its first entry on."""
 
+    has_gaps: bool
+    """Whether a gap in the journal or in the data may explain a difference."""
+
     @property
     def is_closed(self) -> bool:
         """Whether it is whole and was closed: then what is not there was not recorded."""
@@ -64,7 +67,7 @@ class Ending:
 
     def accuse(self, text: str) -> None:
         """Report a violation, but only as a note if a gap or a divergence may explain it."""
-        if self.report.has_gaps or self.report.divergence is not None:
+        if self.has_gaps or self.report.divergence is not None:
             self.report.notes.append(text)
         else:
             self.invariants.violate(text)
@@ -100,9 +103,6 @@ class JournalEnd(NamedTuple):
     stalled_ns: int
     clock_changed: bool
 
-
-OBSERVING: Final = "observing"
-"""The mode of a recorder that drives no robot. The robot it observes may have the same name."""
 
 NOT_COMPARED: Final = (
     "the journal was received from the robot: not compared are parameters, statuses, calls, and "
@@ -233,6 +233,7 @@ class RecordingEnds:
         self._has_ended = False
         """Whether the last snapshot was written while the daemon was ending."""
 
+        self._has_gaps = False
         self._ledger: Mapping[str, Mapping[str, int]] | None = None
         last = natural_order(recording.open_files[-1].path)
         self._goes_on = any(natural_order(Path(name)) > last for name in recording.lost_files)
@@ -272,7 +273,8 @@ class RecordingEnds:
     def check(self, events_before_snapshot: int) -> None:
         """Check who wrote the journal, how it begins and ends, the types, and the loss ledger.
 
-        The ledger is in the last file, unless the recording was not closed.
+        The ledger is in the last file, unless the recording was not closed. What topics miss is
+        reported later and explains no difference of another topic.
         """
         ledger = read_ledger(self._recording.metadata_of_file(-1))
         self.origin.check(self._report)
@@ -281,6 +283,7 @@ class RecordingEnds:
                 self._check_begin(events_before_snapshot)
             self._check_end(ledger)
         self._check_ledger(ledger)
+        self._has_gaps = self._report.has_gaps
 
     def _check_begin(self, events_before_snapshot: int) -> None:
         report = self._report
@@ -326,6 +329,7 @@ class RecordingEnds:
             is_own=self.origin.is_own,
             is_whole=self.is_whole,
             has_begin=self._first_seq == 0,
+            has_gaps=self._has_gaps,
         )
 
 

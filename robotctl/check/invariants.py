@@ -44,13 +44,7 @@ MAX_VIOLATIONS = 20
 ROUNDING = 1e-9
 """The tolerance for the change between two commands."""
 
-_REQUESTS = (
-    ModeRequested,
-    ResetRequested,
-    DriveRequested,
-    ParameterRequested,
-    LeaseRequested,
-)
+_REQUESTS = (ModeRequested, ResetRequested, DriveRequested, ParameterRequested, LeaseRequested)
 
 
 @dataclass(frozen=True, slots=True)

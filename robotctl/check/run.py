@@ -39,11 +39,7 @@ from robotctl.check.statuses import StatusCheck
 from robotctl.check.times import ClockChanges, MeasurementOrder, RecordedStalls, TickSchedule
 from robotctl.check.topics import RobotTopics
 from robotctl.kernel.codec import Snapshot
-from robotctl.kernel.types import (
-    Effect,
-    Event,
-    OdomReceived,
-)
+from robotctl.kernel.types import Effect, Event, OdomReceived
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import EntryKind, JournalEntry
@@ -412,8 +408,8 @@ class _Check:
             report.notes.append(f"{self._before_snapshot} events before the first snapshot")
         if not self._has_numbers:
             report.miss(UNNUMBERED)
-        ends.check(self._before_snapshot)
         check_types(self._recording, report, {self._topic, *self._compared.readers()})
+        ends.check(self._before_snapshot)
         kernel = self._rerun.kernel
         if kernel is not None:
             invariants.end(kernel.state.waiting)

@@ -208,7 +208,7 @@ class StatusCheck:
     def end(self, ending_of: EndingOf, moment: JournalEnd) -> None:
         """Report what differs; `ending_of` and `moment` say how and when the journal ends."""
         ending = ending_of(self.topic)
-        if not self.is_on or not ending.is_own or self._report.has_gaps:
+        if not self.is_on or not ending.is_own or ending.has_gaps:
             return
         if self.topic is None:
             self._tell_unrecorded(ending)

@@ -20,6 +20,7 @@ from robotctl.ipc.request_handler import Method
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.types import Event, FaultReported
+from robotctl.recording.format.names import OBSERVING
 
 _log = logging.getLogger(__name__)
 
@@ -34,7 +35,7 @@ class Observer:
             host.options,
             host.config,
             host.session,
-            lambda: "observing",
+            lambda: OBSERVING,
         )
         warnings = Warnings(host.options.robot, self.recorder, None, host.warnings, self._faults)
         self._status = StatusSource(
@@ -71,7 +72,7 @@ class Observer:
 
     def mode(self) -> str:
         """Return "observing", as there is no robot with a mode."""
-        return "observing"
+        return OBSERVING
 
     async def stop_robot(self) -> None:
         """Do nothing: there is no robot to stop."""

@@ -86,7 +86,7 @@ def battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
 def odometry_wrong(health: Health, params: KernelParams, t_ns: int) -> str:
     """Return a sentence if the received odometry is unusable, else "".
 
-    A wrong frame (`odometry.frame_id`) counts at once, a faulty sample only if odometry is lost.
+    A wrong frame (`odometry.frame_id`) counts at once, a fault when no usable sample is recent.
     """
     wanted, sources = params.odometry.frame_id, health.odometry_sources
     if wanted:

@@ -28,13 +28,7 @@ from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
 from robotctl.recording.read.messages import Message
 from robotctl.testing.drives import BEGIN_NS, START_NS, Written, drive_requested, record
-from tests.support.edited_recordings import (
-    Contents,
-    Stored,
-    contents_of,
-    edit,
-    write_contents,
-)
+from tests.support.edited_recordings import Contents, Stored, contents_of, edit, write_contents
 from tests.support.heard_drives import SET_MODE, STATUS, heard_drive, received, sent
 from tests.tampering.edits import journal
 
@@ -312,6 +306,8 @@ def test_a_call_is_refused_as_busy_only_while_many_are_in_work(
         check.request(ModeRequested(t_ns, number, 0, SOURCE), number, moments)
     record_call(in_work, received(in_work, 1))
     record_call(in_work, sent(in_work, False, BUSY, 0))
-    ending = Ending(report, found, {}, is_clip=False, is_own=True, is_whole=True, has_begin=True)
+    ending = Ending(
+        report, found, {}, is_clip=False, is_own=True, is_whole=True, has_begin=True, has_gaps=False
+    )
     check.end(ending, JournalEnd(in_work * NS_PER_S, WALL_NS, 0, False))
     assert found.count == unasked

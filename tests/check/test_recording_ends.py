@@ -29,8 +29,8 @@ from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.testing.hearing import BATTERY, ODOMETRY
 from tests.support.edited_recordings import Contents, Stored, write_contents
 from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS, heard_drive, status
-from tests.tampering.edits import MOTION, Kind, changed, metadata, moves, removed, still
-from tests.tampering.kinds import OBSERVED, UNNAMED
+from tests.tampering.edits import MOTION, Kind, changed, dropped, metadata, moves, removed, still
+from tests.tampering.kinds import FOUND, OBSERVED, UNNAMED
 from tests.tampering.topic_kinds import appended, repeated_at_the_end
 
 
@@ -102,6 +102,14 @@ def test_the_last_zeros_of_a_daemon_that_fails_are_no_more_than_two(
     two, three = (appended(COMMANDS, (count, count), still) for count in (2, 3))
     assert checked(tmp_path / "two", killed, two).verdict is Verdict.SAME
     assert checked(tmp_path / "three", killed, three).verdict is Verdict.BROKEN
+
+
+def test_a_message_that_may_have_been_lost_excuses_no_change_of_another_topic(
+    tmp_path: Path, killed: Contents
+) -> None:
+    lost, moved = dropped(COMMANDS, 1, moves), FOUND["odometry: one moved"]
+    assert checked(tmp_path / "lost", killed, lost).verdict is Verdict.INCOMPLETE
+    assert checked(tmp_path / "both", killed, lost, moved).verdict is Verdict.BROKEN
 
 
 def test_a_closed_recording_tells_the_number_of_all_commands(
@@ -271,12 +279,7 @@ def filtered(tmp_path_factory: pytest.TempPathFactory) -> Contents:
     ],
 )
 def test_only_what_the_patterns_leave_out_may_lack(
-    tmp_path: Path,
-    filtered: Contents,
-    key: str,
-    patterns: str,
-    topic: str,
-    verdict: Verdict,
+    tmp_path: Path, filtered: Contents, key: str, patterns: str, topic: str, verdict: Verdict
 ) -> None:
     named = metadata("robotctl", f"parameter.recording.{key}", patterns)(filtered, Random(1))
     report = check_recording(write_contents(tmp_path / "run", removed(topic)(named, Random(1))))

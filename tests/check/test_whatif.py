@@ -263,9 +263,7 @@ def unmeasured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record(tmp_path_factory.mktemp("unmeasured") / "robot_20260101_120000", written)
 
 
-def test_a_what_if_and_a_simulation_know_no_errors_of_a_velocity(
-    unmeasured: Path,
-) -> None:
+def test_a_what_if_and_a_simulation_know_no_errors_of_a_velocity(unmeasured: Path) -> None:
     velocity, line = what_if(unmeasured, {})["drives"]
     assert velocity["measured"]["distance_m"] > 0.1
     assert (velocity["measured"]["rms_error_m"], velocity["measured"]["max_error_m"]) == (None,) * 2
@@ -277,9 +275,7 @@ def test_a_what_if_and_a_simulation_know_no_errors_of_a_velocity(
         assert line[side]["cross_track_rms_m"] is not None
 
 
-def test_the_page_of_a_recording_leaves_a_velocity_out_of_its_errors(
-    unmeasured: Path,
-) -> None:
+def test_the_page_of_a_recording_leaves_a_velocity_out_of_its_errors(unmeasured: Path) -> None:
     found = read_recorded(unmeasured)
     velocity, line = found.traces.drives
     assert isnan(velocity.report.cross_track_rms_m)
@@ -288,9 +284,7 @@ def test_the_page_of_a_recording_leaves_a_velocity_out_of_its_errors(
     assert figures["cross_track_rms_m"] == line.report.cross_track_rms_m
 
 
-def test_the_index_of_a_recording_knows_no_errors_of_a_velocity(
-    unmeasured: Path,
-) -> None:
+def test_the_index_of_a_recording_knows_no_errors_of_a_velocity(unmeasured: Path) -> None:
     rows = rows_of(unmeasured, "same", "", "whole")
     velocity, line = (row for row in rows if isinstance(row, DriveRow))
     assert velocity.pattern == "velocity"

@@ -389,10 +389,7 @@ async def cut(
     ],
 )
 async def test_a_failed_clip_process_is_only_logged(
-    program: str,
-    said: str,
-    cutter: Cutter,
-    caplog: pytest.LogCaptureFixture,
+    program: str, said: str, cutter: Cutter, caplog: pytest.LogCaptureFixture
 ) -> None:
     await cut(cutter(program), NOW)
     assert said in caplog.text

@@ -315,11 +315,7 @@ def closed(monkeypatch: pytest.MonkeyPatch) -> Closed:
 
 @pytest.mark.parametrize("observe", [False, True])
 async def test_nothing_is_received_any_more_when_the_recording_is_finished(
-    in_process: InProcess,
-    world: World,
-    new_peer: NewPeer,
-    closed: Closed,
-    observe: bool,
+    in_process: InProcess, world: World, new_peer: NewPeer, closed: Closed, observe: bool
 ) -> None:
     peer = new_peer(world)
     peer("be_a_robot")

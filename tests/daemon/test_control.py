@@ -381,8 +381,7 @@ async def test_a_failed_recorder_names_the_robot_in_its_cure(recorder: FlightRec
 
 def test_the_notes_of_a_start_name_the_robot_in_a_cure(recorder: FlightRecorder) -> None:
     robot: Any = SimpleNamespace(
-        facts=lambda: dict.fromkeys(RobotFacts.__required_keys__),
-        remedies=lambda: (),
+        facts=lambda: dict.fromkeys(RobotFacts.__required_keys__), remedies=lambda: ()
     )
     options = DaemonOptions("r2", None, Path(), None, None, 0)
     warnings = Warnings("r2", recorder, None, [])

@@ -11,9 +11,10 @@ from typing import Any
 
 import pytest
 
-from robotctl.config import RecordingParams
+from robotctl.config import Config, RecordingParams, flat
 from robotctl.daemon.recording import disk_reserve
 from robotctl.daemon.recording.disk_reserve import MAX_NAMED, DiskReserve
+from robotctl.daemon.recording.flight_recorder import _evidence_topics
 from robotctl.daemon.recording.topic_sinks import TopicSinks
 from robotctl.recording import Recorder
 from robotctl.recording.write.recorder import MessageGate
@@ -149,9 +150,7 @@ def test_what_a_check_needs_and_what_is_latched_is_recorded_whole(
     assert (stats.received, stats.throttled) == ((1, 9) if throttled else (10, 0))
 
 
-def test_without_throttle_and_reserve_nothing_stands_before_the_recorder(
-    bag: Recorder,
-) -> None:
+def test_without_throttle_and_reserve_nothing_stands_before_the_recorder(bag: Recorder) -> None:
     assert not isinstance(sinks(bag).open(described("/camera")), MessageGate)
 
 
@@ -168,11 +167,14 @@ def test_a_topic_that_comes_again_is_counted_once(bag: Recorder) -> None:
     assert list(made.health.warnings(now_s + 4.0)) == []
 
 
-def test_a_topic_that_was_stopped_for_the_disk_stays_so_with_another_qos(
-    bag: Recorder,
-) -> None:
+def test_a_topic_that_was_stopped_for_the_disk_stays_so_with_another_qos(bag: Recorder) -> None:
     made = sinks(bag, min_free_gb=1.0)
     made.open(described("/camera"))
     made.gates["/camera"][0].is_shut = True
     made.open(described("/camera", "- durability: volatile"))
     assert [each.is_shut for each in made.gates["/camera"]] == [True, True]
+
+
+def test_the_topics_of_all_inputs_are_evidence() -> None:
+    topics = {str(name) for key, name in flat(Config()).items() if key.endswith("topic")}
+    assert {"cmd_vel", "cmd_vel_nav", "odom"} <= topics - {""} <= set(_evidence_topics(Config()))

@@ -125,9 +125,7 @@ async def test_a_simulator_that_dies_stops_the_robot(
         assert "the simulated robot task failed" in status["mode_reason"]
 
 
-async def test_an_exception_that_only_the_loop_sees_stops_the_robot(
-    in_process: InProcess,
-) -> None:
+async def test_an_exception_that_only_the_loop_sees_stops_the_robot(in_process: InProcess) -> None:
     def fail() -> None:
         raise RuntimeError("injected")
 
@@ -263,10 +261,7 @@ STALL_S = 1.5
 
 @pytest.mark.parametrize("stall", [sleep, spin])
 async def test_others_see_zero_while_the_loop_stalls(
-    in_process: InProcess,
-    world: World,
-    new_peer: NewPeer,
-    stall: Callable[[float], None],
+    in_process: InProcess, world: World, new_peer: NewPeer, stall: Callable[[float], None]
 ) -> None:
     peer = await asyncio.to_thread(new_peer, world)
     await asyncio.to_thread(peer, "listen")

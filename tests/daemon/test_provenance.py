@@ -242,8 +242,7 @@ async def test_of_heads_that_wait_the_newest_is_given(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "says"),
-    [("/nowhere/at-all", "cannot be started"), ("false", "ended with 1")],
+    ("command", "says"), [("/nowhere/at-all", "cannot be started"), ("false", "ended with 1")]
 )
 async def test_a_program_that_fails_is_told(command: str, says: str) -> None:
     forwarder = HeadForwarder(command, None)

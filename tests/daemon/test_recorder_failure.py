@@ -65,10 +65,7 @@ async def test_the_robot_stops_when_nothing_is_recorded_any_more(
 
 
 async def test_the_robot_goes_on_when_it_is_only_to_warn(
-    in_process: InProcess,
-    disk: list[FailingFile],
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
+    in_process: InProcess, disk: list[FailingFile], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     config = tmp_path / "config.yaml"
     config.write_text(f"{PATIENT}on_recorder_failure: warn\n")
@@ -97,9 +94,7 @@ async def test_an_observer_that_records_no_more_says_so(
 
 
 async def test_a_heavy_topic_is_named_once_with_the_filter_that_leaves_it_out(
-    in_process: InProcess,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    in_process: InProcess, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(recorder_report, "HEAVY_BYTES_PER_S", 1.0)
     monkeypatch.setattr(recorder_report, "HEAVY_WINDOW_S", 1.0)
@@ -168,9 +163,7 @@ async def test_the_recorder_of_a_quiet_robot_looks_seldom(
     assert 0 < rate <= LOOKS_PER_S
 
 
-def test_folders_are_made_and_a_name_that_steers_a_terminal_is_shown_escaped(
-    world: World,
-) -> None:
+def test_folders_are_made_and_a_name_that_steers_a_terminal_is_shown_escaped(world: World) -> None:
     recordings = "a/../b c/d/rec\n\x1b[2J\x1b[31mordings"
     (world.folder / "a").mkdir()
     said = world.ok("start", "--observe", "--recordings", recordings)

@@ -56,9 +56,7 @@ def view_of(world: World, *options: str) -> Iterator[tuple[subprocess.Popen[str]
             assert process.wait(30) == 130
 
 
-async def test_every_topic_of_a_robot_is_offered_with_its_type_and_messages(
-    driving: World,
-) -> None:
+async def test_every_topic_of_a_robot_is_offered_with_its_type_and_messages(driving: World) -> None:
     with view_of(driving) as (_, ready):
         async with view_client(ready["url"]) as client, view_client(ready["url"]) as second:
             topics = ("/odom", "/cmd_vel", "/robotctl/journal", "/robot_status", "/robotctl/marks")

@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.records import Metadata
 from rosbags.highlevel import AnyReader
 
 from robotctl.base.errors import Refused, UnreadableFile
@@ -38,7 +39,15 @@ from robotctl.recording.format.names import (
     EventKind,
 )
 from robotctl.recording.format.recorded_events import RecordedEvent
-from robotctl.recording.keep.clip import Clip, ClipJob, Moment, cut_clip, make_clip, remaining_s
+from robotctl.recording.keep.clip import (
+    Clip,
+    ClipJob,
+    Moment,
+    cut_clip,
+    make_clip,
+    records_of_clip,
+    remaining_s,
+)
 from robotctl.recording.keep.clip_origin import compare_with_source
 from robotctl.recording.keep.listing import list_recording
 from robotctl.testing.drives import (
@@ -177,6 +186,12 @@ def test_a_clip_says_of_what_it_is_one(driven_recording: Path, tmp_path: Path) -
     with AnyReader([target]) as bag:
         assert {each.topic for each in bag.connections} == {t.name for t in info.topics}
         assert bag.message_count == info.message_count
+
+
+@pytest.mark.parametrize(("mode", "kept"), [("MOVING", {}), ("observing", {"mode": "observing"})])
+def test_of_the_modes_a_clip_keeps_that_of_an_observer(mode: str, kept: dict[str, str]) -> None:
+    (copied,) = records_of_clip([Metadata("robotctl", {"mode": mode})], (0, 1))
+    assert copied == ("robotctl", kept)
 
 
 @settings(max_examples=25)

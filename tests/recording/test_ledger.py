@@ -34,7 +34,12 @@ from robotctl.recording.keep.listing import list_recording
 from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.read.journal_reader import read_journal
 from robotctl.recording.write import bag_writer
-from robotctl.recording.write.channel_state import MAX_PUBLISHERS, ChannelState, SequenceGaps
+from robotctl.recording.write.channel_state import (
+    MAX_LATCHED,
+    MAX_PUBLISHERS,
+    ChannelState,
+    SequenceGaps,
+)
 from robotctl.testing.drives import START_NS, TWIST, drive, record
 from robotctl.testing.faults import FailingFile, chunks_of
 from tests.support.recordings import read_strictly, recorded, salvaged, write_numbered
@@ -138,6 +143,13 @@ def test_a_latched_message_without_memory_gives_back_the_room_of_the_one_before(
     assert channel.keep_latched(b"gid", bytes(100), 0, 0, 0, 1000) == 100
     assert channel.keep_latched(b"gid", Endless(10), 0, 0, 1, 900) == -100
     assert (channel.latched_messages(), channel.not_kept) == ([], 1)
+
+
+def test_a_latched_message_that_gives_way_to_another_publisher_is_counted() -> None:
+    channel = ChannelState(Topic("/map", "a/msg/A", offered_qos="durability: transient_local"))
+    for number in range(MAX_LATCHED + 3):
+        channel.keep_latched(bytes([number]), b"", number, 0, 0, 1000)
+    assert (channel.latched_messages()[0].log_ns, channel.not_kept) == (3, 3)
 
 
 def recorded_twice(folder: Path) -> tuple[Path, bytes]:

@@ -36,12 +36,7 @@ from robotctl.kernel.types.events import LeaseLost, LeaseRequested, ParameterReq
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, encode
 from robotctl.recording.keep.listing import recordings_in
-from robotctl.testing.drives import (
-    BEGIN_NS,
-    Written,
-    drive,
-    record,
-)
+from robotctl.testing.drives import BEGIN_NS, Written, drive, record
 
 
 def checked(folder: Path, written: list[Written], version: str = __version__) -> Report:
@@ -87,9 +82,7 @@ here = partial(judge_here, processes=local_threads)
 
 
 def judged(
-    folder: Path,
-    baseline: Baseline | None = None,
-    settings: Mapping[str, str] | None = None,
+    folder: Path, baseline: Baseline | None = None, settings: Mapping[str, str] | None = None
 ) -> GateReport:
     """Judge all recordings of a folder; results are kept there."""
     store = ResultStore(folder / RESULTS)

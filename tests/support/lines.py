@@ -31,11 +31,7 @@ class Told:
     def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
         """Start the process and wait until it is ready."""
         self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=environment,
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
         )
         if self._read() != "ready\n":
             self.close()

@@ -11,12 +11,7 @@ from typing import Any
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import Twist, TwistStamped
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import (
-    ChangeState,
-    GetAvailableStates,
-    GetAvailableTransitions,
-    GetState,
-)
+from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Log, LoggerLevel, ParameterEvent
 from rcl_interfaces.srv import GetLoggerLevels, SetLoggerLevels

@@ -158,11 +158,7 @@ class World:
         (packages / "rclpy" / "__init__.py").write_text("raise ImportError('the foreign one')\n")
         (ros / "lib" / "librcl.so").write_bytes(b"no library")
         (ros / "share" / "rclpy").mkdir(parents=True)
-        paths = {
-            "PYTHONPATH": packages,
-            "LD_LIBRARY_PATH": ros / "lib",
-            "AMENT_PREFIX_PATH": ros,
-        }
+        paths = {"PYTHONPATH": packages, "LD_LIBRARY_PATH": ros / "lib", "AMENT_PREFIX_PATH": ros}
         for variable, path in paths.items():
             known = self.environment.get(variable)
             self.environment[variable] = f"{path}:{known}" if known else str(path)

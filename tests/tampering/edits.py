@@ -233,9 +233,7 @@ def _renumbered(entries: Sequence[JournalEntry | None]) -> list[JournalEntry | N
     return again
 
 
-def without(
-    name: str,
-) -> Callable[[list[JournalEntry], Random], Sequence[JournalEntry | None]]:
+def without(name: str) -> Callable[[list[JournalEntry], Random], Sequence[JournalEntry | None]]:
     """Drop an event of this name with its effects, but not the last one, as a kill does."""
 
     def change(entries: list[JournalEntry], random: Random) -> Sequence[JournalEntry | None]:

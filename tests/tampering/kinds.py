@@ -303,7 +303,7 @@ PRETENDED: Mapping[str, Kind] = {
 FORGED_NAMES: Mapping[str, Kind] = {
     "metadata: only observed, the journal received, motion added for 10 s": together(
         OBSERVED, _DRIVEN_ON
-    ),
+    )
 }
 """Edits that only the seal shows."""
 
@@ -401,20 +401,10 @@ ACCEPTED: Mapping[str, tuple[Kind, str]] = {
 """Edits that look like an honest recording, with the reason. A sealed recording shows them."""
 
 
-FOUND: Mapping[str, Kind] = {
-    **IN_TOPICS,
-    **IN_JOURNAL,
-    **AT_THE_END,
-    **PRETENDED,
-}
+FOUND: Mapping[str, Kind] = {**IN_TOPICS, **IN_JOURNAL, **AT_THE_END, **PRETENDED}
 """Edits that a check finds: its verdict is not `same`."""
 
-FORGED: Mapping[str, Kind] = {
-    **FORGED_EVENTS,
-    **FORGED_NAMES,
-    **FORGED_SCHEMAS,
-    **FORGED_MESSAGES,
-}
+FORGED: Mapping[str, Kind] = {**FORGED_EVENTS, **FORGED_NAMES, **FORGED_SCHEMAS, **FORGED_MESSAGES}
 """Edits of each sort that only a forger of an unsealed file makes: the seal shows them."""
 
 ON_A_BUTTON: Mapping[str, Kind] = {

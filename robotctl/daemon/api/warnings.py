@@ -106,7 +106,7 @@ def of_recording(recorder: FlightRecorder, stats: RecorderStats) -> Iterator[str
     if stats.not_repeated:
         yield (
             f"{stats.not_repeated} latched messages are recorded once and not repeated in "
-            "later files: together they are larger than the room kept for that"
+            "later files: they are larger than the room kept for that, or of too many publishers"
         )
     yield from recorder.problems()
 

@@ -29,7 +29,7 @@ MAX_NAMED: Final = 10
 class DiskReserve:
     """Stops recording topics, the heaviest first, while less than `least_bytes` are free.
 
-    `gates` has the MessageGates of each topic that may be stopped. For the loop's thread.
+    `gates` has the MessageGates of each topic that may be stopped. Use only in the loop's thread.
     """
 
     def __init__(self, least_bytes: int, gates: Mapping[str, Sequence[MessageGate]]) -> None:

@@ -270,7 +270,7 @@ def _own_topics(config: Config) -> list[str]:
 
 def _evidence_topics(config: Config) -> list[str]:
     """Return the topics that a check of the decisions needs: journal, commands, inputs, calls."""
-    used = [str(name) for key, name in flat(config).items() if key.endswith(".topic") and name]
+    used = [str(name) for key, name in flat(config).items() if key.endswith("topic") and name]
     own = (
         publishers.JOURNAL_TOPIC,
         mode_service.STATUS,

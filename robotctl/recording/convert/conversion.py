@@ -15,12 +15,7 @@ from robotctl.base.errors import UnreadableFile
 from robotctl.recording.convert.sources import ConvertibleFile, Sources
 from robotctl.recording.disk.atomic_output import atomic_output
 from robotctl.recording.disk.storage import DiskFile
-from robotctl.recording.format.names import (
-    CONVERSION_RECORD,
-    LEDGER_RECORD,
-    LIBRARY,
-    Compression,
-)
+from robotctl.recording.format.names import CONVERSION_RECORD, LEDGER_RECORD, LIBRARY, Compression
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import (
     METADATA_RECORD,

@@ -19,6 +19,9 @@ LIBRARY = OWN_LIBRARY + robotctl.__version__
 INFO_RECORD = "robotctl"
 """The robot, and what made the recording; written when a file begins."""
 
+OBSERVING = "observing"
+"""The mode of a recorder that drives no robot. The robot it observes may have the same name."""
+
 PARAMETER_PREFIX = "parameter."
 """The beginning of the keys in INFO_RECORD that are parameters."""
 

@@ -27,6 +27,7 @@ from robotctl.recording.format.names import (
     EVENT_RECORD,
     LEDGER_RECORD,
     LIBRARY,
+    OBSERVING,
     RECOVERY_RECORD,
     Compression,
     EventKind,
@@ -52,7 +53,7 @@ def records_of_clip(
 ) -> Iterator[tuple[str, Mapping[str, str]]]:
     """Yield name and values of each metadata record that a clip of `window` copies.
 
-    For each name in OF_EACH_FILE only the last record is yielded, without its key `mode`.
+    For each name in OF_EACH_FILE only the last record is yielded, without the mode of a robot.
     """
     records = list(recorded)
     for record in records:
@@ -61,7 +62,7 @@ def records_of_clip(
     last = {record.name: record.metadata for record in records}
     for name in OF_EACH_FILE:
         if name in last:
-            yield name, {key: value for key, value in last[name].items() if key != "mode"}
+            yield name, {k: v for k, v in last[name].items() if k != "mode" or v == OBSERVING}
     for event in events_in(records):
         if window[0] <= event.log_ns <= window[1]:
             yield EVENT_RECORD, event.values()

@@ -12,12 +12,7 @@ from typing import Final
 from mcap.records import Channel, Schema
 
 from robotctl.base.errors import UnreadableFile
-from robotctl.recording.format.names import (
-    CLIP_RECORD,
-    CONVERSION_RECORD,
-    LIBRARY,
-    RECOVERY_RECORD,
-)
+from robotctl.recording.format.names import CLIP_RECORD, CONVERSION_RECORD, LIBRARY, RECOVERY_RECORD
 from robotctl.recording.format.recorded_events import events_in
 from robotctl.recording.format.records import type_name_of
 from robotctl.recording.format.rosbag2 import (

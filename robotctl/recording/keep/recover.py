@@ -213,8 +213,5 @@ def recover_folder(
             raise Refused(f"cannot write {target}: {error.strerror}") from error
         raise
     return RecoveryReport(
-        target,
-        count,
-        sum(report.attachment_count for report in saved),
-        tuple(lost),
+        target, count, sum(report.attachment_count for report in saved), tuple(lost)
     )

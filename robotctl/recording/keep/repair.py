@@ -44,11 +44,7 @@ from robotctl.recording.read.indexing import (
     read_written_file,
 )
 from robotctl.recording.read.read_limits import Damaged
-from robotctl.recording.read.records import (
-    MESSAGE_FIELDS,
-    InputFile,
-    walk_records,
-)
+from robotctl.recording.read.records import MESSAGE_FIELDS, InputFile, walk_records
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
 

@@ -18,12 +18,7 @@ from robotctl.recording.disk.atomic_output import replaced_file
 from robotctl.recording.format.names import derived_files
 from robotctl.recording.format.rosbag2 import METADATA_FILE, BagFile, write_metadata
 from robotctl.recording.format.topics import Topic
-from robotctl.recording.keep.listing import (
-    CLIPS_FOLDER,
-    CatalogFile,
-    CatalogFolder,
-    own_recordings,
-)
+from robotctl.recording.keep.listing import CLIPS_FOLDER, CatalogFile, CatalogFolder, own_recordings
 from robotctl.recording.read.file_index import FileIndex, topic_of
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.read_limits import Damaged

@@ -308,13 +308,6 @@ def read_chunk_index(data: bytes, position: int, end: int) -> tuple[Place, int]:
     if stored != stored_size_of(length, compression):
         raise Damaged("its summary gives two sizes for the same chunk")
     place = Place(
-        PlaceKind.CHUNK,
-        offset,
-        length,
-        start_ns,
-        end_ns,
-        channels or None,
-        unpacked,
-        compression,
+        PlaceKind.CHUNK, offset, length, start_ns, end_ns, channels or None, unpacked, compression
     )
     return place, offset + length + indexes_length

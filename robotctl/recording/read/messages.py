@@ -15,11 +15,7 @@ from typing import Final, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from robotctl.recording.format.names import (
-    CLIP_RECORD,
-    LEDGER_RECORD,
-    RECOVERY_RECORD,
-)
+from robotctl.recording.format.names import CLIP_RECORD, LEDGER_RECORD, RECOVERY_RECORD
 from robotctl.recording.format.records import PlainMessage, type_name_of
 from robotctl.recording.format.rosbag2 import message_counts_in, total_count_in
 from robotctl.recording.format.topics import read_ledger

@@ -69,9 +69,7 @@ def check_chain(files: Iterable[WholeFile]) -> Chain:
     return chain
 
 
-def _without_copies(
-    pairs: Sequence[tuple[Opening, WholeFile]],
-) -> list[tuple[Opening, WholeFile]]:
+def _without_copies(pairs: Sequence[tuple[Opening, WholeFile]]) -> list[tuple[Opening, WholeFile]]:
     """Return the files sorted by number, with a copy only if its original is not among them."""
     originals = {opening.number for opening, file in pairs if not file.seal.is_copy}
     copies = {opening.number: (opening, file) for opening, file in pairs if file.seal.is_copy}

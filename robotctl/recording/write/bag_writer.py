@@ -33,13 +33,7 @@ def repeats(
     `split_bytes`, only the smallest are returned; the rest is counted in `not_repeated`.
     """
     latched = [
-        (
-            channel,
-            message.data,
-            newest_ns or message.log_ns,
-            message.publish_ns,
-            message.sequence,
-        )
+        (channel, message.data, newest_ns or message.log_ns, message.publish_ns, message.sequence)
         for channel, state in enumerate(channels)
         for message in state.latched_messages()
     ]

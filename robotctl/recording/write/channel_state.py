@@ -99,7 +99,7 @@ class ChannelState:
     """Changed by the loop: log time of the last message."""
 
     not_kept: int = 0
-    """Changed by the loop: latched messages not kept for lack of memory; later files lack them."""
+    """Changed by the loop: latched messages not kept in memory; later files lack them."""
 
     dropped_by_loop: int = 0
     """Changed by the loop: dropped because there was no room, or because the recorder has ended."""
@@ -144,6 +144,7 @@ class ChannelState:
 
         Return the change in memory use [bytes]. If this change would exceed `room`, `data` is
         only counted in `not_kept`, and the previous message is discarded, as it is out of date.
+        The oldest of MAX_LATCHED messages gives way to that of a new publisher, and is counted too.
         """
         if self.latched is None:
             return 0
@@ -157,6 +158,7 @@ class ChannelState:
             self.not_kept += 1
             return -freed
         if len(self.latched) >= MAX_LATCHED:
+            self.not_kept += 1
             freed += len(self.latched.pop(next(iter(self.latched))).data)
         log_ns = min(max(log_ns, 0), MAX_TIME_NS)
         publish_ns = min(max(publish_ns, 0), MAX_TIME_NS)

@@ -12,13 +12,7 @@ from hashlib import sha256
 from typing import Final, Protocol
 
 from robotctl.recording.disk.storage import Buffer
-from robotctl.recording.format.seal_records import (
-    Link,
-    LinkKind,
-    Opening,
-    SealOfFile,
-    chained,
-)
+from robotctl.recording.format.seal_records import Link, LinkKind, Opening, SealOfFile, chained
 
 LINK_PERIOD_S: Final = 10.0
 """Period of the links in the data [s]; the head in the summary is written with each commit."""

@@ -31,10 +31,7 @@ class TopicFilter:
     """
 
     def __init__(
-        self,
-        include: Iterable[str] = (),
-        exclude: Iterable[str] = (),
-        always: Iterable[str] = (),
+        self, include: Iterable[str] = (), exclude: Iterable[str] = (), always: Iterable[str] = ()
     ) -> None:
         self._include = [TopicPattern(text) for text in include]
         self._exclude = [TopicPattern(text) for text in exclude]

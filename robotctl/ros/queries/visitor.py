@@ -28,7 +28,7 @@ _POLL_S: Final = 0.01
 
 
 class Visitor(Membership):
-    """A node in the domain for one command; a wait is cancelled when the command closes stdin."""
+    """A node in the domain for one command, whose process cancels our wait by closing our stdin."""
 
     def __init__(self, domain_id: int) -> None:
         super().__init__(domain_id, f"{LOOK_NODE}{os.getpid()}")

@@ -43,7 +43,7 @@ def lease() -> None:
 
 @group.command()
 def release(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
-    """Release the lease of this shell; a robot that moves ramps down.
+    """Release the lease of this shell; if the robot is moving, it ramps down.
 
     It works where ROBOTCTL_LEASE holds the token, as in the command that `lease take` runs.
 
