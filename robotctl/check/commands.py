@@ -226,8 +226,8 @@ class CommandPairs:
         self._base = 0
         """The number of the last command before counting began; 0 if there was none."""
 
-        self._base_ns, self._has_begun = 0, False
-        """When counting began (steady), and whether a command after `_base` was read since."""
+        self._base_ns = 0
+        """When counting began (steady)."""
 
         self._paired: tuple[int, int] | None = None
         """The first and the newest number that was paired since counting began."""
@@ -251,10 +251,8 @@ class CommandPairs:
         if not self.is_counting:
             return
         if self._base and not follows(number, self._base):
-            if not self._has_begun or self._t_ns - self._base_ns <= EDGE_NS:
+            if self._t_ns - self._base_ns <= EDGE_NS:
                 return  # it was decided before the recording began
-        else:
-            self._has_begun = True
         self._places += 1
         sent = SentCommand(numbers_of(data), publish_ns, self._t_ns, self._places)
         self._waiting.slot(number).sent.append(sent)
@@ -273,7 +271,7 @@ class CommandPairs:
         if not self.is_counting or more:
             self.stop()
             self._number = self._base = number
-            self._base_ns, self._has_begun = t_ns, False
+            self._base_ns = t_ns
             self.is_counting = True
 
     def stop(self) -> None:

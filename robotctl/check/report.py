@@ -66,12 +66,12 @@ class Verdict(StrEnum):
     """A new kernel of the version that made the recording decides differently."""
 
     BROKEN = "broken"
-    """The kernel decides the same, but the recording breaks an invariant."""
+    """An invariant, the journal's CRC, the loss ledger or a message contradicts the decisions."""
 
     INCOMPLETE = "incomplete"
     """Not everything could be checked, or another version decided by other rules.
 
-    All that could be checked is correct.
+    Nothing wrong was proved; what is missing may excuse the differences in the notes.
     """
 
     SAME = "same"

@@ -9,10 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.check.commands import numbers_of
+from robotctl.check.commands import CommandPairs, numbers_of
 from robotctl.check.report import Report, Verdict
 from robotctl.check.run import check_recording
-from robotctl.kernel.types import ForeignCommandHeard, LoopStalled, ModeRequested, Twist
+from robotctl.kernel.codec import Proof
+from robotctl.kernel.types import ForeignCommandHeard, LoopStalled, ModeRequested, Tick, Twist
+from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.motion import encode_twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested
@@ -187,3 +189,15 @@ def test_a_big_endian_command_is_read() -> None:
     little = encode_twist(Twist(0.1, 0.2))
     values = b"".join(little[i : i + 8][::-1] for i in range(4, 52, 8))
     assert numbers_of(b"\x00\x00\x00\x00" + values) == numbers_of(little)
+
+
+@pytest.mark.parametrize(("later_ns", "extra"), [(NS_PER_S, 0), (3 * NS_PER_S, 1)])
+def test_a_number_of_before_the_first_snapshot_is_old_only_for_a_while(
+    later_ns: int, extra: int
+) -> None:
+    pairs = CommandPairs()
+    pairs.resume(Proof(5000, 0), 1)
+    pairs.step(Tick(later_ns), (), (later_ns, 0, 0))
+    pairs.message(10, encode_twist(Twist(0.3, 0.0)), 0)
+    pairs.end(0, is_own=True, is_closed=True)
+    assert pairs.counts.extra == extra
