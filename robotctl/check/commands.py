@@ -250,9 +250,9 @@ class CommandPairs:
         """
         if not self.is_counting:
             return
-        if self._base and not follows(number, self._base):
-            if self._t_ns - self._base_ns <= EDGE_NS:
-                return  # it was decided before the recording began
+        is_early = self._t_ns - self._base_ns <= EDGE_NS
+        if is_early and self._base and not follows(number, self._base):
+            return  # it was decided before the recording began
         self._places += 1
         sent = SentCommand(numbers_of(data), publish_ns, self._t_ns, self._places)
         self._waiting.slot(number).sent.append(sent)
