@@ -121,60 +121,55 @@ class SimFaultParams(Struct, frozen=True, forbid_unknown_fields=True):
     source: Source
 
 
-class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `drive`: a pattern and how to drive it; None stands for a default.
+class MotionParams(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What all requests for a motion say: who asks, and whether it replaces a running one."""
+
+    source: Source
+    replace: bool = False
+    wait: bool = False
+    reason: Reason = ""
+    lease: Token | None = None
+
+
+class CourseParams(MotionParams, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How a pattern or path is driven; None stands for a default.
 
     The configuration sets the default speed, and a speed limit that may be below MAX_SPEED_MPS.
     """
 
-    pattern: PatternKind
-    source: Source
-    side_m: Size | None = None
-    radius_m: Size | None = None
-    length_m: Size | None = None
-    corner_m: Annotated[float, Meta(ge=MIN_CORNER_M, le=MAX_CORNER_M)] | None = None
-    angle_rad: Annotated[float, Meta(ge=-MAX_ANGLE_RAD, le=MAX_ANGLE_RAD)] | None = None
     reverse: bool = False
     open_loop: bool = False
     laps: Annotated[int, Meta(ge=0, le=MAX_LAPS)] | None = None
     """0: drive until stopped."""
     speed_mps: Annotated[float, Meta(ge=MIN_SPEED_MPS, le=MAX_SPEED_MPS)] | None = None
-    replace: bool = False
-    wait: bool = False
-    reason: Reason = ""
-    lease: Token | None = None
 
 
-class DrivePathParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `drive_path`: waypoints (x, y) [m] in `frame`. See `DriveParams`."""
+class DriveParams(CourseParams, frozen=True, forbid_unknown_fields=True):
+    """The parameters of `drive`: a pattern and its sizes; None stands for a default."""
+
+    pattern: PatternKind
+    side_m: Size | None = None
+    radius_m: Size | None = None
+    length_m: Size | None = None
+    corner_m: Annotated[float, Meta(ge=MIN_CORNER_M, le=MAX_CORNER_M)] | None = None
+    angle_rad: Annotated[float, Meta(ge=-MAX_ANGLE_RAD, le=MAX_ANGLE_RAD)] | None = None
+
+
+class DrivePathParams(CourseParams, frozen=True, forbid_unknown_fields=True):
+    """The parameters of `drive_path`: waypoints (x, y) [m] in `frame`; by default 1 lap."""
 
     points: Annotated[list[tuple[float, float]], Meta(min_length=2, max_length=MAX_POINTS)]
-    source: Source
     frame: Frame = Frame.START
     corner_m: Annotated[float, Meta(ge=0.0, le=MAX_CORNER_M)] | None = None
-    reverse: bool = False
-    open_loop: bool = False
-    laps: Annotated[int, Meta(ge=0, le=MAX_LAPS)] | None = None
-    """0: drive until stopped; None: 1 lap."""
-    speed_mps: Annotated[float, Meta(ge=MIN_SPEED_MPS, le=MAX_SPEED_MPS)] | None = None
-    replace: bool = False
-    wait: bool = False
-    reason: Reason = ""
-    lease: Token | None = None
 
 
-class DriveVelocityParams(Struct, frozen=True, forbid_unknown_fields=True):
+class DriveVelocityParams(MotionParams, frozen=True, forbid_unknown_fields=True):
     """The parameters of `drive_velocity`: a velocity for `for_s` seconds, then a ramp down."""
 
     linear_mps: Annotated[float, Meta(ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS)]
     angular_rps: Annotated[float, Meta(ge=-MAX_TURNING_RPS, le=MAX_TURNING_RPS)]
     for_s: Annotated[float, Meta(ge=MIN_HELD_S, le=MAX_HELD_S)]
-    source: Source
     quiet_s: Annotated[float, Meta(ge=0.0, le=MAX_QUIET_S)] = 0.0
-    replace: bool = False
-    wait: bool = False
-    reason: Reason = ""
-    lease: Token | None = None
 
 
 class HoldParams(Struct, frozen=True, forbid_unknown_fields=True):

@@ -206,7 +206,7 @@ async def test_a_path_becomes_a_request_to_drive_its_points_once() -> None:
     motion: Any = None
     drive = DrivingMethods(control, motion).table()["drive_path"].handler
     points = [(0.0, 0.0), (1.0, 2.0)]
-    await drive(DrivePathParams(points, "test", Frame.ODOM, corner_m=0.0, reverse=True))
+    await drive(DrivePathParams(points, Frame.ODOM, corner_m=0.0, reverse=True, source="test"))
     event = control.event
     assert (event.laps, event.pattern.speed_mps) == (1, 0.5)
     assert event.course == Course(
@@ -229,11 +229,11 @@ async def test_a_velocity_becomes_a_request_and_is_refused_above_the_limits() ->
     control: Any = ListeningControl(ENDED, Mode.MOVING)
     motion: Any = None
     drive = DrivingMethods(control, motion).table()["drive_velocity"].handler
-    await drive(DriveVelocityParams(0.2, -0.5, 2.0, "test"))
+    await drive(DriveVelocityParams(0.2, -0.5, 2.0, source="test"))
     assert control.event.course == Course(held=Held(0.2, -0.5, 2.0))
     for linear_mps, angular_rps in ((-0.7, 0.0), (0.0, 1.6)):
         with pytest.raises(UsageError, match=r"is above limits\.(linear|angular)"):
-            await drive(DriveVelocityParams(linear_mps, angular_rps, 2.0, "test"))
+            await drive(DriveVelocityParams(linear_mps, angular_rps, 2.0, source="test"))
 
 
 OWN = bytes.fromhex("010f1a2b") + bytes(12)

@@ -29,6 +29,7 @@ from robotctl.ipc.method_params import (
     DrivePathParams,
     DriveVelocityParams,
     EndDriveParams,
+    MotionParams,
     NoParams,
     ResetParams,
     SetModeParams,
@@ -222,11 +223,7 @@ class DrivingMethods:
         return await self._run(params, self.pattern(None), 1, course)
 
     async def _run(
-        self,
-        params: DriveParams | DrivePathParams | DriveVelocityParams,
-        pattern: Pattern,
-        laps: int,
-        course: Course,
+        self, params: MotionParams, pattern: Pattern, laps: int, course: Course
     ) -> DriveAnswer:
         """Request a drive, wait for its end if `params.wait` is set, and return the answer.
 
