@@ -9,12 +9,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from robotctl.base.errors import UsageError
-from robotctl.ipc.protocol import (
-    MAX_GRAPH_NAME,
-    MAX_MARK_LENGTH,
-    MAX_REASON,
-    REASON_PATTERN,
-)
+from robotctl.ipc.protocol import MAX_GRAPH_NAME, MAX_MARK_LENGTH, MAX_REASON, REASON_PATTERN
 from robotctl.kernel.course import (
     MAX_ANGLE_RAD,
     MAX_CORNER_M,

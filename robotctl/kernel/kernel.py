@@ -80,10 +80,7 @@ MAX_WAITING = 64
 
 STOPPING_REFUSAL = "the robot is stopping: ask again when it is IDLE"
 
-_OPERATOR_CAUSES = {
-    Mode.ERROR: Cause.OPERATOR_ERROR,
-    Mode.EMERGENCY_STOP: Cause.OPERATOR_STOP,
-}
+_OPERATOR_CAUSES = {Mode.ERROR: Cause.OPERATOR_ERROR, Mode.EMERGENCY_STOP: Cause.OPERATOR_STOP}
 
 VALID_MODES = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
 
@@ -392,13 +389,7 @@ class Kernel:
         self._start(event.t_ns, event.request_id, event.pattern, event.course, event.laps, reason)
 
     def _start(
-        self,
-        t_ns: int,
-        request_id: int,
-        pattern: Pattern,
-        course: Course,
-        laps: int,
-        reason: str,
+        self, t_ns: int, request_id: int, pattern: Pattern, course: Course, laps: int, reason: str
     ) -> None:
         self._notice_gap(t_ns)
         finding = failed_start_condition(self.state.health, self.params, t_ns)

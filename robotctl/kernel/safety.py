@@ -120,20 +120,10 @@ RULES: tuple[Rule, ...] = (
         Remedy.STOP_ONE_ODOMETRY_PUBLISHER,
     ),
     _rule(Cause.FENCE_LEFT, Mode.ERROR, _MOVING, checks.fence_left, Remedy.BRING_BACK),
-    _rule(
-        Cause.OBSTACLE_NEAR,
-        Mode.ERROR,
-        _MOVING,
-        input_checks.obstacle_near,
-        Remedy.CLEAR_PATH,
-    ),
+    _rule(Cause.OBSTACLE_NEAR, Mode.ERROR, _MOVING, input_checks.obstacle_near, Remedy.CLEAR_PATH),
     _rule(Cause.SCAN_LOST, Mode.ERROR, _MOVING, input_checks.scan_lost, Remedy.CHECK_SCAN),
     _rule(
-        Cause.BUMPER_PRESSED,
-        Mode.ERROR,
-        _MOVING,
-        input_checks.bumper_pressed,
-        Remedy.FREE_ROBOT,
+        Cause.BUMPER_PRESSED, Mode.ERROR, _MOVING, input_checks.bumper_pressed, Remedy.FREE_ROBOT
     ),
     _rule(Cause.TILTED, Mode.ERROR, _MOVING, input_checks.tilted, Remedy.FREE_ROBOT),
     _rule(Cause.BASE_FAULT, Mode.ERROR, _MOVING, input_checks.base_fault, Remedy.CHECK_BASE),

@@ -260,12 +260,7 @@ class Replay:
             )
         return player
 
-    def _run_player(
-        self,
-        player: Player,
-        ahead: ReadAhead,
-        guard: ReplayGuard,
-    ) -> None:
+    def _run_player(self, player: Player, ahead: ReadAhead, guard: ReplayGuard) -> None:
         """Run the player in a thread; meanwhile send progress and check safety."""
         failures: list[BaseException] = []
         scheduling: list[FifoScheduling] = []

@@ -9,13 +9,7 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import (
-    MISSING,
-    FrozenInstanceError,
-    dataclass,
-    fields,
-    is_dataclass,
-)
+from dataclasses import MISSING, FrozenInstanceError, dataclass, fields, is_dataclass
 from enum import Enum
 from importlib import import_module
 from math import inf, nan

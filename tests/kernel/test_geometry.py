@@ -168,8 +168,7 @@ def test_a_side_of_a_polygon_may_slant(x: float, y: float, inside: bool) -> None
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "inside"),
-    [(0.0, 1.0, True), (1.0, 0.0, True), (2.0, 1.0, False), (1.0, 2.0, False)],
+    ("x", "y", "inside"), [(0.0, 1.0, True), (1.0, 0.0, True), (2.0, 1.0, False), (1.0, 2.0, False)]
 )
 def test_the_left_and_the_lower_side_of_an_area_belong_to_it_alone(
     x: float, y: float, inside: bool

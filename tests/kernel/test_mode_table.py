@@ -147,8 +147,7 @@ def mutants() -> Iterator[tuple[str, tuple[Mode, Trigger], Transition]]:
 
 
 @pytest.mark.parametrize(
-    ("key", "mutant"),
-    [pytest.param(key, mutant, id=name) for name, key, mutant in mutants()],
+    ("key", "mutant"), [pytest.param(key, mutant, id=name) for name, key, mutant in mutants()]
 )
 def test_every_mutated_row_is_caught(
     monkeypatch: pytest.MonkeyPatch, key: tuple[Mode, Trigger], mutant: Transition

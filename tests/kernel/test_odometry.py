@@ -18,13 +18,7 @@ from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import MIN_SIZE_M, Pattern, PatternKind
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import remedies_for
-from robotctl.kernel.types import (
-    ZERO,
-    Cause,
-    Odometry,
-    OdometrySourceFound,
-    OdomReceived,
-)
+from robotctl.kernel.types import ZERO, Cause, Odometry, OdometrySourceFound, OdomReceived
 from robotctl.kernel.units import NS_PER_S
 from robotctl.testing.kernels import (
     TICK_NS,

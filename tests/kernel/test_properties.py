@@ -232,10 +232,7 @@ def test_every_allowed_configuration_keeps_every_promise(
 class AnyHistory(RuleBasedStateMachine):
     """A robot whose inputs are plausible most of the time."""
 
-    @initialize(
-        laps=st.integers(0, 1),
-        begin=st.sampled_from((None, "latched")),
-    )
+    @initialize(laps=st.integers(0, 1), begin=st.sampled_from((None, "latched")))
     def begin(self, laps: int, begin: str | None) -> None:
         self.bench = Bench(state=latched("before") if begin else State())
         self.auditor = Auditor(self.bench.state, self.bench.kernel.params)

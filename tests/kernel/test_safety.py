@@ -28,15 +28,7 @@ from robotctl.kernel.types import (
     SafetyInputReceived,
     Tick,
 )
-from robotctl.testing.kernels import (
-    Bench,
-    in_mode,
-    moving,
-    ready,
-    reset,
-    start,
-    stopped_by,
-)
+from robotctl.testing.kernels import Bench, in_mode, moving, ready, reset, start, stopped_by
 
 DAEMON_CAUSES = (Cause.TASK_DIED, Cause.RECORDER_FAILED, Cause.UNREACHABLE)
 

@@ -31,14 +31,7 @@ from robotctl.kernel.types.events import (
     ScanReceived,
     Tick,
 )
-from robotctl.kernel.types.values import (
-    ZERO,
-    Cause,
-    Odometry,
-    Phase,
-    Twist,
-    changed,
-)
+from robotctl.kernel.types.values import ZERO, Cause, Odometry, Phase, Twist, changed
 
 __all__ = [
     "ZERO",
