@@ -26,6 +26,7 @@ from robotctl.check.report import Report
 from robotctl.check.times import ClockChanges
 from robotctl.check.topics import RobotTopics
 from robotctl.kernel.codec import Proof, Snapshot
+from robotctl.kernel.state import Health
 from robotctl.kernel.types import (
     CommandPublishersSeen,
     Effect,
@@ -150,6 +151,13 @@ class OtherPublishers:
         self._seen: deque[tuple[int, float]] = deque(maxlen=10_000)
         """Begin and end of each period."""
 
+    def begin(self, health: Health, t_ns: int) -> None:
+        """Note what a snapshot at `t_ns` knows of publishers that were noticed before it."""
+        topic = health.command_topic
+        if topic.foreign_t_ns is not None:
+            self._seen.append((topic.foreign_t_ns, topic.foreign_t_ns))
+        self.step(CommandPublishersSeen(t_ns, health.foreign_publishers))
+
     def step(self, event: Event) -> None:
         """Note what an event says about other publishers."""
         is_there = bool(self._seen) and self._seen[-1][1] == inf
@@ -257,8 +265,8 @@ class CommandPairs:
         sent = SentCommand(numbers_of(data), publish_ns, self._t_ns, self._places)
         self._waiting.slot(number).sent.append(sent)
 
-    def resume(self, proof: Proof, t_ns: int) -> None:
-        """Continue from a snapshot, with the number of commands in its proof."""
+    def resume(self, proof: Proof, health: Health, t_ns: int) -> None:
+        """Continue from a snapshot with its proof, which counts the commands before it."""
         number = proof.commands & MAX_SEQUENCE
         more = (proof.commands - self._number) & MAX_SEQUENCE
         was_moving = bool(self._recent) and not is_zero(self._recent[-1].numbers)
@@ -272,6 +280,7 @@ class CommandPairs:
             self.stop()
             self._number = self._base = number
             self._base_ns = t_ns
+            self._others.begin(health, t_ns)
             self.is_counting = True
 
     def stop(self) -> None:
@@ -460,7 +469,7 @@ class CommandCheck:
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
         """Continue from a snapshot."""
         if snapshot.proof is not None:
-            self._pairs.resume(snapshot.proof, t_ns)
+            self._pairs.resume(snapshot.proof, snapshot.state.health, t_ns)
 
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""

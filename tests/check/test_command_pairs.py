@@ -13,6 +13,7 @@ from robotctl.check.commands import CommandPairs, numbers_of
 from robotctl.check.report import Report, Verdict
 from robotctl.check.run import check_recording
 from robotctl.kernel.codec import Proof
+from robotctl.kernel.state import Health
 from robotctl.kernel.types import ForeignCommandHeard, LoopStalled, ModeRequested, Tick, Twist
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.motion import encode_twist
@@ -196,7 +197,7 @@ def test_a_number_of_before_the_first_snapshot_is_old_only_for_a_while(
     later_ns: int, extra: int
 ) -> None:
     pairs = CommandPairs()
-    pairs.resume(Proof(5000, 0), 1)
+    pairs.resume(Proof(5000, 0), Health(), 1)
     pairs.step(Tick(later_ns), (), (later_ns, 0, 0))
     pairs.message(10, encode_twist(Twist(0.3, 0.0)), 0)
     pairs.end(0, is_own=True, is_closed=True)

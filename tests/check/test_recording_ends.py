@@ -22,10 +22,14 @@ from robotctl.check.ends import NOT_COMPARED, SINGLE_FILE
 from robotctl.check.report import Report, Verdict
 from robotctl.check.run import UNNUMBERED, check_recording
 from robotctl.check.topics import MAX_TEXT
+from robotctl.kernel.types import CommandPublishersSeen, Twist
+from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.motion import encode_twist
 from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.recording.format.names import LEDGER_RECORD
 from robotctl.recording.format.rosbag2 import METADATA_RECORD
 from robotctl.recording.read.whole_recording import verify_recording
+from robotctl.testing.drives import BEGIN_NS, drive_requested
 from robotctl.testing.hearing import BATTERY, ODOMETRY
 from tests.support.edited_recordings import Contents, Stored, write_contents
 from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS, heard_drive, status
@@ -398,3 +402,21 @@ def test_a_channel_that_stands_only_in_the_summary_changes_nothing(
     assert verify_recording(target.parent).wrong == ()
     report = check_recording(target.parent)
     assert (report.verdict, report.missing) == (Verdict.SAME, []), report
+
+
+@pytest.mark.parametrize("number", [1, 100_000])
+def test_a_later_file_knows_the_publishers_that_the_file_before_noticed(
+    tmp_path: Path, number: int
+) -> None:
+    seen = CommandPublishersSeen(BEGIN_NS + NS_PER_S, ("/teleop",))
+    drive = heard_drive(
+        tmp_path / "run", 8.0, requests=[drive_requested(), seen], snapshots_s=(0.0, 3.0)
+    )
+    _, later = halves(drive)
+    teleop = Twist(0.7, 0.1)
+    at_ns = later.messages[-1].log_ns
+    later.messages.append(Stored(COMMANDS, encode_twist(teleop), at_ns, at_ns, number))
+    (file,) = write_contents(tmp_path / "later", later).glob("*.mcap")
+    report = check_recording(file.rename(tmp_path / "run_1.mcap"))
+    assert (report.verdict, report.missing) == (Verdict.SAME, [])
+    assert "/teleop published as well" in " ".join(report.notes)
