@@ -139,13 +139,7 @@ def test_a_mode_has_the_same_number_in_the_kernel_and_on_the_wire() -> None:
         ),
         (
             JournalEntry,
-            {
-                "seq": "uint64",
-                "t_ns": "int64",
-                "kind": "uint8",
-                "name": "string",
-                "data": "string",
-            },
+            {"seq": "uint64", "t_ns": "int64", "kind": "uint8", "name": "string", "data": "string"},
         ),
         (SetMode.Request, {"requested_mode": "uint8"}),
         (

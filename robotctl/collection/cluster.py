@@ -13,7 +13,7 @@ from concurrent.futures import CancelledError, Future
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import Empty, Queue
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from robotctl.base.errors import IN_PARENTHESES, Refused, RobotctlError, UsageError
@@ -176,7 +176,7 @@ def _answers(
     if not (scheduler := _scheduler(client)):
         return
     executor = client.get_executor(pure=False)
-    ready: SimpleQueue[Future[Judged]] = SimpleQueue()
+    ready: Queue[Future[Judged]] = Queue()
     jobs: dict[Future[Judged], Path] = {}
     from distributed import KilledWorker
 

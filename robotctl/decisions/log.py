@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import Empty, Queue
 from typing import Any, Final
 
 from robotctl.decisions.journal import (
@@ -85,7 +85,7 @@ class DecisionLog:
         self._now_ns = now_ns
         self._steady_s = steady_s
         self._retry_s = retry_s
-        self._queue: SimpleQueue[Entry | None] = SimpleQueue()
+        self._queue: Queue[Entry | None] = Queue()
         self._problem = ""
         # A daemon thread: a disk that hangs must not delay the end of the process.
         self._thread = threading.Thread(target=self._run, name="decisions", daemon=True)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import faulthandler
 import time
 from collections.abc import Callable, Sized
 from typing import Final, TypeVar
 
 T = TypeVar("T")
-
-FIRST_PAUSE_S: Final = 0.005
-LONGEST_PAUSE_S: Final = 0.05
-"""Pauses between two looks grow, so that a long wait leaves the machine to what is waited for."""
 
 DEADLINE_S: Final = 60.0
 """A wait that takes this long has failed: every condition should hold far sooner."""
@@ -20,11 +17,13 @@ DEADLINE_S: Final = 60.0
 def until(condition: Callable[[], T]) -> T:
     """Wait for a condition, and return its first true result."""
     end = time.monotonic() + DEADLINE_S
-    pause_s = FIRST_PAUSE_S
+    pause_s = 0.005
     while not (answer := condition()):
-        assert time.monotonic() < end, "waited in vain"
+        if time.monotonic() > end:
+            faulthandler.dump_traceback(2)
+            raise AssertionError("waited in vain")
         time.sleep(pause_s)
-        pause_s = min(1.2 * pause_s, LONGEST_PAUSE_S)
+        pause_s = min(1.2 * pause_s, 0.05)  # a long wait leaves the machine to others
     return answer
 
 

@@ -236,11 +236,11 @@ class Recorder:
             return
         if self._buffer.end and self._has_memory(self._chunk_bytes):
             self._change_buffer()
-        self._thread.queue.put(WriterCommand.SPLIT)
+        self._thread.put(WriterCommand.SPLIT)
 
     def add_event(self, event: RecordedEvent) -> None:
         """Store `event` in the metadata of the current file. Never waits."""
-        self._thread.queue.put(event)
+        self._thread.put(event)
 
     def stats(self) -> RecorderStats:
         """Return the current counts. Call it in the loop's thread.
@@ -333,7 +333,7 @@ class Recorder:
         if self._buffer.end:
             self._change_buffer()  # keep the order
         self._acquired += message.size
-        self._thread.queue.put(message)
+        self._thread.put(message)
 
     def _has_memory(self, size: int) -> bool:
         waiting = self._acquired - self._thread.released + self._latched_bytes
@@ -345,7 +345,7 @@ class Recorder:
         buffer = spare.popleft() if spare else PackBuffer(self._chunk_bytes)
         buffer.make_indexes(len(self._channels))
         self._acquired += buffer.size + self._buffer.weigh()
-        self._thread.queue.put(self._buffer)
+        self._thread.put(self._buffer)
         self._buffer = buffer
 
 

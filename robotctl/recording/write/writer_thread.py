@@ -1,4 +1,4 @@
-"""The writer thread: takes packed messages from the queue and writes them.
+"""The writer thread: writes the packed messages that the event loop queues.
 
 A chunk can only be read as a whole. If the evidence topics shared chunks with heavy topics, a check
 of the decisions would read every image of a recording. So the messages of the evidence topics get a
@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import os
 import platform
+import struct
 import threading
 import time
 from array import array
@@ -38,19 +39,8 @@ _SCHED_SETATTR: Final = {"x86_64": 314, "aarch64": 274}
 """Number of the system call `sched_setattr`, which glibc wraps only since 2.41."""
 
 
-class _Attributes(ctypes.Structure):
-    """`struct sched_attr`, first version; see sched_setattr(2)."""
-
-    _fields_ = (
-        ("size", ctypes.c_uint32),
-        ("policy", ctypes.c_uint32),
-        ("flags", ctypes.c_uint64),
-        ("nice", ctypes.c_int32),
-        ("priority", ctypes.c_uint32),
-        ("runtime", ctypes.c_uint64),
-        ("deadline", ctypes.c_uint64),
-        ("period", ctypes.c_uint64),
-    )
+_SCHED_ATTR: Final = struct.Struct("=IIQiIQQQ")
+"""Size, policy, flags, nice, priority, runtime, deadline and period: see sched_setattr(2)."""
 
 
 def rank_below(nice: int) -> None:
@@ -65,13 +55,9 @@ def rank_below(nice: int) -> None:
     number = _SCHED_SETATTR.get(platform.machine())
     if number is None:
         return
-    attributes = _Attributes(
-        size=ctypes.sizeof(_Attributes),
-        policy=os.SCHED_BATCH,
-        nice=os.getpriority(os.PRIO_PROCESS, 0),
-        runtime=SLICE_NS,
-    )
-    ctypes.CDLL(None).syscall(number, 0, ctypes.byref(attributes), 0)  # a kernel may not know it
+    nice = os.getpriority(os.PRIO_PROCESS, 0)
+    attributes = _SCHED_ATTR.pack(_SCHED_ATTR.size, os.SCHED_BATCH, 0, nice, 0, SLICE_NS, 0, 0)
+    ctypes.CDLL(None).syscall(number, 0, attributes, 0)  # a kernel may not know it
 
 
 HEAVY_BYTES: Final = 64 << 10
@@ -190,10 +176,14 @@ class WriterCommand(Enum):
     STOP = "finish"
 
 
+Queued = PackBuffer | LargeMessage | RecordedEvent | WriterCommand
+"""What the writer thread accepts."""
+
+
 class WriterThread:
     """The thread that writes the files.
 
-    The loop puts full buffers into `queue`. Every `flush_s` the thread also writes what is in the
+    The loop queues full buffers with `put`. Every `flush_s` the thread also writes what is in the
     active buffer. The first error ends the file and is described in `failure`; messages are
     counted as dropped from then on.
     """
@@ -207,9 +197,11 @@ class WriterThread:
         on_failure: Callable[[str], None],
     ) -> None:
         """Start the thread; `active` returns the buffer that the loop is packing."""
-        self.queue: SimpleQueue[PackBuffer | LargeMessage | RecordedEvent | WriterCommand] = (
-            SimpleQueue()
-        )
+        self._queue: SimpleQueue[Queued] = SimpleQueue()
+        self._wake = threading.Lock()
+        """Released when an item was queued. `SimpleQueue.get` must not wait for a limited time:
+        before Python 3.13 it may wait without end if the thread runs late."""
+
         self.spare: deque[PackBuffer] = deque()
         self.released = 0
         """Bytes of all buffers and messages from the queue that have been freed so far."""
@@ -230,9 +222,15 @@ class WriterThread:
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
+    def put(self, item: Queued) -> None:
+        """Queue an item. Never waits."""
+        self._queue.put(item)
+        with suppress(RuntimeError):  # the thread is awake
+            self._wake.release()
+
     def stop(self) -> None:
         """Write everything queued, finish the file, end the thread."""
-        self.queue.put(WriterCommand.STOP)
+        self.put(WriterCommand.STOP)
         self._thread.join()
 
     def _run(self) -> None:
@@ -260,9 +258,11 @@ class WriterThread:
 
     def _turn(self) -> None:
         """Handle one queued item, and the periodic work that is due."""
-        wait = max(min(self._next_flush, self._next_sync) - time.monotonic(), 0.0)
+        if self._queue.empty():
+            due = min(self._next_flush, self._next_sync)
+            self._wake.acquire(timeout=max(due - time.monotonic(), 0.0))
         with suppress(Empty):
-            self._handle(self.queue.get(timeout=wait))
+            self._handle(self._queue.get_nowait())
         now = time.monotonic()
         if now >= self._next_flush:
             self._next_flush = now + self._options.flush_s
@@ -275,16 +275,16 @@ class WriterThread:
             self._next_sync = time.monotonic() + self._options.sync_s
 
     def _is_settled(self) -> bool:
-        return self.queue.empty() and all(state.settled for state in self._channels)
+        return self._queue.empty() and all(state.settled for state in self._channels)
 
     def _empty_queue(self) -> None:
-        while not self.queue.empty():
-            self._handle(self.queue.get())
+        while not self._queue.empty():
+            self._handle(self._queue.get())
         self._flush_active()
 
     def _flush_active(self) -> None:
         buffer = self._active()
-        if not self.queue.empty():
+        if not self._queue.empty():
             return  # keep the order
         buffer.limit = 0
         try:
@@ -298,7 +298,7 @@ class WriterThread:
         else:
             self._write(packed)
 
-    def _handle(self, item: PackBuffer | LargeMessage | RecordedEvent | WriterCommand) -> None:
+    def _handle(self, item: Queued) -> None:
         if isinstance(item, WriterCommand):
             if item is WriterCommand.SPLIT:
                 self._attempt(self._writer.split)
