@@ -7,6 +7,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -23,14 +24,11 @@ from robot_controller.msg import RobotStatus
 
 from robotctl.base.errors import UsageError
 from robotctl.kernel.modes import Mode
+from robotctl.ros.executables import mode_client
 from robotctl.ros.executables.mode_client import mode_of
 from robotctl.ros.executables.velocity_publisher import sweep_mps
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import installed
-
-LINE = re.compile(r"^\[\w+\] \[[\d.]+\] \[[\w.]+\]: (.*)$", re.MULTILINE)
-"""Severity, time, node, and what is said."""
-
 
 LATCHED = "refused in EMERGENCY_STOP: ask for IDLE first"
 
@@ -135,14 +133,14 @@ def client(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
 
 
-def commands_heard_by(node: Node) -> list[tuple[float, float]]:
+def commands_heard_by(node: Node, topic: str) -> list[tuple[float, float]]:
     """Subscribe to the commands; the list that is returned grows while the node spins."""
     heard: list[tuple[float, float]] = []
 
     def take(twist: Any) -> None:
         heard.append((twist.linear.x, twist.angular.z))
 
-    node.create_subscription(Twist, "cmd_vel", take, 100)
+    node.create_subscription(Twist, topic, take, 100)
     return heard
 
 
@@ -168,54 +166,41 @@ def test_the_sweep_goes_in_exact_tenths_from_minus_2_to_2() -> None:
     assert all(len(str(abs(speed))) == 3 for speed in speeds)
 
 
-def test_alone_the_velocity_publisher_sweeps_after_4_s_of_zeros(start: Start) -> None:
-    publisher = start("velocity_publisher")
-    publisher.says("Publishing: linear.x=0.3, angular.z=0.0")
-    zero = "Publishing: linear.x=0.0, angular.z=0.0"
-    speeds = [f"Publishing: linear.x={speed}, angular.z=0.0" for speed in (0.1, 0.2, 0.3)]
-    assert publisher.lines[:12] == ["Velocity Publisher Node started", *[zero] * 8, *speeds]
-    assert publisher.end() == 0
-    assert publisher.lines[-1] == "Shutting down ..."
-
-
-def test_the_velocity_publisher_moves_no_robot_that_it_does_not_know(
+def test_it_sweeps_after_4_s_of_zeros_alone_or_if_told_and_moves_no_robot_it_does_not_know(
     start: Start, node: Node
 ) -> None:
-    heard = commands_heard_by(node)
-    publisher = start("velocity_publisher")
-    publisher.says(
-        "/somebody_else takes /cmd_vel and may be a robot: publishing zeros "
+    guarded = commands_heard_by(node, "/guarded/cmd_vel")
+    swept = commands_heard_by(node, "/told/cmd_vel")
+    alone = start("velocity_publisher")
+    careful = start("velocity_publisher", "--ros-args", "-r", "__ns:=/guarded")
+    told = start("velocity_publisher", "--ros-args", "-r", "__ns:=/told", "-p", "sweep:=true")
+    alone.says("Publishing: linear.x=0.3, angular.z=0.0")
+    zero = "Publishing: linear.x=0.0, angular.z=0.0"
+    speeds = [f"Publishing: linear.x={speed}, angular.z=0.0" for speed in (0.1, 0.2, 0.3)]
+    assert alone.lines[:12] == ["Velocity Publisher Node started", *[zero] * 8, *speeds]
+    assert alone.end() == 0
+    assert alone.lines[-1] == "Shutting down ..."
+    spin_until([node], lambda: (0.2, 0.0) in swept)
+    assert told.end(signal.SIGTERM) == 0
+    spin_until([node], lambda: swept[-1] == (0.0, 0.0))
+    careful.says(
+        "/somebody_else takes /guarded/cmd_vel and may be a robot: publishing zeros "
         "(sweep all the same: --ros-args -p sweep:=true)"
     )
-    spin_until([node], lambda: len(heard) > 2)
-    assert set(heard) == {(0.0, 0.0)}
+    assert set(guarded) == {(0.0, 0.0)}
 
 
-def test_the_last_command_of_a_sweep_is_zero(start: Start, node: Node) -> None:
-    heard = commands_heard_by(node)
-    publisher = start("velocity_publisher", "--ros-args", "-p", "sweep:=true")
-    spin_until([node], lambda: (0.2, 0.0) in heard)
-    assert publisher.end(signal.SIGTERM) == 0
-    spin_until([node], lambda: heard[-1] == (0.0, 0.0))
-
-
-def test_a_velocity_within_the_limits_passes_and_one_beyond_is_limited(node: Node) -> None:
-    from robot_controller.velocity_publisher import VelocityPublisher
-
-    publisher = VelocityPublisher(node.context)
-    heard = commands_heard_by(node)
-    publisher.set_velocity(0.5, -1.0)
-    spin_until([node, publisher], lambda: (0.5, -1.0) in heard)
-    publisher.set_velocity(9.0, -9.0)
-    spin_until([node, publisher], lambda: (2.0, -2.0) in heard)
-    with pytest.raises(ValueError, match="finite"):
-        publisher.set_velocity(float("nan"), 0.0)
-    publisher.destroy_node()
-
-
-def test_the_odom_subscriber_tells_each_tenth_position(start: Start, node: Node) -> None:
-    subscriber = start("odom_subscriber")
-    subscriber.says("Odometry Subscriber Node started")
+def test_the_odom_subscriber_tells_each_tenth_position_at_the_level_that_a_service_sets(
+    start: Start, node: Node
+) -> None:
+    subscriber = start("odom_subscriber", "--log-level", "odom_subscriber:=warn")
+    client = node.create_client(SetLoggerLevels, "/odom_subscriber/set_logger_levels")
+    assert client.wait_for_service(DEADLINE_S)
+    assert subscriber.lines == []
+    wanted = [LoggerLevel(name="odom_subscriber", level=LoggerLevel.LOG_LEVEL_INFO)]
+    done = client.call_async(SetLoggerLevels.Request(levels=wanted))
+    spin_until([node], done.done)
+    assert done.result().results[0].successful
     publisher = node.create_publisher(Odometry, "odom", 10)
     until(publisher.get_subscription_count)
     message = Odometry()
@@ -228,28 +213,7 @@ def test_the_odom_subscriber_tells_each_tenth_position(start: Start, node: Node)
     until(told)
     position = "Position: x=1.23, y=-0.50, z=0.00"
     expected = [position, "Messages received: 10", position, "Messages received: 20"]
-    assert subscriber.lines[1:5] == expected
-    assert subscriber.end() == 0
-
-
-def test_the_log_level_of_an_executable_is_given_and_set_by_a_service(
-    start: Start, node: Node
-) -> None:
-    subscriber = start("odom_subscriber", "--log-level", "odom_subscriber:=warn")
-    client = node.create_client(SetLoggerLevels, "/odom_subscriber/set_logger_levels")
-    assert client.wait_for_service(DEADLINE_S)
-    assert subscriber.lines == []
-    wanted = [LoggerLevel(name="odom_subscriber", level=LoggerLevel.LOG_LEVEL_INFO)]
-    done = client.call_async(SetLoggerLevels.Request(levels=wanted))
-    spin_until([node], done.done)
-    assert done.result().results[0].successful
-    publisher = node.create_publisher(Odometry, "odom", 10)
-
-    def told() -> bool:
-        publisher.publish(Odometry())
-        return bool(subscriber.lines)
-
-    until(told)
+    assert subscriber.lines[:4] == expected
     assert subscriber.end() == 0
 
 
@@ -273,10 +237,25 @@ def test_no_other_word_is_a_mode(text: str) -> None:
         mode_of(text)
 
 
-def test_the_tutorials_calls_are_answered_as_it_shows_them(start: Start) -> None:
-    service = start("mode_service")
+def test_the_tutorials_calls_are_answered_by_one_service_that_leaves_moving_for_a_robot(
+    start: Start, node: Node
+) -> None:
+    ignored = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as under nohup
+    try:
+        service = start("mode_service")
+    finally:
+        signal.signal(signal.SIGHUP, ignored)
     service.says("Mode Service Node started")
-    answers = [client(mode) for mode in ("MOVING", "idle", "3", "moving")]
+    service.send(signal.SIGHUP)
+    second = start("mode_service")
+    answers = [client("MOVING")]
+    robot = node.create_subscription(Twist, "cmd_vel", lambda _: None, 10)
+    service.begins("velocity commands are taken: back to IDLE")
+    refused = client("MOVING")
+    assert refused.returncode == 4
+    assert "this service drives no robot: robotctl start does" in refused.stdout
+    node.destroy_subscription(robot)
+    answers += [client(mode) for mode in ("idle", "3", "moving")]
     assert [answer.stdout for answer in answers] == [
         "success=True, message='Mode changed to MOVING', current_mode=1\n",
         "success=True, message='Mode changed to IDLE', current_mode=0\n",
@@ -284,14 +263,22 @@ def test_the_tutorials_calls_are_answered_as_it_shows_them(start: Start) -> None
         f"success=False, message={LATCHED!r}, current_mode=3\n",
     ]
     assert [answer.returncode for answer in answers] == [0, 0, 0, 4]
+    assert second.wait() == 4
+    assert second.text == (
+        "mode_service: /set_mode is served already: ask that one, or give this one another "
+        "namespace or ROS domain\n"
+    )
     assert service.end() == 0
 
 
-def test_without_a_service_the_client_says_how_to_get_one(domain_id: int) -> None:
-    ran = client("MOVING")
-    assert ran.returncode == 3
-    assert ran.stderr == (
-        "mode_client: no service /set_mode within 5 s: start one: robotctl start, "
+def test_without_a_service_the_client_says_how_to_get_one(
+    domain_id: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys.modules[mode_of.__module__], "SERVICE_S", 0.5)
+    monkeypatch.setattr(sys, "argv", ["mode_client", "MOVING"])
+    assert mode_client() == 3
+    assert capsys.readouterr().err == (
+        "mode_client: no service /set_mode within 0.5 s: start one: robotctl start, "
         "or: ros2 run robot_controller mode_service\n"
     )
 
@@ -300,9 +287,7 @@ def test_without_a_service_the_client_says_how_to_get_one(domain_id: int) -> Non
     ("arguments", "domain", "text"),
     [
         (["-p", "sweep:=7"], "", "Invalid parameter value (7) for parameter. Reason: sweep is"),
-        (["-r"], "", "Couldn't parse trailing -r flag"),
         (["-r", "__ns:=a b"], "", "Couldn't parse remap rule: '-r __ns:=a b'"),
-        ([], "9999", "ROS_DOMAIN_ID is '9999': use 0 to 232"),
         ([], "kitchen", "ROS_DOMAIN_ID is 'kitchen': use 0 to 232"),
     ],
 )
@@ -321,76 +306,23 @@ def test_a_wrong_argument_is_named_in_a_sentence(
     assert text in last
 
 
-def test_under_nohup_a_closed_terminal_ends_nothing(start: Start) -> None:
-    ignored = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        service = start("mode_service")
-    finally:
-        signal.signal(signal.SIGHUP, ignored)
-    service.says("Mode Service Node started")
-    service.send(signal.SIGHUP)
-    assert client("MOVING").returncode == 0
-    assert service.end() == 0
-
-
-def test_the_mode_service_leaves_moving_when_a_robot_joins(start: Start, node: Node) -> None:
-    service = start("mode_service")
-    service.says("Mode Service Node started")
-    assert client("MOVING").returncode == 0
-    node.create_subscription(Twist, "cmd_vel", lambda _: None, 10)
-    service.begins("velocity commands are taken: back to IDLE")
-    refused = client("MOVING")
-    assert refused.returncode == 4
-    assert "this service drives no robot: robotctl start does" in refused.stdout
-
-
-def test_a_second_mode_service_is_refused(start: Start) -> None:
-    first = start("mode_service")
-    first.says("Mode Service Node started")
-    second = start("mode_service")
-    assert second.wait() == 4
-    assert second.text == (
-        "mode_service: /set_mode is served already: ask that one, or give this one another "
-        "namespace or ROS domain\n"
-    )
-    assert client("MOVING").returncode == 0
-
-
-@pytest.mark.parametrize(
-    "given", ["standalone:=false", "config:=/a.yaml", "recordings:=/tmp/recordings"]
-)
-def test_the_mode_service_drives_and_records_nothing(start: Start, given: str) -> None:
-    service = start("mode_service", "--ros-args", "-p", given)
+def test_the_mode_service_drives_and_records_nothing(start: Start) -> None:
+    service = start("mode_service", "--ros-args", "-p", "config:=/a.yaml")
     assert service.wait() == 2
-    name = given.partition(":=")[0]
     assert service.text == (
-        f"mode_service: {name}: this node drives and records no robot: "
+        "mode_service: config: this node drives and records no robot: "
         "use: robotctl start --config FILE --recordings DIR\n"
     )
 
 
-def test_a_node_of_our_own_answers_like_the_executable(node: Node) -> None:
+def test_a_node_of_our_own_answers_like_the_executable_and_names_its_robot(node: Node) -> None:
     from robot_controller.mode_service import ModeService
 
-    service = ModeService(node.context)
+    told: list[Any] = []
+    node.create_subscription(RobotStatus, "/r1/robot_status", told.append, 10)
+    service = ModeService(node.context, namespace="/r1")
     assert service.request(1) == (True, "Mode changed to MOVING")
     assert service.request(3) == (True, "Mode changed to EMERGENCY_STOP")
     assert service.request(1) == (False, "refused in EMERGENCY_STOP: ask for IDLE first")
+    spin_until([node, service], lambda: told and told[-1].robot_name == "r1")
     service.destroy_node()
-
-
-def test_two_robots_in_namespaces_of_their_own_do_not_hear_each_other(
-    start: Start, node: Node
-) -> None:
-    modes: dict[str, int] = {}
-    latched = rclpy.qos.QoSProfile(depth=1, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
-
-    def take(status: Any) -> None:
-        modes[status.robot_name] = status.mode
-
-    for robot in ("r1", "r2"):
-        start("mode_service", "--ros-args", "-r", f"__ns:=/{robot}")
-        node.create_subscription(RobotStatus, f"/{robot}/robot_status", take, latched)
-    spin_until([node], lambda: modes == {"r1": 0, "r2": 0})
-    assert client("MOVING", "--ros-args", "-r", "__ns:=/r1").returncode == 0
-    spin_until([node], lambda: modes == {"r1": 1, "r2": 0})
