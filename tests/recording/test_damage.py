@@ -142,7 +142,7 @@ def test_messages_without_a_described_channel_are_counted_as_missing(tmp_path: P
 
 
 def test_fuzzed_files_give_one_error_or_true_messages(tmp_path: Path) -> None:
-    fuzz(tmp_path, 1000)
+    fuzz(tmp_path, 250)
 
 
 @pytest.mark.slow
@@ -192,8 +192,8 @@ def complete_prefix(data: bytes, length: int) -> int:
 
 
 def cuts(data: bytes, dice: random.Random) -> list[int]:
-    at_records = {offset + shift for offset in record_boundaries(data) for shift in (-1, 0, 1)}
-    return sorted(at_records | set(dice.choices(range(len(data)), k=300)))
+    at_records = [offset + shift for offset in record_boundaries(data) for shift in (-1, 0, 1)]
+    return sorted({*dice.sample(at_records, 60), *dice.choices(range(len(data)), k=30)})
 
 
 @pytest.mark.parametrize("compression", list(Compression))
@@ -328,7 +328,7 @@ def test_zeros_are_named(tmp_path: Path, write: Callable[[Path], Path], zeroed: 
         assert any("they are zeros" in sentence for sentence in read_info(path).missing)
 
 
-@pytest.mark.parametrize("shift", range(0, 70, 3))
+@pytest.mark.parametrize("shift", [0, 1, 9, 17, 25, 32, 44, 69])
 def test_zeros_that_begin_anywhere_in_the_head_of_a_chunk_are_named(
     tmp_path: Path, shift: int
 ) -> None:

@@ -16,7 +16,7 @@ import tracemalloc
 from collections.abc import Callable, Iterable, Iterator
 from itertools import count, repeat
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import lz4.frame
 import pytest
@@ -275,6 +275,7 @@ BOMBS: Final[dict[str, Callable[[], bytes]]] = {
 
 def write_bomb(path: Path, name: str) -> Path:
     """Write one of the BOMBS."""
+    path.parent.mkdir(exist_ok=True)
     path.write_bytes(BOMBS[name]())
     return path
 
@@ -293,28 +294,30 @@ from robotctl.recording import read_info
 from robotctl.recording.keep.recover import recover
 from robotctl.check.run import check_recording
 
-path, said = Path(sys.argv[1]), {}
-for name, answer in {
-    "info": lambda: list(read_info(path).missing),
-    "recordings": lambda: list(list_recording(path).damage),
-    "check": lambda: check_recording(path).missing,
-    "recover": lambda: list(recover(path, path.with_suffix(".out")).lost),
-}.items():
-    began = time.perf_counter()
-    try:
-        found = answer()
-    except RobotctlError as error:
-        found = [str(error)]
-    said[name] = time.perf_counter() - began, found
-status = Path("/proc/self/status").read_text()
-said["peak_kb"] = int(status.split("VmHWM:")[1].split()[0])
-print(json.dumps(said))
+for path in map(Path, sys.argv[1:]):
+    Path("/proc/self/clear_refs").write_text("5")  # the peak begins again
+    said = {}
+    for name, answer in {
+        "info": lambda: list(read_info(path).missing),
+        "recordings": lambda: list(list_recording(path).damage),
+        "check": lambda: check_recording(path).missing,
+        "recover": lambda: list(recover(path, path.with_suffix(".out")).lost),
+    }.items():
+        began = time.perf_counter()
+        try:
+            found = answer()
+        except RobotctlError as error:
+            found = [str(error)]
+        said[name] = time.perf_counter() - began, found
+    status = Path("/proc/self/status").read_text()
+    said["peak_kb"] = int(status.split("VmHWM:")[1].split()[0])
+    print(json.dumps(said))
 """
 
-WORST = (
-    "zeros in large chunks",
-    "empty messages, indexed",
-    "large messages",
+QUICK = (
+    "large messages, indexed",  # first: it takes the most memory
+    "zeros in small chunks",
+    "empty messages",
     "one schema for all",
     "chunks within chunks",
     "one metadata record many times",
@@ -324,39 +327,29 @@ WORST = (
 )
 
 
-def answered(path: Path) -> dict[str, Any]:
-    """Run each command in a separate process; return its output and duration [s]."""
+@pytest.mark.parametrize(
+    "names",
+    [QUICK, pytest.param([name for name in BOMBS if name not in QUICK], marks=pytest.mark.slow)],
+    ids=["quick", "the others"],
+)
+def test_a_bomb_is_answered_in_bounded_time_and_memory(tmp_path: Path, names: list[str]) -> None:
+    paths = [write_bomb(tmp_path / name / "bomb.mcap", name) for name in names]
+    spaces = write_bomb(tmp_path / "spaces in metadata.yaml" / "bomb.mcap", "chunks within chunks")
+    (spaces.parent / "metadata.yaml").write_text(spaces_in_metadata())
     ran = subprocess.run(
-        [sys.executable, "-c", PROGRAM, str(path)],
+        [sys.executable, "-c", PROGRAM, *map(str, [*paths, spaces])],
         capture_output=True,
         text=True,
         check=True,
-        timeout=4 * DEADLINE_S,
+        timeout=DEADLINE_S * len(BOMBS),
     )
-    said: dict[str, Any] = json.loads(ran.stdout)
-    return said
-
-
-@pytest.mark.parametrize(
-    "name",
-    [name if name in WORST else pytest.param(name, marks=pytest.mark.slow) for name in BOMBS],
-)
-def test_a_bomb_is_answered_in_bounded_time_and_memory(tmp_path: Path, name: str) -> None:
-    path = write_bomb(tmp_path / "bomb.mcap", name)
-    assert path.stat().st_size < 1.5 * SIZE
-    said = answered(path)
-    assert said.pop("peak_kb") < MAX_MEMORY_KB
-    for command, (took_s, _) in said.items():
-        assert took_s < DEADLINE_S, command
-    assert said["check"][1]
-
-
-def test_spaces_in_a_metadata_yaml_are_read_in_bounded_time(tmp_path: Path) -> None:
-    path = write_bomb(tmp_path / "bomb.mcap", "small metadata")
-    (tmp_path / "metadata.yaml").write_text(spaces_in_metadata())
-    said = answered(path)
-    del said["peak_kb"]
-    assert all(took_s < DEADLINE_S for took_s, _ in said.values())
+    for path, line in zip([*paths, spaces], ran.stdout.splitlines(), strict=True):
+        assert path.stat().st_size < 1.5 * SIZE
+        said = json.loads(line)
+        assert said.pop("peak_kb") < MAX_MEMORY_KB, path
+        for command, (took_s, _) in said.items():
+            assert took_s < DEADLINE_S, (path, command)
+        assert said["check"][1], path
 
 
 def test_what_a_limit_leaves_out_is_named_and_can_be_read(
@@ -387,7 +380,7 @@ def test_limits_that_are_no_number_are_refused(
 
 
 @pytest.mark.parametrize(
-    ("count", "size"), [(432_000, 52), (300, 1 << 20)], ids=["a day of zeros", "black images"]
+    ("count", "size"), [(86_400, 52), (300, 1 << 20)], ids=["hours of zeros", "black images"]
 )
 def test_what_robots_record_that_is_all_zeros_passes(tmp_path: Path, count: int, size: int) -> None:
     path, zeros, per_chunk = tmp_path / "zeros.mcap", bytes(size), max((1 << 20) // size, 1)

@@ -161,8 +161,8 @@ def states(recorded: Recorded) -> Iterator[State]:
         for number, write in enumerate(commit, start=1):
             step = step_of(len(commit) - number)
             to_page = PAGE - write.offset % PAGE
-            cuts = [*range(to_page, len(write.data), PAGE)][-20:]
-            cuts += dice.choices(range(len(write.data)), k=3 if write.data else 0)
+            cuts = [*range(to_page, len(write.data), PAGE)][-5:]
+            cuts += dice.choices(range(len(write.data)), k=1 if write.data else 0)
             for cut in sorted(cuts):
                 torn = put(bytearray(content), Write(write.offset, write.data[:cut]))
                 yield State(bytes(torn), chunks, step, torn=True)
