@@ -182,9 +182,9 @@ class BagWriter:
         """
         free = self._options.free_space(self._folder)
         stop, warn = self._options.stop_free_bytes, self._options.warn_free_bytes
+        self._space_warning = ""
         if free < stop:
             raise OSError(errno.ENOSPC, f"only {_mb(free)} left on the disk, {_mb(stop)} stay free")
-        self._space_warning = ""
         if free < warn:
             self._space_warning = f"{_mb(free)} left on the disk; recording stops at {_mb(stop)}"
 

@@ -202,7 +202,7 @@ class WriterThread:
         """Released when an item was queued. `SimpleQueue.get` must not wait for a limited time:
         before Python 3.13 it may wait without end if the thread runs late."""
 
-        self.spare: deque[PackBuffer] = deque()
+        self.spare: deque[PackBuffer] = deque(maxlen=SPARE_BUFFERS)
         self.released = 0
         """Bytes of all buffers and messages from the queue that have been freed so far."""
 
@@ -319,7 +319,7 @@ class WriterThread:
             self._write(packed)
             del packed
         self.released += item.size
-        if isinstance(item, PackBuffer) and len(self.spare) < SPARE_BUFFERS:
+        if isinstance(item, PackBuffer) and item is not self._active():  # the loop has another one
             item.recycle()
             self.spare.append(item)
 
