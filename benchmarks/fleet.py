@@ -28,11 +28,17 @@ import duckdb
 from recording.figures import Figure, Round, table
 from recording.heard_drive import record_drive
 
-from robotctl.base.processes.jobs import job_command
+from robotctl.base.jobs import job_command
 from robotctl.check.journal import read_effect
 from robotctl.collection.catalogue import CATALOGUE_NAME
-from robotctl.collection.database import name, text
-from robotctl.collection.index_file import index_path, stamp_of, table_columns, write_index
+from robotctl.collection.index_file import (
+    index_path,
+    name,
+    stamp_of,
+    table_columns,
+    text,
+    write_index,
+)
 from robotctl.collection.indexing import rows_of
 from robotctl.daemon.recording.indexer import INDEX
 from robotctl.kernel.types import DriveEnded

@@ -37,8 +37,8 @@ from recording import publisher
 from recording.figures import Figure, Round, table
 
 from robotctl.base.domains import reserved_domain
+from robotctl.base.jobs import job_command
 from robotctl.base.processes import start
-from robotctl.base.processes.jobs import job_command
 from robotctl.daemon.recording.indexer import INDEX
 from robotctl.kernel.types import Tick
 from robotctl.recording import Recording, read_journal

@@ -15,9 +15,9 @@ from recording.figures import Figure
 
 from robotctl.recording import RecorderOptions, Topic
 from robotctl.recording.format.records import MESSAGE_HEAD
+from robotctl.recording.write.bag_writer import RecordingFile
 from robotctl.recording.write.buffer import pack
 from robotctl.recording.write.channel_state import ChannelState
-from robotctl.recording.write.recording_file import RecordingFile
 
 TOPICS = 30
 MESSAGE_BYTES = 52

@@ -12,7 +12,7 @@ from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ENCAPSULATION
 from robotctl.recording import Compression, Recorder, RecorderOptions
-from robotctl.recording.seal.keyring import Keyring
+from robotctl.recording.seal import Keyring
 from robotctl.testing.drives import (
     BEGIN_NS,
     GID,

@@ -1,4 +1,4 @@
-"""Text from outside, made safe to print and to log."""
+"""Text from outside, made safe to print and to log; the names of the modes as users write them."""
 
 from __future__ import annotations
 
@@ -27,3 +27,16 @@ def short_name(name: str) -> str:
 def without_colours(text: str) -> str:
     """Return `text` without the ANSI colour sequences that libraries add."""
     return _COLOUR.sub("", text)
+
+
+MODES = {"idle": 0, "moving": 1, "error": 2, "emergency-stop": 3}
+"""The number of each mode in robot_controller/msg/RobotStatus."""
+
+
+def find_mode(text: str) -> int | None:
+    """Return the number of a mode by its name (any case, with - or _) or number, or None."""
+    given = text.strip().lower().replace("_", "-")
+    for name, number in MODES.items():
+        if given in (name, str(number)):
+            return number
+    return None

@@ -21,10 +21,9 @@ from typing import Final, NamedTuple
 from robotctl.base.errors import UnreadableFile
 from robotctl.check.ends import Ending, EndingOf, JournalEnd
 from robotctl.check.journal import Moments
-from robotctl.check.pairs import Slot, Waiting
 from robotctl.check.report import Report
 from robotctl.check.times import ClockChanges
-from robotctl.check.topics import RobotTopics
+from robotctl.check.topics import RobotTopics, Slot, Waiting
 from robotctl.kernel.codec import Proof, Snapshot
 from robotctl.kernel.state import Health
 from robotctl.kernel.types import (

@@ -15,7 +15,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.odometry import is_finite
 from robotctl.kernel.types import ModeChanged, OdomReceived
 from robotctl.messages.cdr import ODOMETRY
-from robotctl.messages.motion import read_odometry
+from robotctl.messages.inputs import read_odometry
 from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.read.file_index import note_missing

@@ -17,10 +17,9 @@ from typing import Any, Final, NamedTuple
 
 from robotctl.check.ends import Ending, EndingOf, JournalEnd
 from robotctl.check.journal import Moments
-from robotctl.check.pairs import Slot, Waiting
 from robotctl.check.report import TOLERANCE, Report
 from robotctl.check.times import RecordedStalls
-from robotctl.check.topics import InputTopic, RepeatedLatched, RobotTopics
+from robotctl.check.topics import InputTopic, RepeatedLatched, RobotTopics, Slot, Waiting
 from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.kernel.safety_inputs import REPEATS_PER_TIMEOUT, SafetyInput, SafetyInputParams, Use
@@ -36,12 +35,15 @@ from robotctl.kernel.types import (
 )
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages import cdr
-from robotctl.messages.inputs import MESSAGE_TYPES, read_battery_level, read_sectors, reader_of
-from robotctl.messages.motion import (
+from robotctl.messages.inputs import (
+    MESSAGE_TYPES,
     Sample,
     decode_twist,
     decode_twist_stamped,
+    read_battery_level,
     read_sample,
+    read_sectors,
+    reader_of,
     sample_of,
 )
 from robotctl.recording.format.records import MAX_SEQUENCE

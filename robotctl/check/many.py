@@ -1,21 +1,30 @@
-"""Checks recordings; several of them in parallel, in up to one process per processor."""
+"""Checks recordings; several of them in parallel, in up to one process per processor.
+
+`python -m robotctl.check.many --report-fd N` is such a process. For each line {"path", "all_bytes"}
+on stdin, it writes {"progress"} lines and one {"report"} line, as JSON, to descriptor N. It ends
+when stdin is closed, so it does not outlive its parent.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import sys
+import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from robotctl.base.processes import Child, program, start
+from robotctl.base.processes import Child, program, report_fd, send_report, start
+from robotctl.base.store import path_of
 from robotctl.check.report import Report
 from robotctl.check.run import Progress, check_recording
 
-WORKER = program("robotctl.check.process")
+WORKER = program("robotctl.check.many")
 
 POLL_S = 0.1
 
@@ -112,3 +121,33 @@ class _Worker:
             if self._child is None and not self._ended:
                 self._child = start(WORKER, with_stdin=True)
             return self._child
+
+
+PROGRESS_PERIOD_S = 0.1
+
+
+def main() -> None:
+    """Check recordings until stdin is closed.
+
+    Raises:
+        BrokenPipeError: The process that reads the reports has ended.
+    """
+    descriptor = report_fd(sys.argv)
+    for line in sys.stdin:
+        job = json.loads(line)
+        told = time.monotonic()
+
+        def tell_progress(done: int, total: int) -> None:
+            nonlocal told
+            if time.monotonic() - told > PROGRESS_PERIOD_S:
+                told = time.monotonic()
+                send_report(descriptor, {"progress": done / total})
+
+        path = path_of(job["path"])
+        report = check_recording(path, tell_progress, all_bytes=job["all_bytes"])
+        send_report(descriptor, {"report": report.as_object()})
+
+
+if __name__ == "__main__":
+    with suppress(BrokenPipeError):  # the parent process has ended
+        main()

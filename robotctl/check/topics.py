@@ -1,9 +1,15 @@
-"""The topics of the robot whose journal is checked: names, recording filter, latched repeats."""
+"""The topics of the robot whose journal is checked, and messages paired with journal entries.
+
+A message and its journal entry reach a recording in either order, and what explains a difference, a
+stall or another publisher, may be recorded seconds later. So both sides wait, by their number.
+"""
 
 from __future__ import annotations
 
 import ast
-from typing import Final, NamedTuple
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Final, Generic, NamedTuple, TypeVar
 
 from robotctl.kernel.command_types import COMMAND_TYPES
 from robotctl.recording import RecordingInfo
@@ -118,3 +124,52 @@ class RepeatedLatched:
     def excess(self) -> int:
         """By how much the repeats exceed what files and snapshots allow, at least 0."""
         return max(self._count - max(self._files, self._snapshots), 0)
+
+
+MAX_WAITING: Final = 20_000
+"""How many numbers wait, several minutes of a topic; if there are more, the oldest is judged."""
+
+Entry = TypeVar("Entry")
+Sent = TypeVar("Sent")
+
+
+@dataclass(slots=True)
+class Slot(Generic[Entry, Sent]):
+    """The journal entries and the messages with the same number; publishers may share numbers."""
+
+    entries: list[Entry] = field(default_factory=list)
+    sent: list[Sent] = field(default_factory=list)
+
+
+class Waiting(Generic[Entry, Sent]):
+    """The slots, one per number, that are not judged yet; the oldest first."""
+
+    def __init__(self, judge: Callable[[int, Slot[Entry, Sent]], None]) -> None:
+        """`judge` gets each slot with its number, when nothing more is to be expected."""
+        self._judge = judge
+        self._slots: dict[int, Slot[Entry, Sent]] = {}
+
+    def slot(self, number: int) -> Slot[Entry, Sent]:
+        """Return the slot of a number, which is the youngest from now on."""
+        slot = self._slots.pop(number, None) or Slot()
+        self._slots[number] = slot
+        if len(self._slots) > MAX_WAITING:
+            self._judge(*self._oldest())
+        return slot
+
+    def drop(self, number: int) -> None:
+        """Remove the slot of a number, which needs no judgement any more."""
+        self._slots.pop(number, None)
+
+    def clear(self) -> None:
+        """Remove all slots."""
+        self._slots.clear()
+
+    def rest(self) -> Iterator[tuple[int, Slot[Entry, Sent]]]:
+        """Remove and yield all slots, at the end or where journal entries are missing."""
+        while self._slots:
+            yield self._oldest()
+
+    def _oldest(self) -> tuple[int, Slot[Entry, Sent]]:
+        number = next(iter(self._slots))
+        return number, self._slots.pop(number)

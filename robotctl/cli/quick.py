@@ -14,8 +14,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from robotctl.base.errors import RobotctlError, UsageError
-from robotctl.base.mode_names import MODES, find_mode
 from robotctl.base.paths import DEFAULT_ROBOT, ROBOT_VARIABLE
+from robotctl.base.text import MODES, find_mode
 from robotctl.cli.targets.requests import asked_by, lease_of_shell
 from robotctl.cli.ui.status import status_screen_lines
 from robotctl.cli.ui.text import json_text, printable

@@ -17,14 +17,19 @@ from typing import TYPE_CHECKING, Final
 from robotctl.base.errors import Refused
 from robotctl.base.files import open_regular
 from robotctl.base.text import printable
-from robotctl.collection.database import database, file_of, parquet, patterns, text, write_parquet
 from robotctl.collection.index_file import (
     closed_files,
+    database,
+    file_of,
     files_of,
     index_path,
     index_path_text,
+    parquet,
+    patterns,
     stamp_of,
     table_columns,
+    text,
+    write_parquet,
 )
 from robotctl.recording.format.names import INDEX_FILE
 

@@ -17,7 +17,6 @@ from xml.etree import ElementTree
 from robotctl.base.errors import ConfigError, Refused
 from robotctl.base.files import open_regular
 from robotctl.base.text import printable
-from robotctl.collection.content import software_hash
 from robotctl.collection.jobs import Done
 from robotctl.collection.judgement import (
     FAILED,
@@ -26,6 +25,7 @@ from robotctl.collection.judgement import (
     Judgement,
     Totals,
     Typed,
+    software_hash,
     totals_of,
 )
 from robotctl.collection.judging import Engine, Judging, ResultStore, judge_here

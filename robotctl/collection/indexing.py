@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from robotctl.base.errors import RobotctlError, UnreadableFile
-from robotctl.base.processes.pipes import Report
+from robotctl.base.processes import Report
 from robotctl.check.journal import Gap, Step, decide, read_effect, read_event, read_snapshot, steps
 from robotctl.check.run import check_recording
 from robotctl.collection.index_file import (

@@ -13,17 +13,21 @@ from uuid import uuid4
 
 from robotctl.base.errors import Refused, RobotctlError, UnreadableFile
 from robotctl.base.files import open_regular
-from robotctl.base.store import StoreError
 from robotctl.base.store.folder_store import FolderStore
-from robotctl.collection.content import (
+from robotctl.base.store.objects import StoreError
+from robotctl.collection.jobs import Done, Processes, local_processes, local_threads, results_of
+from robotctl.collection.judgement import (
     BeingWritten,
     Content,
+    Judgement,
+    Typed,
+    crashed,
+    judge,
+    key_of,
     read_content,
     software_hash,
     software_name,
 )
-from robotctl.collection.jobs import Done, Processes, local_processes, local_threads, results_of
-from robotctl.collection.judgement import Judgement, Typed, crashed, judge, key_of
 
 MAX_BYTES: Final = 64 << 20
 

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from robotctl.base.errors import Refused, UsageError
 from robotctl.collection.catalogue import Catalogue
-from robotctl.collection.database import database, name, parquet
 from robotctl.collection.index_file import (
     DriveRow,
     EventRow,
@@ -25,6 +24,9 @@ from robotctl.collection.index_file import (
     SampleRow,
     TopicRow,
     columns,
+    database,
+    name,
+    parquet,
 )
 
 if TYPE_CHECKING:

@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Final
 
 from robotctl.base.errors import Divergence, UnreadableFile
-from robotctl.base.store import ObjectStore, StoredObject, hash_in, open_store, without_hashes
+from robotctl.base.store import open_store
+from robotctl.base.store.objects import ObjectStore, StoredObject, hash_in, without_hashes
 from robotctl.base.text import printable
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording.disk.access import reason_of
-from robotctl.recording.disk.storage import is_locked
+from robotctl.recording.disk import is_locked, reason_of
 from robotctl.recording.format.names import INDEX_FILE, natural_order
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE

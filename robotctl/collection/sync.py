@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from robotctl.base.errors import RobotctlError, UnreadableFile
-from robotctl.base.store import ObjectStore, Stamp, StoredObject, StoreError, without_hashes
+from robotctl.base.store.objects import ObjectStore, Stamp, StoredObject, StoreError, without_hashes
 from robotctl.base.text import printable
 from robotctl.collection.sources import (
     REPLACED,
@@ -28,7 +28,7 @@ from robotctl.collection.sources import (
     open_regular_file,
     recording_of,
 )
-from robotctl.recording.disk.access import reason_of
+from robotctl.recording.disk import reason_of
 from robotctl.recording.keep.listing import CLIPS_FOLDER, CatalogFile, CatalogFolder
 from robotctl.recording.keep.retention import (
     RetentionPolicy,

@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from robotctl.recording.arrays import TopicArrays, read_arrays
     from robotctl.recording.format.journal import EntryKind, JournalEntry
     from robotctl.recording.format.names import Compression, EventKind
     from robotctl.recording.format.recorded_events import RecordedEvent
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
         read_info,
         read_messages,
     )
-    from robotctl.recording.table.arrays import TopicArrays, read_arrays
     from robotctl.recording.write.recorder import Recorder, RecorderState, RecorderStats
     from robotctl.recording.write.recorder_options import RecorderOptions
 
@@ -63,6 +63,7 @@ __all__ = [
 ]
 
 _NAMES_OF_MODULE = {
+    "arrays": ("TopicArrays", "read_arrays"),
     "format.journal": ("EntryKind", "JournalEntry"),
     "format.names": ("Compression", "EventKind"),
     "format.recorded_events": ("RecordedEvent",),
@@ -73,7 +74,6 @@ _NAMES_OF_MODULE = {
     "read.journal_reader": ("RecordedEntry", "read_journal"),
     "read.messages": ("Message",),
     "read.reader": ("Recording", "RecordingInfo", "TopicInfo", "read_info", "read_messages"),
-    "table.arrays": ("TopicArrays", "read_arrays"),
     "write.recorder": ("Recorder", "RecorderState", "RecorderStats"),
     "write.recorder_options": ("RecorderOptions",),
 }

@@ -24,7 +24,7 @@ from robotctl.base.errors import RobotctlError
 from robotctl.base.processes import LineSplitter, report_fd, send_report
 
 if TYPE_CHECKING:
-    from robotctl.replay.replay_report import Emit
+    from robotctl.replay.run import Emit
     from robotctl.ros.graph.membership import Membership
 
 NODE_NAME = "robotctl_replay"

@@ -14,7 +14,7 @@ from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Twist
 from robotctl.messages.cdr import ODOMETRY, ROBOT_STATUS, CdrReader
-from robotctl.messages.motion import UNREADABLE, read_odometry
+from robotctl.messages.inputs import UNREADABLE, read_odometry
 from robotctl.recording import Recording, TopicInfo
 from robotctl.replay.timeline import Entry, Span, recorded
 

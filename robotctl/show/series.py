@@ -23,7 +23,7 @@ from robotctl.messages.fields import (
 )
 from robotctl.messages.values import Decoder
 from robotctl.recording import Recording, TopicInfo
-from robotctl.recording.table.topic_table import recorded_definition
+from robotctl.recording.table import recorded_definition
 from robotctl.show.figure import Figure, Line, time_figure
 
 COLUMNS: Final = 600

@@ -19,7 +19,7 @@ from robotctl.check.journal import (
     read_event,
     read_snapshot,
 )
-from robotctl.check.sentences import sentence_of
+from robotctl.check.why import sentence_of
 from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.kernel import Kernel
@@ -42,8 +42,12 @@ from robotctl.kernel.types import (
 from robotctl.kernel.types.events import ParameterChanged
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ODOMETRY
-from robotctl.messages.inputs import read_battery_level
-from robotctl.messages.motion import decode_twist, decode_twist_stamped, read_sample
+from robotctl.messages.inputs import (
+    decode_twist,
+    decode_twist_stamped,
+    read_battery_level,
+    read_sample,
+)
 from robotctl.recording import Recording, RecordingInfo, TopicInfo
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.format.names import OWN_LIBRARY, EventKind

@@ -29,8 +29,8 @@ from robotctl.kernel.types import (
 )
 from robotctl.kernel.units import NS_PER_S
 from robotctl.messages import cdr
+from robotctl.messages.inputs import encode_twist
 from robotctl.messages.installed import installed_type
-from robotctl.messages.motion import encode_twist
 from robotctl.recording import Recorder, RecorderOptions, Topic
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
 from robotctl.recording.format.names import PARAMETER_PREFIX

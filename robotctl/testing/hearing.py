@@ -20,8 +20,13 @@ from robotctl.kernel.types import (
     ScanReceived,
 )
 from robotctl.messages.cdr import ENCAPSULATION
-from robotctl.messages.inputs import read_battery_level, read_sectors
-from robotctl.messages.motion import OdometryEncoder, encode_twist, read_odometry
+from robotctl.messages.inputs import (
+    OdometryEncoder,
+    encode_twist,
+    read_battery_level,
+    read_odometry,
+    read_sectors,
+)
 
 TOPICS = {
     SafetyInput.ESTOP: "/estop_pressed",

@@ -27,7 +27,7 @@ from robotctl.kernel.geometry import Pose
 from robotctl.kernel.params import TrackingParams, VelocityLimits
 from robotctl.kernel.tracking import Reference, track
 from robotctl.kernel.types import CommandPublishersSeen, ModeRequested, Twist
-from robotctl.messages.motion import encode_twist
+from robotctl.messages.inputs import encode_twist
 from robotctl.recording import Recorder, RecorderOptions, Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
 from robotctl.testing.drives import (

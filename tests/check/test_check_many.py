@@ -53,7 +53,7 @@ def test_a_process_that_dies_costs_its_recording_alone(
 ) -> None:
     program = """
 import os, sys
-from robotctl.check import process
+from robotctl.check import many as process
 check = process.check_recording
 process.check_recording = lambda path, tell, **options: (
     os._exit(9) if "deadly" in str(path) else check(path, tell, **options)

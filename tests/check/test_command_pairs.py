@@ -16,7 +16,7 @@ from robotctl.kernel.codec import Proof
 from robotctl.kernel.state import Health
 from robotctl.kernel.types import ForeignCommandHeard, LoopStalled, ModeRequested, Tick, Twist
 from robotctl.kernel.units import NS_PER_S
-from robotctl.messages.motion import encode_twist
+from robotctl.messages.inputs import encode_twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested
 from tests.support.checked_drives import altered, checked, rechained

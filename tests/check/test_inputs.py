@@ -37,7 +37,7 @@ from robotctl.kernel.types import (
     ScanReceived,
     Twist,
 )
-from robotctl.messages.motion import encode_twist
+from robotctl.messages.inputs import encode_twist
 from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
 from robotctl.testing.drives import BEGIN_NS, drive_requested

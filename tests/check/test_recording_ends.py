@@ -24,7 +24,7 @@ from robotctl.check.run import UNNUMBERED, check_recording
 from robotctl.check.topics import MAX_TEXT
 from robotctl.kernel.types import CommandPublishersSeen, Twist
 from robotctl.kernel.units import NS_PER_S
-from robotctl.messages.motion import encode_twist
+from robotctl.messages.inputs import encode_twist
 from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.recording.format.names import LEDGER_RECORD
 from robotctl.recording.format.rosbag2 import METADATA_RECORD

@@ -32,7 +32,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.kernel.types.events import LeaseLost, LeaseRequested
 from robotctl.recording.format.journal import JournalEntry
-from robotctl.recording.write.recording_file import RecordingFile
+from robotctl.recording.write.bag_writer import RecordingFile
 from robotctl.testing.drives import BEGIN_NS, START_NS, drive, drive_requested, record
 
 

@@ -21,7 +21,7 @@ from PIL import Image
 
 from robotctl.base import processes
 from robotctl.base.errors import UsageError
-from robotctl.base.mode_names import MODES
+from robotctl.base.text import MODES
 from robotctl.cli import quick
 from robotctl.cli.commands.robot.drive import tracking_lines
 from robotctl.cli.targets.driving import stop_drive

@@ -26,7 +26,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recorder, RecorderOptions, Topic, read_info
 from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.keep.recover import recover
-from robotctl.recording.seal.keyring import Keyring
+from robotctl.recording.seal import Keyring
 from robotctl.testing.drives import drive, record
 from tests.cli.conftest import Cli
 from tests.support.edited_recordings import contents_of, write_contents

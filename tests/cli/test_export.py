@@ -20,8 +20,7 @@ import pytest
 from robotctl.messages.definition import parse_definition
 from robotctl.messages.fields import parse_path, value_at
 from robotctl.messages.values import Decoder, encode
-from robotctl.recording import Recorder, Topic, read_info, read_messages
-from robotctl.recording.table import parquet_table
+from robotctl.recording import Recorder, Topic, arrays, read_info, read_messages
 from robotctl.testing.drives import GID
 from tests.cli.conftest import Cli
 
@@ -131,12 +130,12 @@ def test_json_lines_are_valid_json_and_say_nan(cli: Cli, tmp_path: Path) -> None
     assert (rows[1]["log_ns"], rows[1]["publish_ns"]) == (START_NS + 10**9, START_NS + 10**9 - 5)
 
 
-@pytest.mark.parametrize("most_values", [parquet_table.MAX_VALUES, 20])
+@pytest.mark.parametrize("most_values", [arrays.MAX_VALUES, 20])
 def test_parquet_has_the_types_and_values_of_the_messages(
     cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most_values: int
 ) -> None:
     """The smaller limit writes it in parts."""
-    monkeypatch.setattr(parquet_table, "MAX_VALUES", most_values)
+    monkeypatch.setattr(arrays, "MAX_VALUES", most_values)
     target = tmp_path / "o'ut.parquet"
     ran = cli("export", str(written(tmp_path, 9)), "--topic", "/all", "-o", str(target))
     assert ran.exit_code == 0, ran.err
@@ -185,7 +184,7 @@ def test_ctrl_c_while_duckdb_writes_is_an_interruption(
     def interrupted(*_: object) -> None:
         raise RuntimeError("Query interrupted")
 
-    monkeypatch.setattr(parquet_table, "_join", interrupted)
+    monkeypatch.setattr(arrays, "_join", interrupted)
     ran = cli("export", str(DRIVE), "--topic", "/odom", "-o", str(tmp_path / "x.parquet"))
     assert (ran.exit_code, ran.err) == (130, "")
     assert not list(tmp_path.glob("*parquet*"))

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.base.errors import Interrupted, Refused
-from robotctl.base.store import has_hash_folders, hash_in, without_hashes
+from robotctl.base.store.objects import has_hash_folders, hash_in, without_hashes
 from robotctl.cli.commands.many_recordings import sync as sync_command
 from robotctl.cli.commands.many_recordings.sync import SyncPace
 from robotctl.ipc.client import NoAnswer

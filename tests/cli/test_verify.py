@@ -10,7 +10,7 @@ from mcap.writer import Writer
 
 from robotctl.base.paths import make_private, seal_folder
 from robotctl.recording import Recorder
-from robotctl.recording.seal.keyring import KEY_FILE, Keyring
+from robotctl.recording.seal import KEY_FILE, Keyring
 from robotctl.testing.drives import TWIST, drive, record
 from robotctl.testing.faults import chunks_of, zero
 from tests.cli.conftest import Cli

@@ -33,7 +33,7 @@ from robotctl.collection.judgement import judge
 from robotctl.collection.judging import ResultStore
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import Effect, Event
-from robotctl.recording.read.source import LocalSource
+from robotctl.recording.read.files import LocalSource
 from robotctl.testing.drives import BEGIN_NS, drive, record
 from tests.support.checked_drives import judged, rechained, wrong
 

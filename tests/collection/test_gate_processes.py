@@ -20,8 +20,8 @@ from robotctl.check.report import Report
 from robotctl.check.run import check_recording
 from robotctl.collection import cluster, judgement
 from robotctl.collection.cluster import Cluster
-from robotctl.collection.content import software_hash
 from robotctl.collection.gate import Baseline, judge_all
+from robotctl.collection.judgement import software_hash
 from robotctl.collection.judging import Judged, Judging, ResultStore
 from robotctl.testing.drives import drive, record
 from tests.collection.dask_processes import DaskProcesses, dask_processes

@@ -17,20 +17,19 @@ from typing import IO, Any
 import pytest
 
 from robotctl.base.errors import Refused, UnreadableFile, UsageError
+from robotctl.base.jobs import job_command
 from robotctl.base.processes import start
-from robotctl.base.processes.jobs import job_command
 from robotctl.collection import catalogue as catalogues
-from robotctl.collection import database as databases
+from robotctl.collection import index_file as databases
 from robotctl.collection import questions
 from robotctl.collection.catalogue import CATALOGUE_NAME, Catalogue, catalogue_of, stamps_in
-from robotctl.collection.database import database, parquet, write_parquet
 from robotctl.collection.index_file import files_of, index_path, stamp_of
 from robotctl.collection.indexing import index_recording
 from robotctl.collection.questions import Answer, ask, find, parse_condition
 from robotctl.daemon.recording.indexer import INDEX
 from robotctl.kernel.types import ModeRequested
 from robotctl.recording import Recorder, Recording
-from robotctl.recording.disk.atomic_output import replaced_file
+from robotctl.recording.disk import replaced_file
 from robotctl.recording.format.names import derived_files
 from robotctl.testing.drives import BEGIN_NS, TWIST, drive, drive_requested, record
 
@@ -301,7 +300,7 @@ def recordings_found(folder: Path) -> list[str]:
 
 def rewritten(index: Path, query: str) -> None:
     """Write other rows with the stamp of the index; `here` is the index in SQL."""
-    write_parquet(index, query.replace("here", parquet([index])), [index])
+    databases.write_parquet(index, query.replace("here", databases.parquet([index])), [index])
 
 
 @pytest.mark.parametrize(
@@ -436,7 +435,7 @@ def test_a_kill_at_any_moment_leaves_a_valid_index_or_none(folder: Path) -> None
 
 
 def test_the_database_prints_nothing_into_an_answer() -> None:
-    with database() as connection:
+    with databases.database() as connection:
         shown = connection.execute("SELECT current_setting('enable_progress_bar')")
         assert shown.fetchall() == [(False,)]
 
@@ -460,4 +459,4 @@ def test_a_full_disk_is_told_in_the_words_of_the_system(
     full = SimpleNamespace(f_bavail=0)
     monkeypatch.setattr(os, "fstatvfs", lambda descriptor: full)
     with pytest.raises(OSError, match="No space left on device"):
-        write_parquet(tmp_path / "index.parquet", "SELECT * FROM what_is_cut_short", [])
+        databases.write_parquet(tmp_path / "index.parquet", "SELECT * FROM what_is_cut_short", [])

@@ -17,7 +17,7 @@ import pytest
 
 import robotctl
 from robotctl import __version__
-from robotctl.collection.content import software_hash
+from robotctl.collection.judgement import software_hash
 from tests.support.checked_drives import make_history
 
 

@@ -16,7 +16,8 @@ import pytest
 from mcap.writer import Writer
 
 from robotctl.base.errors import UnreadableFile
-from robotctl.base.store import Stamp, StoreFailed, open_store
+from robotctl.base.store import open_store
+from robotctl.base.store.objects import Stamp, StoreFailed
 from robotctl.collection import sources
 from robotctl.collection.sources import (
     OF_THE_SYSTEM,

@@ -15,11 +15,12 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.base.store import PART_BYTES, StoreFailed, open_store
+from robotctl.base.store import open_store
+from robotctl.base.store.objects import PART_BYTES, StoreFailed
 from robotctl.collection import sync
 from robotctl.collection.sources import Pace, local_recordings
 from robotctl.collection.sync import GIVE_UP_AFTER, Pruned, copy_recordings, prune
-from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.disk import DiskFile
 from robotctl.recording.keep.listing import set_kept
 from robotctl.recording.keep.repair import TidyJob, tidy
 from robotctl.recording.keep.retention import NOTES_FILE, RetentionPolicy

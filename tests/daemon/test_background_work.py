@@ -17,7 +17,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.base.processes import Child, jobs, start
+from robotctl.base import jobs
+from robotctl.base.processes import Child, start
 from robotctl.collection.catalogue import stamps_in
 from robotctl.collection.index_file import files_of, index_path, stamp_of
 from robotctl.config import RecordingParams

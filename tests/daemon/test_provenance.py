@@ -28,7 +28,7 @@ from robotctl.daemon.recording.provenance import (
 from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.recording import Recording, read_info
 from robotctl.recording.format.names import FOXGLOVE_RECORD, SOFTWARE_RECORD
-from robotctl.recording.seal.keyring import Head
+from robotctl.recording.seal import Head
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import PATIENT, World
 

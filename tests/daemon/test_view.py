@@ -23,7 +23,7 @@ from robotctl.messages.definition import parse_definition
 from robotctl.messages.fields import parse_path
 from robotctl.messages.values import Decoder
 from robotctl.recording import JournalEntry
-from robotctl.recording.format import foxglove
+from robotctl.recording.format.noted_events import DEFINITION, TYPE_NAME, encode_event
 from robotctl.view.remote_control import LET_GO_S
 from tests.support.view_client import ViewClient, view_client
 from tests.support.waiting import DEADLINE_S, until
@@ -302,11 +302,11 @@ NS = 1_000_000_000
 
 @pytest.mark.parametrize("text", ["", "a", "ab", "abc", "abcd", "ü€", "\udcff"])
 def test_an_event_is_what_its_definition_says(text: str) -> None:
-    types = get_types_from_msg(foxglove.DEFINITION, foxglove.TYPE_NAME)
+    types = get_types_from_msg(DEFINITION, TYPE_NAME)
     store = get_typestore(Stores.EMPTY)
     store.register(types)
-    data = foxglove.encode_event(3 * NS + 5, 4 * NS, {"event": text, "to": "IDLE"})
-    event: Any = store.deserialize_cdr(data, foxglove.TYPE_NAME)
+    data = encode_event(3 * NS + 5, 4 * NS, {"event": text, "to": "IDLE"})
+    event: Any = store.deserialize_cdr(data, TYPE_NAME)
     assert (event.start_time.sec, event.start_time.nanosec) == (3, 5)
     assert (event.end_time.sec, event.end_time.nanosec) == (4, 0)
     shown = text.encode(errors="backslashreplace").decode()
@@ -339,7 +339,7 @@ def test_changes_and_marks_are_events_and_the_recording_is_played_and_checked(
 
 def events_of(folder: Path) -> list[list[tuple[str, str]]]:
     with AnyReader([folder]) as reader:
-        (connection,) = (each for each in reader.connections if each.msgtype == foxglove.TYPE_NAME)
+        (connection,) = (each for each in reader.connections if each.msgtype == TYPE_NAME)
         assert connection.topic == "/robotctl/events"
         events: list[Any] = [
             reader.deserialize(data, each.msgtype)

@@ -26,8 +26,7 @@ from robotctl.decisions import log as writer
 from robotctl.decisions.journal import MAX_TEXT, DecisionKind, log_folder, read_log
 from robotctl.decisions.log import DAY_BYTES, RESERVE_BYTES, DecisionLog
 from robotctl.kernel.units import DAY_S
-from robotctl.recording.seal.heads import known_heads, wrong_openings
-from robotctl.recording.seal.keyring import Keyring
+from robotctl.recording.seal import Keyring, known_heads, wrong_openings
 
 PATIENCE_S = 30.0
 GOLDEN_STATE = Path(__file__).parents[1] / "golden" / "sealed_state"

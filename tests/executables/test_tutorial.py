@@ -18,7 +18,7 @@ from robot_controller.msg import RobotStatus
 from robot_controller.srv import SetMode
 
 from robot_controller.velocity_publisher import VelocityPublisher
-from robotctl.base.mode_names import MODES
+from robotctl.base.text import MODES
 from robotctl.kernel.modes import Mode
 from tests.support.waiting import until
 

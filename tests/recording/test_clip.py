@@ -26,9 +26,9 @@ from robotctl.check.run import check_recording
 from robotctl.cli import app
 from robotctl.kernel.types import Twist
 from robotctl.kernel.units import NS_PER_S
-from robotctl.messages.motion import encode_twist
+from robotctl.messages.inputs import encode_twist
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic, read_info, read_messages
-from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.disk import DiskFile
 from robotctl.recording.format import rosbag2
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
 from robotctl.recording.format.names import (

@@ -45,7 +45,7 @@ from robotctl.recording import (
     read_info,
     read_messages,
 )
-from robotctl.recording.convert.conversion import ChannelTable, Form, convert
+from robotctl.recording.convert import ChannelTable, Form, convert
 from robotctl.recording.keep.clip import Moment, cut_clip
 from robotctl.recording.keep.listing import list_recording
 from robotctl.recording.keep.recover import recover, recover_folder
@@ -336,8 +336,8 @@ def test_nothing_is_overwritten_and_a_full_disk_leaves_nothing(tmp_path: Path) -
         convert(GOLDEN / "stopped", tmp_path / "copy", Form())
     program = (
         "import sys\nfrom pathlib import Path\n"
-        "from robotctl.recording.convert.conversion import convert\n"
-        "from robotctl.recording.convert.conversion import Form\n"
+        "from robotctl.recording.convert import convert\n"
+        "from robotctl.recording.convert import Form\n"
         "convert(Path(sys.argv[1]), Path(sys.argv[2]), Form())\n"
     )
     ran = subprocess.run(

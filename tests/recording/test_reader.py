@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
 from robotctl.base.errors import UnreadableFile
-from robotctl.base.store.remote_file import path_of
+from robotctl.base.store import path_of
 from robotctl.check.report import Verdict
 from robotctl.check.run import check_recording
 from robotctl.messages.cdr import JOURNAL_ENTRY
@@ -35,7 +35,7 @@ from robotctl.recording import (
     read_info,
     read_messages,
 )
-from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.disk import DiskFile
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.read.indexing import index_of

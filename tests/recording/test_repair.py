@@ -23,7 +23,7 @@ from zstandard import ZstdDecompressor
 
 from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.recording import Recorder, RecorderOptions, read_info, read_messages
-from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.disk import DiskFile
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep import repair as repairing
@@ -386,7 +386,7 @@ def break_once(monkeypatch: pytest.MonkeyPatch) -> None:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return data
 
-    monkeypatch.setattr("robotctl.recording.read.source.os.pread", failing)
+    monkeypatch.setattr("robotctl.recording.read.files.os.pread", failing)
 
 
 def lack_memory_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,17 +24,15 @@ from robotctl.recording.format.seal_records import LINK_OPCODE, Link, LinkKind, 
 from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.records import InputFile
-from robotctl.recording.read.seal_check import SealState
-from robotctl.recording.read.whole_file import WholeFile, read_whole_file
+from robotctl.recording.read.whole_file import SealState, WholeFile, read_whole_file
 from robotctl.recording.read.whole_recording import (
     RecordingProof,
     check_chain,
     find_head,
     verify_recording,
 )
-from robotctl.recording.seal.heads import known_heads
-from robotctl.recording.seal.keyring import KEY_FILE, Keyring, SigningKey, is_signed
-from robotctl.recording.write import file_seal
+from robotctl.recording.seal import KEY_FILE, Keyring, SigningKey, is_signed, known_heads
+from robotctl.recording.write import mcap_writer
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import keyring, read_strictly, record_sealed, recorded, write_numbered
 from tests.support.waiting import until
@@ -42,7 +40,7 @@ from tests.support.waiting import until
 
 @pytest.fixture(autouse=True)
 def _a_link_at_each_commit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(file_seal, "LINK_PERIOD_S", 0.0)
+    monkeypatch.setattr(mcap_writer, "LINK_PERIOD_S", 0.0)
 
 
 @pytest.fixture

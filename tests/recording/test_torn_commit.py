@@ -21,16 +21,15 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
 from robotctl.recording import Compression, RecorderOptions, Topic, read_messages
-from robotctl.recording.disk.storage import Buffer, DiskFile
+from robotctl.recording.disk import Buffer, DiskFile
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.records import RECORD_HEAD, parse, walk_records
-from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.whole_data import FileState
-from robotctl.recording.read.whole_file import WholeFile, read_whole_file
+from robotctl.recording.read.whole_file import SealState, WholeFile, read_whole_file
+from robotctl.recording.write.bag_writer import RecordingFile
 from robotctl.recording.write.buffer import pack
 from robotctl.recording.write.channel_state import ChannelState
-from robotctl.recording.write.recording_file import RecordingFile
 from robotctl.testing.drives import QOS
 from robotctl.testing.faults import PAGE, FailingFile
 from tests.support.recordings import keyring, numbered, read_strictly
@@ -339,7 +338,7 @@ def test_a_read_that_fails_once_during_a_repair_loses_no_message(
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return pread(fd, length, offset)
 
-    monkeypatch.setattr("robotctl.recording.read.source.os.pread", failing)
+    monkeypatch.setattr("robotctl.recording.read.files.os.pread", failing)
     for state in states(recorded):
         if state.chunks != 2 or state.torn:
             continue

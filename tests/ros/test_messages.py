@@ -42,8 +42,7 @@ from std_srvs.srv import Trigger_Event, Trigger_Request
 from robotctl.kernel.geometry import Pose, yaw_of
 from robotctl.kernel.types import Odometry as KernelOdometry
 from robotctl.kernel.types import Twist
-from robotctl.messages.installed import InstalledType, UnusableType, installed_type
-from robotctl.messages.motion import (
+from robotctl.messages.inputs import (
     UNREADABLE,
     OdometryEncoder,
     StampedTwistEncoder,
@@ -52,6 +51,7 @@ from robotctl.messages.motion import (
     encode_twist,
     read_odometry,
 )
+from robotctl.messages.installed import InstalledType, UnusableType, installed_type
 from robotctl.ros.executor import decoder
 from robotctl.ros.executor.decoder import decoder_of
 from robotctl.ros.messages import classes

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.base.store import ObjectStore, open_store
+from robotctl.base.store import open_store
+from robotctl.base.store.objects import ObjectStore
 from tests.support.stores import FaultyBucket, environment, serving
 
 

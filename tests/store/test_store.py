@@ -22,7 +22,10 @@ from typing import Any
 import pytest
 
 from robotctl.base.errors import UsageError
-from robotctl.base.store import (
+from robotctl.base.store import MAX_READ_BYTES, RangeReader, RemoteFile, open_store, path_of
+from robotctl.base.store.bucket import RequestLoop, profile_keys
+from robotctl.base.store.folder_store import unfinished_file
+from robotctl.base.store.objects import (
     AccessDenied,
     NoSuchObject,
     ObjectChanged,
@@ -31,11 +34,7 @@ from robotctl.base.store import (
     StoreError,
     StoreFailed,
     is_url,
-    open_store,
 )
-from robotctl.base.store.bucket import RequestLoop, profile_keys
-from robotctl.base.store.folder_store import unfinished_file
-from robotctl.base.store.remote_file import MAX_READ_BYTES, RangeReader, RemoteFile, path_of
 from tests.support.stores import FaultyBucket, Moved, content
 from tests.support.waiting import loop_until, until
 

@@ -11,13 +11,12 @@ from pathlib import Path
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 
-from robotctl.recording.disk.storage import new_file
+from robotctl.recording.disk import new_file
 from robotctl.recording.format.names import LEDGER_RECORD, Compression
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
 from robotctl.recording.format.topics import Topic
 from robotctl.recording.write.buffer import ChunkEncoder, pack
-from robotctl.recording.write.file_seal import FileSeal, Sealer
-from robotctl.recording.write.mcap_writer import McapFile
+from robotctl.recording.write.mcap_writer import FileSeal, McapFile, Sealer
 from robotctl.testing.drives import Written, record
 
 CHUNK = 200

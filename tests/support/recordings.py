@@ -22,8 +22,8 @@ from mcap.writer import Writer
 from robotctl.recording import Compression, Recorder, RecorderOptions, read_messages
 from robotctl.recording import Message as RecordedMessage
 from robotctl.recording.format.seal_records import Link, Opening, SealOfFile
-from robotctl.recording.seal.keyring import SEED_BYTES, Keyring, SigningKey
-from robotctl.recording.write.file_seal import Sealer
+from robotctl.recording.seal import SEED_BYTES, Keyring, SigningKey
+from robotctl.recording.write.mcap_writer import Sealer
 from robotctl.testing.drives import GID, START_NS, TWIST
 from tests.support.edited_recordings import Stored as Stored
 from tests.support.edited_recordings import stored

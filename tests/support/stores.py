@@ -22,7 +22,13 @@ from xml.sax.saxutils import escape
 
 import pytest
 
-from robotctl.base.store import NoSuchObject, ObjectChanged, ObjectStore, Stamp, StoredObject
+from robotctl.base.store.objects import (
+    NoSuchObject,
+    ObjectChanged,
+    ObjectStore,
+    Stamp,
+    StoredObject,
+)
 
 
 def works(request: str, key: str) -> None:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from random import Random
 
 from robotctl.kernel.modes import Mode
-from robotctl.messages.motion import decode_twist, encode_twist
+from robotctl.messages.inputs import decode_twist, encode_twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, decode, encode
 from robotctl.recording.format.names import LEDGER_RECORD
 from tests.support.edited_recordings import Contents, Stored, edit

@@ -14,7 +14,7 @@ import pytest
 
 from robotctl.recording.format.seal_records import Opening
 from robotctl.recording.read.whole_recording import RecordingProof, verify_recording
-from robotctl.recording.write import file_seal
+from robotctl.recording.write import mcap_writer
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.recordings import Forger, keyring
 from tests.tampering.kinds import ACCEPTED, FORGED, recording_for
@@ -26,7 +26,7 @@ MANY = 10_000
 
 @pytest.fixture(autouse=True)
 def _a_link_at_each_commit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(file_seal, "LINK_PERIOD_S", 0.0)
+    monkeypatch.setattr(mcap_writer, "LINK_PERIOD_S", 0.0)
 
 
 @pytest.fixture

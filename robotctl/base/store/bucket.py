@@ -36,11 +36,11 @@ from robotctl.base.store.objects import (
     StoredObject,
     StoreError,
     StoreFailed,
+    StoreUrl,
     changed,
     check_key,
     short_answer,
 )
-from robotctl.base.store.url import StoreUrl
 from robotctl.base.text import printable, short_name
 
 if TYPE_CHECKING:

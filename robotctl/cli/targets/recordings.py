@@ -92,7 +92,7 @@ def file_path(text: str) -> Path:
     Raises:
         UsageError: The URL does not name one file in a store.
     """
-    from robotctl.base.store.remote_file import path_of
+    from robotctl.base.store import path_of
 
     return path_of(text)
 
@@ -103,7 +103,7 @@ def recording_path(text: str) -> Path:
     Raises:
         UsageError: The argument is a URL of a store.
     """
-    from robotctl.base.store.remote_file import RemoteFile, not_here
+    from robotctl.base.store import RemoteFile, not_here
 
     path = file_path(text)
     if isinstance(path, RemoteFile):

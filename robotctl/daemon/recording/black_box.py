@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from robotctl.base.processes.jobs import JobFailed, job_command, run_job
+from robotctl.base.jobs import JobFailed, job_command, run_job
 from robotctl.config import RecordingParams
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.names import EventKind

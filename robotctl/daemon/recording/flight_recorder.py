@@ -27,10 +27,10 @@ from robotctl.daemon.recording.topic_sinks import HealthLooks, TopicSinks
 from robotctl.daemon.supervisor import Work
 from robotctl.ipc.advice import for_robot
 from robotctl.recording import RecorderStats, Topic
-from robotctl.recording.format import foxglove
+from robotctl.recording.format import noted_events
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
-from robotctl.recording.seal.keyring import Keyring
+from robotctl.recording.seal import Keyring
 from robotctl.recording.write.recorder_options import TopicFilter
 from robotctl.ros.executor import UNKNOWN_GID
 from robotctl.ros.nodes import mode_service, publishers
@@ -118,7 +118,9 @@ class FlightRecorder:
         self._events: int | None = None
         """The channel of events for Foxglove, or None if `recording.foxglove_events` is off."""
         if config.recording.foxglove_events:
-            topic = Topic(session.resolve(foxglove.TOPIC), foxglove.TYPE_NAME, foxglove.DEFINITION)
+            topic = Topic(
+                session.resolve(noted_events.TOPIC), noted_events.TYPE_NAME, noted_events.DEFINITION
+            )
             self._events = self._recorder.add_topic(topic)
         self.folder = self._recorder.stats().file.parent
         self._black_box = BlackBox(config.recording, self.folder)
@@ -175,7 +177,7 @@ class FlightRecorder:
         """Record an event for Foxglove with the present time, if the configuration enables it."""
         if self._events is not None:
             now_ns = time.time_ns()
-            event = foxglove.encode_event(now_ns, now_ns, values)
+            event = noted_events.encode_event(now_ns, now_ns, values)
             self._recorder.write(self._events, event, now_ns, now_ns, 0, UNKNOWN_GID)
 
     def mark(self, text: str, source: str) -> RecordedEvent:

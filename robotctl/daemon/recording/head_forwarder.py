@@ -10,7 +10,7 @@ from contextlib import suppress
 from subprocess import DEVNULL
 
 from robotctl.base.errors import ConfigError
-from robotctl.recording.seal.keyring import Head
+from robotctl.recording.seal import Head
 
 _log = logging.getLogger(__name__)
 

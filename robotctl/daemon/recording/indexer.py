@@ -9,8 +9,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
+from robotctl.base.jobs import JobFailed, job_command, run_job
 from robotctl.base.processes import start
-from robotctl.base.processes.jobs import JobFailed, job_command, run_job
 
 _log = logging.getLogger(__name__)
 

@@ -20,7 +20,7 @@ from robotctl.recording.format.names import (
     SOFTWARE_RECORD,
 )
 from robotctl.recording.keep.retention import RetentionPolicy
-from robotctl.recording.write.file_seal import Sealer
+from robotctl.recording.write.mcap_writer import Sealer
 
 
 def retention_policy(params: RecordingParams) -> RetentionPolicy:

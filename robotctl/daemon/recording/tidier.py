@@ -9,7 +9,7 @@ from contextlib import aclosing
 from pathlib import Path
 from typing import Final
 
-from robotctl.base.processes.jobs import JobFailed, job_command, job_reports
+from robotctl.base.jobs import JobFailed, job_command, job_reports
 from robotctl.recording.keep.repair import TidyJob
 from robotctl.recording.keep.retention import RetentionPolicy, TidyNote
 

@@ -17,9 +17,9 @@ from io import TextIOWrapper
 from pathlib import Path
 
 from robotctl.base.files import open_regular
-from robotctl.base.store.remote_file import RemoteFile
-from robotctl.base.store.url import is_hash
-from robotctl.recording.disk.access import open_private, share_like
+from robotctl.base.store import RemoteFile
+from robotctl.base.store.objects import is_hash
+from robotctl.recording.disk import open_private, share_like
 from robotctl.recording.format.topics import Topic
 
 METADATA_FILE = "metadata.yaml"

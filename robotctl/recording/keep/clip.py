@@ -17,11 +17,10 @@ import msgspec
 from mcap.records import Metadata
 
 from robotctl.base.errors import Refused
-from robotctl.base.processes.pipes import Report
-from robotctl.base.store.remote_file import RemoteFile
+from robotctl.base.processes import Report
+from robotctl.base.store import RemoteFile
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording.disk.access import is_shared, make_folder, share_like
-from robotctl.recording.disk.storage import new_file
+from robotctl.recording.disk import is_shared, make_folder, new_file, share_like
 from robotctl.recording.format.names import (
     CLIP_RECORD,
     EVENT_RECORD,

@@ -11,17 +11,15 @@ from errno import ENOENT
 from pathlib import Path
 
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording.disk.access import open_private, share_like
-from robotctl.recording.disk.storage import is_being_written
+from robotctl.recording.disk import is_being_written, open_private, share_like
 from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY, EventKind, natural_order
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.rosbag2 import entries_of, metadata_text
-from robotctl.recording.read.files import files_of_bag, may_not_be_listed, reason_of
+from robotctl.recording.read.files import files_of_bag, is_zstd_file, may_not_be_listed, reason_of
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.messages import OpenFile, find_shortfalls
 from robotctl.recording.read.read_limits import Damaged
 from robotctl.recording.read.records import InputFile, read_header
-from robotctl.recording.read.source import is_zstd_file
 
 KEEP_FILE = "keep"
 """A recording with a file of this name in its folder is never removed."""

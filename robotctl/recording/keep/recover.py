@@ -12,8 +12,7 @@ from shutil import rmtree
 from mcap.opcode import Opcode
 
 from robotctl.base.errors import Refused, UnreadableFile
-from robotctl.recording.disk.access import is_shared, make_folder, share_like
-from robotctl.recording.disk.storage import DiskFile, Storage, new_file
+from robotctl.recording.disk import DiskFile, Storage, is_shared, make_folder, new_file, share_like
 from robotctl.recording.format.names import LIBRARY, RECOVERY_RECORD, Compression
 from robotctl.recording.format.records import MAGIC, RECORD_HEAD_BYTES
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, metadata_text, total_count_in
@@ -30,6 +29,7 @@ from robotctl.recording.format.trailer import WrittenFile
 from robotctl.recording.keep.retention import rewrite_metadata
 from robotctl.recording.read.chunks import without_compression
 from robotctl.recording.read.files import (
+    SUFFIX,
     Progress,
     absent_files,
     each_with_progress,
@@ -38,7 +38,6 @@ from robotctl.recording.read.files import (
 from robotctl.recording.read.messages import ReadableFile, open_readable
 from robotctl.recording.read.read_limits import Damaged, Unreadable
 from robotctl.recording.read.records import InputFile
-from robotctl.recording.read.source import SUFFIX
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
 

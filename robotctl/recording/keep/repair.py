@@ -19,9 +19,8 @@ from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 
 from robotctl.base.errors import RobotctlError
-from robotctl.base.processes.pipes import Report
-from robotctl.recording.disk.access import reason_of
-from robotctl.recording.disk.storage import DiskFile
+from robotctl.base.processes import Report
+from robotctl.recording.disk import DiskFile, reason_of
 from robotctl.recording.format.names import LEDGER_RECORD, RECOVERY_RECORD, Compression
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_FILE

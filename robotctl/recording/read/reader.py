@@ -22,6 +22,7 @@ from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.records import type_name_of
 from robotctl.recording.read.file_index import FileIndex, note_missing
 from robotctl.recording.read.files import (
+    Source,
     absent_files,
     absent_names,
     metadata_of_folder,
@@ -40,7 +41,6 @@ from robotctl.recording.read.messages import (
 )
 from robotctl.recording.read.read_limits import BeyondLimit, Damaged, ReadLimits
 from robotctl.recording.read.records import InputFile
-from robotctl.recording.read.source import Source
 
 _QOS_KEY = "offered_qos_profiles"
 _HASH_KEY = "topic_type_hash"

@@ -21,6 +21,7 @@ from mcap.records import Attachment, Header, McapRecord
 
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.records import RECORD_HEAD as RECORD_HEAD
+from robotctl.recording.read.files import Source, open_source
 from robotctl.recording.read.read_limits import (
     BYTES_PER_RECORD,
     RECORDS,
@@ -30,7 +31,6 @@ from robotctl.recording.read.read_limits import (
     Unreadable,
     note_read_failure,
 )
-from robotctl.recording.read.source import Source, open_source
 
 MESSAGE_FIELDS: Final = struct.Struct("<HIQQ")
 """The fields before a message's data: channel id, sequence, log time [ns], publish time [ns]."""

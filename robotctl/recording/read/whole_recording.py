@@ -23,16 +23,15 @@ from robotctl.recording.format.rosbag2 import (
 from robotctl.recording.format.seal_records import Opening
 from robotctl.recording.format.topics import LATCHED_QOS, read_ledger
 from robotctl.recording.read.files import (
+    SUFFIX,
     absent_files,
     each_with_progress,
     metadata_of_folder,
     recording_files,
 )
-from robotctl.recording.read.seal_check import SealState
-from robotctl.recording.read.source import SUFFIX
 from robotctl.recording.read.whole_data import FileState, WholeData
-from robotctl.recording.read.whole_file import WholeFile, read_whole_file
-from robotctl.recording.seal.heads import KnownHeads
+from robotctl.recording.read.whole_file import SealState, WholeFile, read_whole_file
+from robotctl.recording.seal import KnownHeads
 
 _TopicKey = tuple[str, str]
 """Name and type of a topic."""

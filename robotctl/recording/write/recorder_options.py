@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from fnmatch import translate
 from pathlib import Path
 
-from robotctl.recording.disk.storage import DiskFile, Storage
+from robotctl.recording.disk import DiskFile, Storage
 from robotctl.recording.format.names import Compression
-from robotctl.recording.write.file_seal import Sealer
+from robotctl.recording.write.mcap_writer import Sealer
 
 TYPE_PREFIX = "type:"
 """Prefix of a pattern that is matched against the type instead of the name."""

@@ -11,7 +11,7 @@ from rclpy.utilities import remove_ros_args
 from robot_controller.srv import SetMode
 
 from robotctl.base.errors import NoDaemon, Refused, UsageError
-from robotctl.base.mode_names import find_mode
+from robotctl.base.text import find_mode
 from robotctl.kernel.modes import Mode
 from robotctl.ros.executables.process import opened_node
 from robotctl.ros.nodes.mode_service import SET_MODE

@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from robotctl.kernel.params import CommandQos
 from robotctl.kernel.types import Twist
-from robotctl.messages.motion import (
+from robotctl.messages.inputs import (
     StampedTwistEncoder,
     decode_twist,
     decode_twist_stamped,

@@ -12,7 +12,7 @@ from rclpy.qos import QoSProfile
 from robotctl.base.text import short_name
 from robotctl.kernel.params import OdometryQos
 from robotctl.kernel.types import Odometry
-from robotctl.messages.motion import FRAME_AT, frame_bytes, frame_id_of, read_odometry
+from robotctl.messages.inputs import FRAME_AT, frame_bytes, frame_id_of, read_odometry
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph.endpoints import publisher_names
 from robotctl.ros.messages import qos

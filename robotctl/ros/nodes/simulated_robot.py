@@ -13,7 +13,7 @@ from sensor_msgs.msg import BatteryState
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.types import ZERO
 from robotctl.kernel.units import NS_PER_S
-from robotctl.messages.motion import OdometryEncoder
+from robotctl.messages.inputs import OdometryEncoder
 from robotctl.ros.executor import RawTap, Tick, Ticker
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, OwnTopic

@@ -32,9 +32,9 @@ from robotctl.messages.inputs import (
     MAX_RAYS,
     SECTORS,
     Diagnoses,
+    OdometryEncoder,
     nearest_by_sector,
 )
-from robotctl.messages.motion import OdometryEncoder
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.command_type import COMMANDS, PLAIN
 from robotctl.ros.nodes import odom_subscriber

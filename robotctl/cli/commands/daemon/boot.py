@@ -368,7 +368,7 @@ def _command_words(command: str, app: typer.Typer, words: list[str]) -> list[str
         UsageError: An argument is not allowed in a unit. If the command would refuse the
             arguments, typer raises an error of its own.
     """
-    from robotctl.base.store import is_url
+    from robotctl.base.store.objects import is_url
 
     for word in words:
         name = word.partition("=")[0]

@@ -94,7 +94,8 @@ def sync(
       robotctl sync s3://bucket/robots/one --max-age-days 7
       robotctl sync s3://bucket/robots/one ./one
     """
-    from robotctl.base.store import is_url, open_store
+    from robotctl.base.store import open_store
+    from robotctl.base.store.objects import is_url
     from robotctl.collection.sync import Pruned, copy_recordings, prune
     from robotctl.kernel.units import DAY_S, NS_PER_S
     from robotctl.recording.keep.retention import RetentionPolicy
@@ -134,7 +135,7 @@ def _ends(places: list[str], folder: Path | None, robot: str) -> tuple[str, str]
     Raises:
         UsageError: There are more than two places, or one cannot be used.
     """
-    from robotctl.base.store import is_url, parse_url
+    from robotctl.base.store.objects import is_url, parse_url
 
     if len(places) > 2:
         raise UsageError(f"{len(places)} places are too many", "give [FROM] TO")
@@ -159,7 +160,7 @@ def _check_folder(target: Path, source: str) -> None:
     Raises:
         UsageError: It is a file or in `source`, or its parent is missing (disk not mounted?).
     """
-    from robotctl.base.store import is_url
+    from robotctl.base.store.objects import is_url
 
     if not target.parent.is_dir() or (target.exists() and not target.is_dir()):
         raise UsageError(f"{target}: no such folder", "mount the disk, or create it")
@@ -168,7 +169,7 @@ def _check_folder(target: Path, source: str) -> None:
 
 
 def _offered(source: str) -> list[OfferedRecording]:
-    from robotctl.base.store import has_hash_folders, is_url
+    from robotctl.base.store.objects import has_hash_folders, is_url
     from robotctl.collection.sources import local_recordings, stored_recordings
 
     if is_url(source) or has_hash_folders(Path(source)):

@@ -19,7 +19,7 @@ from robotctl.cli.ui.text import printable, short_path
 from robotctl.recording.format.names import Compression
 
 if TYPE_CHECKING:
-    from robotctl.recording.convert.conversion import Converted
+    from robotctl.recording.convert import Converted
 
 app = new_app()
 
@@ -59,7 +59,7 @@ def convert(
       robotctl convert old_bag new_bag --split-mb 100 --compression lz4
       robotctl convert rosbag2_2024_01_01.db3 bag.mcap
     """
-    from robotctl.recording.convert.conversion import MCAP_SUFFIX, Form, convert
+    from robotctl.recording.convert import MCAP_SUFFIX, Form, convert
 
     if split_mb is not None and (one_file or target.suffix == MCAP_SUFFIX):
         raise UsageError("--split-mb makes several files", "give a folder without --one-file")

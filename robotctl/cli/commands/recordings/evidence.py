@@ -65,7 +65,7 @@ def evidence(
     """
     from robotctl.decisions.evidence import KILLED, RUNS, collect
     from robotctl.decisions.journal import log_folder, read_log
-    from robotctl.recording.seal.heads import wrong_openings
+    from robotctl.recording.seal import wrong_openings
 
     folder = log_folder(check_robot_name(robot))
     since_ns = 0 if since is None else parse_since(since, time.time_ns())

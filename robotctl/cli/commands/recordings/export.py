@@ -26,7 +26,7 @@ from robotctl.cli.ui.text import printable, short_path
 if TYPE_CHECKING:
     from robotctl.recording.read.messages import Window
     from robotctl.recording.read.reader import RecordingInfo
-    from robotctl.recording.table.topic_table import Row, TopicTable
+    from robotctl.recording.table import Row, TopicTable
 
 app = new_app()
 
@@ -96,7 +96,7 @@ def export(
       robotctl export last --topic /robot_status --json | head
     """
     from robotctl.recording import Recording
-    from robotctl.recording.table.topic_table import TopicTable, choose_topic
+    from robotctl.recording.table import TopicTable, choose_topic
 
     chosen = [
         each
@@ -166,7 +166,7 @@ def _told(
 
 
 def _print(form: TableFormat, table: TopicTable, rows: Iterable[Row]) -> int:
-    from robotctl.recording.table.topic_table import write_csv, write_json_lines
+    from robotctl.recording.table import write_csv, write_json_lines
 
     if form is TableFormat.JSON:
         return write_json_lines(table.columns, rows, sys.stdout)
@@ -180,12 +180,12 @@ def _print(form: TableFormat, table: TopicTable, rows: Iterable[Row]) -> int:
 def _write(
     form: TableFormat, table: TopicTable, rows: Iterable[Row], output: Path, source: Path
 ) -> int:
-    from robotctl.recording.disk.atomic_output import atomic_output
-    from robotctl.recording.table.topic_table import write_csv, write_json_lines
+    from robotctl.recording.disk import atomic_output
+    from robotctl.recording.table import write_csv, write_json_lines
 
     with atomic_output(output, source) as unfinished:
         if form is TableFormat.PARQUET:
-            from robotctl.recording.table.parquet_table import write_parquet
+            from robotctl.recording.arrays import write_parquet
 
             return write_parquet(table.columns, rows, unfinished)
         write = write_json_lines if form is TableFormat.JSON else write_csv

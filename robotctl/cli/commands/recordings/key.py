@@ -12,7 +12,7 @@ from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import moment, printable, short_path
 
 if TYPE_CHECKING:
-    from robotctl.recording.seal.keyring import StoredKey
+    from robotctl.recording.seal import StoredKey
 
 app = new_app()
 group = new_app()
@@ -72,7 +72,7 @@ def rotate(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
     Examples:
       robotctl key rotate
     """
-    from robotctl.recording.seal.keyring import Keyring
+    from robotctl.recording.seal import Keyring
 
     _stored(robot)  # a new robot gets its key when it starts
     try:
@@ -88,7 +88,7 @@ def _stored(robot: str) -> StoredKey:
     Raises:
         Refused: The robot has no key, or the key cannot be read.
     """
-    from robotctl.recording.seal.keyring import Keyring
+    from robotctl.recording.seal import Keyring
 
     folder = seal_folder(robot)
     chain_to(folder).check()

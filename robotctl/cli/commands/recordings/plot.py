@@ -70,7 +70,7 @@ def plot(
     if output is not None and output.suffix not in (PNG, SVG):
         raise UsageError(f"-o {output}", f"give a name that ends in {PNG} or {SVG}")
     from robotctl.recording import Recording
-    from robotctl.recording.table.topic_table import choose_topic
+    from robotctl.recording.table import choose_topic
     from robotctl.show.series import number_fields, read_fields
 
     source = find_recording(file, robot, folder)
@@ -116,7 +116,7 @@ def _range(field: FieldSeries) -> str:
 
 
 def _write(target: Path, found: Sequence[FieldSeries], duration_s: float) -> None:
-    from robotctl.recording.disk.atomic_output import replaced_file
+    from robotctl.recording.disk import replaced_file
 
     figures = [each.figure(duration_s) for each in found]
     try:

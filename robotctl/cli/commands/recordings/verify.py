@@ -15,10 +15,9 @@ from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import moment, row, short_path, size
 
 if TYPE_CHECKING:
-    from robotctl.recording.read.seal_check import SealOfRead
-    from robotctl.recording.read.whole_file import WholeFile
+    from robotctl.recording.read.whole_file import SealOfRead, WholeFile
     from robotctl.recording.read.whole_recording import VerifiedRecording
-    from robotctl.recording.seal.heads import KnownHeads
+    from robotctl.recording.seal import KnownHeads
 
 app = new_app()
 
@@ -193,7 +192,7 @@ def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> di
     recordings must contain it.
     """
     from robotctl.recording.read.whole_recording import Chain, VerifiedRecording, verify_recording
-    from robotctl.recording.seal.heads import known_heads
+    from robotctl.recording.seal import known_heads
 
     found: list[VerifiedRecording] = []
     for path in paths:
@@ -220,7 +219,7 @@ NOT_PROVED = (
 
 def _recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, Any]:
     """Return the object of one recording; `heads` are this machine's lists of keys."""
-    from robotctl.recording.read.source import SUFFIX
+    from robotctl.recording.read.files import SUFFIX
     from robotctl.recording.read.whole_recording import RecordingProof, compare_known
 
     known = [(file.path.name, compare_known(file, heads)) for file in found.files]
@@ -258,7 +257,7 @@ def _summary_object(
     found: Sequence[VerifiedRecording], head: str, heads: KnownHeads
 ) -> dict[str, Any]:
     """Return the summary of all recordings: their chain, the head, and what is not proved."""
-    from robotctl.recording.read.seal_check import SealState
+    from robotctl.recording.read.whole_file import SealState
     from robotctl.recording.read.whole_recording import check_chain, find_head
 
     files = [file for each in found for file in each.files]

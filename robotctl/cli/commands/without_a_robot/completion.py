@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final
 import typer
 
 from robotctl.base.errors import Refused
-from robotctl.base.mode_names import MODES
+from robotctl.base.text import MODES
 from robotctl.cli.commands.robot.drive import MOTIONS
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.ui.output import print_answer

@@ -90,7 +90,7 @@ def page_of(path: Path) -> Path:
 
 
 def _write(target: Path, data: bytes) -> None:
-    from robotctl.recording.disk.atomic_output import replaced_file
+    from robotctl.recording.disk import replaced_file
 
     try:
         with replaced_file(target) as stream:

@@ -124,7 +124,7 @@ def _echo_recorded(
     as_json: bool,
 ) -> None:
     from robotctl.cli.commands.ros.topic.messages import Printer, RecordedTopic
-    from robotctl.recording.table.topic_table import recorded_definition
+    from robotctl.recording.table import recorded_definition
 
     recorded = RecordedTopic(file, topic, type_name)
     info = recorded.info

@@ -15,7 +15,7 @@ from robotctl.messages.definition import Definition
 from robotctl.messages.fields import WrongValue, parse_path, value_at
 from robotctl.messages.values import Decoder
 from robotctl.recording import Message, read_info, read_messages
-from robotctl.recording.table.topic_table import choose_topic
+from robotctl.recording.table import choose_topic
 
 
 class RecordedTopic:

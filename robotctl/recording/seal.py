@@ -1,11 +1,10 @@
-"""The keys of a robot in its state folder, and the newest head of its chain.
+"""The keys of a robot in its state folder, the newest head of its chain, and the known heads.
 
 Each file of a recording has a different key, which the key of the previous file signs. Then the old
 private key is overwritten: a thief of the present key cannot sign older files. The folder has
 `key.json` (0600): the present private key, the number of files, the newest head. The journal of
-decisions, in the folder next to it, has a line for each file that was opened or closed.
-
-PyNaCl is imported on first use: it needs 10 ms and 1.1 MB. The package `cryptography` needs 8.6 MB.
+decisions, in the folder next to it, has a line for each file that was opened or closed; these lines
+outlive recordings.
 """
 
 from __future__ import annotations
@@ -14,27 +13,31 @@ import json
 import os
 import secrets
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
+from robotctl.base.errors import RobotctlError
 from robotctl.base.files import open_regular
-from robotctl.base.paths import make_private
+from robotctl.base.paths import make_private, state_folder
 from robotctl.decisions.journal import (
     ABOUT_SEALS,
     FOLDER,
     MAX_KEPT_BYTES,
     DecisionKind,
     Entry,
+    OpenedLine,
     append,
     digests,
+    entries_in,
+    files_of,
     kept_file,
     last_file,
     locked,
 )
-from robotctl.recording.disk.access import open_private
+from robotctl.recording.disk import open_private
 from robotctl.recording.format.seal_records import NO_DIGEST, Link, Opening, SealOfFile
 
 SEED_BYTES: Final = 32
@@ -274,3 +277,84 @@ def entries_of_list(path: Path) -> Iterator[Entry]:
                 for kind, values in json.loads(line).items():
                     if kind in ABOUT_SEALS:
                         yield Entry(0, kind, {kind: values})
+
+
+@dataclass(slots=True)
+class KnownHeads:
+    """The sealed files of all robots: each file's opening and last head, by its public key.
+
+    `signed` has the names of the files that have at least one signed link. `keys` has the public
+    keys of the files by name: several files can have the same name if the clock was set back after
+    a recording was removed.
+    """
+
+    opened: dict[str, Opening] = field(default_factory=dict)
+    closed: dict[str, Head] = field(default_factory=dict)
+    signed: set[str] = field(default_factory=set)
+    keys: dict[str, set[str]] = field(default_factory=dict)
+
+    def add(self, entry: Entry) -> None:
+        """Add the opening or the last head that a line of a journal contains.
+
+        Raises:
+            ValueError, TypeError, KeyError: The line is malformed.
+        """
+        if entry.kind == DecisionKind.OPENED:
+            opening = _opening(entry)
+            self.opened[opening.key] = opening
+            self.keys.setdefault(opening.file, set()).add(opening.key)
+            if opening.previous_file:  # it continues a signed link
+                self.signed.add(opening.previous_file)
+        elif entry.kind == DecisionKind.CLOSED:
+            values = dict(entry.values[entry.kind])
+            key = str(values.pop("key"))
+            self.closed[key] = Head(**values)
+            self.signed.add(self.closed[key].file)
+
+    def named(self, root: str, number: int) -> str:
+        """Return the name of file `number` of the chain with key `root`, "" if it is unknown."""
+        found = (
+            opening.file
+            for opening in self.opened.values()
+            if (opening.root, opening.number) == (root, number)
+        )
+        return next(found, "")
+
+
+def _opening(entry: Entry) -> Opening:
+    return Opening.read(json.dumps(entry.values[entry.kind]).encode())
+
+
+def known_heads() -> KnownHeads:
+    """Return the sealed files that this user's journals know; skip what cannot be read."""
+    heads = KnownHeads()
+    with suppress(RobotctlError, OSError):
+        for robot in state_folder().iterdir():
+            journal = robot / FOLDER
+            paths = kept_file(journal), *files_of(journal)
+            for entries in (
+                entries_of_list(robot / "seal" / OLD_LIST),
+                *(entries_in(path, DecisionKind.OPENED, DecisionKind.CLOSED) for path in paths),
+            ):
+                with suppress(OSError):
+                    for entry in entries:
+                        with suppress(ValueError, TypeError, KeyError):
+                            heads.add(entry)
+    return heads
+
+
+def wrong_openings(lines: Iterable[OpenedLine]) -> Iterator[str]:
+    """Yield a sentence for each line `opened` whose signature does not fit the lines before."""
+    for line in lines:
+        proved = False
+        with suppress(ValueError, TypeError, KeyError):
+            opening, told = _opening(line.entry), line.entry.values["journal"]
+            signature = bytes.fromhex(line.entry.values["signature"])
+            proved = is_signed(signed_journal(opening, told), signature, opening.key) and all(
+                found in (digest, "") for digest, found in zip(told, line.before, strict=True)
+            )
+        if not proved:
+            yield (
+                f"{line.place} does not sign the lines before it: "
+                "something was changed, removed or added"
+            )

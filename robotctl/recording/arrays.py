@@ -1,11 +1,15 @@
-"""Tables as Parquet files, written by duckdb (the extra `parquet`)."""
+"""Fields of a topic over time as NumPy arrays, and tables as Parquet files.
+
+Parquet needs duckdb (the extra `parquet`).
+"""
 
 from __future__ import annotations
 
 import errno
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
@@ -14,11 +18,119 @@ import numpy as np
 
 from robotctl.base.errors import RobotctlError, UnreadableFile, UsageError
 from robotctl.messages.definition import NUMBERS
-from robotctl.messages.fields import FieldPath, ValueKind
-from robotctl.recording.table.topic_table import Row, json_of
+from robotctl.messages.fields import FieldPath, ValueKind, WrongValue, parse_path
+from robotctl.recording.read.file_index import note_missing
+from robotctl.recording.read.reader import Recording
+from robotctl.recording.table import TIME_COLUMNS, Row, TopicTable, choose_topic, json_of
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
+
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class TopicArrays:
+    """The fields of a topic, one entry for each message, in the order of `log_ns`.
+
+    `log_ns` and `publish_ns` are when a message was received and published [ns since the epoch],
+    `time_s` is the log time since the first message of the recording [s]. `arrays["a.b"]` is a
+    field: numbers have the field's type, an array of n numbers has n columns, and texts, bytes and
+    sequences are objects.
+    """
+
+    topic: str
+    type_name: str
+    log_ns: Array
+    publish_ns: Array
+    time_s: Array
+    fields: Mapping[str, Array]
+
+    def __getitem__(self, path: str) -> Array:
+        """Return the array of a field that was read."""
+        return self.fields[path]
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return len(self.log_ns)
+
+
+def read_arrays(
+    path: Path,
+    topic: str,
+    *fields: str,
+    type_name: str = "",
+    on_missing: Callable[[str], None] | None = None,
+) -> TopicArrays:
+    """Return fields of a topic, such as `pose.pose.position.x`; without `fields`, all of them.
+
+    `on_missing` is called with a sentence about each part that cannot be read. `type_name` chooses
+    a type if the topic has several.
+
+    Raises:
+        UsageError: The recording has no such topic, or the topic's type has no such field.
+        UnreadableFile: Nothing can be read; or, without `on_missing`, not everything.
+    """
+    missing: list[str] = []
+    tell = on_missing or (lambda sentence: note_missing(missing, sentence))
+    with Recording(path) as recording:
+        listing = f"robotctl topic list --file {path}"
+        chosen = choose_topic(recording.info(), topic, type_name, listing=listing)
+        for sentence in recording.missing:
+            tell(sentence)
+        table = TopicTable(recording, chosen)
+        wanted = {each: _places(table, each) for each in fields} or {
+            column.name: range(place, place + 1)
+            for place, column in enumerate(table.columns)
+            if column not in TIME_COLUMNS
+        }
+        used = sorted({0, 1, 2, *(place for places in wanted.values() for place in places)})
+        values: dict[int, list[Any]] = {place: [] for place in used}
+        for row in table.rows(tell):
+            for place, column_values in values.items():
+                column_values.append(row[place])
+    if missing:
+        raise UnreadableFile(f"{path} is incomplete: {'; '.join(missing)}")
+    arrays = {place: _array(table.columns[place], values[place]) for place in used}
+    return TopicArrays(
+        topic=chosen.name,
+        type_name=chosen.type_name,
+        log_ns=arrays[0],
+        publish_ns=arrays[1],
+        time_s=arrays[2],
+        fields={name: _joined([arrays[each] for each in at]) for name, at in wanted.items()},
+    )
+
+
+def _places(table: TopicTable, path: str) -> Sequence[int]:
+    """Return the positions of a field's columns in a row; an array has one column per item."""
+    try:
+        parse_path(table.definition, path)
+    except WrongValue as error:
+        raise UsageError(str(error)) from None
+    names = [column.name for column in table.columns]
+    if path in names:
+        return [names.index(path)]
+    items = [place for place, name in enumerate(names) if name.startswith(f"{path}[")]
+    if items and all("." not in names[place][len(path) :] for place in items):
+        return items
+    raise UsageError(f"{path} is no number, text or list of them", "name a field below it")
+
+
+def _array(column: FieldPath, values: Sequence[Any]) -> Array:
+    if column.kind is ValueKind.NUMBER:
+        return np.array(values, dtype=NUMBERS[column.field.type_name])
+    items = column.kind is ValueKind.LIST and NUMBERS.get(column.field.type_name)
+    array = np.empty(len(values), dtype=object)
+    for place, value in enumerate(values):
+        array[place] = np.array(value, dtype=items) if items else value
+    return array
+
+
+def _joined(columns: Sequence[Array]) -> Array:
+    return columns[0] if len(columns) == 1 else np.stack(columns, axis=1)
+
 
 _SQL_TYPES: Final = {
     "?": "BOOLEAN",
@@ -114,7 +226,7 @@ def _write_part(
     values = zip(*batch, strict=True) if batch else ((),) * len(columns)
     try:
         arrays = {
-            f"c{place}": _array(column, cells)
+            f"c{place}": _column(column, cells)
             for place, (column, cells) in enumerate(zip(columns, values, strict=True))
         }
     except OverflowError:
@@ -130,7 +242,7 @@ def _write_part(
     database.unregister("batch")
 
 
-def _array(column: FieldPath, cells: Sequence[Any]) -> np.ndarray[Any, Any]:
+def _column(column: FieldPath, cells: Sequence[Any]) -> np.ndarray[Any, Any]:
     if column.kind is ValueKind.NUMBER:
         return np.array(cells, dtype=NUMBERS[column.field.type_name])
     array = np.empty(len(cells), dtype=object)

@@ -1,4 +1,4 @@
-"""The messages of one topic as rows."""
+"""The messages of one topic as rows: CSV, JSON lines."""
 
 from __future__ import annotations
 

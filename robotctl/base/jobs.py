@@ -1,14 +1,30 @@
-"""Jobs for an event loop, done in a process of the lowest CPU priority; the loop never blocks."""
+"""Jobs for an event loop, done in a process of the lowest CPU priority; the loop never blocks.
+
+    python -m robotctl.base.jobs WORK JOB --report-fd N
+
+WORK is `module:function`. The function gets the JSON object JOB and a function that sends a report,
+which is one line of JSON on descriptor N. A RobotctlError becomes the report {"error": text}; it is
+printed to stderr if the process that started this one has ended.
+"""
 
 from __future__ import annotations
+
+import os
+import sys
+
+if __name__ == "__main__":
+    os.nice(19)  # before the imports, which could delay the control of a robot
 
 import asyncio
 import json
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import aclosing, suppress
+from functools import partial
+from importlib import import_module
 from typing import Any, Final
 
-from robotctl.base.processes.child import Child, program, start
+from robotctl.base.errors import RobotctlError
+from robotctl.base.processes import Child, program, report_fd, send_report, start
 
 _END_S: Final = 1.0
 """How long a process may take to end after its last report."""
@@ -20,7 +36,7 @@ class JobFailed(Exception):
 
 def job_command(work: str, job: dict[str, Any]) -> tuple[str, ...]:
     """Return the command that calls `work`, a `module:function`, with `job` in a new process."""
-    return (*program("robotctl.base.processes"), work, json.dumps(job))
+    return (*program("robotctl.base.jobs"), work, json.dumps(job))
 
 
 async def run_job(command: Sequence[str]) -> list[dict[str, Any]]:
@@ -89,3 +105,25 @@ async def reports_of(child: Child) -> AsyncGenerator[dict[str, Any]]:
                 yield report
     finally:
         loop.remove_reader(child.fileno())
+
+
+def main(arguments: list[str]) -> int:
+    """Do the job and return the exit code."""
+    report = partial(send_report, report_fd(arguments))
+    work, job = arguments[:2]
+    module, _, name = work.partition(":")
+    try:
+        getattr(import_module(module), name)(json.loads(job), report)
+    except BrokenPipeError:  # the process that started this one has ended
+        return 1
+    except RobotctlError as error:
+        try:
+            report({"error": str(error)})
+        except BrokenPipeError:
+            print(f"{work} {job}: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,1 +1,0 @@
-"""Files on the disk: access rights, positioned writes, errors."""
