@@ -295,10 +295,10 @@ def test_lines_come_out_of_pieces() -> None:
 
 def test_every_child_is_started_in_one_way() -> None:
     from robotctl.check import many as checking
-    from robotctl.cli.commands.recordings.replay import play
+    from robotctl.cli.commands.recordings import replay_play
     from robotctl.cli.targets import launch
 
-    player = program(play.PLAYER)
+    player = program(replay_play.PLAYER)
     programs = (launch.DAEMON, player, checking.WORKER, job_command("module:function", {}))
     assert all(each[:3] == (sys.executable, "-P", "-m") for each in programs)
     root = Path(robotctl.__file__).parent

@@ -24,7 +24,7 @@ from robotctl.ipc.method_names import RESET, SET_MODE, STATUS, STOP
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 
 if TYPE_CHECKING:
-    from robotctl.ipc.answers import ModeAnswer, Stopped
+    from robotctl.ipc.answers import MessageAnswer, ModeAnswer
 
 
 VALID_MODES = f"{', '.join(MODES)}, or 0 to {max(MODES.values())}"
@@ -133,7 +133,7 @@ def stop(robot: str, as_json: bool) -> None:
     _show(stop_daemon(robot), as_json)
 
 
-def stop_daemon(robot: str) -> Stopped:
+def stop_daemon(robot: str) -> MessageAnswer:
     """Ask the daemon to end, and return its answer when its process has ended.
 
     Raises:
@@ -164,7 +164,7 @@ def mode_number(text: str) -> int:
     return number
 
 
-def _show(answer: ModeAnswer | Stopped, as_json: bool, hint: str = "") -> None:
+def _show(answer: MessageAnswer, as_json: bool, hint: str = "") -> None:
     if as_json:
         print(json_text(answer))
     else:

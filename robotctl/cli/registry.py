@@ -52,11 +52,28 @@ SECTIONS = {
 COMMANDS = tuple(name for names in SECTIONS.values() for name in names)
 
 
+_SHARED_MODULES = {
+    "demo": "sim",
+    "stop": "start",
+    **dict.fromkeys(("ps", "watch", "view"), "status"),
+    "config": "param",
+    **dict.fromkeys(("preflight", "estop", "reset"), "set-mode"),
+    "service": "node",
+    "mark": "record",
+    "recordings": "info",
+    **dict.fromkeys(("recover", "convert"), "clip"),
+    "plot": "report",
+    "key": "verify",
+    "index": "find",
+}
+"""The commands that are in the module of another command."""
+
+
 def module_of(command: str) -> str:
-    """Return the name of a command's module in `commands`, such as "robot.estop"."""
-    section = next(title for title, names in SECTIONS.items() if command in names)
-    folder = section.removeprefix("The ").lower().replace(" ", "_")
-    return f"{folder}.{command.replace('-', '_')}"
+    """Return the name of a command's module in `commands`, such as "recordings.verify"."""
+    name = _SHARED_MODULES.get(command, command).replace("-", "_")
+    in_folder = command in SECTIONS["Recordings"] + SECTIONS["Many recordings"]
+    return f"recordings.{name}" if in_folder else name
 
 
 OTHER_WORDS = {
@@ -92,7 +109,7 @@ OTHER_WORDS = {
 
 def other_words() -> dict[str, str]:
     """Return OTHER_WORDS, and each motion, such as "square", with its `robotctl drive` command."""
-    from robotctl.cli.commands.robot.drive import MOTIONS
+    from robotctl.cli.commands.drive import MOTIONS
 
     return OTHER_WORDS | {word: f"`robotctl drive {word}`" for word in MOTIONS}
 

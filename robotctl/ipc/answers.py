@@ -9,29 +9,35 @@ from __future__ import annotations
 from typing import TypedDict
 
 
-class DriveFacts(TypedDict):
-    """The current drive and its errors so far; see `kernel.types.DriveReport`."""
+class DriveFigures(TypedDict, total=False):
+    """The figures of a drive; None: unknown, or without a path to measure against."""
 
-    what: str
-    lap: int
     laps: int
-    """The number of laps to drive; 0: until stopped."""
-    distance_m: float
-    duration_s: float
-    cross_track_m: float | None
-    """This and the other errors are None if the drive has no path to measure against."""
+    distance_m: float | None
+    duration_s: float | None
     cross_track_rms_m: float | None
     cross_track_max_m: float | None
+    heading_rms_rad: float | None
+    heading_max_rad: float | None
+    closure_m: float | None
+    """How far the last complete lap ended from the path's end; None before the first lap's end."""
     true_cross_track_rms_m: float | None
     """`true_*` fields are measured with a simulated robot's true pose; None for a real robot."""
     true_cross_track_max_m: float | None
     true_heading_rms_rad: float | None
     true_heading_max_rad: float | None
     true_closure_m: float | None
-    heading_rms_rad: float | None
-    heading_max_rad: float | None
-    closure_m: float | None
-    """How far the last complete lap ended from the path's end; None before the first lap's end."""
+
+
+class DriveFacts(DriveFigures):
+    """The current drive and its errors so far; see `kernel.types.DriveReport`.
+
+    `laps` is the number of laps to drive; 0: until stopped.
+    """
+
+    what: str
+    lap: int
+    cross_track_m: float | None
 
 
 class DrivenPath(TypedDict):
@@ -41,32 +47,23 @@ class DrivenPath(TypedDict):
     driven: list[list[float]]
 
 
-class ModeAnswer(TypedDict):
-    """The answer of `set_mode`, `reset` and `end_drive`, and the base class of other answers."""
+class MessageAnswer(TypedDict):
+    """The answer of `stop`, `sim_set`, `lease_release` and, when the lease ends, `lease_take`."""
 
     message: str
+
+
+class ModeAnswer(MessageAnswer):
+    """The answer of `set_mode`, `reset` and `end_drive`, and the base class of other answers."""
+
     mode: str
 
 
-class DriveAnswer(ModeAnswer, total=False):
+class DriveAnswer(ModeAnswer, DriveFigures):
     """The answer of `drive`, `drive_path` and `drive_velocity`.
 
-    If the request had `wait`, the drive's figures are added (see `DriveFacts`); None: unknown.
+    If the request had `wait`, the drive's figures are added.
     """
-
-    laps: int
-    distance_m: float | None
-    cross_track_rms_m: float | None
-    cross_track_max_m: float | None
-    true_cross_track_rms_m: float | None
-    true_cross_track_max_m: float | None
-    true_heading_rms_rad: float | None
-    true_heading_max_rad: float | None
-    true_closure_m: float | None
-    closure_m: float | None
-    heading_rms_rad: float | None
-    heading_max_rad: float | None
-    duration_s: float | None
 
 
 class HoldAnswer(ModeAnswer):
@@ -215,18 +212,6 @@ class StartSummary(TypedDict):
     notes: list[str]
 
 
-class Stopped(TypedDict):
-    """The answer of `stop`."""
-
-    message: str
-
-
-class LeaseAnswer(TypedDict):
-    """The answer of `lease_release` and `lease_take`; `lease_take` waits until the lease ends."""
-
-    message: str
-
-
 class LeaseKept(TypedDict):
     """The answer of `lease_keep`."""
 
@@ -234,13 +219,11 @@ class LeaseKept(TypedDict):
     """Whether the token in the request is that of the lease."""
 
 
-class LeaseStatus(TypedDict):
+class LeaseStatus(LeaseKept):
     """The answer of `lease_status`; if `holder` is None, every client may start motion."""
 
     holder: str | None
     reason: str
-    yours: bool
-    """Whether the token in the request is that of the lease."""
 
 
 class Committed(TypedDict):
@@ -253,18 +236,16 @@ class Committed(TypedDict):
     """Why the recorder has failed, or ""."""
 
 
-class FileSplit(TypedDict):
+class FileSplit(MessageAnswer):
     """The answer of `record_split`."""
 
-    message: str
     finished: str
     file: str
 
 
-class Marked(TypedDict):
+class Marked(MessageAnswer):
     """The answer of `mark`."""
 
-    message: str
     text: str
     time_ns: int
 
@@ -289,22 +270,15 @@ class ParameterList(TypedDict):
     parameters: list[ParameterAnswer]
 
 
-class ParameterSet(TypedDict):
+class ParameterSet(MessageAnswer):
     """The answer of `param_set`."""
 
-    message: str
     key: str
     old: bool | int | float | str | list[str]
     new: bool | int | float | str | list[str]
 
 
-class SimSet(TypedDict):
-    """The answer of `sim_set`."""
-
-    message: str
-
-
-class SimFaulted(SimSet):
+class SimFaulted(MessageAnswer):
     """The answer of `sim_fault`, sent once the mode is not MOVING, or 1 s after the fault ended."""
 
     mode: str

@@ -17,19 +17,17 @@ if TYPE_CHECKING:
         GraphNode,
         GraphTopic,
         HoldAnswer,
-        LeaseAnswer,
         LeaseKept,
         LeaseStatus,
         Marked,
+        MessageAnswer,
         ModeAnswer,
         ParameterList,
         ParameterSet,
         Preflight,
         RecordStatus,
         SimFaulted,
-        SimSet,
         Status,
-        Stopped,
     )
 
 A_co = TypeVar("A_co", covariant=True)
@@ -43,7 +41,7 @@ class MethodName(str, Generic[A_co]):
 
 STATUS: Final[MethodName[Status]] = MethodName("status")
 PREFLIGHT: Final[MethodName[Preflight]] = MethodName("preflight")
-STOP: Final[MethodName[Stopped]] = MethodName("stop")
+STOP: Final[MethodName[MessageAnswer]] = MethodName("stop")
 PATH: Final[MethodName[DrivenPath]] = MethodName("path")
 SET_MODE: Final[MethodName[ModeAnswer]] = MethodName("set_mode")
 RESET: Final[MethodName[ModeAnswer]] = MethodName("reset")
@@ -52,9 +50,9 @@ DRIVE_PATH: Final[MethodName[DriveAnswer]] = MethodName("drive_path")
 HOLD: Final[MethodName[HoldAnswer]] = MethodName("hold")
 DRIVE_VELOCITY: Final[MethodName[DriveAnswer]] = MethodName("drive_velocity")
 END_DRIVE: Final[MethodName[ModeAnswer]] = MethodName("end_drive")
-LEASE_TAKE: Final[MethodName[LeaseAnswer]] = MethodName("lease_take")
+LEASE_TAKE: Final[MethodName[MessageAnswer]] = MethodName("lease_take")
 LEASE_KEEP: Final[MethodName[LeaseKept]] = MethodName("lease_keep")
-LEASE_RELEASE: Final[MethodName[LeaseAnswer]] = MethodName("lease_release")
+LEASE_RELEASE: Final[MethodName[MessageAnswer]] = MethodName("lease_release")
 LEASE_STATUS: Final[MethodName[LeaseStatus]] = MethodName("lease_status")
 RECORD_STATUS: Final[MethodName[RecordStatus]] = MethodName("record_status")
 RECORD_COMMIT: Final[MethodName[Committed]] = MethodName("record_commit")
@@ -62,7 +60,7 @@ RECORD_SPLIT: Final[MethodName[FileSplit]] = MethodName("record_split")
 MARK: Final[MethodName[Marked]] = MethodName("mark")
 PARAM_LIST: Final[MethodName[ParameterList]] = MethodName("param_list")
 PARAM_SET: Final[MethodName[ParameterSet]] = MethodName("param_set")
-SIM_SET: Final[MethodName[SimSet]] = MethodName("sim_set")
+SIM_SET: Final[MethodName[MessageAnswer]] = MethodName("sim_set")
 SIM_FAULT: Final[MethodName[SimFaulted]] = MethodName("sim_fault")
 GRAPH: Final[MethodName[Graph]] = MethodName("graph")
 GRAPH_TOPIC: Final[MethodName[GraphTopic]] = MethodName("graph_topic")

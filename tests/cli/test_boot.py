@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.base.errors import AlreadyRunning, UsageError
-from robotctl.cli.commands.daemon.boot import daemon_unit, sync_units
+from robotctl.cli.commands.boot import daemon_unit, sync_units
 from tests.cli.conftest import Cli
 
 URL = "s3://bucket/robots/one"

@@ -15,7 +15,7 @@ import pytest
 import typer
 
 from robotctl.cli import registry
-from robotctl.cli.commands.without_a_robot.completion import BEGIN, Shell, script, with_script
+from robotctl.cli.commands.completion import BEGIN, Shell, script, with_script
 from tests.cli.conftest import Cli
 
 ROOT: Any = typer.main.get_command(registry.app)

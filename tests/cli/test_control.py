@@ -23,9 +23,8 @@ from robotctl.base import processes
 from robotctl.base.errors import UsageError
 from robotctl.base.text import MODES
 from robotctl.cli import quick
-from robotctl.cli.commands.robot.drive import tracking_lines
-from robotctl.cli.targets.driving import stop_drive
-from robotctl.cli.targets.interrupts import Background
+from robotctl.cli.commands.drive import tracking_lines
+from robotctl.cli.targets.driving import Background, stop_drive
 from robotctl.ipc.answers import DriveAnswer, Status
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE

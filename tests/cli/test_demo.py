@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.cli.commands.without_a_robot import demo
-from robotctl.cli.commands.without_a_robot.demo import CONFIG
+from robotctl.cli.commands import sim
 from robotctl.cli.ui import text
 from robotctl.config import Config, load
 from robotctl.ipc.client import call
@@ -47,11 +46,11 @@ def test_the_demo_shows_what_was_recorded_and_touches_no_running_daemon(
     assert (after["pid"], after["mode"]) == (before["pid"], "IDLE")
     assert read_info(folder).missing == ()
     (log,) = home.glob("state/robotctl/demo_*/daemon.log")
-    assert f"'--config', '{CONFIG}'" in log.read_text()
+    assert f"'--config', '{sim.CONFIG}'" in log.read_text()
 
 
 def test_the_configuration_of_the_demo_is_patient_with_a_busy_machine() -> None:
-    patient, usual = load(CONFIG).kernel, Config().kernel
+    patient, usual = load(sim.CONFIG).kernel, Config().kernel
     assert patient.max_tick_gap_s > usual.max_tick_gap_s
     assert patient.odometry.timeout_s > patient.max_tick_gap_s
 
@@ -59,7 +58,7 @@ def test_the_configuration_of_the_demo_is_patient_with_a_busy_machine() -> None:
 def test_the_last_screen_of_80_by_24_shows_every_number_and_commands_to_paste(
     cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(demo, "terminal_lines", lambda: 24)
+    monkeypatch.setattr(sim, "terminal_lines", lambda: 24)
     monkeypatch.setattr(text, "_terminal_columns", lambda: 80)
     out = cli("demo", "--recordings", "my recordings").out
     last_screen = "\n".join(out.splitlines()[-23:])  # the prompt is below
@@ -131,18 +130,18 @@ def test_signals_during_the_clean_up_leave_no_daemon_behind(
     early: bool, number: signal.Signals, cli: Cli, home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A terminal that closes sends two signals, and so may a user."""
-    stop, lap = demo._stop_if_running, demo._drive_one_lap
+    stop, lap = sim._stop_if_running, sim._drive_one_lap
 
     def stop_under_signals(robot: str) -> None:
         signal.raise_signal(number)
         stop(robot)
 
-    def interrupted_lap(robot: str, *, quiet: bool) -> demo.DemoResult:
+    def interrupted_lap(robot: str, *, quiet: bool) -> sim.DemoResult:
         if early:
             signal.raise_signal(number)
         return lap(robot, quiet=quiet)
 
-    monkeypatch.setattr(demo, "_stop_if_running", stop_under_signals)
-    monkeypatch.setattr(demo, "_drive_one_lap", interrupted_lap)
+    monkeypatch.setattr(sim, "_stop_if_running", stop_under_signals)
+    monkeypatch.setattr(sim, "_drive_one_lap", interrupted_lap)
     assert cli("demo").exit_code == (130 if early else 0)
     assert sockets(home) == []

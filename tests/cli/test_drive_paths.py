@@ -13,7 +13,7 @@ import pytest
 
 from robotctl.base.errors import Refused, UnreadableFile, UsageError
 from robotctl.check.driven_path import simplified
-from robotctl.cli.commands.robot.drive.paths import PATH_TYPE, path_in, read_waypoints
+from robotctl.cli.commands.drive_paths import PATH_TYPE, path_in, read_waypoints
 from robotctl.kernel.course import MAX_POINTS, Course, Frame, Point
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode

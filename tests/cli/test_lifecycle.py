@@ -16,7 +16,7 @@ import pytest
 from robotctl import __version__
 from robotctl.base.errors import NoDaemon
 from robotctl.base.paths import lock_path, log_path
-from robotctl.cli.commands.daemon import logs, start
+from robotctl.cli.commands import logs, start
 from robotctl.cli.targets import launch
 from robotctl.daemon.lock import owned
 from robotctl.ipc.client import call
@@ -223,7 +223,7 @@ def following(path: Path, monkeypatch: pytest.MonkeyPatch, *steps: Callable[[], 
             raise Enough
         step()
 
-    monkeypatch.setattr("robotctl.cli.commands.daemon.logs.time.sleep", wait)
+    monkeypatch.setattr("robotctl.cli.commands.logs.time.sleep", wait)
 
     def lines() -> Iterator[str]:
         try:

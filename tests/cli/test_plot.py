@@ -143,9 +143,9 @@ def test_nothing_else_than_a_picture_is_written(recording: Path, cli: Cli, tmp_p
 
 
 def test_a_terminal_without_braille_gets_stars(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    from robotctl.cli.commands.recordings import plot
+    from robotctl.cli.commands.recordings import report
 
-    monkeypatch.setattr(plot, "can_show_braille", lambda: False)
+    monkeypatch.setattr(report, "can_show_braille", lambda: False)
     out = cli("plot", "run.mcap", "/t", "x").out
     assert out.isascii()
     assert "*" in out

@@ -12,7 +12,7 @@ import pytest
 
 from robotctl.base.errors import Refused, UsageError
 from robotctl.base.paths import recordings_note_path
-from robotctl.cli.commands.recordings.recordings import remove
+from robotctl.cli.commands.recordings.info import remove
 from robotctl.cli.targets.recordings import parse_moment
 from robotctl.cli.ui import text
 from robotctl.recording import Recorder, Topic

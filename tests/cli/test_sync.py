@@ -15,8 +15,8 @@ import pytest
 
 from robotctl.base.errors import Interrupted, Refused
 from robotctl.base.store.objects import has_hash_folders, hash_in, without_hashes
-from robotctl.cli.commands.many_recordings import sync as sync_command
-from robotctl.cli.commands.many_recordings.sync import SyncPace
+from robotctl.cli.commands.recordings import sync as sync_command
+from robotctl.cli.commands.recordings.sync import SyncPace
 from robotctl.ipc.client import NoAnswer
 from robotctl.recording.keep.listing import recordings_in
 from robotctl.testing.drives import drive, record

@@ -14,14 +14,13 @@ from hypothesis import strategies as st
 from rich.console import Console
 from rich.live import Live
 
-from robotctl.cli.commands.robot.teleop import controls as module
-from robotctl.cli.commands.robot.teleop.command import (
+from robotctl.cli.commands.teleop import (
     KEYS,
     WITH_RELEASES,
     WITHOUT_RELEASES,
     view_below,
 )
-from robotctl.cli.commands.robot.teleop.controls import (
+from robotctl.cli.commands.teleop_controls import (
     JOY,
     MAX_AT_ONCE,
     SILENT_S,
@@ -303,7 +302,7 @@ class Fake:
 def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The time [s], which the test moves."""
     moment = [100.0]
-    monkeypatch.setattr(f"{module.__name__}.time.monotonic", lambda: moment[0])
+    monkeypatch.setattr("robotctl.cli.commands.teleop_controls.time.monotonic", lambda: moment[0])
     return moment
 
 

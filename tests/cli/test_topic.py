@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 
 from robotctl.base.errors import UsageError
-from robotctl.cli.commands.ros.service import parse_words
-from robotctl.cli.commands.ros.topic.command import statistics
+from robotctl.cli.commands.node import parse_words
+from robotctl.cli.commands.topic import statistics
 from robotctl.cli.ui.ros_text import message_lines, plain_json
 from robotctl.cli.ui.status import TopicLines
 from tests.cli.conftest import Cli

@@ -17,9 +17,8 @@ import pytest
 from rich.console import Console
 
 from robotctl.base.errors import Refused
-from robotctl.cli.commands.daemon import watch
-from robotctl.cli.commands.daemon.watch import HEADER, status_line
-from robotctl.cli.targets.interrupts import Background
+from robotctl.cli.commands import status as watch
+from robotctl.cli.targets.driving import Background
 from robotctl.cli.ui.panels import History, drive_map, live_view, sparkline
 from robotctl.ipc.answers import DrivenPath
 from robotctl.ipc.client import call
@@ -30,7 +29,7 @@ from tests.support.terminals import Terminal
 def test_through_a_pipe_it_prints_the_rows_of_a_table(daemon: None, spawn: Spawn) -> None:
     process = spawn("watch")
     assert process.stdout is not None
-    assert process.stdout.readline() == f"{HEADER}\n"
+    assert process.stdout.readline() == f"{watch.HEADER}\n"
     for _ in range(2):
         line = process.stdout.readline()
         assert " ".join(line.split()[1:]) == "IDLE 0.500 -0.250 1.500 0.200 87% 20 0"
@@ -47,16 +46,16 @@ def test_a_row_has_80_columns_and_shows_what_is_not_known(daemon: None) -> None:
         "battery": 1.0,
         "recorder": {"written": 10_000_000, "lost": 9999},
     }
-    row = status_line(far)
-    assert len(row) == len(HEADER) == 80
+    row = watch.status_line(far)
+    assert len(row) == len(watch.HEADER) == 80
     assert " ".join(row.split()) == (
         "86400.0 EMERGENCY_STOP -999.999 -999.999 -3.141 -1.234 100% 10000000 9999"
     )
     for missing in ("pose", "battery", "velocity"):
-        assert "IDLE" in status_line(status | {missing: None})
+        assert "IDLE" in watch.status_line(status | {missing: None})
         live_view(status | {missing: None})
     observer = status | dict.fromkeys(("mode", "pose", "velocity", "battery"))
-    assert " ".join(status_line(observer).split()[1:]) == "observing - - - - - 20 0"
+    assert " ".join(watch.status_line(observer).split()[1:]) == "observing - - - - - 20 0"
 
 
 def test_on_a_terminal_it_draws_within_80_columns(daemon: None, command: list[str]) -> None:

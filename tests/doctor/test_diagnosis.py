@@ -9,7 +9,7 @@ import pytest
 
 from robotctl.base.errors import UsageError
 from robotctl.base.paths import runtime_folder
-from robotctl.cli.commands.without_a_robot.doctor import diagnosis
+from robotctl.cli.commands import doctor as diagnosis
 from robotctl.doctor.machine import Finding, Level
 
 

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from robotctl.cli.registry import COMMANDS
 from robotctl.ipc import answers
-from robotctl.ipc.advice import advice, condition_of, cure_of, for_robot
+from robotctl.ipc.advice import CONDITIONS, advice, cure_of, for_robot
 from robotctl.ipc.protocol import (
     MAX_DEPTH,
     Code,
@@ -319,5 +319,5 @@ def test_each_condition_has_words_of_its_own() -> None:
         rule.cause
         for rule, _ in start_conditions(bench.state.health, bench.kernel.params, bench.t_ns)
     ]
-    assert len({condition_of(cause) for cause in causes}) == len(causes)
-    assert all(condition_of(cause) for cause in Cause)
+    assert len({CONDITIONS[cause] for cause in causes}) == len(causes)
+    assert all(CONDITIONS[cause] for cause in Cause)

@@ -252,7 +252,7 @@ print(names(), dead_robots(), [each.level.value for each in check_folders(runtim
 SEEN_IMPORTS = """
 import robotctl.base.trust
 from pathlib import Path
-from robotctl.cli.commands.without_a_robot.doctor.diagnosis import dead_robots
+from robotctl.cli.commands.doctor import dead_robots
 from robotctl.cli.targets.robots import names
 from robotctl.doctor.machine import check_folders
 from robotctl.base.errors import Refused

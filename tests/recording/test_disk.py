@@ -274,7 +274,7 @@ def test_who_may_not_read_a_recording_is_told_the_cure(closed: str) -> None:
 
 IMPORTS_OF_A_FOLDER = """
 from pathlib import Path
-from robotctl.cli.commands.recordings.replay.select_recordings import select_recordings
+from robotctl.cli.targets.recordings import select_recordings
 from robotctl.collection.catalogue import _stamps
 from robotctl.recording.keep.listing import list_recordings
 """

@@ -17,7 +17,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from robotctl.base.processes import program, start
-from robotctl.cli.commands.recordings.replay.play import PLAYER
+from robotctl.cli.commands.recordings.replay_play import PLAYER
 from robotctl.replay.job import Job
 from robotctl.replay.playback_control import RATES, Command
 from tests.support.bags import (

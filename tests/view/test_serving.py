@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.base.errors import UsageError
-from robotctl.cli.commands.daemon.view import view
+from robotctl.cli.commands.status import view
 from robotctl.view.admission import KNOWN_ORIGINS, Admission
 from robotctl.view.foxglove import (
     ClientMessage,

@@ -5,26 +5,105 @@ The command ends by Ctrl-C, by a signal, or when the reader of its stdout closes
 
 from __future__ import annotations
 
-import secrets
+import os
 import select
 import signal
 import sys
 import threading
 import time
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import partial
 from math import inf
-from types import TracebackType
-from typing import Any, Final, Self
+from types import FrameType, TracebackType
+from typing import Any, Final, Generic, Self, TypeVar
 
 from robotctl.base.errors import Interrupted, RobotctlError
-from robotctl.cli.targets.interrupts import Background, ignoring
 from robotctl.cli.targets.requests import request_source
-from robotctl.ipc.answers import DriveAnswer, LeaseAnswer
+from robotctl.ipc.answers import DriveAnswer, MessageAnswer
 from robotctl.ipc.client import Client, call, command_for
 from robotctl.ipc.method_names import END_DRIVE, LEASE_KEEP, LEASE_RELEASE, LEASE_TAKE, SET_MODE
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
+
+T = TypeVar("T")
+
+
+class Background(threading.Thread, Generic[T]):
+    """A thread that runs `work` and keeps its result; it does not outlive the process.
+
+    It is not a future: if Ctrl-C interrupts a call of a future, the future's lock may stay locked,
+    and the thread, which needs that lock, never ends.
+    """
+
+    def __init__(self, work: Callable[[], T]) -> None:
+        super().__init__(daemon=True)
+        self.is_done = False
+        self._work = work
+        self._returned: T
+        self._raised: BaseException | None = None
+
+    def run(self) -> None:
+        """Run the work, and keep what it returns or raises."""
+        try:
+            self._returned = self._work()
+        except BaseException as error:  # noqa: BLE001 - `result` raises it again
+            self._raised = error
+        self.is_done = True
+
+    def result(self) -> T:
+        """Wait for the work, then return what it returned or raise what it raised."""
+        self.join()
+        if self._raised is not None:
+            raise self._raised
+        return self._returned
+
+
+@contextmanager
+def interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
+    """Make signals that would end this process raise KeyboardInterrupt, as Ctrl-C does.
+
+    After the first such signal, all are ignored until the end of the block: a terminal that
+    closes sends several, and the reaction to the first must be completed.
+    """
+    previous = {
+        number: signal.getsignal(number)
+        for number in numbers
+        # nohup ignores SIGHUP on purpose
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler)
+    }
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        for other in previous:
+            signal.signal(other, _ignore)
+        raise KeyboardInterrupt
+
+    try:
+        for number in previous:
+            signal.signal(number, interrupt)
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def ignoring(numbers: Iterable[signal.Signals]) -> Iterator[None]:
+    """Ignore signals during a step that must be completed."""
+    previous = {number: signal.signal(number, _ignore) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _ignore(number: int, frame: FrameType | None) -> None:
+    """Do nothing.
+
+    SIG_IGN would be inherited by children, and Python reports an error for a signal that arrived
+    just before it was set.
+    """
+
 
 CLOSING_SIGNALS: Final = (signal.SIGHUP, signal.SIGTERM)
 """The signals of a terminal that closes and of a session that ends."""
@@ -114,12 +193,12 @@ class HeldLease:
 
     def __init__(self, robot: str, command: str, reason: str = "") -> None:
         """`command` is the name of the command of robotctl that takes the lease."""
-        self.token = secrets.token_hex(16)
+        self.token = os.urandom(16).hex()
         """The parameter `lease` of each request that acts for the holder."""
         self._robot = robot
         self._source = request_source(command)
         params = {"token": self.token, "source": self._source, "reason": reason}
-        self._holding: Background[LeaseAnswer] = Background(
+        self._holding: Background[MessageAnswer] = Background(
             partial(call, robot, LEASE_TAKE, params, deadline_s=None)
         )
         self._ended = threading.Event()
@@ -129,7 +208,7 @@ class HeldLease:
         """Whether the lease has ended."""
         return self._holding.is_done
 
-    def result(self) -> LeaseAnswer:
+    def result(self) -> MessageAnswer:
         """Wait for the end of the lease, and return the daemon's answer.
 
         Raises:

@@ -26,7 +26,7 @@ from robotctl.base.errors import (
 )
 from robotctl.base.paths import lock_path, log_path, make_private
 from robotctl.base.processes import Child, program, start
-from robotctl.cli.targets.interrupts import interrupted_by
+from robotctl.cli.targets.driving import interrupted_by
 from robotctl.cli.ui.text import json_text, printable
 from robotctl.daemon.lock import is_owned
 from robotctl.ipc.answers import StartSummary

@@ -9,7 +9,7 @@ from typing import NamedTuple, TypedDict, TypeVar
 
 from robotctl.base.errors import NoDaemon, Refused, RobotctlError
 from robotctl.base.paths import runtime_folder
-from robotctl.cli.targets.interrupts import Background
+from robotctl.cli.targets.driving import Background
 from robotctl.ipc.answers import Status
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.method_names import SET_MODE, STATUS

@@ -11,7 +11,7 @@ from typing import Any
 from robotctl.base.errors import Refused
 from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.daemon.control.dispatcher import Control, granted
-from robotctl.ipc.answers import HoldAnswer, LeaseAnswer, LeaseKept, LeaseStatus
+from robotctl.ipc.answers import HoldAnswer, LeaseKept, LeaseStatus, MessageAnswer
 from robotctl.ipc.method_names import HOLD, LEASE_KEEP, LEASE_RELEASE, LEASE_STATUS, LEASE_TAKE
 from robotctl.ipc.method_params import (
     HoldParams,
@@ -126,7 +126,7 @@ class LeaseMethods:
         holder = self._holder
         return holder.client if holder is not None and holder.token == token else NOBODY
 
-    async def _take(self, params: LeaseTakeParams) -> LeaseAnswer:
+    async def _take(self, params: LeaseTakeParams) -> MessageAnswer:
         self._clients += 1
         ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         holder = _Holder(self._clients, params.token, ended)
@@ -169,7 +169,7 @@ class LeaseMethods:
             holder.was_heard = True
         return {"yours": is_yours}
 
-    async def _release(self, params: LeaseReleaseParams) -> LeaseAnswer:
+    async def _release(self, params: LeaseReleaseParams) -> MessageAnswer:
         holder = self._holder
         request_id = self._control.new_request_id()
         client = self.client_of(params.token)

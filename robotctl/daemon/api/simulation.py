@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from robotctl.base.errors import Refused, UsageError
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.ipc.answers import SimFaulted, SimSet
+from robotctl.ipc.answers import MessageAnswer, SimFaulted
 from robotctl.ipc.method_names import SIM_FAULT, SIM_SET
 from robotctl.ipc.method_params import SimFaultParams, SimSetParams
 from robotctl.ipc.request_handler import Method
@@ -49,7 +49,7 @@ def simulation_methods(
             raise Refused("this daemon simulates no robot", "start it with: robotctl start --sim")
         return found
 
-    async def set_battery(params: SimSetParams) -> SimSet:
+    async def set_battery(params: SimSetParams) -> MessageAnswer:
         wanted = robot()
         mark(f"simulated battery: {params.battery:g}", params.source)
         wanted.set_battery(params.battery)

@@ -19,10 +19,10 @@ from robotctl.ipc.answers import (
     Graph,
     GraphNode,
     GraphTopic,
+    MessageAnswer,
     RobotFacts,
     StartSummary,
     Status,
-    Stopped,
 )
 from robotctl.ipc.method_names import GRAPH, GRAPH_NODE, GRAPH_TOPIC, STATUS, STOP
 from robotctl.ipc.method_params import GraphNameParams, NoParams
@@ -136,7 +136,7 @@ def common_methods(status: StatusSource, stop: asyncio.Event) -> dict[str, Metho
         await asyncio.sleep(0)  # with 500 changing topics, each of the two steps takes 0.3 ms
         return status.status(stats)
 
-    async def end(_: NoParams) -> Stopped:
+    async def end(_: NoParams) -> MessageAnswer:
         stop.set()
         return {"message": f"Stopped: {status.stats().file}"}
 

@@ -10,7 +10,7 @@ from math import nan, sqrt
 from typing import NamedTuple
 
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.ipc.advice import advice, condition_of
+from robotctl.ipc.advice import CONDITIONS, advice
 from robotctl.ipc.answers import ConditionAnswer, DriveFacts, DrivenPath, Preflight, RobotFacts
 from robotctl.kernel.codec import finite_or_none
 from robotctl.kernel.drive import Drive, Score
@@ -210,7 +210,7 @@ class RobotReport:
             conditions.append(
                 {
                     "cause": rule.cause.value,
-                    "condition": condition_of(rule.cause),
+                    "condition": CONDITIONS[rule.cause],
                     "problem": told.cause,
                     "cure": told.cure,
                 }

@@ -1,8 +1,9 @@
-"""clip: cut the part of a recording around an event into its own file."""
+"""clip, recover, convert: write a part, the rest or another form of a recording."""
 
 from __future__ import annotations
 
 import math
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +19,7 @@ from robotctl.base.errors import (
     UsageError,
 )
 from robotctl.cli.options import Json, new_app
+from robotctl.cli.targets.driving import interrupted_by
 from robotctl.cli.targets.recordings import (
     RecordedBy,
     RecordingsFolder,
@@ -29,11 +31,14 @@ from robotctl.cli.targets.recordings import (
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import duration, moment, printable, short_path
 from robotctl.kernel.units import DAY_S, NS_PER_S
-from robotctl.recording.format.names import CLIP_KINDS, EventKind
+from robotctl.recording.format.names import CLIP_KINDS, Compression, EventKind
 
 if TYPE_CHECKING:
+    from robotctl.recording.convert import Converted
     from robotctl.recording.keep.clip import Clip, Moment
     from robotctl.recording.keep.listing import ListedRecording
+    from robotctl.recording.keep.recover import RecoveryReport
+
 
 app = new_app()
 
@@ -200,3 +205,156 @@ def _lines(made: Clip) -> Iterator[str]:
     yield f"  around     {what}{moment(about.log_ns)}"
     length_s = (made.end_ns - made.start_ns) / NS_PER_S
     yield f"  holds      {made.message_count} messages in {duration(length_s)}"
+
+
+@app.command()
+def recover(
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="An MCAP file, or a recording's folder or name.")
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="OUT", help="What to write [default: FILE_recovered]."
+        ),
+    ] = None,
+    folder: RecordingsFolder = None,
+    robot: RecordedBy = None,
+    as_json: Json = False,
+) -> None:
+    """Save what can be read of a broken recording into a new one.
+
+    Reads MCAP files of any program, and overwrites nothing. The exit code is 0 if nothing is lost,
+    8 if something is lost, and 6 if nothing can be read.
+
+    \b
+    Examples:
+      robotctl recover broken.mcap
+      robotctl recover recordings/robot_20260101_120000 -o saved
+    """
+    from robotctl.recording.keep.recover import recover as recover_file
+    from robotctl.recording.keep.recover import recover_folder
+
+    source = find_recording(file, robot, folder)
+    target = output or _beside(source)
+    with progress_bar("recovering", quiet=as_json) as on_progress:
+        work = recover_folder if source.is_dir() else recover_file
+        salvage = work(source, target, on_progress=on_progress)
+    error = None
+    if salvage.lost:
+        error = RecoveredWithLoss(
+            f"{source} could not be saved completely: {'; '.join(salvage.lost)}"
+        )
+    print_answer(
+        _recovered_object(source, salvage), _recovered_lines(salvage), as_json=as_json, error=error
+    )
+
+
+def _beside(source: Path) -> Path:
+    """Return the default target: next to the source, but outside a rosbag2 folder.
+
+    Inside that folder, a reader would treat the copy as a part of the bag.
+    """
+    folder = source.parent
+    if (folder / "metadata.yaml").exists():
+        folder = folder.parent
+    plain = Path(source.name.removesuffix(".zstd"))  # the copy is no .zstd file
+    return folder / f"{plain.stem}_recovered{plain.suffix}"
+
+
+def _recovered_object(source: Path, salvage: RecoveryReport) -> dict[str, Any]:
+    return {
+        "source": str(source),
+        "target": str(salvage.target),
+        "messages": salvage.message_count,
+        "attachments": salvage.attachment_count,
+        "lost": list(salvage.lost),
+    }
+
+
+def _recovered_lines(salvage: RecoveryReport) -> Iterator[str]:
+    what = f"{salvage.message_count} messages"
+    if salvage.attachment_count:
+        what += f" and {salvage.attachment_count} attachments"
+    rest = "" if salvage.lost else ", nothing lost"
+    yield f"{short_path(salvage.target)}: {what} saved{rest}"
+
+
+@app.command()
+def convert(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="FILE", help="A recording or a bag, in MCAP or sqlite3: folder, file or name."
+        ),
+    ],
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", help="A new folder, or a new file OUT.mcap.")
+    ],
+    compression: Annotated[
+        Compression, typer.Option(help="How the messages are stored.")
+    ] = Compression.ZSTD,
+    split_mb: Annotated[
+        int | None,
+        typer.Option(metavar="MB", min=1, help="Begin a new file when one has this size."),
+    ] = None,
+    one_file: Annotated[bool, typer.Option("--one-file", help="Join all files in one.")] = False,
+    folder: RecordingsFolder = None,
+    robot: RecordedBy = None,
+    as_json: Json = False,
+) -> None:
+    """Copy a recording into other files: joined, split, compressed.
+
+    A bag of rosbag2 in sqlite3 becomes MCAP. Each message stays as it is, byte for byte, and so do
+    metadata and attachments. The new files have no seal: that of the original does not hold for
+    them. The exit code is 8 if something could not be read.
+
+    \b
+    Examples:
+      robotctl convert last copy --one-file
+      robotctl convert old_bag new_bag --split-mb 100 --compression lz4
+      robotctl convert rosbag2_2024_01_01.db3 bag.mcap
+    """
+    from robotctl.recording.convert import MCAP_SUFFIX, Form, convert
+
+    if split_mb is not None and (one_file or target.suffix == MCAP_SUFFIX):
+        raise UsageError("--split-mb makes several files", "give a folder without --one-file")
+    path = find_recording(source, robot, folder)
+    is_one = one_file or target.suffix == MCAP_SUFFIX
+    form = Form(compression, None if split_mb is None else split_mb * 1_000_000, is_one)
+    with (
+        interrupted_by((signal.SIGTERM, signal.SIGHUP)),
+        progress_bar("converting", quiet=as_json) as on_progress,
+    ):
+        done = convert(path, target, form, on_progress)
+    if done.is_live:
+        note = f"{path} is still being recorded: the copy ends here"
+        print(f"robotctl: {printable(note)}", file=sys.stderr)
+    error = None
+    if done.lost:
+        error = RecoveredWithLoss(
+            f"{path} could not be converted completely: {'; '.join(done.lost)}"
+        )
+    print_answer(
+        _converted_object(path, target, done),
+        _converted_lines(target, done),
+        as_json=as_json,
+        error=error,
+    )
+
+
+def _converted_object(source: Path, target: Path, done: Converted) -> dict[str, Any]:
+    return {
+        "source": str(source),
+        "target": str(target),
+        "files": [file.name for file in done.files],
+        "messages": done.message_count,
+        "attachments": done.attachment_count,
+        "live": done.is_live,
+        "lost": list(done.lost),
+    }
+
+
+def _converted_lines(target: Path, done: Converted) -> Iterator[str]:
+    files = "1 file" if len(done.files) == 1 else f"{len(done.files)} files"
+    yield f"{short_path(target)}: {done.message_count} messages in {files}"

@@ -13,7 +13,7 @@ import typer
 
 from robotctl.base.errors import RecoveredWithLoss, UsageError
 from robotctl.cli.options import new_app
-from robotctl.cli.targets.interrupts import interrupted_by
+from robotctl.cli.targets.driving import interrupted_by
 from robotctl.cli.targets.recordings import (
     RecordedBy,
     RecordingsFolder,

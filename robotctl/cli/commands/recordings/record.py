@@ -1,23 +1,30 @@
-"""record: inspect or split the current recording."""
+"""record, mark: control the recorder, and mark moments of the recording."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Annotated
 
+import typer
+
+from robotctl.base.errors import UsageError
 from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.targets.requests import request_source
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import (
     column_width,
     columns,
     elided,
+    moment,
     printable,
     short_path,
     size,
 )
 from robotctl.ipc.answers import CountsAnswer, RecordStatus
 from robotctl.ipc.client import call
-from robotctl.ipc.method_names import RECORD_SPLIT, RECORD_STATUS
+from robotctl.ipc.method_names import MARK, RECORD_SPLIT, RECORD_STATUS
+from robotctl.ipc.protocol import MAX_MARK_LENGTH
 
 app = new_app()
 group = new_app()
@@ -96,3 +103,26 @@ def status_lines(answer: RecordStatus) -> Iterator[str]:
         if throttled := topic.get("throttled"):
             yield f"throttled: {throttled} messages of {printable(topic.get('name'))}"
     yield from (f"warning: {printable(warning)}" for warning in answer["warnings"])
+
+
+@app.command()
+def mark(
+    text: Annotated[str, typer.Argument(metavar="TEXT", help="The name of the mark, on one line.")],
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
+    """Mark this moment in the recording.
+
+    The mark is also published on robotctl/marks. To cut a clip around it, use
+    robotctl clip --event mark.
+
+    \b
+    Examples:
+      robotctl mark "the door opened"
+    """
+    text = text.strip()
+    if not 0 < len(text) <= MAX_MARK_LENGTH:
+        raise UsageError(f"a mark has 1 to {MAX_MARK_LENGTH} characters, not {len(text)}")
+    answer = call(robot, MARK, {"text": text, "source": request_source("mark")})
+    line = f"marked {moment(answer['time_ns'])}: {printable(text)}"
+    print_answer(answer, [line], as_json=as_json)

@@ -1,4 +1,4 @@
-"""verify: whether recordings are whole and sealed, as objects for `--json` and as lines."""
+"""verify, key: the seals of recordings, and the key that makes them."""
 
 from __future__ import annotations
 
@@ -8,16 +8,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robotctl.base.errors import Divergence, NotSealed, RobotctlError, UnreadableFile, UsageError
-from robotctl.cli.options import Json, new_app
-from robotctl.cli.targets.recordings import RecordedBy, file_path
+from robotctl.base.errors import (
+    Divergence,
+    NotSealed,
+    Refused,
+    RobotctlError,
+    UnreadableFile,
+    UsageError,
+)
+from robotctl.base.paths import DEFAULT_ROBOT, chain_to, seal_folder
+from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.targets.recordings import RecordedBy, file_path, select_recordings
 from robotctl.cli.ui.output import print_answer, progress_bar
-from robotctl.cli.ui.text import moment, row, short_path, size
+from robotctl.cli.ui.text import moment, printable, row, short_path, size
 
 if TYPE_CHECKING:
     from robotctl.recording.read.whole_file import SealOfRead, WholeFile
     from robotctl.recording.read.whole_recording import VerifiedRecording
-    from robotctl.recording.seal import KnownHeads
+    from robotctl.recording.seal import KnownHeads, StoredKey
+
 
 app = new_app()
 
@@ -63,8 +72,6 @@ def verify(
       robotctl verify robot_0.mcap --head $(ssh robot robotctl key head)
       robotctl verify stop.mcap --source recordings/robot_20260101_120000
     """
-    from robotctl.cli.commands.recordings.replay.select_recordings import select_recordings
-
     if source is not None:
         if len(files) != 1 or head:
             raise UsageError("--source takes one clip, and no --head")
@@ -343,3 +350,121 @@ def _seal_object(seal: SealOfRead) -> dict[str, Any]:
         "from_ns": 0 if opening is None else opening.time_ns,
         "to_ns": 0 if head is None else head.time_ns,
     }
+
+
+group = new_app()
+app.add_typer(group, name="key")
+
+
+@group.callback()
+def key() -> None:
+    """Show or change the keys that seal the recordings of a robot.
+
+    \b
+    Examples:
+      robotctl key show
+      robotctl key head
+      robotctl key rotate
+    """
+
+
+@group.command()
+def show(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+    """Show the robot's first key, the present one, and the newest head. Shows no secret.
+
+    \b
+    Examples:
+      robotctl key show
+      robotctl key show --json | jq -r .root
+    """
+    stored = _stored(robot)
+    print_answer(_as_object(robot, stored), _lines(robot, stored), as_json=as_json)
+
+
+@group.command()
+def head(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+    """Show the newest head of the chain: keep it elsewhere, and give it to verify --head.
+
+    It is as new as the last stored link: 10 seconds.
+
+    \b
+    Examples:
+      robotctl key head
+      robotctl verify recordings --head $(robotctl key head)
+    """
+    stored = _stored(robot)
+    if not stored.head.number:
+        raise Refused("no recording is sealed yet", "start the robot")
+    answer = _as_object(robot, stored)["head"]
+    print_answer(answer, [stored.head.digest], as_json=as_json)
+
+
+@group.command()
+def rotate(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+    """Begin a new chain with a new key, from the next file on; the old key signs for it.
+
+    Keys change with each file by themselves; rotate when others may have read the present one.
+
+    \b
+    Examples:
+      robotctl key rotate
+    """
+    from robotctl.recording.seal import Keyring
+
+    _stored(robot)  # a new robot gets its key when it starts
+    try:
+        stored = Keyring(seal_folder(robot), robot).rotate()
+    except (OSError, ValueError) as error:
+        raise Refused(f"the key cannot be changed: {error}", "see `robotctl key show`") from error
+    print_answer(_as_object(robot, stored), _lines(robot, stored), as_json=as_json)
+
+
+def _stored(robot: str) -> StoredKey:
+    """Return the present key.
+
+    Raises:
+        Refused: The robot has no key, or the key cannot be read.
+    """
+    from robotctl.recording.seal import Keyring
+
+    folder = seal_folder(robot)
+    chain_to(folder).check()
+    try:
+        stored = Keyring(folder, robot).load()
+    except (OSError, ValueError) as error:
+        raise Refused(
+            f"the key of {robot} cannot be read: {error}", "see docs/recordings.md"
+        ) from (error)
+    if stored is None:
+        raise Refused(f"{robot} has no key yet in {folder}", "start the robot")
+    return stored
+
+
+def _as_object(robot: str, stored: StoredKey) -> dict[str, Any]:
+    head = stored.head
+    return {
+        "robot": robot,
+        "folder": str(seal_folder(robot)),
+        "root": stored.root,
+        "key": stored.key,
+        "files": stored.files,
+        "head": {
+            "digest": head.digest,
+            "file": head.file,
+            "number": head.number,
+            "covered": head.covered,
+            "time_ns": head.time_ns,
+            "closed": head.closed,
+        },
+    }
+
+
+def _lines(robot: str, stored: StoredKey) -> Iterator[str]:
+    yield f"first key    {stored.root}"
+    yield f"present key  {stored.key}"
+    yield f"folder       {short_path(seal_folder(robot))}"
+    yield f"files        {stored.files}"
+    head = stored.head
+    if head.number:
+        yield f"head         {head.digest}"
+        yield f"             {moment(head.time_ns)}, {printable(head.file)}"

@@ -1,0 +1,382 @@
+"""sim, demo: a simulated robot alone, and driven over one recorded lap."""
+
+from __future__ import annotations
+
+import math
+import os
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from robotctl.base.domains import reserved_domain
+from robotctl.base.errors import NoDaemon, RobotctlError, UsageError
+from robotctl.base.paths import DEFAULT_ROBOT, check_namespace, check_robot_name, namespace_of
+from robotctl.cli.commands.drive import tracking_lines, write_picture
+from robotctl.cli.commands.status import POLL_S, polled_until, show
+from robotctl.cli.options import ConfigFile, DomainId, Json, Namespace, Robot, new_app
+from robotctl.cli.quick import stop_daemon
+from robotctl.cli.targets.driving import Background, ignoring, interrupted_by
+from robotctl.cli.targets.launch import INTERRUPTIONS, StartOptions, launch
+from robotctl.cli.targets.requests import request_source
+from robotctl.cli.ui.output import print_answer
+from robotctl.cli.ui.status import TopicLines
+from robotctl.cli.ui.text import (
+    can_show_braille,
+    is_terminal,
+    json_text,
+    printable,
+    short_path,
+    size,
+    terminal_lines,
+)
+from robotctl.ipc.answers import DriveAnswer, Status
+from robotctl.ipc.client import call, command_for
+from robotctl.ipc.method_names import DRIVE, PATH, SIM_FAULT, SIM_SET, STATUS
+from robotctl.show.figure import Path2D, path_figure
+from robotctl.show.terminal import ground_lines
+from robotctl.sim.robot import MAX_FAULT_S, SimFault
+
+app = new_app()
+group = new_app()
+app.add_typer(group, name="sim")
+
+
+@group.callback(invoke_without_command=True)
+def sim(
+    context: typer.Context,
+    robot: Robot = DEFAULT_ROBOT,
+    namespace: Namespace = None,
+    config: ConfigFile = None,
+    domain_id: DomainId = None,
+    auto: Annotated[
+        bool, typer.Option("--auto", help="End at once where odometry is published already.")
+    ] = False,
+) -> None:
+    """Run the simulated robot in a process of its own, until Ctrl-C.
+
+    A daemon that is started afterwards finds it and drives it like a real robot. If that daemon
+    dies, the simulated robot stops by its own command timeout. `set` and `fault` act on the robot
+    that a daemon simulates itself (robotctl start --sim).
+
+    \b
+    Examples:
+      robotctl sim
+      robotctl sim --robot r2 --domain-id 5
+      robotctl sim fault odom-lost --for 2s
+    """
+    if context.invoked_subcommand is not None:
+        return
+    from robotctl.base import environment
+
+    note = environment.prepare()
+    if note:
+        print(f"note: {note}", file=sys.stderr)
+    import asyncio
+
+    from robotctl.base.domains import requested_domain
+    from robotctl.config import Config, load
+    from robotctl.daemon.simulator import simulate
+
+    domain = requested_domain(domain_id) or 0
+    name = check_robot_name(robot)
+    full = namespace_of(name) if namespace is None else check_namespace(namespace)
+    settings = Config() if config is None else load(config)
+
+    def say_ready() -> None:
+        print(f"simulated robot {robot} runs in ROS domain {domain} (Ctrl-C ends it)", flush=True)
+
+    with ExitStack() as at_end:
+        asyncio.run(
+            simulate(
+                settings,
+                domain_id=domain,
+                namespace=full,
+                on_ready=say_ready,
+                at_end=at_end,
+                only_if_missing=auto,
+            )
+        )
+
+
+KEY = "battery"
+
+
+@group.command("set")
+def change(
+    setting: Annotated[str, typer.Argument(metavar="battery=LEVEL", help="0 to 1.")],
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
+    """Set the battery level of the robot that the daemon simulates.
+
+    \b
+    Examples:
+      robotctl sim set battery=0.1
+    """
+    answer = call(robot, SIM_SET, {KEY: _level(setting), "source": request_source("sim set")})
+    print_answer(dict(answer), [printable(answer["message"])], as_json=as_json)
+
+
+def _level(setting: str) -> float:
+    key, _, text = setting.partition("=")
+    try:
+        level = float(text) if key == KEY else -1.0
+    except ValueError:
+        level = -1.0
+    if not 0.0 <= level <= 1.0:
+        raise UsageError(f"{printable(setting)}", "use battery=0 to battery=1")
+    return level
+
+
+_NAMES = ", ".join(fault.value for fault in SimFault)
+_UNITS = (("ms", 1e-3), ("s", 1.0), ("", 1.0))
+
+
+@group.command("fault")
+def fail(
+    fault: Annotated[SimFault, typer.Argument(metavar="FAULT", help=f"One of {_NAMES}.")],
+    duration: Annotated[
+        str, typer.Option("--for", metavar="TIME", help="How long, such as 2s or 500ms.")
+    ] = "2s",
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
+    """Let the robot that the daemon simulates fail for a while, and tell when it stopped.
+
+    The milliseconds go from the fault to the mode that commands zero.
+
+    \b
+    Examples:
+      robotctl sim fault odom-lost --for 2s
+      robotctl sim fault slip --for 5s
+    """
+    params = {
+        "fault": fault.value,
+        "for_s": seconds(duration),
+        "source": request_source("sim fault"),
+    }
+    answer = call(robot, SIM_FAULT, params, deadline_s=None)
+    print_answer(dict(answer), [printable(answer["message"])], as_json=as_json)
+
+
+def seconds(text: str) -> float:
+    """Return the seconds of a duration such as `2s` or `500ms`.
+
+    Raises:
+        UsageError: The text is no duration, or the duration is not above 0 or too long.
+    """
+    unit, factor = next((unit, factor) for unit, factor in _UNITS if text.endswith(unit))
+    try:
+        found = float(text.removesuffix(unit)) * factor
+    except ValueError:
+        found = math.nan
+    if not 0.0 < found <= MAX_FAULT_S:
+        raise UsageError(f"--for {printable(text)}", f"use 1ms to {MAX_FAULT_S:g}s")
+    return found
+
+
+CONFIG = Path(__file__).with_name("demo.yaml")
+
+SIDE_M = 1.0
+
+SENSORS_DEADLINE_S = 20.0
+"""How long the first odometry and battery may take [s]: usually 1 s, more under load."""
+
+MAP_ROWS = range(5, 19)
+"""How high the map of the path may be [lines]."""
+
+LINES_AROUND_MAP = 10
+"""How many lines the last screen has for captions, commands and the next prompt."""
+
+
+@dataclass(frozen=True, slots=True)
+class DemoResult:
+    """The answer about the drive, the status afterwards, and the reference and driven path."""
+
+    drive: DriveAnswer
+    status: Status
+    reference: Path2D
+    driven: Path2D
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the recording."""
+        return Path(self.status["recorder"]["file"]).parent
+
+    @property
+    def missing_messages(self) -> int:
+        """The number of messages that were sent but not recorded."""
+        recorder = self.status["recorder"]
+        return int(recorder["lost"]) + int(recorder["dropped"])
+
+
+@app.command()
+def demo(
+    recordings: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where to record [default: ./recordings].")
+    ] = None,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Leave the daemon running at the end.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Drive a simulated robot around a square and show the recording.
+
+    Uses its own robot name and ROS domain, so it does not affect running daemons. Takes less than
+    a minute; Ctrl-C ends it early and leaves a valid recording.
+
+    \b
+    Examples:
+      robotctl demo
+      robotctl demo --keep --recordings /tmp/demo
+    """
+    robot = f"demo_{os.getpid()}"
+    with reserved_domain() as domain_id:
+        options = StartOptions(
+            robot, config=CONFIG, recordings=recordings, sim=True, domain_id=domain_id
+        )
+        if not as_json:
+            print(f"starting a simulated robot: {robot}, ROS domain {domain_id}", flush=True)
+        with _daemon(options, keep=keep):
+            result = _drive_one_lap(robot, quiet=as_json)
+    png = write_picture(result.folder, robot, result.reference, result.driven, result.drive)
+    if as_json:
+        print(json_text(_as_object(robot, result, png)))
+    else:
+        print("\n".join(_report(robot, result, png, keep=keep)))
+
+
+@contextmanager
+def _daemon(options: StartOptions, *, keep: bool) -> Iterator[None]:
+    """Run a daemon during the block; with `keep`, it continues after a block without error."""
+    with interrupted_by(INTERRUPTIONS):
+        try:
+            for note in launch(options).get("notes") or []:
+                print(f"note: {printable(note)}", file=sys.stderr)
+            yield
+            if not keep:
+                with ignoring(INTERRUPTIONS):
+                    _stop_if_running(options.robot)
+        except BaseException:
+            with ignoring(INTERRUPTIONS):
+                file = _recording_of(options.robot)
+                if file is not None:
+                    _stop_if_running(options.robot)
+                    print(f"stopped; recorded until then: {file}", file=sys.stderr)
+            raise
+
+
+def _drive_one_lap(robot: str, *, quiet: bool) -> DemoResult:
+    params = {
+        "pattern": "square",
+        "side_m": SIDE_M,
+        "laps": 1,
+        "wait": True,
+        "source": request_source("demo"),
+    }
+    _wait_for_sensors(robot)
+    drive: Background[DriveAnswer] = Background(
+        partial(call, robot, DRIVE, params, deadline_s=None)
+    )
+    drive.start()
+    if not quiet:
+        show(polled_until(drive, robot))
+    result = drive.result()
+    path = call(robot, PATH)
+    return DemoResult(result, call(robot, STATUS), path["reference"], path["driven"])
+
+
+def _wait_for_sensors(robot: str) -> None:
+    """Wait until the daemon knows the robot's pose and battery level.
+
+    Raises:
+        RobotctlError: The daemon does not know them by the deadline.
+    """
+    until = time.monotonic() + SENSORS_DEADLINE_S
+    while time.monotonic() < until:
+        status = call(robot, STATUS)
+        if status.get("pose") is not None and status.get("battery") is not None:
+            return
+        time.sleep(POLL_S)
+    raise RobotctlError(
+        f"the simulated robot sent no odometry within {SENSORS_DEADLINE_S:g} s "
+        "(is UDP on the loopback interface blocked?)"
+    )
+
+
+def _recording_of(robot: str) -> str | None:
+    """Return the file that the robot's daemon writes, or None if there is no daemon."""
+    try:
+        return short_path(call(robot, STATUS)["recorder"]["file"])
+    except NoDaemon:
+        return None
+
+
+def _stop_if_running(robot: str) -> None:
+    with suppress(NoDaemon):
+        stop_daemon(robot)
+
+
+def _as_object(robot: str, result: DemoResult, png: Path) -> dict[str, Any]:
+    from robotctl.recording import read_info
+
+    topics = read_info(result.folder).topics
+    return {
+        "robot": robot,
+        "recording": str(result.folder),
+        "picture": str(png),
+        "messages": {topic.name: topic.message_count for topic in topics},
+        "lost": result.missing_messages,
+        **result.drive,
+    }
+
+
+def _report(robot: str, result: DemoResult, png: Path, *, keep: bool) -> Iterator[str]:
+    from robotctl.recording import read_info
+
+    found = read_info(result.folder)
+    folder = short_path(result.folder)
+    heard = [topic for topic in found.topics if topic.message_count]
+    table = TopicLines((topic.name, topic.type_name) for topic in heard)
+    yield f"\n{table.header}"
+    for topic in heard:
+        yield table.row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
+    if len(heard) < len(found.topics):
+        yield f"  and {len(found.topics) - len(heard)} more without messages"
+    figures = [
+        f"  recording   {folder} ({size(found.size_bytes)})",
+        f"  picture     {short_path(png)}",
+        f"  messages    {found.message_count}, {result.missing_messages} lost",
+        *tracking_lines(result.drive),
+    ]
+    if can_show_braille():
+        colour = is_terminal() and not os.environ.get("NO_COLOR")
+        rows = terminal_lines() - len(figures) - LINES_AROUND_MAP
+        rows = min(max(rows, min(MAP_ROWS)), max(MAP_ROWS))
+        yield "\n  driven path (line) and reference path (dots)"
+        figure = path_figure(result.reference, result.driven)
+        yield from ground_lines(figure, rows=rows, colour=colour)
+    yield ""
+    yield from figures
+    yield "\nnext:"
+    yield from (f"  {command}" for command in _next_commands(robot, folder, keep=keep))
+
+
+def _next_commands(robot: str, folder: str, *, keep: bool) -> list[str]:
+    """Return three commands to continue with, ready to paste."""
+    recording = shlex.quote(folder)
+    if keep:
+        return [
+            command_for(robot, "watch"),
+            f"robotctl info {recording}",
+            command_for(robot, "stop"),
+        ]
+    return [f"robotctl report {recording}", f"robotctl replay {recording}", "robotctl start"]
