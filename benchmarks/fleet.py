@@ -40,7 +40,7 @@ from robotctl.collection.index_file import (
     write_index,
 )
 from robotctl.collection.indexing import rows_of
-from robotctl.daemon.recording.indexer import INDEX
+from robotctl.daemon.recording.housekeeping import INDEX
 from robotctl.kernel.types import DriveEnded
 from robotctl.recording import Recording, read_journal
 

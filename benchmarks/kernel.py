@@ -50,7 +50,7 @@ from robotctl.kernel.types import (
     ScanReceived,
     Tick,
 )
-from robotctl.sim.robot import Robot, SimParams
+from robotctl.sim import Robot, SimParams
 
 STEPS = 4_000
 TARGET_US, SCAN_TARGET_US = 20.0, 80.0

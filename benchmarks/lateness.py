@@ -39,7 +39,7 @@ from recording.figures import Figure, Round, table
 from robotctl.base.domains import reserved_domain
 from robotctl.base.jobs import job_command
 from robotctl.base.processes import start
-from robotctl.daemon.recording.indexer import INDEX
+from robotctl.daemon.recording.housekeeping import INDEX
 from robotctl.kernel.types import Tick
 from robotctl.recording import Recording, read_journal
 from robotctl.ros import Ticker

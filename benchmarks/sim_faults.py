@@ -15,7 +15,7 @@ from statistics import median
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # tests.support
 
-from robotctl.sim.robot import SimFault
+from robotctl.sim import SimFault
 from tests.support.waiting import until
 from tests.support.world import World, new_world
 

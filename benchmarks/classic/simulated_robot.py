@@ -13,7 +13,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState
 
 from robotctl.kernel.types import Twist
-from robotctl.sim.robot import Robot, SimParams
+from robotctl.sim import Robot, SimParams
 
 
 class SimulatedRobot(Node):

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from robotctl.check.closed_loop import closed_loop
 from robotctl.config import Config, with_setting
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.types import Effect, Event
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ENCAPSULATION
 from robotctl.recording import Compression, Recorder, RecorderOptions
 from robotctl.recording.seal import Keyring

@@ -171,7 +171,7 @@ async def classic(topic: str, folder: Path) -> AsyncIterator[Taker]:
     from mcap.writer import CompressionType, Writer
     from rclpy.executors import SingleThreadedExecutor
 
-    from robotctl.ros.messages.qos import RECORDING_DEPTH
+    from robotctl.ros.qos import RECORDING_DEPTH
 
     rclpy.init(args=[], domain_id=domain_id())
     node = rclpy.create_node("recorder")

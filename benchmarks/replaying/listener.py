@@ -24,8 +24,8 @@ def listen(topics: list[list[str]], *, urgent: bool) -> None:
     from rclpy.node import Node
 
     from robotctl.ros import AsyncioExecutor, RawTap
-    from robotctl.ros.messages.classes import message_class
-    from robotctl.ros.playback.playback import replay_qos
+    from robotctl.ros.message_types import message_class
+    from robotctl.ros.playback import replay_qos
 
     heard: list[tuple[int, int]] = []
 

@@ -25,7 +25,7 @@ def play_with_robotctl(file: Path, domain_id: int) -> list[int]:
     from robotctl.base.processes import REPORT_OPTION
     from robotctl.replay import __main__ as process
     from robotctl.replay.job import Job
-    from robotctl.ros.playback.playback import ReplaySession
+    from robotctl.ros.playback import ReplaySession
 
     stamps: list[int] = []
     opened = ReplaySession.open
@@ -52,8 +52,8 @@ def play_with_robotctl(file: Path, domain_id: int) -> list[int]:
 @contextmanager
 def opened(domain_id: int) -> Iterator[Callable[[bytes], bool]]:
     """The same publisher for the others."""
-    from robotctl.ros.graph.membership import Membership
-    from robotctl.ros.playback.playback import ReplaySession
+    from robotctl.ros.context import Membership
+    from robotctl.ros.playback import ReplaySession
 
     with Membership(domain_id, "publisher") as membership:
         ros = ReplaySession(membership)

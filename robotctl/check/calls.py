@@ -23,9 +23,9 @@ from robotctl.check.report import Report
 from robotctl.check.times import ClockChanges
 from robotctl.check.topics import RobotTopics
 from robotctl.kernel.codec import Snapshot
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Effect, Event, ModeRequested, Reply
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import CdrReader
 from robotctl.recording.read.messages import Message
 

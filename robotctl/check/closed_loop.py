@@ -15,6 +15,7 @@ from robotctl.check.journal import decide, read_effect, read_event, read_snapsho
 from robotctl.check.what_if import Settings, changed, simulated
 from robotctl.config import Config, flat
 from robotctl.kernel.codec import Snapshot, finite_or_none
+from robotctl.kernel.constants import DAY_S, NS_PER_S
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import BatteryScale
@@ -35,26 +36,23 @@ from robotctl.kernel.types import (
     Event,
     GuardedCommandReceived,
     HoldReceived,
+    LeaseLost,
+    LeaseRequested,
+    LifecycleChanged,
     ModeRequested,
     Odometry,
     OdomReceived,
+    ParameterRequested,
     PublishTwist,
     Reply,
     ResetRequested,
     Tick,
 )
-from robotctl.kernel.types.events import (
-    LeaseLost,
-    LeaseRequested,
-    LifecycleChanged,
-    ParameterRequested,
-)
-from robotctl.kernel.units import DAY_S, NS_PER_S
 from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import read_journal
-from robotctl.sim.robot import Robot, SimParams
+from robotctl.sim import Robot, SimParams
 
 TICK_AFTER_ODOMETRY_NS = 1_000_000
 """Ticks follow odometry by this time: tracking is best with fresh odometry."""

@@ -25,6 +25,7 @@ from robotctl.check.report import Report
 from robotctl.check.times import ClockChanges
 from robotctl.check.topics import RobotTopics, Slot, Waiting
 from robotctl.kernel.codec import Proof, Snapshot
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.state import Health
 from robotctl.kernel.types import (
     CommandPublishersSeen,
@@ -37,7 +38,6 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
-from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.read.messages import Message
 

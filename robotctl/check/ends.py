@@ -15,7 +15,7 @@ from robotctl.check.journal import read_snapshot
 from robotctl.check.report import Report
 from robotctl.config import Config, flat
 from robotctl.config.settings import keyed_leaves
-from robotctl.kernel import command_types
+from robotctl.kernel import constants
 from robotctl.kernel.codec import Proof, Snapshot
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.types import Cause
@@ -162,8 +162,8 @@ def differing_parameters(noted: Mapping[str, str], params: KernelParams) -> Iter
 
 
 HASHES: Final[Mapping[str, str]] = {
-    command_types.TWIST: "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
-    command_types.TWIST_STAMPED: "5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
+    constants.TWIST: "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
+    constants.TWIST_STAMPED: "5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
     cdr.ODOMETRY: "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
     cdr.ROBOT_STATUS: "61598f9d2936bf0665499ce4f458aba4b3e12ede4281ea119ca421cde9331509",
     cdr.JOURNAL_ENTRY: "8ecaa1252cd850455be383c3a05c471a0dbe13d5fc23ae327afcc626da89175a",

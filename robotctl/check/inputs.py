@@ -21,7 +21,7 @@ from robotctl.check.report import TOLERANCE, Report
 from robotctl.check.times import RecordedStalls
 from robotctl.check.topics import InputTopic, RepeatedLatched, RobotTopics, Slot, Waiting
 from robotctl.kernel.codec import Snapshot
-from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
+from robotctl.kernel.constants import COMMAND_TYPES, NS_PER_S, TWIST_STAMPED
 from robotctl.kernel.safety_inputs import REPEATS_PER_TIMEOUT, SafetyInput, SafetyInputParams, Use
 from robotctl.kernel.types import (
     BatteryReceived,
@@ -33,7 +33,6 @@ from robotctl.kernel.types import (
     ScanReceived,
     Twist,
 )
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages import cdr
 from robotctl.messages.inputs import (
     MESSAGE_TYPES,

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import assert_never
 
 from robotctl.kernel.codec import Snapshot
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_keys import kernel_leaves, with_text
 from robotctl.kernel.params import KernelParams, VelocityLimits
@@ -24,10 +25,13 @@ from robotctl.kernel.types import (
     Event,
     ForeignCommandHeard,
     LatchEmergencyStop,
+    LeaseRequested,
     LoopStalled,
     ModeChanged,
     ModeRequested,
     OdomReceived,
+    ParameterChanged,
+    ParameterRequested,
     PublishTwist,
     ReleaseEmergencyStop,
     Reply,
@@ -35,8 +39,6 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
-from robotctl.kernel.types.events import LeaseRequested, ParameterChanged, ParameterRequested
-from robotctl.kernel.units import NS_PER_S
 
 MAX_VIOLATIONS = 20
 """The number of violations that are kept; all are counted."""

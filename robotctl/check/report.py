@@ -16,8 +16,8 @@ from robotctl.base.errors import Divergence as DivergenceError
 from robotctl.base.errors import UnreadableFile
 from robotctl.check.invariants import Violation
 from robotctl.kernel.codec import to_json
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.state import State
-from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.read.file_index import note_missing
 
 TOLERANCE: Final = 1e-9

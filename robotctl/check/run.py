@@ -38,8 +38,8 @@ from robotctl.check.statuses import StatusCheck
 from robotctl.check.times import ClockChanges, MeasurementOrder, RecordedStalls, TickSchedule
 from robotctl.check.topics import RobotTopics
 from robotctl.kernel.codec import Snapshot
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.types import Effect, Event, OdomReceived
-from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
 from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY

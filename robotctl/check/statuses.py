@@ -15,9 +15,9 @@ from robotctl.check.report import Report
 from robotctl.check.times import EXCUSES_NS, ClockChanges
 from robotctl.check.topics import RepeatedLatched, RobotTopics
 from robotctl.kernel.codec import Snapshot
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Effect, Event, ModeChanged
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ROBOT_STATUS, CdrReader
 from robotctl.recording.read.messages import Message
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import accumulate
 from typing import Final, NamedTuple
 
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.types import (
     BatteryReceived,
     Event,
@@ -15,7 +16,6 @@ from robotctl.kernel.types import (
     ScanReceived,
     Tick,
 )
-from robotctl.kernel.units import NS_PER_S
 
 MEASUREMENTS: Final = frozenset(
     {OdomReceived, BatteryReceived, ScanReceived, GuardedCommandReceived, SafetyInputReceived}

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Final, Generic, NamedTuple, TypeVar
 
-from robotctl.kernel.command_types import COMMAND_TYPES
+from robotctl.kernel.constants import COMMAND_TYPES
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.journal import TOPIC
 from robotctl.recording.format.names import INFO_RECORD

@@ -16,11 +16,11 @@ from robotctl.base.errors import ConfigError, UnreadableFile, UsageError
 from robotctl.check.journal import Gap, Step, decide, read_event, read_snapshot, steps, text_of
 from robotctl.config import Config, check_together, flat, with_text
 from robotctl.kernel.codec import Snapshot, finite_or_none
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.state import State
 from robotctl.kernel.types import DriveEnded, Effect, Event, Reply, Tick
-from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.names import INFO_RECORD, PARAMETER_PREFIX
 from robotctl.recording.read.file_index import note_missing

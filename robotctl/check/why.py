@@ -10,11 +10,11 @@ from typing import assert_never
 
 from robotctl.check.incident import Incident, IncidentKind
 from robotctl.config import Config, flat
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import named
-from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import RULE_OF, Rule, failed_start_condition, remedies_for, uncleared
 from robotctl.kernel.state import FULLEST_LEVEL, State
 from robotctl.kernel.types import (
@@ -32,28 +32,26 @@ from robotctl.kernel.types import (
     GuardedCommandReceived,
     HoldReceived,
     LatchEmergencyStop,
+    LeaseLost,
+    LeaseRequested,
+    LifecycleChanged,
     LoopStalled,
     ModeChanged,
     ModeRequested,
     OdometrySourceFound,
     OdomReceived,
+    ParameterChanged,
+    ParameterRequested,
     Phase,
     PublishTwist,
     ReleaseEmergencyStop,
+    Remedy,
     Reply,
     ResetRequested,
     SafetyInputReceived,
     ScanReceived,
     Tick,
 )
-from robotctl.kernel.types.events import (
-    LeaseLost,
-    LeaseRequested,
-    LifecycleChanged,
-    ParameterChanged,
-    ParameterRequested,
-)
-from robotctl.kernel.units import NS_PER_S
 
 
 def sentence_of(event: Event) -> str:

@@ -26,6 +26,7 @@ from robotctl.collection.index_file import (
     write_index,
 )
 from robotctl.kernel.codec import finite_or_none, to_json
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import (
@@ -38,7 +39,6 @@ from robotctl.kernel.types import (
     Reply,
     Tick,
 )
-from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY, SOFTWARE_RECORD

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.check.journal import read_effect, read_event
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.course import Held
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.odometry import is_finite
 from robotctl.kernel.types import DriveRequested, OdomReceived, PublishTwist
-from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind
 from robotctl.recording.read.journal_reader import RecordedEntry, read_journal

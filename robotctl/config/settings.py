@@ -20,7 +20,7 @@ from robotctl.kernel.parameter_keys import Leaf, conflict, leaves, value_at, wit
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.ranges import Change, Range, bounded, setting
 from robotctl.recording.format.names import Compression
-from robotctl.sim.robot import SimParams
+from robotctl.sim import SimParams
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,25 +23,23 @@ from robotctl.config.settings import log_warning
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.driver import build
 from robotctl.daemon.host import DaemonKind, Host, Ready
-from robotctl.daemon.log.levels import LoggerLevels
 from robotctl.daemon.observer import Observer
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.recording.provenance import DIGEST, provenance, software
 from robotctl.daemon.recording.recordings_folder import save_recordings_path
-from robotctl.daemon.ros_logs import apply_levels, published_log, serve_logger_levels
+from robotctl.daemon.ros_logs import LoggerLevels, apply_levels, published_log, serve_logger_levels
 from robotctl.daemon.service_manager import ServiceManager, reporting
-from robotctl.daemon.supervisor import Supervisor
-from robotctl.daemon.waiting import DISCOVERY_S, until
+from robotctl.daemon.supervisor import DISCOVERY_S, Supervisor, until
 from robotctl.decisions.journal import YEAR_S, DecisionKind, log_folder
 from robotctl.decisions.log import DecisionLog
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.listener import remove_stale, socket_group
 from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
-from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
+from robotctl.kernel.constants import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.kernel.params import CommandParams, Stamping
 from robotctl.ros.graph import endpoints
-from robotctl.ros.messages.command_type import COMMANDS, PLAIN, CommandType, stamped
+from robotctl.ros.message_types import COMMANDS, PLAIN, CommandType, stamped
 from robotctl.ros.nodes.velocity_publisher import is_monitor
 from robotctl.ros.session import RECORDER_NODE, Naming, ros_session
 

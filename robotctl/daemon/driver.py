@@ -11,12 +11,15 @@ from typing import Any
 
 from robotctl.base.errors import RobotctlError
 from robotctl.base.paths import latch_path
-from robotctl.daemon.api.driving import DrivingMethods
+from robotctl.daemon.api.driving import DriveGoals, DrivingMethods
 from robotctl.daemon.api.lease import LeaseMethods
-from robotctl.daemon.api.parameters import parameter_methods
-from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.simulation import simulation_methods
-from robotctl.daemon.api.status import StatusSource, common_methods, graph_methods
+from robotctl.daemon.api.status import (
+    StatusSource,
+    common_methods,
+    graph_methods,
+    recording_methods,
+)
 from robotctl.daemon.api.warnings import Warnings
 from robotctl.daemon.control.control_loop import ControlLoop, Watchdog, urgent_event
 from robotctl.daemon.control.decisions import Decisions
@@ -30,14 +33,12 @@ from robotctl.daemon.control.inputs import (
 )
 from robotctl.daemon.control.latch import Latch
 from robotctl.daemon.control.robot_report import GroundTruth, RobotReport, ShownStatus
-from robotctl.daemon.drive_goals import DriveGoals
 from robotctl.daemon.host import Diagnostics, Host, Ready, running
-from robotctl.daemon.parameters import Parameters, serve_parameters
+from robotctl.daemon.parameters import Parameters, parameter_methods, serve_parameters
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.shutdown import LastZero, send_zero, stand_still
 from robotctl.daemon.simulator import recorded_robot
-from robotctl.daemon.supervisor import Work
-from robotctl.daemon.waiting import until
+from robotctl.daemon.supervisor import Work, until
 from robotctl.ipc.advice import advice
 from robotctl.ipc.request_handler import Method
 from robotctl.ipc.server import ControlServer
@@ -45,9 +46,8 @@ from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.state import Health, State, latched
-from robotctl.kernel.types import Odometry, Reply
-from robotctl.kernel.types.events import LifecycleState
-from robotctl.ros.messages.command_type import CommandType
+from robotctl.kernel.types import LifecycleState, Odometry, Reply
+from robotctl.ros.message_types import CommandType
 from robotctl.ros.nodes.drive_action import DriveAction
 from robotctl.ros.nodes.input_subscribers import (
     BatterySubscriber,

@@ -18,11 +18,7 @@ from robotctl.decisions.log import DecisionLog
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.request_handler import Method
 from robotctl.ipc.server import ControlServer
-from robotctl.ros.nodes.publishers import (
-    Diagnosis,
-    DiagnosticLevel,
-    DiagnosticsPublisher,
-)
+from robotctl.ros.nodes.publishers import Diagnosis, DiagnosticLevel, DiagnosticsPublisher
 from robotctl.ros.session import Session
 
 Ready = Callable[[StartSummary], None]

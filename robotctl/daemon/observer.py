@@ -7,19 +7,22 @@ from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from robotctl.base.errors import Refused
-from robotctl.daemon.api.parameters import list_method
-from robotctl.daemon.api.recording import recording_methods
-from robotctl.daemon.api.status import StatusSource, common_methods, graph_methods
+from robotctl.daemon.api.status import (
+    StatusSource,
+    common_methods,
+    graph_methods,
+    recording_methods,
+)
 from robotctl.daemon.api.warnings import Warnings
 from robotctl.daemon.host import Diagnostics, Host, Ready, running
+from robotctl.daemon.parameters import list_method
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.ipc.answers import RobotFacts
 from robotctl.ipc.method_names import OF_A_ROBOT
 from robotctl.ipc.method_params import AnyParams
 from robotctl.ipc.request_handler import Method
 from robotctl.ipc.server import ControlServer
-from robotctl.kernel.remedies import Remedy
-from robotctl.kernel.types import Event, FaultReported
+from robotctl.kernel.types import Event, FaultReported, Remedy
 from robotctl.recording.format.names import OBSERVING
 
 _log = logging.getLogger(__name__)

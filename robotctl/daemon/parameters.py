@@ -12,12 +12,14 @@ from robotctl.config import Config, check_together, declarations, flat, with_set
 from robotctl.config.ros_settings import MODE_SERVICE, SIMULATED_ROBOT, node_of
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.ipc.advice import advice
-from robotctl.ipc.answers import ParameterAnswer
+from robotctl.ipc.answers import ParameterAnswer, ParameterList, ParameterSet
+from robotctl.ipc.method_names import PARAM_LIST, PARAM_SET
+from robotctl.ipc.method_params import NoParams, ParamSetParams
+from robotctl.ipc.request_handler import Method
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.parameter_keys import kernel_leaves
 from robotctl.kernel.ranges import Change
-from robotctl.kernel.types import Reply
-from robotctl.kernel.types.events import ParameterChanged, ParameterRequested
+from robotctl.kernel.types import ParameterChanged, ParameterRequested, Reply
 from robotctl.ros.nodes.node_services import Declared, ParameterServices
 from robotctl.ros.session import Session
 
@@ -149,3 +151,38 @@ def _served_by(key: str, nodes: Container[str]) -> str:
     robot, else `mode_service`."""
     node = node_of(key)
     return node if node in nodes or node == SIMULATED_ROBOT else MODE_SERVICE
+
+
+def list_method(config: Callable[[], Config]) -> dict[str, Method[Any]]:
+    """Return a table with the method `param_list`; `config()` is the present configuration."""
+
+    async def get_list(_: NoParams) -> ParameterList:
+        return {"parameters": listed(config())}
+
+    return {PARAM_LIST: Method(NoParams, get_list)}
+
+
+def parameter_methods(parameters: Parameters, robot: str) -> dict[str, Method[Any]]:
+    """Return `param_list` and `param_set`; error texts suggest commands for `robot`."""
+
+    async def set_one(params: ParamSetParams) -> ParameterSet:
+        setting = parameters.parsed(params.key, params.value)
+        old = _value(parameters, params.key)
+        reply = parameters.request([setting], params.source)
+        if not reply.ok:
+            raise Refused(*advice(reply.message, reply.remedies, robot))
+        return {
+            "message": reply.message,
+            "key": params.key,
+            "old": old,
+            "new": _value(parameters, params.key),
+        }
+
+    return {
+        **list_method(lambda: parameters.config),
+        PARAM_SET: Method(ParamSetParams, set_one),
+    }
+
+
+def _value(parameters: Parameters, key: str) -> Any:
+    return flat(parameters.config)[key]

@@ -4,15 +4,87 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from typing import Final
 
-from robotctl.base.ros_arguments import LEVELS, LogLevel, level_name
-from robotctl.daemon.log.levels import LoggerLevels
-from robotctl.daemon.log.loop_handler import LoopHandler
+from robotctl.base.ros_arguments import LEVELS, UNSET, LogLevel, level_name
+from robotctl.base.text import printable
+from robotctl.daemon.log_lines import LoopHandler
 from robotctl.ros.nodes.node_services import LoggerServices, set_native_level
 from robotctl.ros.nodes.publishers import RosoutLine, RosoutPublisher
 from robotctl.ros.session import Session
+
+PACKAGE: Final = "robotctl"
+"""The parent of the loggers of all our modules."""
+
+MAX_NAMES: Final = 200
+"""Limit on the loggers that get a level: any ROS node may name new ones, and Python keeps all."""
+
+MAX_NAME_LENGTH: Final = 256
+
+_log = logging.getLogger(__name__)
+_log.setLevel(logging.INFO)  # changes are logged even if all loggers are set higher
+
+
+class LoggerLevels:
+    """Gets and sets levels of Python's loggers; `own` is the ROS name of robotctl's own loggers."""
+
+    def __init__(self, own: str) -> None:
+        self.own = own
+        self.named: set[str] = set()
+        """The ROS names of the loggers that got a level from `set`."""
+
+    def name_of(self, logger: str) -> str:
+        """Return the ROS name of a Python logger."""
+        return self.own if logger == PACKAGE or logger.startswith(f"{PACKAGE}.") else logger
+
+    def get(self, name: str) -> int:
+        """Return the ROS level that is set on this logger itself, or 0 if none is set."""
+        if name == "":
+            return LEVELS[level_name(logging.getLogger().level)]
+        logger = logging.root.manager.loggerDict.get(self._python_name(name))
+        level = logger.level if isinstance(logger, logging.Logger) else UNSET
+        return {"UNSET": UNSET, **LEVELS}[level_name(level)]
+
+    def refusal(self, name: str, level: int) -> str:
+        """Return why a level cannot be set, or "" if it can."""
+        if level not in (UNSET, *LEVELS.values()):
+            return "Failed reason: Invalid logger level."  # the words of rclpy
+        if len(name) > MAX_NAME_LENGTH:
+            return f"a name of a logger has at most {MAX_NAME_LENGTH} characters"
+        if name not in self.named and len(self.named) >= MAX_NAMES:
+            return f"{MAX_NAMES} loggers have a level already: set one of those"
+        return ""
+
+    def set(self, name: str, level: int, source: str) -> None:
+        """Set a level that `refusal` allows, and log the change and its source.
+
+        For the root logger, whose name is "", the level UNSET means INFO, as in rcutils.
+        """
+        before = self.get(name)
+        if name == "" and level == UNSET:
+            level = logging.INFO
+        if level == before:
+            return
+        self.named.add(name)
+        logging.getLogger(self._python_name(name)).setLevel(level)
+        _log.info(
+            "log level of %s: %s -> %s, by %s",
+            printable(name) or "all loggers",
+            level_name(before),
+            level_name(level),
+            source,
+        )
+
+    def apply(self, levels: Iterable[LogLevel]) -> None:
+        """Set the levels of a command line; skip those that `refusal` does not allow."""
+        for each in levels:
+            if not self.refusal(each.logger, each.level):
+                self.set(each.logger, each.level, "the command line")
+
+    def _python_name(self, name: str) -> str:
+        return PACKAGE if name == self.own else name
 
 
 @contextmanager

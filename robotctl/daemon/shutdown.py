@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.daemon.waiting import until
+from robotctl.daemon.supervisor import until
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import ZERO, Cause, FaultReported, ModeRequested, Tick
 from robotctl.ros.nodes.mode_service import ModeService

@@ -9,10 +9,10 @@ from dataclasses import replace
 
 from robotctl.base.own_process import end_signals
 from robotctl.config import Config
-from robotctl.daemon.waiting import DISCOVERY_S, until
+from robotctl.daemon.supervisor import DISCOVERY_S, until
 from robotctl.kernel.params import Stamping
 from robotctl.kernel.state import full_level
-from robotctl.ros.messages.command_type import COMMANDS, PLAIN, CommandType, stamped
+from robotctl.ros.message_types import COMMANDS, PLAIN, CommandType, stamped
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot, battery_topic, odometry_topic
 from robotctl.ros.session import Session, ros_session
 from robotctl.ros.tap.tap import Tap

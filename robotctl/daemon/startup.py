@@ -20,7 +20,7 @@ from robotctl.base.paths import lock_path
 from robotctl.daemon import command_line as command_line
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.lock import owned
-from robotctl.daemon.log.lines import log_to_stderr
+from robotctl.daemon.log_lines import log_to_stderr
 
 _log = logging.getLogger("robotctl")
 

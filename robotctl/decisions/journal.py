@@ -24,7 +24,7 @@ from typing import Any, Final
 
 from robotctl.base.files import open_folder, open_regular, sync_folder
 from robotctl.base.paths import make_private, robot_state_folder
-from robotctl.kernel.units import DAY_S
+from robotctl.kernel.constants import DAY_S
 
 MAX_LINE_BYTES: Final = 32_768
 """Limit on the length of an entry; readers reject a longer line."""

@@ -24,7 +24,7 @@ from robotctl.decisions.journal import (
     parse,
     remove_oldest,
 )
-from robotctl.kernel.units import DAY_S, NS_PER_S
+from robotctl.kernel.constants import DAY_S, NS_PER_S
 
 DAY_BYTES: Final = 130_000
 """Limit on the bytes written in a day: about 500 entries; with RESERVE_BYTES, 50 MB a year."""

@@ -8,7 +8,7 @@ from typing import Final
 
 from robotctl.doctor.machine import Finding, fault, ok, warning
 from robotctl.ipc.answers import GraphEndpoint, GraphTopic, NameAndTypes
-from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
+from robotctl.kernel.constants import TWIST, TWIST_STAMPED
 from robotctl.messages.cdr import ODOMETRY
 from robotctl.messages.installed import NOT_INSTALLED, installed_type
 

@@ -10,8 +10,7 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from robotctl.ipc.client import command_for
-from robotctl.kernel.remedies import Remedy
-from robotctl.kernel.types import Cause
+from robotctl.kernel.types import Cause, Remedy
 
 CONDITIONS: Final = {
     Cause.OPERATOR_STOP: "no stop of an operator",

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import fsum, inf, nan, pi, sqrt
 
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.course import PLAIN, Course, Held
 from robotctl.kernel.geometry import Pose, wrap_angle
 from robotctl.kernel.params import TrackingParams, VelocityLimits
@@ -19,7 +20,6 @@ from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.speed_plan import Leg, legs_for, path_for
 from robotctl.kernel.tracking import Reference, follow_blindly, track
 from robotctl.kernel.types import DriveReport, Twist, changed
-from robotctl.kernel.units import NS_PER_S
 
 SETTLE_S = 0.6
 """The longest time that the reference waits at a stop for the robot to arrive."""

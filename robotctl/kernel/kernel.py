@@ -6,6 +6,7 @@ from dataclasses import replace
 from math import isfinite
 from typing import assert_never
 
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.course import PLAIN, Course, Frame
 from robotctl.kernel.drive import MAX_LAPS, Drive, origin_of
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
@@ -15,7 +16,6 @@ from robotctl.kernel.parameter_keys import conflict, kernel_leaves, text_of, val
 from robotctl.kernel.params import KernelParams, WhenIdle
 from robotctl.kernel.patterns import SHAPES, Pattern, local_points
 from robotctl.kernel.ranges import Change
-from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import (
     FAULT_TRIGGERS,
     RULE_OF,
@@ -46,14 +46,22 @@ from robotctl.kernel.types import (
     GuardedCommandReceived,
     HoldReceived,
     LatchEmergencyStop,
+    Lease,
+    LeaseLost,
+    LeaseRequested,
+    LifecycleChanged,
     LoopStalled,
     ModeChanged,
     ModeRequested,
+    MotionRequest,
     OdometrySourceFound,
     OdomReceived,
+    ParameterChanged,
+    ParameterRequested,
     Phase,
     PublishTwist,
     ReleaseEmergencyStop,
+    Remedy,
     Reply,
     ResetRequested,
     SafetyInputReceived,
@@ -61,16 +69,6 @@ from robotctl.kernel.types import (
     Tick,
     changed,
 )
-from robotctl.kernel.types.events import (
-    Lease,
-    LeaseLost,
-    LeaseRequested,
-    LifecycleChanged,
-    MotionRequest,
-    ParameterChanged,
-    ParameterRequested,
-)
-from robotctl.kernel.units import NS_PER_S
 
 SILENT_AFTER_NS = NS_PER_S
 """With `command.when_idle: silent`, for how long zeros are sent in IDLE before sending stops."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from math import isfinite
 
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.geometry import wrap_angle
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import OdometryParams
 from robotctl.kernel.state import Health, OdometrySources, SecondOdometry, State
 from robotctl.kernel.types import Odometry, OdometrySourceFound, OdomReceived, Phase, changed
-from robotctl.kernel.units import NS_PER_S
 
 MAX_NAMED_SOURCES = 16
 """How many names of odometry publishers are kept; the number of publishers has no limit."""

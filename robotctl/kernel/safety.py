@@ -11,13 +11,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from robotctl.kernel import checks, input_checks
+from robotctl.kernel import checks
 from robotctl.kernel.checks import Check
 from robotctl.kernel.modes import Mode, Trigger
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.remedies import RESETTING, Remedy
 from robotctl.kernel.state import Health
-from robotctl.kernel.types import Cause
+from robotctl.kernel.types import RESETTING, Cause, Remedy
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,14 +62,14 @@ RULES: tuple[Rule, ...] = (
         Cause.ESTOP_PRESSED,
         Mode.EMERGENCY_STOP,
         _ALWAYS,
-        input_checks.estop_pressed,
+        checks.estop_pressed,
         Remedy.RELEASE_BUTTON,
     ),
     _rule(
         Cause.ESTOP_SILENT,
         Mode.EMERGENCY_STOP,
         _MOVING,
-        input_checks.estop_silent,
+        checks.estop_silent,
         Remedy.CHECK_INPUT,
     ),
     Rule(
@@ -120,14 +119,12 @@ RULES: tuple[Rule, ...] = (
         Remedy.STOP_ONE_ODOMETRY_PUBLISHER,
     ),
     _rule(Cause.FENCE_LEFT, Mode.ERROR, _MOVING, checks.fence_left, Remedy.BRING_BACK),
-    _rule(Cause.OBSTACLE_NEAR, Mode.ERROR, _MOVING, input_checks.obstacle_near, Remedy.CLEAR_PATH),
-    _rule(Cause.SCAN_LOST, Mode.ERROR, _MOVING, input_checks.scan_lost, Remedy.CHECK_SCAN),
-    _rule(
-        Cause.BUMPER_PRESSED, Mode.ERROR, _MOVING, input_checks.bumper_pressed, Remedy.FREE_ROBOT
-    ),
-    _rule(Cause.TILTED, Mode.ERROR, _MOVING, input_checks.tilted, Remedy.FREE_ROBOT),
-    _rule(Cause.BASE_FAULT, Mode.ERROR, _MOVING, input_checks.base_fault, Remedy.CHECK_BASE),
-    _rule(Cause.INPUT_LOST, Mode.ERROR, _MOVING, input_checks.input_lost, Remedy.CHECK_INPUT),
+    _rule(Cause.OBSTACLE_NEAR, Mode.ERROR, _MOVING, checks.obstacle_near, Remedy.CLEAR_PATH),
+    _rule(Cause.SCAN_LOST, Mode.ERROR, _MOVING, checks.scan_lost, Remedy.CHECK_SCAN),
+    _rule(Cause.BUMPER_PRESSED, Mode.ERROR, _MOVING, checks.bumper_pressed, Remedy.FREE_ROBOT),
+    _rule(Cause.TILTED, Mode.ERROR, _MOVING, checks.tilted, Remedy.FREE_ROBOT),
+    _rule(Cause.BASE_FAULT, Mode.ERROR, _MOVING, checks.base_fault, Remedy.CHECK_BASE),
+    _rule(Cause.INPUT_LOST, Mode.ERROR, _MOVING, checks.input_lost, Remedy.CHECK_INPUT),
     _rule(Cause.TRACKING_LOST, Mode.ERROR, _MOVING, checks.tracking_lost, Remedy.CHECK_WHEELS),
     _rule(
         Cause.FOREIGN_PUBLISHER,
@@ -197,10 +194,12 @@ _RULES_IN = _rules_in(RULES)
 _MEASURED_IN = _rules_in(rule for rule in RULES if rule not in _REPORTED)
 """The rules that can apply while the daemon reports no failure."""
 
+_OF_INPUTS = (
+    *(Cause.ESTOP_PRESSED, Cause.ESTOP_SILENT, Cause.OBSTACLE_NEAR, Cause.SCAN_LOST),
+    *(Cause.BUMPER_PRESSED, Cause.TILTED, Cause.BASE_FAULT, Cause.INPUT_LOST),
+)
 _FEWEST_IN = _rules_in(
-    rule
-    for rule in RULES
-    if rule not in _REPORTED and rule.check.__module__ != input_checks.__name__
+    rule for rule in RULES if rule not in _REPORTED and rule.cause not in _OF_INPUTS
 )
 """Those of `_MEASURED_IN` that can apply without safety inputs and scans, as on most robots."""
 
@@ -209,7 +208,7 @@ def raised(mode: Mode, health: Health, params: KernelParams, t_ns: int) -> Findi
     """Return the most severe finding that must change `mode` now, None if there is none."""
     if health.reported:
         rules = _RULES_IN
-    elif health.inputs or health.scan is not None or input_checks.is_any_required(params):
+    elif health.inputs or health.scan is not None or checks.is_any_required(params):
         rules = _MEASURED_IN
     else:
         rules = _FEWEST_IN

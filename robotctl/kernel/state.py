@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from math import inf, isfinite
 from typing import TypeGuard
 
-from robotctl.kernel.command_types import TWIST
+from robotctl.kernel.constants import NS_PER_S, TWIST
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import BatteryScale
 from robotctl.kernel.safety_inputs import Reading
-from robotctl.kernel.types import ZERO, Cause, Odometry, Phase, Twist
-from robotctl.kernel.types.events import Lease, LifecycleState
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.types import ZERO, Cause, Lease, LifecycleState, Odometry, Phase, Twist
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,11 +17,11 @@ from math import acos, inf, isfinite, nan, pi, tau
 from typing import NamedTuple
 
 from robotctl.base.text import short_name
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.geometry import Pose, yaw_of
 from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.trigonometry import cos, sin
 from robotctl.kernel.types import Odometry, Twist
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import BODY, ENCAPSULATION, LITTLE_ENDIAN, CdrReader, CdrWriter
 
 _TWIST = struct.Struct("<4s6d")

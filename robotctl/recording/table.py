@@ -12,7 +12,7 @@ from typing import Any, Final, TextIO
 
 from robotctl.base.errors import UnreadableFile, UsageError
 from robotctl.base.unknown_name import unknown_name
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.messages.definition import Definition, Field, UnreadableType, parse_definition
 from robotctl.messages.fields import FieldPath, ValueKind
 from robotctl.messages.values import Decoder

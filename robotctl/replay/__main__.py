@@ -25,7 +25,7 @@ from robotctl.base.processes import LineSplitter, report_fd, send_report
 
 if TYPE_CHECKING:
     from robotctl.replay.run import Emit
-    from robotctl.ros.graph.membership import Membership
+    from robotctl.ros.context import Membership
 
 NODE_NAME = "robotctl_replay"
 
@@ -48,7 +48,7 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
     debug = False
     try:
         # After environment.prepare(), because it imports rclpy; before the wait for the job.
-        from robotctl.ros.graph.membership import Membership
+        from robotctl.ros.context import Membership
 
         lines = _lines()
         line = next(lines, b"")
@@ -78,7 +78,7 @@ def _play(job: str, membership: Membership, lines: Iterator[bytes], emit: Emit) 
     from robotctl.replay.job import Job
     from robotctl.replay.playback_control import command_of
     from robotctl.replay.run import Replay
-    from robotctl.ros.playback.playback import ReplaySession
+    from robotctl.ros.playback import ReplaySession
 
     replay = Replay(Job.from_json(job), ReplaySession(membership), emit)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Final, Protocol
 
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.replay.playback_control import PlaybackControl, Schedule
 from robotctl.replay.timeline import Entry
 

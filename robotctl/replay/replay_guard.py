@@ -9,7 +9,7 @@ from typing import Final, Protocol
 from robotctl.base.errors import NoDaemon, Refused, RobotctlError, UsageError
 from robotctl.base.paths import chain_to, runtime_folder
 from robotctl.ipc.client import Client, command_for
-from robotctl.kernel.command_types import COMMAND_TYPES
+from robotctl.kernel.constants import COMMAND_TYPES
 from robotctl.replay.plan import Route, absolute, is_named
 
 ANSWER_DEADLINE_S = 2.0

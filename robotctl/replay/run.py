@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import Any, Final
 
 from robotctl.base.errors import IN_PARENTHESES, Refused, UnreadableFile
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.recording import Recording, TopicInfo
 from robotctl.replay import plan
 from robotctl.replay.job import Job
@@ -26,8 +26,7 @@ from robotctl.replay.replay_guard import (
 )
 from robotctl.replay.timeline import AHEAD_ENTRIES, ReadAhead, Span, recorded, span_of
 from robotctl.ros.executor.loop_thread import FifoScheduling
-from robotctl.ros.playback.playback import QUIET_S, ReplaySession, Unpublishable, latched_depth
-from robotctl.ros.playback.senders import BLOCKED_S
+from robotctl.ros.playback import BLOCKED_S, QUIET_S, ReplaySession, Unpublishable, latched_depth
 
 Emit = Callable[[dict[str, Any]], None]
 """Sends a message: {"note"}, {"waiting"}, {"start"}, {"progress"} or {"summary"}."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 from robotctl.base.errors import UsageError
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.recording import Message, Recording, RecordingInfo
 from robotctl.replay.job import Job
 

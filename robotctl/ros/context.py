@@ -1,16 +1,24 @@
-"""Opens and closes rclpy contexts that write no log files."""
+"""Opens and closes rclpy contexts that write no log files; joins a ROS domain for a command."""
 
 from __future__ import annotations
 
+import asyncio
 import faulthandler
+import os
+import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
-from typing import Final
+from typing import Final, Self
 
 from rclpy.context import Context
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from robotctl.base.domains import is_certainly_empty
+from robotctl.base.processes import readable_within
+from robotctl.ros.graph.endpoints import LOOK_NODE
 
 BAD_ARGUMENTS = (
     *(_rclpy.RCLError, _rclpy.RCLInvalidROSArgsError, _rclpy.UnknownROSArgsError),
@@ -56,3 +64,83 @@ def close_context(
             leaving.callback(node.destroy_node)
         for each in before:
             leaving.callback(each)
+
+
+class Membership:
+    """A node in a ROS domain; at the end of the `with` block it leaves the domain.
+
+    The module imports little, so that discovery, in the middleware's threads, begins early and
+    goes on while the command imports the rest.
+    """
+
+    def __init__(self, domain_id: int, node_name: str) -> None:
+        self.domain_id = domain_id
+        self.was_certainly_empty = is_certainly_empty(domain_id)
+        """Whether the domain surely had no other process when this process joined it."""
+
+        self.since_s = time.monotonic()
+        self._context = open_context(domain_id)
+        self.node = Node(
+            node_name,
+            context=self._context,
+            start_parameter_services=False,
+            enable_rosout=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+        # Imported only here: the middleware discovers other processes during the import.
+        from robotctl.ros.graph.discovery import Discovery
+
+        self.discovery = Discovery(self.node, domain_id)
+
+    def __enter__(self) -> Self:
+        """Return the membership itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the discovery, destroy the node and leave the domain."""
+        close_context(self._context, [self.node], [self.discovery.close])
+
+
+STDIN: Final = 0
+"""Readable only after the command has closed it, as its single line was read before."""
+
+SETTLE_S: Final = 3.5
+"""How long discovery may take: a process repeats a lost announcement after 3 s."""
+
+EXPECTED_S: Final = 20.0
+"""How long to wait for a name that exists for sure, because the daemon has discovered it."""
+
+QUIET_S: Final = 0.1
+"""Discovery counts as complete when the graph has not changed for this time."""
+
+_POLL_S: Final = 0.01
+
+
+class Visitor(Membership):
+    """A node in the domain for one command, whose process cancels our wait by closing our stdin."""
+
+    def __init__(self, domain_id: int) -> None:
+        super().__init__(domain_id, f"{LOOK_NODE}{os.getpid()}")
+
+    def settle(self) -> None:
+        """Wait until every process in the domain is discovered, at most SETTLE_S after joining."""
+        self.discover(lambda: False)
+
+    def discover(self, is_known: Callable[[], bool], *, expected: bool = False) -> bool:
+        """Wait until `is_known()` is true, and return True; return False if the wait ends earlier.
+
+        The wait ends SETTLE_S after the domain was joined, or as soon as discovery is complete or
+        no other process is there. If `expected` is true, it ends only after EXPECTED_S.
+
+        Raises:
+            asyncio.CancelledError: Stdin was closed: the command has ended.
+        """
+        until_s = self.since_s + (EXPECTED_S if expected else SETTLE_S)
+        while not is_known():
+            if time.monotonic() > until_s:
+                return False
+            if not expected and (self.discovery.is_alone() or self.discovery.is_complete(QUIET_S)):
+                return is_known()
+            if readable_within(STDIN, _POLL_S):
+                raise asyncio.CancelledError
+        return True

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from robotctl import __version__
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.recording import TopicInfo
 from robotctl.recording.format.names import INFO_RECORD, PARAMETER_PREFIX
 from robotctl.recording.format.topics import read_ledger

@@ -11,16 +11,9 @@ from statistics import median
 from typing import Final, NamedTuple
 
 from robotctl.base.errors import IN_PARENTHESES, UsageError
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.messages.definition import NUMBERS, Definition, FieldShape
-from robotctl.messages.fields import (
-    FieldPath,
-    ValueKind,
-    WrongValue,
-    leaves,
-    parse_path,
-    value_at,
-)
+from robotctl.messages.fields import FieldPath, ValueKind, WrongValue, leaves, parse_path, value_at
 from robotctl.messages.values import Decoder
 from robotctl.recording import Recording, TopicInfo
 from robotctl.recording.table import recorded_definition

@@ -12,15 +12,9 @@ from pathlib import Path
 from typing import Final
 
 from robotctl.base.errors import UnreadableFile
-from robotctl.check.journal import (
-    KERNEL_FAILURES,
-    decide,
-    read_effect,
-    read_event,
-    read_snapshot,
-)
+from robotctl.check.journal import KERNEL_FAILURES, decide, read_effect, read_event, read_snapshot
 from robotctl.check.why import sentence_of
-from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
+from robotctl.kernel.constants import NS_PER_S, TWIST, TWIST_STAMPED
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.odometry import is_finite
@@ -33,14 +27,13 @@ from robotctl.kernel.types import (
     LoopStalled,
     ModeChanged,
     OdomReceived,
+    ParameterChanged,
     Phase,
     PublishTwist,
     Reply,
     Tick,
     Twist,
 )
-from robotctl.kernel.types.events import ParameterChanged
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ODOMETRY
 from robotctl.messages.inputs import (
     decode_twist,

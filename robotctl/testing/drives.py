@@ -13,7 +13,8 @@ from robotctl.check.closed_loop import closed_loop
 from robotctl.check.journal import read_effect
 from robotctl.config import Config, flat
 from robotctl.daemon.control.dispatcher import Journal
-from robotctl.kernel import command_types
+from robotctl.kernel import constants
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.types import (
@@ -27,7 +28,6 @@ from robotctl.kernel.types import (
     PublishTwist,
     Twist,
 )
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages import cdr
 from robotctl.messages.inputs import encode_twist
 from robotctl.messages.installed import installed_type
@@ -69,7 +69,7 @@ def installed_topic(name: str, type_name: str) -> Topic:
     return Topic(name, type_name, text, type_hash, QOS)
 
 
-TWIST = installed_topic("/cmd_vel", command_types.TWIST)
+TWIST = installed_topic("/cmd_vel", constants.TWIST)
 ODOMETRY = installed_topic("/odom", cdr.ODOMETRY)
 
 BEGIN_NS = 5_000_000_000

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.course import PLAIN, Course
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.kernel import Kernel
@@ -30,8 +31,7 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
-from robotctl.kernel.units import NS_PER_S
-from robotctl.sim.robot import Robot, SimParams
+from robotctl.sim import Robot, SimParams
 
 TICK_NS = 20_000_000
 

@@ -15,7 +15,7 @@ from robotctl.base.errors import Refused, RobotctlError
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.method_names import HOLD, SET_MODE
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
-from robotctl.kernel.command_types import TWIST
+from robotctl.kernel.constants import TWIST
 from robotctl.kernel.course import MAX_SILENCE_S
 from robotctl.view.foxglove import (
     ClientMessage,

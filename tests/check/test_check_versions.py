@@ -18,11 +18,10 @@ from robotctl.base import retired
 from robotctl.check.incident import find_incident
 from robotctl.check.report import Report, Verdict
 from robotctl.check.run import check_recording
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern
-from robotctl.kernel.types import DriveRequested, Event, ModeRequested
-from robotctl.kernel.types.events import ParameterRequested
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.types import DriveRequested, Event, ModeRequested, ParameterRequested
 from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording import Recorder, RecorderOptions
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode

@@ -13,9 +13,9 @@ from robotctl.check.commands import CommandPairs, numbers_of
 from robotctl.check.report import Report, Verdict
 from robotctl.check.run import check_recording
 from robotctl.kernel.codec import Proof
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.state import Health
 from robotctl.kernel.types import ForeignCommandHeard, LoopStalled, ModeRequested, Tick, Twist
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.inputs import encode_twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested

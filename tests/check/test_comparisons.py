@@ -21,8 +21,8 @@ from robotctl.check.report import Report, Verdict
 from robotctl.check.run import check_recording
 from robotctl.check.times import ClockChanges, MissingTicks, TickSchedule
 from robotctl.check.topics import RobotTopics
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.types import ModeRequested, Tick
-from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import read_info
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD

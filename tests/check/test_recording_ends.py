@@ -22,8 +22,8 @@ from robotctl.check.ends import NOT_COMPARED, SINGLE_FILE
 from robotctl.check.report import Report, Verdict
 from robotctl.check.run import UNNUMBERED, check_recording
 from robotctl.check.topics import MAX_TEXT
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.types import CommandPublishersSeen, Twist
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.inputs import encode_twist
 from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.recording.format.names import LEDGER_RECORD

@@ -17,6 +17,7 @@ from robotctl.check.what_if import check_scope, parse_settings, what_if
 from robotctl.collection.index_file import DriveRow
 from robotctl.collection.indexing import rows_of
 from robotctl.config import Config, with_setting
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.course import Course, Held
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern, PatternKind
@@ -25,10 +26,10 @@ from robotctl.kernel.types import (
     CommandPublishersSeen,
     DriveRequested,
     Event,
+    LifecycleChanged,
+    LifecycleState,
     ModeRequested,
 )
-from robotctl.kernel.types.events import LifecycleChanged, LifecycleState
-from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.show.traces import figures_of, read_recorded
 from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record

@@ -16,7 +16,6 @@ from robotctl.check.run import check_recording
 from robotctl.check.why import explain, rule_of
 from robotctl.kernel.course import Course, Held
 from robotctl.kernel.patterns import Pattern, PatternKind, named
-from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.types import (
     BatteryReceived,
     Cause,
@@ -25,12 +24,14 @@ from robotctl.kernel.types import (
     Event,
     FaultReported,
     HoldReceived,
+    LeaseLost,
+    LeaseRequested,
     ModeRequested,
+    Remedy,
     ResetRequested,
     Tick,
     Twist,
 )
-from robotctl.kernel.types.events import LeaseLost, LeaseRequested
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.write.bag_writer import RecordingFile
 from robotctl.testing.drives import BEGIN_NS, START_NS, drive, drive_requested, record

@@ -22,7 +22,7 @@ from robotctl.decisions import journal as files
 from robotctl.decisions import log as writer
 from robotctl.decisions.journal import DecisionKind, files_of, head_of, log_folder, read_log
 from robotctl.decisions.log import DecisionLog
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.recording import Recorder, RecorderOptions, Topic, read_info
 from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.keep.recover import recover

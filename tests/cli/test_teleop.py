@@ -14,12 +14,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 from rich.live import Live
 
-from robotctl.cli.commands.teleop import (
-    KEYS,
-    WITH_RELEASES,
-    WITHOUT_RELEASES,
-    view_below,
-)
+from robotctl.cli.commands.teleop import KEYS, WITH_RELEASES, WITHOUT_RELEASES, view_below
 from robotctl.cli.commands.teleop_controls import (
     JOY,
     MAX_AT_ONCE,

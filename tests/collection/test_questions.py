@@ -26,7 +26,7 @@ from robotctl.collection.catalogue import CATALOGUE_NAME, Catalogue, catalogue_o
 from robotctl.collection.index_file import files_of, index_path, stamp_of
 from robotctl.collection.indexing import index_recording
 from robotctl.collection.questions import Answer, ask, find, parse_condition
-from robotctl.daemon.recording.indexer import INDEX
+from robotctl.daemon.recording.housekeeping import INDEX
 from robotctl.kernel.types import ModeRequested
 from robotctl.recording import Recorder, Recording
 from robotctl.recording.disk import replaced_file

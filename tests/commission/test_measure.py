@@ -36,7 +36,7 @@ from robotctl.kernel.geometry import Pose, wrap_angle
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.types import ZERO, PublishTwist, Twist
-from robotctl.sim.robot import Robot, SimParams
+from robotctl.sim import Robot, SimParams
 from robotctl.testing.kernels import ready
 
 NS_PER_MS = 1_000_000

@@ -22,11 +22,10 @@ from robotctl.base.processes import Child, start
 from robotctl.collection.catalogue import stamps_in
 from robotctl.collection.index_file import files_of, index_path, stamp_of
 from robotctl.config import RecordingParams
-from robotctl.daemon.recording import indexer as module
+from robotctl.daemon.recording import housekeeping as module
 from robotctl.daemon.recording.black_box import DEFAULT_LIMITS, BlackBox, ClipLimits, clip_command
-from robotctl.daemon.recording.indexer import Indexer, has_grown
-from robotctl.daemon.recording.tidier import TIDY
-from robotctl.kernel.units import NS_PER_S
+from robotctl.daemon.recording.housekeeping import TIDY, Indexer, has_grown
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.recording import Recorder, read_info
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent

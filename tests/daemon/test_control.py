@@ -18,8 +18,7 @@ import pytest
 
 from robotctl.base.errors import Refused
 from robotctl.check.compare import first_divergence
-from robotctl.daemon.api.recording import recording_methods
-from robotctl.daemon.api.status import StatusSource, common_methods
+from robotctl.daemon.api.status import StatusSource, common_methods, recording_methods
 from robotctl.daemon.api.warnings import Warnings
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.control import latch

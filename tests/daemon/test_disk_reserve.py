@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from robotctl.config import Config, RecordingParams, flat
-from robotctl.daemon.recording import disk_reserve
-from robotctl.daemon.recording.disk_reserve import MAX_NAMED, DiskReserve
+from robotctl.daemon.recording import recordings_folder
 from robotctl.daemon.recording.flight_recorder import _evidence_topics
+from robotctl.daemon.recording.recordings_folder import MAX_NAMED, DiskReserve
 from robotctl.daemon.recording.topic_sinks import TopicSinks
 from robotctl.recording import Recorder
 from robotctl.recording.write.recorder import MessageGate
@@ -73,7 +73,7 @@ def test_each_topic_that_is_left_out_is_named_with_the_reason() -> None:
 async def test_a_disk_that_cannot_be_asked_is_told_as_long_as_it_lasts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(disk_reserve, "LOOK_S", 0.01)
+    monkeypatch.setattr(recordings_folder, "LOOK_S", 0.01)
     reserve = DiskReserve(10 * GB, gates("/camera"))
     recorder: Any = SimpleNamespace(stats=lambda: SimpleNamespace(topics=()))
     missing = tmp_path / "gone"

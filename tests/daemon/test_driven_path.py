@@ -23,7 +23,7 @@ from robotctl.kernel.types import (
     OdomReceived,
     PublishTwist,
 )
-from robotctl.sim.robot import Robot, SimParams
+from robotctl.sim import Robot, SimParams
 from robotctl.testing.kernels import Bench, moving, ready, while_moving
 
 

@@ -12,11 +12,10 @@ from typing import Any
 import pytest
 
 from robotctl.base.errors import Refused, UsageError
-from robotctl.daemon.api.driving import DrivingMethods
+from robotctl.daemon.api.driving import DriveGoals, DrivingMethods
 from robotctl.daemon.control import inputs
 from robotctl.daemon.control.inputs import Inputs, RemoteRequests
 from robotctl.daemon.control.robot_report import GroundTruth
-from robotctl.daemon.drive_goals import DriveGoals
 from robotctl.ipc.method_params import (
     DriveParams,
     DrivePathParams,

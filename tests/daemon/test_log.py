@@ -17,9 +17,15 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from robotctl.base.ros_arguments import LogLevel
-from robotctl.daemon.log.levels import MAX_NAME_LENGTH, MAX_NAMES, LoggerLevels
-from robotctl.daemon.log.lines import CAPACITY_BYTES, WRITTEN, PlainFormatter
-from robotctl.daemon.log.loop_handler import CAPACITY, LINES_PER_TURN, LoopHandler
+from robotctl.daemon.log_lines import (
+    CAPACITY,
+    CAPACITY_BYTES,
+    LINES_PER_TURN,
+    WRITTEN,
+    LoopHandler,
+    PlainFormatter,
+)
+from robotctl.daemon.ros_logs import MAX_NAME_LENGTH, MAX_NAMES, LoggerLevels
 from robotctl.ipc.client import Client
 from tests.support.waiting import DEADLINE_S, loop_until, until
 from tests.support.world import World
@@ -57,7 +63,7 @@ def test_a_traceback_stays_readable() -> None:
 
 LOGGING = """
 import ctypes, logging, os, sys, time, warnings
-from robotctl.daemon.log.lines import log_to_stderr
+from robotctl.daemon.log_lines import log_to_stderr
 log = logging.getLogger("test")
 def asked():
     print("asked", flush=True)

@@ -120,7 +120,7 @@ def test_a_pipe_in_the_place_of_a_file_of_git_holds_up_nothing(tmp_path: Path, n
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
     """A copy of the layout, with a few modules."""
-    for part in CONTROL_PATH:
+    for part in CONTROL_PATH[:-1]:
         (tmp_path / "package" / part).mkdir(parents=True)
         (tmp_path / "package" / part / "module.py").write_text(f"name = {part!r}\n")
     return tmp_path / "package"

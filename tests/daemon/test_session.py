@@ -275,7 +275,7 @@ def test_every_message_is_recorded_from_the_first_to_the_last(session: Session, 
 def test_every_call_of_the_service_is_recorded_with_its_answer(session: Session) -> None:
     from rclpy.serialization import deserialize_message
 
-    from robotctl.ros.messages.classes import message_class
+    from robotctl.ros.message_types import message_class
 
     kind = message_class("robot_controller/srv/SetMode_Event")
     events = [

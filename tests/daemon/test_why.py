@@ -12,7 +12,7 @@ import pytest
 from robotctl import __version__
 from robotctl.cli import app
 from robotctl.config import Config, flat
-from robotctl.daemon.api import recording
+from robotctl.daemon.api import status
 from robotctl.daemon.control.decisions import Decisions, Request
 from robotctl.daemon.recording.provenance import DIGEST, software
 from robotctl.decisions.journal import DecisionKind, Entry, log_folder, read_log
@@ -28,11 +28,11 @@ from robotctl.kernel.types import (
     ModeRequested,
     Odometry,
     OdomReceived,
+    ParameterRequested,
     PublishTwist,
     ResetRequested,
     Twist,
 )
-from robotctl.kernel.types.events import ParameterRequested
 from robotctl.testing.kernels import Bench, moving
 from tests.support.waiting import until
 from tests.support.world import World
@@ -90,9 +90,9 @@ class SlowDisk:
 async def test_what_the_disk_did_not_take_is_counted(
     recorder: SlowDisk, uncommitted: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording, "COMMIT_DEADLINE_S", 0.2)
+    monkeypatch.setattr(status, "COMMIT_DEADLINE_S", 0.2)
     given: Any = recorder
-    commit = recording.recording_methods(given, "robot")["record_commit"].handler
+    commit = status.recording_methods(given, "robot")["record_commit"].handler
     answer: Any = await commit(NoParams())
     assert answer["uncommitted"] == uncommitted
     assert answer["failure"] == recorder.failure

@@ -25,7 +25,7 @@ from robotctl.decisions import journal as files
 from robotctl.decisions import log as writer
 from robotctl.decisions.journal import MAX_TEXT, DecisionKind, log_folder, read_log
 from robotctl.decisions.log import DAY_BYTES, RESERVE_BYTES, DecisionLog
-from robotctl.kernel.units import DAY_S
+from robotctl.kernel.constants import DAY_S
 from robotctl.recording.seal import Keyring, known_heads, wrong_openings
 
 PATIENCE_S = 30.0

@@ -16,10 +16,9 @@ from robotctl.check.report import Verdict
 from robotctl.config import Config, flat, load
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.daemon.api.lease import LeaseMethods
-from robotctl.daemon.api.parameters import parameter_methods
-from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.simulation import simulation_methods
-from robotctl.daemon.api.status import common_methods, graph_methods
+from robotctl.daemon.api.status import common_methods, graph_methods, recording_methods
+from robotctl.daemon.parameters import parameter_methods
 from robotctl.ipc.method_params import HelloParams
 from robotctl.ipc.protocol import PROTOCOL_VERSION
 from robotctl.ipc.request_handler import Method

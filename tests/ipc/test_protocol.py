@@ -35,10 +35,9 @@ from robotctl.ipc.protocol import (
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import RULE_OF, RULES, Rule, start_conditions
 from robotctl.kernel.state import State
-from robotctl.kernel.types import Cause, ModeRequested, Reply
+from robotctl.kernel.types import Cause, ModeRequested, Remedy, Reply
 from robotctl.testing.kernels import ready
 
 VALID = [

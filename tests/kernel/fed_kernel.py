@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf, nan
 
-from robotctl.kernel.command_types import TWIST_STAMPED
+from robotctl.kernel.constants import TWIST_STAMPED
 from robotctl.kernel.course import PLAIN
 from robotctl.kernel.fence import FenceParams
 from robotctl.kernel.geometry import ORIGIN, Pose
@@ -22,13 +22,14 @@ from robotctl.kernel.types import (
     CommandPublishersSeen,
     FaultCleared,
     FaultReported,
+    LifecycleChanged,
+    LifecycleState,
     LoopStalled,
     Odometry,
     OdomReceived,
     SafetyInputReceived,
     ScanReceived,
 )
-from robotctl.kernel.types.events import LifecycleChanged, LifecycleState
 from robotctl.testing.kernels import TICK_NS, Bench
 
 

@@ -24,23 +24,21 @@ from robotctl.kernel.types import (
     ForeignCommandHeard,
     GuardedCommandReceived,
     HoldReceived,
+    LeaseLost,
+    LeaseRequested,
+    LifecycleChanged,
+    LifecycleState,
     LoopStalled,
     ModeRequested,
     Odometry,
     OdometrySourceFound,
     OdomReceived,
+    ParameterRequested,
     ResetRequested,
     SafetyInputReceived,
     ScanReceived,
     Tick,
     Twist,
-)
-from robotctl.kernel.types.events import (
-    LeaseLost,
-    LeaseRequested,
-    LifecycleChanged,
-    LifecycleState,
-    ParameterRequested,
 )
 
 INT64 = st.integers(-(2**63), 2**63 - 1)

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 
 from robotctl import kernel
 from robotctl.kernel.codec import Snapshot, finite_or_none, from_json, to_json
-from robotctl.kernel.command_types import TWIST
+from robotctl.kernel.constants import TWIST
 from robotctl.kernel.course import PLAIN
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import ORIGIN
@@ -42,11 +42,14 @@ from robotctl.kernel.types import (
     GuardedCommandReceived,
     HoldReceived,
     LatchEmergencyStop,
+    LeaseLost,
+    LeaseRequested,
     ModeChanged,
     ModeRequested,
     Odometry,
     OdometrySourceFound,
     OdomReceived,
+    ParameterChanged,
     PublishTwist,
     ReleaseEmergencyStop,
     Reply,
@@ -56,7 +59,6 @@ from robotctl.kernel.types import (
     Tick,
     changed,
 )
-from robotctl.kernel.types.events import LeaseLost, LeaseRequested, ParameterChanged
 from robotctl.testing.kernels import moving
 from tests.kernel import strategies
 

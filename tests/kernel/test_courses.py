@@ -30,7 +30,7 @@ from robotctl.kernel.patterns import (
 from robotctl.kernel.speed_plan import path_for, speed_plan
 from robotctl.kernel.tracking import Reference, limit
 from robotctl.kernel.types import Twist
-from robotctl.sim.robot import SimParams
+from robotctl.sim import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated, ready
 
 BASE = SimParams(

@@ -25,7 +25,7 @@ from robotctl.kernel.params import KernelParams, TrackingParams, VelocityLimits
 from robotctl.kernel.patterns import MIN_SIZE_M, SHAPES, Pattern, PatternKind, path_of
 from robotctl.kernel.tracking import Reference, follow_blindly, limit, track
 from robotctl.kernel.types import DriveRequested, ModeChanged, ModeRequested, Twist
-from robotctl.sim.robot import SimParams
+from robotctl.sim import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated
 from tests.kernel.fed_kernel import lap_of
 

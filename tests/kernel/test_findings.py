@@ -12,11 +12,10 @@ from math import inf, nan
 
 import pytest
 
-from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
+from robotctl.kernel.constants import NS_PER_S, TWIST, TWIST_STAMPED
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import BatteryParams, CommandParams, KernelParams, Stamping
-from robotctl.kernel.remedies import RESETTING, Remedy
 from robotctl.kernel.safety import (
     RULE_OF,
     RULES,
@@ -30,6 +29,7 @@ from robotctl.kernel.safety import (
 )
 from robotctl.kernel.state import CommandTopic, Health, OdometrySources, SecondOdometry
 from robotctl.kernel.types import (
+    RESETTING,
     ZERO,
     Cause,
     CommandListenersSeen,
@@ -41,8 +41,8 @@ from robotctl.kernel.types import (
     Odometry,
     Phase,
     PublishTwist,
+    Remedy,
 )
-from robotctl.kernel.units import NS_PER_S
 from robotctl.testing.kernels import (
     Bench,
     in_mode,

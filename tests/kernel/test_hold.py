@@ -19,13 +19,13 @@ from robotctl.kernel.types import (
     DriveEnded,
     DriveRequested,
     HoldReceived,
+    LeaseRequested,
     ModeRequested,
     Phase,
     PublishTwist,
     Tick,
     Twist,
 )
-from robotctl.kernel.types.events import LeaseRequested
 from robotctl.testing.kernels import Bench, ready
 
 MS = 1_000_000

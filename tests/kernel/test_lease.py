@@ -14,11 +14,11 @@ from math import inf, nan
 import pytest
 
 from robotctl.ipc.advice import cure_of
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern
-from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.state import Guarded
 from robotctl.kernel.types import (
     ZERO,
@@ -26,14 +26,17 @@ from robotctl.kernel.types import (
     DriveRequested,
     ForeignCommandHeard,
     GuardedCommandReceived,
+    LeaseLost,
+    LeaseRequested,
+    LifecycleChanged,
+    LifecycleState,
     LoopStalled,
     ModeRequested,
     Phase,
+    Remedy,
     ResetRequested,
     Twist,
 )
-from robotctl.kernel.types.events import LeaseLost, LeaseRequested, LifecycleChanged, LifecycleState
-from robotctl.kernel.units import NS_PER_S
 from robotctl.testing.kernels import Bench, moving, ready, start, stopped_by
 
 HOLDER, OTHER, ROS = 1, 2, 0

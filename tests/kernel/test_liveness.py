@@ -10,6 +10,7 @@ from random import Random
 
 import pytest
 
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.course import Course, Frame, Held
 from robotctl.kernel.drive import SETTLE_S, Progress, advanced
 from robotctl.kernel.geometry import Pose
@@ -35,8 +36,7 @@ from robotctl.kernel.types import (
     PublishTwist,
     Tick,
 )
-from robotctl.kernel.units import NS_PER_S
-from robotctl.sim.robot import Robot, SimParams
+from robotctl.sim import Robot, SimParams
 from robotctl.testing.kernels import ready
 
 BEGIN_NS = NS_PER_S

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.kernel.input_checks import scan_lost
+from robotctl.kernel.checks import scan_lost
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.obstacles import (
     _along_path,
@@ -24,7 +25,6 @@ from robotctl.kernel.params import KernelParams, ScanParams, VelocityLimits
 from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.state import Health, Scan
 from robotctl.kernel.types import Cause, ScanReceived, Twist
-from robotctl.kernel.units import NS_PER_S
 from robotctl.testing.kernels import Bench, moving, ready, reset, start, stopped_by
 
 SECTORS = 64

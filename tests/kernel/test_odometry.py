@@ -11,15 +11,14 @@ from math import inf, nan
 
 import pytest
 
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.odometry import MAX_NAMED_SOURCES
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import MIN_SIZE_M, Pattern, PatternKind
-from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import remedies_for
-from robotctl.kernel.types import ZERO, Cause, Odometry, OdometrySourceFound, OdomReceived
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.types import ZERO, Cause, Odometry, OdometrySourceFound, OdomReceived, Remedy
 from robotctl.testing.kernels import (
     TICK_NS,
     Bench,

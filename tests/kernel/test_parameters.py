@@ -27,10 +27,8 @@ from robotctl.kernel.params import (
     WhenIdle,
 )
 from robotctl.kernel.patterns import Pattern, PatternKind
-from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety_inputs import SafetyInput, Use
-from robotctl.kernel.types import Cause, Effect, Reply
-from robotctl.kernel.types.events import ParameterChanged, ParameterRequested
+from robotctl.kernel.types import Cause, Effect, ParameterChanged, ParameterRequested, Remedy, Reply
 from robotctl.testing.kernels import Bench, in_mode, moving, ready, start, stopped_by
 
 PAGE = (Path(__file__).parents[2] / "docs" / "ros.md").read_text()

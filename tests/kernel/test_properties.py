@@ -24,6 +24,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from robotctl.check.closed_loop import closed_loop
 from robotctl.check.invariants import Invariants
 from robotctl.kernel.codec import Snapshot, from_json, to_json
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.course import Course
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.kernel import Kernel
@@ -41,9 +42,11 @@ from robotctl.kernel.types import (
     Event,
     FaultReported,
     LatchEmergencyStop,
+    LeaseRequested,
     LoopStalled,
     ModeChanged,
     ModeRequested,
+    ParameterRequested,
     Phase,
     PublishTwist,
     ReleaseEmergencyStop,
@@ -52,9 +55,7 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
-from robotctl.kernel.types.events import LeaseRequested, ParameterRequested
-from robotctl.kernel.units import NS_PER_S
-from robotctl.sim.robot import SimParams
+from robotctl.sim import SimParams
 from robotctl.testing.kernels import (
     TICK_NS,
     Bench,

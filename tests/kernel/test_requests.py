@@ -12,15 +12,16 @@ from math import nan
 
 import pytest
 
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.course import MAX_QUIET_S, Course, Held
 from robotctl.kernel.drive import Drive, Progress
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import CommandParams, Foreign, KernelParams, VelocityLimits, WhenIdle
 from robotctl.kernel.patterns import Pattern, PatternKind
-from robotctl.kernel.remedies import RESETTING, Remedy
 from robotctl.kernel.state import latched
 from robotctl.kernel.types import (
+    RESETTING,
     ZERO,
     Cause,
     CommandPublishersSeen,
@@ -34,11 +35,11 @@ from robotctl.kernel.types import (
     Phase,
     PublishTwist,
     ReleaseEmergencyStop,
+    Remedy,
     Reply,
     ResetRequested,
     Twist,
 )
-from robotctl.kernel.units import NS_PER_S
 from robotctl.testing.kernels import (
     Bench,
     drive_simulated,

@@ -11,7 +11,7 @@ from math import inf, nan
 
 import pytest
 
-from robotctl.kernel.input_checks import estop_silent, is_any_required
+from robotctl.kernel.checks import estop_silent, is_any_required
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import BatteryParams, KernelParams
 from robotctl.kernel.safety import RULE_OF, RULES

@@ -19,7 +19,7 @@ import pytest
 from robotctl.kernel.course import PLAIN, Course, Point
 from robotctl.kernel.params import KernelParams, TrackingParams, VelocityLimits
 from robotctl.kernel.patterns import Pattern, PatternKind
-from robotctl.sim.robot import SimParams
+from robotctl.sim import SimParams
 from robotctl.testing.kernels import drive_simulated
 
 FILE = Path(__file__).with_name("decisions.txt")

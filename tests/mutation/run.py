@@ -30,14 +30,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.mutation.kernel_tests import LIMIT_CODE, NewProcesses, copied
 from tests.mutation.loaded_tests import LoadedTests, loaded_tests
-from tests.mutation.mutants import (
-    Key,
-    Site,
-    equivalents,
-    mutant_at,
-    sites,
-    stale_entries,
-)
+from tests.mutation.mutants import Key, Site, equivalents, mutant_at, sites, stale_entries
 
 LEAST_KILLED, MOST_EQUIVALENT = 0.95, 0.03
 

@@ -24,8 +24,8 @@ from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.check.report import Verdict
 from robotctl.check.run import check_recording
 from robotctl.cli import app
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.types import Twist
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.inputs import encode_twist
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic, read_info, read_messages
 from robotctl.recording.disk import DiskFile

@@ -14,7 +14,7 @@ import pytest
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader as RosbagsReader
 
-from robotctl.kernel.units import DAY_S
+from robotctl.kernel.constants import DAY_S
 from robotctl.recording import Recorder, RecorderOptions, read_info
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent

@@ -122,7 +122,7 @@ class Listener:
 
     def listen(self, topic: str, type_name: str, qos: Any = 1000) -> None:
         """Subscribe."""
-        from robotctl.ros.messages.classes import message_class
+        from robotctl.ros.message_types import message_class
 
         heard = self.heard.setdefault(topic, [])
         tap = RawTap(lambda data, *_: heard.append(data))

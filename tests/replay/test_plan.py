@@ -31,23 +31,9 @@ from robotctl.replay import plan
 from robotctl.replay.job import Job, parse_remap
 from robotctl.replay.plan import Route
 from robotctl.replay.replay_guard import ReplayGuard, is_command
-from robotctl.ros.messages.qos import LATCHED, SENSOR, to_yaml
-from robotctl.ros.playback.playback import (
-    MAX_DEPTH,
-    VOLATILE_DEPTH,
-    latched_depth,
-    replay_qos,
-)
-from tests.support.bags import (
-    OTHER_HASH,
-    START_NS,
-    STRING,
-    TWIST,
-    Line,
-    data,
-    talk,
-    write_bag,
-)
+from robotctl.ros.playback import MAX_DEPTH, VOLATILE_DEPTH, latched_depth, replay_qos
+from robotctl.ros.qos import LATCHED, SENSOR, to_yaml
+from tests.support.bags import OTHER_HASH, START_NS, STRING, TWIST, Line, data, talk, write_bag
 
 EVENT = "std_srvs/srv/SetBool_Event"
 

@@ -46,8 +46,8 @@ from robotctl.replay.timeline import (
     Span,
     entries,
 )
-from robotctl.ros.playback import senders
-from robotctl.ros.playback.senders import PatientSender
+from robotctl.ros import playback
+from robotctl.ros.playback import PatientSender
 from tests.support.bags import (
     ODOMETRY,
     START_NS,
@@ -276,7 +276,7 @@ def test_it_waits_before_the_publisher_forgets_a_message() -> None:
 
 
 def test_it_gives_up_after_a_while_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(senders, "BLOCKED_S", 0.01)
+    monkeypatch.setattr(playback, "BLOCKED_S", 0.01)
     publisher = Publisher(looks=10**9)
     send = sender_of(publisher)
     assert all(send(b"") for _ in range(8))
@@ -291,7 +291,7 @@ def test_a_stop_ends_its_wait() -> None:
     stopped.set()
     begun = time.monotonic()
     send(b"")
-    assert time.monotonic() - begun < senders.BLOCKED_S
+    assert time.monotonic() - begun < playback.BLOCKED_S
 
 
 async def test_a_shallow_subscriber_receives_until_the_end(

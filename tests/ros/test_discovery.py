@@ -21,13 +21,13 @@ from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import String
 
+from robotctl.ros.context import Membership
 from robotctl.ros.graph.discovery import (
     FoundEndpoint,
     Introduction,
     count_complete,
     read_introduction,
 )
-from robotctl.ros.graph.membership import Membership
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S
 

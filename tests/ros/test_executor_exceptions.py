@@ -144,7 +144,7 @@ async def test_a_service_that_returns_no_response_is_reported_and_serves_on(
 async def test_a_failing_take_is_reported_and_tried_again_later(
     context: Any, node: Node, topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.ros.executor.sources.source.RETRY_AFTER_FAILED_TAKE_S", 0.01)
+    monkeypatch.setattr("robotctl.ros.executor.source.RETRY_AFTER_FAILED_TAKE_S", 0.01)
     told: list[str] = []
     got: list[int] = []
     tapped: list[bytes] = []

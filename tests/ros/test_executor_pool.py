@@ -24,7 +24,7 @@ from robotctl.ros.executor import runtime as pool_module
 from robotctl.ros.executor.event_loop import NS_PER_S, beat_before
 from robotctl.ros.executor.loop_thread import LoopThread
 from robotctl.ros.executor.runtime import Pool
-from robotctl.ros.executor.sources.subscriptions import affordable_rest_s
+from robotctl.ros.executor.subscriptions import affordable_rest_s
 from tests.ros.open_executor import Node, sources_of
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until

@@ -24,7 +24,7 @@ from robotctl.daemon.control.inputs import HOST
 from robotctl.ros import AsyncioExecutor
 from robotctl.ros.executor import replies, requester
 from robotctl.ros.executor.replies import MAX_WAITING, Replies
-from robotctl.ros.executor.sources.services import ServiceSource
+from robotctl.ros.executor.services import ServiceSource
 from robotctl.ros.graph.endpoints import gid_of
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
@@ -209,7 +209,7 @@ async def test_an_action_server_refuses_and_cancels_goals(
 async def test_finished_goals_are_forgotten_after_their_result_timeout(
     executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.ros.executor.sources.services.EXPIRY_POLL_S", 0.05)
+    monkeypatch.setattr("robotctl.ros.executor.services.EXPIRY_POLL_S", 0.05)
 
     async def execute(handle: Any) -> Any:
         handle.succeed()
@@ -355,7 +355,7 @@ async def test_a_client_that_cannot_be_reached_holds_up_no_other(
         attempts.append(is_taken(send))
         return attempts[-1]
 
-    monkeypatch.setattr("robotctl.ros.executor.sources.services.is_taken", counted)
+    monkeypatch.setattr("robotctl.ros.executor.services.is_taken", counted)
     heard: list[bool] = []
 
     def answer(request: Any, response: Any) -> Any:
@@ -383,7 +383,7 @@ class Late:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self._readers_of = replies.readers_of
         self._arrived = False
-        monkeypatch.setattr("robotctl.ros.executor.sources.services.readers_of", self._list)
+        monkeypatch.setattr("robotctl.ros.executor.services.readers_of", self._list)
 
     def arrive(self) -> None:
         self._arrived = True

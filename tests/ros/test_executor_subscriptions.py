@@ -21,9 +21,8 @@ from rclpy.waitable import NumberOfEntities, Waitable
 from std_msgs.msg import String, UInt64
 
 from robotctl.ros import AsyncioExecutor, RawTap
-from robotctl.ros.executor import announcements
+from robotctl.ros.executor import announcements, subscriptions
 from robotctl.ros.executor.raw_tap import LARGE_BYTES, SerializedTaker
-from robotctl.ros.executor.sources import subscriptions
 from tests.ros.open_executor import Node, sources_of
 from tests.support.waiting import loop_until as until
 from tests.support.waiting import until as wait_until

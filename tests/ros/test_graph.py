@@ -25,10 +25,10 @@ from robot_controller.srv import SetMode
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from std_msgs.msg import String, UInt64
 
+from robotctl.ros import qos
 from robotctl.ros.executor import announcements
-from robotctl.ros.graph.changes import GraphChanges
+from robotctl.ros.graph.discovery import GraphChanges
 from robotctl.ros.graph.endpoints import PROCESS_BYTES, gid_of, node_of
-from robotctl.ros.messages import qos
 from robotctl.ros.session import Session
 from robotctl.ros.tap import tap
 from robotctl.ros.tap.tap import Tap

@@ -16,13 +16,13 @@ from hypothesis import strategies as st
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String, UInt64
 
+from robotctl.ros import qos
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.discovery import _discovered
 from robotctl.ros.graph.endpoints import Endpoint
-from robotctl.ros.messages import qos
-from robotctl.ros.tap import tap, type_loader
+from robotctl.ros.tap import subscription, tap
+from robotctl.ros.tap.subscription import TypeLoader
 from robotctl.ros.tap.tap import MAX_WARNINGS, Tap
-from robotctl.ros.tap.type_loader import TypeLoader
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
@@ -142,15 +142,15 @@ async def is_still_recorded(taken: Any, node: Any, topic: str) -> None:
 async def test_a_type_that_takes_long_to_load_delays_neither_the_others_nor_the_look(
     taken: Any, node: Any, topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    load, stuck = type_loader.load_type, {"std_msgs/msg/String"}
+    load, stuck = subscription.load_type, {"std_msgs/msg/String"}
 
     def slow(type_name: str) -> str:
         while type_name in stuck:
             time.sleep(0.01)
         return load(type_name)
 
-    monkeypatch.setattr(type_loader, "load_type", slow)
-    monkeypatch.setattr(type_loader, "SLOW_LOAD_S", 0.1)
+    monkeypatch.setattr(subscription, "load_type", slow)
+    monkeypatch.setattr(subscription, "SLOW_LOAD_S", 0.1)
     node.create_publisher(String, f"{topic}_slow", 10)
     await until(lambda: f"{topic}_slow" in taken.tap.unrecorded.problems)
     assert (
@@ -169,7 +169,7 @@ async def test_a_topic_that_goes_before_its_type_is_loaded_is_named_once(
         time.sleep(0.2)
         return ""
 
-    monkeypatch.setattr(type_loader, "load_type", load_slowly)
+    monkeypatch.setattr(subscription, "load_type", load_slowly)
     looking = Tap(FakeSession(), lambda topic: print)  # type: ignore[arg-type]
     for names in (["/brief", "/short"], [], []):
         found = {name: [publisher("std_msgs/msg/String")] for name in names}

@@ -52,11 +52,11 @@ from robotctl.messages.inputs import (
     read_odometry,
 )
 from robotctl.messages.installed import InstalledType, UnusableType, installed_type
+from robotctl.ros import message_types
 from robotctl.ros.executor import decoder
 from robotctl.ros.executor.decoder import decoder_of
-from robotctl.ros.messages import classes
-from robotctl.ros.messages.classes import message_class, type_name_of
-from robotctl.ros.playback.playback import serialized_type
+from robotctl.ros.message_types import message_class, type_name_of
+from robotctl.ros.playback import serialized_type
 
 PACKAGES = (
     "actionlib_msgs",
@@ -432,7 +432,7 @@ def test_what_loading_a_type_raises_is_a_reason_and_no_more(
     (package / "__init__.py").write_text(f"{text}\n")
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(classes, "_is_ctrl_c", lambda: False)
+    monkeypatch.setattr(message_types, "_is_ctrl_c", lambda: False)
     with pytest.raises(UnusableType, match="cannot be loaded"):
         message_class("broken_msgs/msg/Broken")
     for name in [name for name in sys.modules if name.startswith("broken_msgs")]:
@@ -461,7 +461,7 @@ def test_every_message_has_the_type_support_of_its_class(package: str) -> None:
 
 def test_it_imports_no_numpy() -> None:
     program = (
-        "import sys; from robotctl.ros.playback.playback import serialized_type; "
+        "import sys; from robotctl.ros.playback import serialized_type; "
         "serialized_type('nav_msgs/msg/Odometry'); print('numpy' in sys.modules)"
     )
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

@@ -24,13 +24,13 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Empty, String, UInt8MultiArray, UInt64
 
 from robotctl.messages.installed import installed_type
+from robotctl.ros import qos
 from robotctl.ros.executor import RawTap, raw_tap
 from robotctl.ros.executor.raw_tap import SerializedTaker
 from robotctl.ros.graph.endpoints import Endpoint
-from robotctl.ros.messages import qos
-from robotctl.ros.messages.classes import OwnTopic
+from robotctl.ros.message_types import OwnTopic
 from robotctl.ros.session import Session
-from robotctl.ros.tap import type_loader
+from robotctl.ros.tap import subscription as subscription_module
 from robotctl.ros.tap.on_demand import OnDemandTap
 from robotctl.ros.tap.subscription import MAX_PUBLISHERS, LatchedMerge
 from robotctl.ros.tap.tap import MAX_ENDPOINTS, Tap, mismatch
@@ -97,12 +97,12 @@ async def test_a_type_that_is_not_installed_is_named_and_the_others_go_on(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    load = type_loader.load_type
+    load = subscription_module.load_type
 
     def missing(type_name: str) -> str:
         return "is not installed" if type_name == "std_msgs/msg/String" else load(type_name)
 
-    monkeypatch.setattr(type_loader, "load_type", missing)
+    monkeypatch.setattr(subscription_module, "load_type", missing)
     problems = taken.tap.unrecorded.problems
     told = (
         f"{topic}_foreign is not recorded: it has type std_msgs/msg/String, which is not installed"

@@ -21,7 +21,7 @@ from robotctl.kernel.types import (
     PublishTwist,
     Twist,
 )
-from robotctl.sim.robot import Robot, SimFault, SimParams
+from robotctl.sim import Robot, SimFault, SimParams
 from robotctl.testing.kernels import TICK_NS, Bench, moving
 
 PERFECT = SimParams(

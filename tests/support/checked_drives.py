@@ -14,6 +14,7 @@ from robotctl.collection.gate import Baseline, GateReport, judge_all
 from robotctl.collection.jobs import local_threads
 from robotctl.collection.judging import ResultStore, judge_here
 from robotctl.config import Config
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.course import PLAIN, Course, Held
 from robotctl.kernel.fence import FenceParams
 from robotctl.kernel.geometry import Pose
@@ -24,16 +25,17 @@ from robotctl.kernel.types import (
     BatteryReceived,
     DriveRequested,
     Event,
+    LeaseLost,
+    LeaseRequested,
     LoopStalled,
     ModeRequested,
     Odometry,
     OdomReceived,
+    ParameterRequested,
     ResetRequested,
     Tick,
     Twist,
 )
-from robotctl.kernel.types.events import LeaseLost, LeaseRequested, ParameterRequested
-from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, encode
 from robotctl.recording.keep.listing import recordings_in
 from robotctl.testing.drives import BEGIN_NS, Written, drive, record

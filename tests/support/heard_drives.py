@@ -15,10 +15,10 @@ from mcap.records import Channel, Schema
 
 from robotctl.check.closed_loop import closed_loop
 from robotctl.config import Config
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types import Effect, Event
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.cdr import ENCAPSULATION
 from robotctl.messages.inputs import MESSAGE_TYPES
 from robotctl.messages.installed import installed_type

@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from robotctl.ros.executor.rcutils import SerializedMessage
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.rcl_graph import Qos
-from robotctl.ros.messages.classes import message_class
+from robotctl.ros.message_types import message_class
 from tests.support.lines import obey
 
 _CALLBACKS_BYTES = 96

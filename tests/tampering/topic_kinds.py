@@ -8,9 +8,9 @@ from random import Random
 
 from mcap.records import Channel, Schema
 
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety_inputs import SafetyInput
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.definition import parse_definition, rihs01_hash
 from robotctl.testing.hearing import BATTERY, ODOMETRY, TOPICS
 from tests.support.edited_recordings import Contents, Stored

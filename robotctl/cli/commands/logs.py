@@ -23,7 +23,7 @@ from robotctl.base.text import without_colours
 from robotctl.cli.options import Robot, new_app
 from robotctl.cli.targets.recordings import parse_since
 from robotctl.cli.ui.text import printable
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 
 app = new_app()
 

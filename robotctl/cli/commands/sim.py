@@ -42,7 +42,7 @@ from robotctl.ipc.client import call, command_for
 from robotctl.ipc.method_names import DRIVE, PATH, SIM_FAULT, SIM_SET, STATUS
 from robotctl.show.figure import Path2D, path_figure
 from robotctl.show.terminal import ground_lines
-from robotctl.sim.robot import MAX_FAULT_S, SimFault
+from robotctl.sim import MAX_FAULT_S, SimFault
 
 app = new_app()
 group = new_app()

@@ -30,7 +30,7 @@ from robotctl.cli.ui.ros_text import (
 )
 from robotctl.cli.ui.text import json_text, moment, printable
 from robotctl.ipc.answers import GraphEndpoint, GraphTopic
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 
 if TYPE_CHECKING:
     from robotctl.messages.definition import Definition

@@ -28,7 +28,7 @@ from robotctl.cli.ui.text import short_path
 from robotctl.ipc.answers import Committed
 from robotctl.ipc.client import Client, command_for
 from robotctl.ipc.method_names import RECORD_COMMIT
-from robotctl.kernel.units import DAY_S, NS_PER_S
+from robotctl.kernel.constants import DAY_S, NS_PER_S
 
 if TYPE_CHECKING:
     from robotctl.collection.catalogue import Catalogue

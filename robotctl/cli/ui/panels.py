@@ -12,13 +12,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from robotctl.cli.ui.status import (
-    battery_text,
-    is_observer,
-    mode_text,
-    pose_text,
-    velocity_text,
-)
+from robotctl.cli.ui.status import battery_text, is_observer, mode_text, pose_text, velocity_text
 from robotctl.cli.ui.text import can_show_braille, columns, duration, number, printable, size
 from robotctl.ipc.answers import DrivenPath, RecorderAnswer, Status, TopicAnswer
 from robotctl.show.figure import path_figure

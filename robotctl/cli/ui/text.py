@@ -118,7 +118,7 @@ def duration(seconds: float) -> str:
 
 def moment(time_ns: int) -> str:
     """Return `time_ns` (since the epoch) as local date and time; after the year 9999, in ns."""
-    from robotctl.kernel.units import NS_PER_S  # here, because `status` does not need it
+    from robotctl.kernel.constants import NS_PER_S  # here, because `status` does not need it
 
     seconds = time_ns // NS_PER_S
     if seconds >= _YEAR_10000_S:  # a file may contain any number

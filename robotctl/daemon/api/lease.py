@@ -22,8 +22,7 @@ from robotctl.ipc.method_params import (
 )
 from robotctl.ipc.request_handler import Method
 from robotctl.kernel.course import MAX_SILENCE_S, Course, Held
-from robotctl.kernel.types import DriveRequested, HoldReceived, Twist
-from robotctl.kernel.types.events import LeaseLost, LeaseRequested
+from robotctl.kernel.types import DriveRequested, HoldReceived, LeaseLost, LeaseRequested, Twist
 
 
 class HoldMethods:

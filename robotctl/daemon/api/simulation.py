@@ -14,7 +14,7 @@ from robotctl.ipc.method_names import SIM_FAULT, SIM_SET
 from robotctl.ipc.method_params import SimFaultParams, SimSetParams
 from robotctl.ipc.request_handler import Method
 from robotctl.kernel.modes import Mode
-from robotctl.sim.robot import SimFault
+from robotctl.sim import SimFault
 
 POLL_S = 0.001
 

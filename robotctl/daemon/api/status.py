@@ -1,4 +1,4 @@
-"""The methods that every daemon offers for its status, its stop and the ROS graph."""
+"""The methods that every daemon offers: its status, its stop, the ROS graph, the recording."""
 
 from __future__ import annotations
 
@@ -9,27 +9,43 @@ from typing import Any, Protocol, cast
 
 from robotctl import __version__
 from robotctl.base.domains import discovery_range
-from robotctl.base.errors import UsageError
+from robotctl.base.errors import Refused, UsageError
 from robotctl.base.paths import log_path, socket_path
-from robotctl.daemon.api.warnings import Warnings
+from robotctl.daemon.api.warnings import Warnings, of_recording
 from robotctl.daemon.command_line import DaemonOptions
+from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.recording.recorder_report import RecorderReport
+from robotctl.daemon.supervisor import until
 from robotctl.ipc.advice import advice, for_robot
 from robotctl.ipc.answers import (
+    Committed,
+    FileSplit,
     Graph,
     GraphNode,
     GraphTopic,
+    Marked,
     MessageAnswer,
+    RecordStatus,
     RobotFacts,
     StartSummary,
     Status,
 )
-from robotctl.ipc.method_names import GRAPH, GRAPH_NODE, GRAPH_TOPIC, STATUS, STOP
-from robotctl.ipc.method_params import GraphNameParams, NoParams
+from robotctl.ipc.method_names import (
+    GRAPH,
+    GRAPH_NODE,
+    GRAPH_TOPIC,
+    MARK,
+    RECORD_COMMIT,
+    RECORD_SPLIT,
+    RECORD_STATUS,
+    STATUS,
+    STOP,
+)
+from robotctl.ipc.method_params import GraphNameParams, MarkParams, NoParams
 from robotctl.ipc.request_handler import Method
-from robotctl.kernel.remedies import Remedy
+from robotctl.kernel.types import Remedy
 from robotctl.recording import RecorderStats
-from robotctl.ros.graph.overview import node_facts, overview, topic_facts
+from robotctl.ros.graph.endpoints import node_facts, overview, topic_facts
 from robotctl.ros.tap.tap import Tap
 
 
@@ -141,3 +157,68 @@ def common_methods(status: StatusSource, stop: asyncio.Event) -> dict[str, Metho
         return {"message": f"Stopped: {status.stats().file}"}
 
     return {STATUS: Method(NoParams, get_status), STOP: Method(NoParams, end)}
+
+
+SPLIT_DEADLINE_S = 5.0
+"""How long the disk may take to finish one file and start the next."""
+
+COMMIT_DEADLINE_S = 5.0
+"""How long the disk may take to write the queue; the recorder writes four times a second."""
+
+
+def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[Any]]:
+    """Return methods for status, commit, split and mark; errors suggest commands for `robot`."""
+
+    def failure() -> str:
+        return for_robot(recorder.failure, robot)
+
+    async def status(_: NoParams) -> RecordStatus:
+        stats = recorder.stats()
+        return {
+            **recorder.report.facts(stats),
+            "warnings": [for_robot(text, robot) for text in of_recording(recorder, stats)],
+        }
+
+    async def commit(_: NoParams) -> Committed:
+        """Answer when the file has all messages received so far, or after COMMIT_DEADLINE_S."""
+        received = recorder.stats().received
+
+        def uncommitted() -> int:
+            stats = recorder.stats()
+            return max(received - stats.written - stats.dropped, 0)
+
+        await until(lambda: bool(recorder.failure) or not uncommitted(), COMMIT_DEADLINE_S)
+        return {
+            "file": _file_of(recorder),
+            "uncommitted": uncommitted(),
+            "failure": failure(),
+        }
+
+    async def split(_: NoParams) -> FileSplit:
+        before = _file_of(recorder)
+        recorder.split()
+        if not await until(
+            lambda: bool(recorder.failure) or _file_of(recorder) != before, SPLIT_DEADLINE_S
+        ):
+            raise Refused("the disk is too slow: the next file starts as soon as it can")
+        if recorder.failure:
+            raise Refused(failure())
+        file = _file_of(recorder)
+        return {"message": f"Recording continues in {file}", "finished": before, "file": file}
+
+    async def mark(params: MarkParams) -> Marked:
+        if recorder.failure:
+            raise Refused(failure())
+        event = recorder.mark(params.text, params.source)
+        return {"message": "Marked", "text": params.text, "time_ns": event.log_ns}
+
+    return {
+        RECORD_STATUS: Method(NoParams, status),
+        RECORD_COMMIT: Method(NoParams, commit),
+        RECORD_SPLIT: Method(NoParams, split, 2 * SPLIT_DEADLINE_S),
+        MARK: Method(MarkParams, mark),
+    }
+
+
+def _file_of(recorder: FlightRecorder) -> str:
+    return str(recorder.stats().file)

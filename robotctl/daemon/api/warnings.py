@@ -17,11 +17,11 @@ from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.recording.recorder_report import NO_MEMORY
 from robotctl.ipc.advice import for_robot
 from robotctl.kernel.checks import FOREIGN_COMMAND_S, foreign_command
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.params import Foreign
 from robotctl.kernel.safety import RULE_OF
 from robotctl.kernel.state import Health, is_level
 from robotctl.kernel.types import Cause
-from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import RecorderStats
 
 PartWarning = Callable[[], str]

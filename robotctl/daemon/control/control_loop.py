@@ -13,9 +13,9 @@ from typing import Final, Protocol, Self
 
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.inputs import ForeignCommands
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Cause, FaultReported, LoopStalled, Tick
-from robotctl.kernel.units import NS_PER_S
 from robotctl.ros.executor import Tick as LoopTick
 from robotctl.ros.executor import Ticker
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher

@@ -14,14 +14,16 @@ from robotctl.kernel.types import (
     DriveRequested,
     Effect,
     LatchEmergencyStop,
+    LeaseRequested,
     ModeChanged,
     ModeRequested,
+    ParameterChanged,
+    ParameterRequested,
     PublishTwist,
     ReleaseEmergencyStop,
     Reply,
     ResetRequested,
 )
-from robotctl.kernel.types.events import LeaseRequested, ParameterChanged, ParameterRequested
 
 Request = ModeRequested | ResetRequested | DriveRequested | ParameterRequested | LeaseRequested
 

@@ -13,18 +13,11 @@ from robotctl.daemon.control.decisions import Request
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import ModeAnswer
 from robotctl.kernel.codec import Proof, Snapshot, to_json
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.state import State
-from robotctl.kernel.types import (
-    DriveEnded,
-    Effect,
-    Event,
-    LoopStalled,
-    Reply,
-)
-from robotctl.kernel.types.events import ParameterRequested
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.types import DriveEnded, Effect, Event, LoopStalled, ParameterRequested, Reply
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, encode
 from robotctl.recording.format.names import MADE_BY
 

@@ -20,12 +20,12 @@ from robotctl.kernel.types import (
     Effect,
     LatchEmergencyStop,
     ModeChanged,
+    ParameterChanged,
     PublishTwist,
     ReleaseEmergencyStop,
     Reply,
     Twist,
 )
-from robotctl.kernel.types.events import ParameterChanged
 from robotctl.recording.format.noted_events import noted_event
 from robotctl.recording.format.recorded_events import RecordedEvent
 

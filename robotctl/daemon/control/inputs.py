@@ -10,7 +10,7 @@ from collections.abc import Callable
 from robotctl.base.domains import is_on_this_machine_only
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import RobotReport
-from robotctl.daemon.waiting import until
+from robotctl.daemon.supervisor import until
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types import (
@@ -22,6 +22,8 @@ from robotctl.kernel.types import (
     FaultReported,
     ForeignCommandHeard,
     GuardedCommandReceived,
+    LifecycleChanged,
+    LifecycleState,
     ModeRequested,
     Odometry,
     OdometrySourceFound,
@@ -31,7 +33,6 @@ from robotctl.kernel.types import (
     ScanReceived,
     Twist,
 )
-from robotctl.kernel.types.events import LifecycleChanged, LifecycleState
 from robotctl.ros.executor import requester
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher

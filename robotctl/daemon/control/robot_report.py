@@ -13,15 +13,14 @@ from robotctl.daemon.control.dispatcher import Control
 from robotctl.ipc.advice import CONDITIONS, advice
 from robotctl.ipc.answers import ConditionAnswer, DriveFacts, DrivenPath, Preflight, RobotFacts
 from robotctl.kernel.codec import finite_or_none
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.drive import Drive, Score
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import named
-from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import RULE_OF, remedies_for, start_conditions
 from robotctl.kernel.state import State, is_level
-from robotctl.kernel.types import Cause, DriveEnded
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.types import Cause, DriveEnded, Remedy
 from robotctl.ros.nodes.mode_service import ModeService, Shown
 from robotctl.ros.nodes.publishers import CommandLock
 

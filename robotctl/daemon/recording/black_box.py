@@ -13,7 +13,7 @@ from typing import Final
 
 from robotctl.base.jobs import JobFailed, job_command, run_job
 from robotctl.config import RecordingParams
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep.clip import PATIENCE_S, ClipJob, Moment

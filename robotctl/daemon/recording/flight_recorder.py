@@ -17,12 +17,10 @@ from robotctl.base.paths import log_path, seal_folder
 from robotctl.config import Config, flat
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.black_box import BlackBox
-from robotctl.daemon.recording.disk_reserve import DiskReserve
 from robotctl.daemon.recording.head_forwarder import HeadForwarder
-from robotctl.daemon.recording.indexer import Indexer
+from robotctl.daemon.recording.housekeeping import Indexer, Tidier
 from robotctl.daemon.recording.recorder_report import RecorderReport
-from robotctl.daemon.recording.recordings_folder import open_recorder, retention_policy
-from robotctl.daemon.recording.tidier import Tidier
+from robotctl.daemon.recording.recordings_folder import DiskReserve, open_recorder, retention_policy
 from robotctl.daemon.recording.topic_sinks import HealthLooks, TopicSinks
 from robotctl.daemon.supervisor import Work
 from robotctl.ipc.advice import for_robot

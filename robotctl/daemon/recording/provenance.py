@@ -7,6 +7,7 @@ import os
 import platform
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -136,11 +137,11 @@ def _version(distribution: str) -> str:
         return ""
 
 
-CONTROL_PATH: Final = ("cdr", "config", "daemon", "ipc", "kernel", "ros", "sim")
-"""The packages whose code turns messages and requests into velocity commands."""
+CONTROL_PATH: Final = ("config/", "daemon/", "ipc/", "kernel/", "messages/", "ros/", "sim.py")
+"""The parts whose code turns messages and requests into velocity commands."""
 
-ASIDE: Final = ("ros/executables", "ros/playback")
-"""Folders in these packages that no daemon imports."""
+ASIDE: Final = ("ros/executables", "ros/exchange.py", "ros/playback.py", "ros/queries.py")
+"""What in these parts no daemon imports."""
 
 DIGEST: Final = "digest"
 """The key of the digest over all modules; the other keys of `software` are names of modules."""
@@ -166,12 +167,8 @@ def software(package: Path = Path(robotctl.__file__).parent) -> dict[str, str]:
 
 def _hashes(package: Path) -> Iterator[tuple[str, str]]:
     """Yield the name and the SHA-256 of each module of the control path."""
-    aside = tuple(package / folder for folder in ASIDE)
-    for part in CONTROL_PATH:
-        for path in (package / part).rglob("*.py"):
-            if not any(path.is_relative_to(folder) for folder in aside):
-                try:
-                    content = path.read_bytes()
-                except OSError:
-                    continue
-                yield path.relative_to(package).as_posix(), hashlib.sha256(content).hexdigest()
+    for path in package.rglob("*.py"):
+        name = path.relative_to(package).as_posix()
+        if name.startswith(CONTROL_PATH) and not name.startswith(ASIDE):
+            with suppress(OSError):
+                yield name, hashlib.sha256(path.read_bytes()).hexdigest()

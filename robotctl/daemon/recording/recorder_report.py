@@ -13,7 +13,7 @@ import msgspec
 
 from robotctl.ipc.advice import for_robot
 from robotctl.ipc.answers import RecordingFacts, TopicAnswer
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.recording import Recorder, RecorderState, RecorderStats
 from robotctl.recording.format.topics import COUNTERS, TopicStats, by_topic
 from robotctl.recording.write.recorder_options import TopicFilter

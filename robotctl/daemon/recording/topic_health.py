@@ -22,8 +22,7 @@ from itertools import islice
 from math import inf
 from typing import Final, Protocol, assert_never
 
-from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S, TWIST, TWIST_STAMPED
 from robotctl.recording.write.recorder_options import RateByTopic
 
 LOOK_S: Final = 0.2

@@ -11,9 +11,9 @@ from math import isfinite
 from types import MappingProxyType
 from typing import Final
 
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import DriveEnded, Effect, ModeChanged
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.definition import parse_definition
 from robotctl.messages.values import encode
 from robotctl.recording.format.names import EventKind

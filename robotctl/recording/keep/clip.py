@@ -19,7 +19,7 @@ from mcap.records import Metadata
 from robotctl.base.errors import Refused
 from robotctl.base.processes import Report
 from robotctl.base.store import RemoteFile
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.recording.disk import is_shared, make_folder, new_file, share_like
 from robotctl.recording.format.names import (
     CLIP_RECORD,

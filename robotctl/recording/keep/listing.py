@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from errno import ENOENT
 from pathlib import Path
 
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.recording.disk import is_being_written, open_private, share_like
 from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY, EventKind, natural_order
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in

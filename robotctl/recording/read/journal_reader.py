@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from robotctl.base.errors import IN_PARENTHESES, UnreadableFile
 from robotctl.base.paths import DEFAULT_ROBOT, namespace_of
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording.format.journal import SHADOW_TOPIC, TOPIC, EntryKind, JournalEntry, decode
 from robotctl.recording.format.names import INFO_RECORD

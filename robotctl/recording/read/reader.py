@@ -16,7 +16,7 @@ from typing import Self
 from mcap.records import Channel, Metadata, Schema
 
 from robotctl.base.errors import UnreadableFile
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.recording.format.names import CLIP_RECORD, LEDGER_RECORD
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.records import type_name_of

@@ -18,7 +18,7 @@ from typing import Final
 from mcap.opcode import Opcode
 
 from robotctl.base.errors import Refused
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.recording.disk import Buffer
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.records import (

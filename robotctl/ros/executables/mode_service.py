@@ -23,9 +23,9 @@ from std_srvs.srv import Trigger
 from robotctl.base.domains import is_certainly_empty, requested_domain
 from robotctl.base.errors import Refused, UsageError
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode
+from robotctl.ros import qos
 from robotctl.ros.executables.process import LOGGER_SERVICES, run_node
 from robotctl.ros.graph.discovery import Discovery
-from robotctl.ros.messages import qos
 from robotctl.ros.nodes.mode_service import ESTOP, NODE_NAME, SET_MODE, STATUS
 
 LOOK_S = 0.1

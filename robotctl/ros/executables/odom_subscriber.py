@@ -9,8 +9,8 @@ from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.node import Node
 
+from robotctl.ros import qos
 from robotctl.ros.executables.process import LOGGER_SERVICES, run_node
-from robotctl.ros.messages import qos
 
 LOG_EVERY = 10
 

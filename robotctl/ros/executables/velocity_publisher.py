@@ -21,7 +21,7 @@ from robotctl.kernel.types import Twist as Velocity
 from robotctl.ros.executables.process import LOGGER_SERVICES, run_node
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.endpoints import TOOL_NODES, full_name, gid_of
-from robotctl.ros.messages.command_type import PLAIN
+from robotctl.ros.message_types import PLAIN
 from robotctl.ros.nodes.velocity_publisher import (
     MONITORS,
     NODE_NAME,

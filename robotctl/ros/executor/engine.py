@@ -1,6 +1,6 @@
 """The part of an executor that exists only while the executor is open.
 
-The classes in `sources/`, one for each kind of entity, read an entity's data and run its callbacks.
+The sources, one class for each kind of entity, read an entity's data and run its callbacks.
 """
 
 from __future__ import annotations
@@ -29,20 +29,15 @@ from robotctl.ros.executor.event_loop import NS_PER_S
 from robotctl.ros.executor.loop_thread import FifoScheduling, LoopThread
 from robotctl.ros.executor.raw_tap import RawTap
 from robotctl.ros.executor.runtime import ExceptionHandler, Runtime, log, name_of
-from robotctl.ros.executor.sources.services import (
+from robotctl.ros.executor.services import (
     ActionClientSource,
     ActionServerSource,
     ClientSource,
     ServiceSource,
 )
-from robotctl.ros.executor.sources.source import Source
-from robotctl.ros.executor.sources.subscriptions import (
-    QosEventSource,
-    RawTapSource,
-    SubscriptionSource,
-)
-from robotctl.ros.executor.sources.timers import TimerSource
-from robotctl.ros.executor.sources.waitables import GuardSource, WaitableSource, WaitSetThread
+from robotctl.ros.executor.source import Source, TimerSource
+from robotctl.ros.executor.subscriptions import QosEventSource, RawTapSource, SubscriptionSource
+from robotctl.ros.executor.waitables import GuardSource, WaitableSource, WaitSetThread
 
 
 class Nodes:

@@ -17,7 +17,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.ros.executor import RclCallFailed, rcutils
 
 GID_BYTES = 16

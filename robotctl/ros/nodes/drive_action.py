@@ -17,7 +17,7 @@ from rclpy.node import Node
 from robot_controller.action import DrivePattern
 
 from robotctl.kernel.types import DriveEnded, Reply
-from robotctl.ros.messages import qos
+from robotctl.ros import qos
 
 ACTION = "drive_pattern"
 

@@ -14,19 +14,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import BatteryState, Imu, Joy, LaserScan
 from std_msgs.msg import Bool
 
-from robotctl.kernel.safety_inputs import (
-    REPEATS_PER_TIMEOUT,
-    SafetyInput,
-    SafetyInputParams,
-    Use,
-)
+from robotctl.kernel.constants import NS_PER_S
+from robotctl.kernel.safety_inputs import REPEATS_PER_TIMEOUT, SafetyInput, SafetyInputParams, Use
 from robotctl.kernel.types import Twist
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.inputs import Reader, read_battery_level, read_sectors, reader_of
+from robotctl.ros import qos
 from robotctl.ros.executor import RawTap
-from robotctl.ros.messages import qos
-from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS
-from robotctl.ros.messages.command_type import CommandType
+from robotctl.ros.message_types import NO_SUBSCRIPTION_EVENTS, CommandType
 from robotctl.ros.session import Session
 
 T = TypeVar("T")

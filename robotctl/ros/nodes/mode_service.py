@@ -18,8 +18,8 @@ from std_srvs.srv import Trigger
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Reply
-from robotctl.ros.messages import qos
-from robotctl.ros.messages.classes import OwnTopic
+from robotctl.ros import qos
+from robotctl.ros.message_types import OwnTopic
 from robotctl.ros.nodes.node_services import ManagedNode
 from robotctl.ros.session import Session
 

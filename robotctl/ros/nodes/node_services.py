@@ -34,8 +34,8 @@ from rclpy.parameter_service import ParameterService
 
 from robotctl.base.text import printable
 from robotctl.kernel.ranges import Range
-from robotctl.kernel.types.events import LifecycleState
-from robotctl.ros.messages import qos
+from robotctl.kernel.types import LifecycleState
+from robotctl.ros import qos
 
 
 @dataclass(frozen=True, slots=True)

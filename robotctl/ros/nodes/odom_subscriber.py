@@ -13,10 +13,10 @@ from robotctl.base.text import short_name
 from robotctl.kernel.params import OdometryQos
 from robotctl.kernel.types import Odometry
 from robotctl.messages.inputs import FRAME_AT, frame_bytes, frame_id_of, read_odometry
+from robotctl.ros import qos
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph.endpoints import publisher_names
-from robotctl.ros.messages import qos
-from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS
+from robotctl.ros.message_types import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.session import Session
 
 WANTED = {OdometryQos.BEST_EFFORT: qos.SENSOR, OdometryQos.RELIABLE: QoSProfile(depth=10)}

@@ -19,10 +19,10 @@ from robot_controller.msg import JournalEntry
 from std_msgs.msg import Bool, String
 
 from robotctl.base.text import printable
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.units import NS_PER_S
-from robotctl.ros.messages import qos
-from robotctl.ros.messages.classes import OwnTopic
+from robotctl.ros import qos
+from robotctl.ros.message_types import OwnTopic
 from robotctl.ros.session import Session
 
 LOCKING = frozenset({Mode.ERROR, Mode.EMERGENCY_STOP})

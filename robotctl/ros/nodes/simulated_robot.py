@@ -10,16 +10,15 @@ from typing import Any
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import BatteryState
 
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.types import ZERO
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.inputs import OdometryEncoder
+from robotctl.ros import qos
 from robotctl.ros.executor import RawTap, Tick, Ticker
-from robotctl.ros.messages import qos
-from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, OwnTopic
-from robotctl.ros.messages.command_type import PLAIN, CommandType
+from robotctl.ros.message_types import NO_SUBSCRIPTION_EVENTS, PLAIN, CommandType, OwnTopic
 from robotctl.ros.session import Session
-from robotctl.sim.robot import Robot, SimFault, SimParams
+from robotctl.sim import Robot, SimFault, SimParams
 
 
 def battery_message(level: float, stamp_ns: int) -> BatteryState:

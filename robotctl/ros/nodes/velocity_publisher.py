@@ -11,12 +11,11 @@ from rclpy.duration import Duration
 
 from robotctl.base.text import short_name
 from robotctl.kernel.types import ZERO, Twist
+from robotctl.ros import qos
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.endpoints import TOOL_NODES, full_name, gid_of, node_of
-from robotctl.ros.messages import qos
-from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, OwnTopic
-from robotctl.ros.messages.command_type import PLAIN, CommandType
+from robotctl.ros.message_types import NO_SUBSCRIPTION_EVENTS, PLAIN, CommandType, OwnTopic
 from robotctl.ros.session import RECORDER_NODE, Session
 
 NODE_NAME = "velocity_publisher"

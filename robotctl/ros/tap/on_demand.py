@@ -11,9 +11,8 @@ from robotctl.base.text import short_name
 from robotctl.messages.installed import installed_type
 from robotctl.ros.executor import ViewSink, announcements
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.changes import GraphChanges
-from robotctl.ros.tap.subscription import TappedSubscription
-from robotctl.ros.tap.type_loader import TypeLoader
+from robotctl.ros.graph.discovery import GraphChanges
+from robotctl.ros.tap.subscription import TappedSubscription, TypeLoader
 
 LATENCY_S: Final = 0.01
 """How long messages are collected before a wake-up, which costs as much as ten messages."""

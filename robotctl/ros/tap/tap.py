@@ -16,15 +16,14 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from robotctl.base.text import printable, short_name
 from robotctl.messages.installed import installed_type
+from robotctl.ros import qos
 from robotctl.ros.executor import ViewSink, announcements
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.changes import GraphChanges
+from robotctl.ros.graph.discovery import GraphChanges
 from robotctl.ros.graph.endpoints import Endpoint
-from robotctl.ros.messages import qos
-from robotctl.ros.messages.classes import OwnTopic
+from robotctl.ros.message_types import OwnTopic
 from robotctl.ros.session import Session
-from robotctl.ros.tap.subscription import TappedSubscription
-from robotctl.ros.tap.type_loader import SLOW_LOAD_S, TypeLoader
+from robotctl.ros.tap.subscription import SLOW_LOAD_S, TappedSubscription, TypeLoader
 
 _log = logging.getLogger(__name__)
 

@@ -35,8 +35,8 @@ from robotctl.messages.inputs import (
     OdometryEncoder,
     nearest_by_sector,
 )
-from robotctl.ros.messages import qos
-from robotctl.ros.messages.command_type import COMMANDS, PLAIN
+from robotctl.ros import qos
+from robotctl.ros.message_types import COMMANDS, PLAIN
 from robotctl.ros.nodes import odom_subscriber
 from robotctl.ros.nodes.input_subscribers import BatterySubscriber, SafetyInputs, ScanSubscriber
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber

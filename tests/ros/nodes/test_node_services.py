@@ -28,8 +28,8 @@ from std_srvs.srv import Trigger
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.ranges import Range
 from robotctl.kernel.types import Reply
+from robotctl.ros import qos
 from robotctl.ros.graph import endpoints
-from robotctl.ros.messages import qos
 from robotctl.ros.nodes import mode_service
 from robotctl.ros.nodes.mode_service import ModeService, Shown
 from robotctl.ros.nodes.node_services import MAX_LEVELS, Declared, LoggerServices, ParameterServices

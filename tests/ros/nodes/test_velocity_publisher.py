@@ -18,12 +18,12 @@ from geometry_msgs.msg import Twist as TwistMessage
 from geometry_msgs.msg import TwistStamped
 from rclpy.node import Node
 
-from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
+from robotctl.kernel.constants import TWIST, TWIST_STAMPED
 from robotctl.kernel.types import Twist
 from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording.format import journal
+from robotctl.ros import qos
 from robotctl.ros.graph import endpoints
-from robotctl.ros.messages import qos
 from robotctl.ros.nodes import publishers
 from robotctl.ros.nodes.input_subscribers import BatterySubscriber
 from robotctl.ros.nodes.mode_service import ModeService
@@ -37,7 +37,7 @@ from robotctl.ros.nodes.publishers import (
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from robotctl.ros.session import Session
-from robotctl.sim.robot import SimParams
+from robotctl.sim import SimParams
 from tests.support.waiting import loop_until as until
 
 

@@ -30,7 +30,7 @@ from robotctl.cli.targets.recordings import (
 )
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import duration, moment, printable, short_path
-from robotctl.kernel.units import DAY_S, NS_PER_S
+from robotctl.kernel.constants import DAY_S, NS_PER_S
 from robotctl.recording.format.names import CLIP_KINDS, Compression, EventKind
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from robotctl.cli.options import Json, new_app
 from robotctl.cli.targets.recordings import open_catalogue
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import columns, elided, moment, printable, row, short_path, size
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 
 if TYPE_CHECKING:
     from robotctl.collection.questions import Answer

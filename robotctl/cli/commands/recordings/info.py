@@ -35,7 +35,7 @@ from robotctl.cli.ui.text import (
     size,
 )
 from robotctl.ipc.client import command_for
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 
 if TYPE_CHECKING:
     from robotctl.recording import RecordingInfo

@@ -12,15 +12,7 @@ from robotctl.base.paths import DEFAULT_ROBOT
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.targets.requests import request_source
 from robotctl.cli.ui.output import print_answer
-from robotctl.cli.ui.text import (
-    column_width,
-    columns,
-    elided,
-    moment,
-    printable,
-    short_path,
-    size,
-)
+from robotctl.cli.ui.text import column_width, columns, elided, moment, printable, short_path, size
 from robotctl.ipc.answers import CountsAnswer, RecordStatus
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import MARK, RECORD_SPLIT, RECORD_STATUS

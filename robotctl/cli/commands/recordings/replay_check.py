@@ -11,11 +11,7 @@ from robotctl.check.closed_loop import resimulate
 from robotctl.check.many import check_recordings
 from robotctl.check.report import Verdict
 from robotctl.check.what_if import Settings, check_scope, parse_settings, what_if
-from robotctl.cli.targets.recordings import (
-    LABEL_WIDTH,
-    select_recordings,
-    skipped_lines,
-)
+from robotctl.cli.targets.recordings import LABEL_WIDTH, select_recordings, skipped_lines
 from robotctl.cli.ui.output import Progress, print_answer, progress_bar
 from robotctl.cli.ui.text import duration, number, printable, row, short_path
 from robotctl.kernel.modes import Mode

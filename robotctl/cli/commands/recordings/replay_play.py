@@ -14,7 +14,7 @@ from robotctl.base.processes import Child, program, start
 from robotctl.cli.ui.keys import Keyboard
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import duration, is_terminal, printable
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.replay.job import Job
 from robotctl.replay.playback_control import Command, PlaybackControl, carry_out
 

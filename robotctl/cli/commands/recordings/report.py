@@ -29,7 +29,7 @@ from robotctl.cli.ui.text import (
     short_path,
     size,
 )
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.recording.format.names import PAGE_FILE, EventKind
 
 if TYPE_CHECKING:

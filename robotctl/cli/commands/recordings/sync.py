@@ -98,7 +98,7 @@ def sync(
     from robotctl.base.store import open_store
     from robotctl.base.store.objects import is_url
     from robotctl.collection.sync import Pruned, copy_recordings, prune
-    from robotctl.kernel.units import DAY_S, NS_PER_S
+    from robotctl.kernel.constants import DAY_S, NS_PER_S
     from robotctl.recording.keep.retention import RetentionPolicy
 
     source, target = _ends(places, folder, robot)

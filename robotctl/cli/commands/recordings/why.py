@@ -28,7 +28,7 @@ from robotctl.cli.targets.recordings import (
 from robotctl.cli.ui.output import Progress, print_answer, progress_bar
 from robotctl.cli.ui.text import row, short_path
 from robotctl.ipc.advice import advice, cure_of, for_robot
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 
 if TYPE_CHECKING:
     from robotctl.check.incident import Incident

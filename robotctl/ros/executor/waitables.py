@@ -19,7 +19,7 @@ from rclpy.signals import SignalHandlerGuardCondition
 from rclpy.waitable import Waitable
 
 from robotctl.ros.executor.runtime import Runtime, log
-from robotctl.ros.executor.sources.source import RETRY_AFTER_FAILED_TAKE_S, Source
+from robotctl.ros.executor.source import RETRY_AFTER_FAILED_TAKE_S, Source
 
 SHUTDOWN_POLL_S = 0.005
 SHUTDOWN_POLLS = 200

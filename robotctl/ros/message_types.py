@@ -1,4 +1,4 @@
-"""The classes of installed types, by name.
+"""The classes of message types, by name, and the types of a velocity command.
 
 Type names come from other processes and from files, which must not choose what Python imports. So
 only types of installed packages are imported. `NO_PUBLISHER_EVENTS` and
@@ -9,17 +9,30 @@ and what it reports can be read from the graph.
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
+from geometry_msgs.msg import Twist as TwistMessage
+from geometry_msgs.msg import TwistStamped as TwistStampedMessage
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from robotctl.kernel.params import CommandQos
+from robotctl.kernel.types import Twist
+from robotctl.messages.inputs import (
+    StampedTwistEncoder,
+    decode_twist,
+    decode_twist_stamped,
+    encode_twist,
+)
 from robotctl.messages.installed import UnusableType, installed_name
+from robotctl.ros.qos import COMMAND
 
 
 def type_name_of(message_class: Any) -> str:
@@ -76,3 +89,44 @@ class OwnTopic:
         return node.create_publisher(
             self.message_class, self.name, self.qos, event_callbacks=events
         )
+
+
+COMMANDS = {
+    CommandQos.RELIABLE: COMMAND,
+    CommandQos.BEST_EFFORT: QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
+    CommandQos.TRANSIENT_LOCAL: QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+}
+"""The profile for each value of `command.qos`; a latched command is at most one tick old."""
+
+
+@dataclass(frozen=True, slots=True)
+class CommandType:
+    """A message type of the velocity command, with the functions that encode and decode it.
+
+    `encode` returns a serialized message; `decode` raises `struct.error` if data are missing.
+    """
+
+    message_class: Any
+    encode: Callable[[Twist], bytes]
+    decode: Callable[[bytes], Twist]
+    qos: QoSProfile = field(default_factory=lambda: COMMAND)
+    """What our publisher offers, and what the simulated robot requests."""
+
+    @property
+    def type_name(self) -> str:
+        """The type as `package/msg/Name`."""
+        return type_name_of(self.message_class)
+
+
+PLAIN = CommandType(TwistMessage, encode_twist, decode_twist)
+"""geometry_msgs/Twist."""
+
+
+def stamped(frame_id: str) -> CommandType:
+    """Return the type geometry_msgs/TwistStamped; `encode` sets `frame_id` and the present time."""
+    encoder = StampedTwistEncoder(frame_id)
+    return CommandType(
+        TwistStampedMessage,
+        lambda twist: encoder.encode(twist, time.time_ns()),
+        decode_twist_stamped,
+    )

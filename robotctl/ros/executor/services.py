@@ -22,7 +22,7 @@ from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.futures import ImmediateCallbacks, callbacks_at_once, fail_pending
 from robotctl.ros.executor.replies import Replies, is_taken, readers_of, request_of
 from robotctl.ros.executor.runtime import Runtime
-from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed
+from robotctl.ros.executor.source import EventFdSource, TakeFailed
 
 
 class ServiceSource(EventFdSource):

@@ -25,7 +25,7 @@ from robotctl.ros.executor.event_loop import (
 from robotctl.ros.executor.raw_tap import RawTap, SerializedTaker
 from robotctl.ros.executor.rcutils import RclCallFailed
 from robotctl.ros.executor.runtime import Runtime
-from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed, coroutine_of
+from robotctl.ros.executor.source import EventFdSource, TakeFailed, coroutine_of
 
 
 class QosEventSource(EventFdSource):

@@ -13,7 +13,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.constants import NS_PER_S
 
 COMMAND = QoSProfile(depth=10)
 """Reliable, volatile, as ros2_control and Nav2 expect of a velocity command."""

@@ -1,19 +1,102 @@
-"""The events: everything that `Kernel.step` handles, with leases and lifecycle states.
+"""The values of the kernel: measurements, events (its input) and effects (its output).
 
 Every event carries its steady time `t_ns` in nanoseconds: the kernel has no clock.
+
+A remedy is only a name; `robotctl.ipc.advice` returns its text, with the commands for one robot.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Protocol
+from math import nan
+from typing import Any, Protocol, TypeVar
 
-from robotctl.kernel.command_types import TWIST
+from robotctl.kernel.constants import TWIST
 from robotctl.kernel.course import PLAIN, Course
+from robotctl.kernel.geometry import Pose
+from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.safety_inputs import SafetyInput
-from robotctl.kernel.types.values import Cause, Odometry, Twist
+
+
+@dataclass(frozen=True, slots=True)
+class Twist:
+    """A velocity in the robot's own frame: linear [m/s] forward, angular [rad/s] to the left."""
+
+    linear: float = 0.0
+    angular: float = 0.0
+
+
+ZERO = Twist()
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """A sample of odometry: pose in the `odom` frame, velocity in the robot's frame, stamp."""
+
+    pose: Pose
+    velocity: Twist
+    stamp_ns: int
+
+
+T = TypeVar("T")
+
+
+def changed(value: T, **changes: Any) -> T:
+    """Return a copy of a frozen dataclass without slots, with some fields changed.
+
+    Use it for the dataclasses that each step copies: `dataclasses.replace` is four times as slow.
+    """
+    fields = value.__dict__ | changes
+    assert len(fields) <= len(vars(type(value))["__dataclass_fields__"]), (
+        changes
+    )  # a name that is no field
+    copy = object.__new__(type(value))
+    object.__setattr__(copy, "__dict__", fields)
+    return copy
+
+
+class Cause(Enum):
+    """Why the robot may not move; `robotctl.kernel.safety` says what each cause leads to."""
+
+    OPERATOR_STOP = "operator stop"
+    ESTOP_PRESSED = "emergency stop pressed"
+    ESTOP_SILENT = "emergency stop silent"
+    BATTERY_LOW = "battery low"
+    TASK_DIED = "task died"
+    LOOP_STALLED = "loop stalled"
+    RECORDER_FAILED = "recorder failed"
+    UNREACHABLE = "unreachable"
+    DAEMON_ENDS = "daemon ends"
+    NOT_ACTIVE = "not active"
+    ODOMETRY_WRONG = "odometry wrong"
+    ODOMETRY_LOST = "odometry lost"
+    ODOMETRY_CONTRADICTED = "odometry contradicted"
+    SECOND_ODOMETRY = "second odometry source"
+    TRACKING_LOST = "tracking lost"
+    FENCE_LEFT = "fence left"
+    OBSTACLE_NEAR = "obstacle near"
+    SCAN_LOST = "scan lost"
+    BUMPER_PRESSED = "bumper pressed"
+    TILTED = "tilted"
+    BASE_FAULT = "base fault"
+    INPUT_LOST = "input lost"
+    FOREIGN_PUBLISHER = "foreign publisher"
+    COMMAND_UNHEARD = "command unheard"
+    COMMAND_TYPES_MIXED = "command types mixed"
+    TOPIC_TROUBLE = "topic trouble"
+    TICK_OVERRUN = "tick overrun"
+    BATTERY_UNKNOWN = "battery unknown"
+    OPERATOR_ERROR = "operator error"
+
+
+class Phase(Enum):
+    """What the robot is doing within its mode."""
+
+    STANDING = "standing"
+    DRIVING = "driving"
+    STOPPING = "stopping"
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,3 +427,142 @@ Event = (
     | FaultCleared
 )
 """Everything that `Kernel.step` accepts."""
+
+
+class Remedy(Enum):
+    """One thing that the operator can do."""
+
+    RELEASE_STOP = "release the emergency stop"
+    CLEAR_ERROR = "clear the error"
+    RESET = "reset"
+    STOP_FIRST = "stop first"
+    STOP_OR_REPLACE = "stop first or replace the drive"
+    CHARGE_BATTERY = "charge the battery"
+    CHECK_BATTERY_TOPIC = "check the battery topic"
+    READ_LOG_AND_RESTART = "read the log and restart"
+    RESTART = "restart"
+    RESTORE_SOCKET_FOLDER = "restore the socket folder"
+    START_DAEMON = "start the daemon"
+    FREE_PROCESSOR = "free the processor"
+    FREE_PROCESSOR_OR_LOWER_RATE = "free the processor or lower the rate"
+    CHECK_ODOMETRY_SOURCE = "check the odometry source"
+    CHECK_ODOMETRY_IS_PUBLISHED = "check that odometry is published"
+    STOP_ONE_ODOMETRY_PUBLISHER = "stop one odometry publisher"
+    RELEASE_BUTTON = "release the button"
+    CHECK_INPUT = "check the safety input"
+    FREE_ROBOT = "free the robot"
+    BRING_BACK = "bring the robot back"
+    CLEAR_PATH = "clear the path"
+    CHECK_SCAN = "check the scan"
+    CHECK_BASE = "check the base"
+    CHECK_WHEELS = "check the wheels"
+    STOP_COMMAND_PUBLISHER = "stop the other command publisher"
+    START_BASE = "start the base"
+    ACTIVATE = "activate the node"
+    ASK_HERE = "ask on this host"
+    WAIT_FOR_LEASE = "wait for the lease"
+    SET_COMMAND_TYPE = "set the command's type"
+    CHECK_TOPIC = "check the topic's publisher"
+
+
+RESETTING = frozenset({Remedy.RELEASE_STOP, Remedy.CLEAR_ERROR, Remedy.RESET})
+"""The remedies that are a reset. After another remedy, a reset is still needed."""
+
+
+@dataclass(frozen=True, slots=True)
+class PublishTwist:
+    """A velocity command to send to the robot."""
+
+    twist: Twist
+
+
+@dataclass(frozen=True, slots=True)
+class ModeChanged:
+    """The mode changed; `cause` is why the new mode is ERROR or EMERGENCY_STOP, else None."""
+
+    previous: Mode
+    mode: Mode
+    reason: str
+    cause: Cause | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LatchEmergencyStop:
+    """An emergency stop that must survive restarts; a cause of None means the operator."""
+
+    reason: str
+    cause: Cause | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseEmergencyStop:
+    """The release of the latched emergency stop."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The answer to a request; `remedies` says what to do, in order, after a refusal."""
+
+    request_id: int
+    ok: bool
+    message: str
+    mode: Mode
+    remedies: tuple[Remedy, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class DriveReport:
+    """How well a drive followed its path, by odometry.
+
+    `closure_m` is how far the robot was from the end of the path when the last complete lap ended,
+    NaN before that. The heading errors are relative to the reference. A held velocity has no path:
+    its four errors are 0, because nothing is measured; `without_errors` replaces them by NaN. In
+    reports of older versions, the last three fields are NaN.
+    """
+
+    laps: int
+    distance_m: float
+    cross_track_rms_m: float
+    cross_track_max_m: float
+    closure_m: float
+    heading_rms_rad: float = nan
+    heading_max_rad: float = nan
+    duration_s: float = nan
+
+    def without_errors(self) -> DriveReport:
+        """Return a copy in which the four tracking errors are NaN: they were not measured."""
+        return replace(
+            self,
+            cross_track_rms_m=nan,
+            cross_track_max_m=nan,
+            heading_rms_rad=nan,
+            heading_max_rad=nan,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class DriveEnded:
+    """The drive that `request_id` began has ended; `completed` means all its laps were driven.
+
+    `cause` is why the robot had to stop, None if a request or the last lap ended the drive.
+    """
+
+    request_id: int
+    completed: bool
+    reason: str
+    report: DriveReport
+    cause: Cause | None = None
+
+
+Decision = (
+    PublishTwist
+    | ModeChanged
+    | LatchEmergencyStop
+    | ReleaseEmergencyStop
+    | Reply
+    | ParameterChanged
+)
+"""The effects in which kernels of different versions must agree on the same journal."""
+
+Effect = Decision | DriveEnded
+"""Everything that `Kernel.step` returns."""

@@ -1,5 +1,8 @@
 """`python -m robotctl.ros.queries --report-fd N`: answer the query in the first line on stdin.
 
+The process imports rclpy, joins the domain, waits for discovery and loads types of other packages,
+so that neither the daemon's loop nor the command's own process has to.
+
 The line is a JSON object: `look` is the query (`names`, `topic`, `node`, `listen` or `call`),
 `domain_id` the domain; its other keys are the query's arguments. Each answer is sent as a report to
 descriptor N; a failure has {"error", "exit_code"} and the error's details. The process ends when
@@ -21,8 +24,8 @@ from robotctl.base.errors import RobotctlError, UsageError
 from robotctl.base.processes import report_fd, send_report
 
 if TYPE_CHECKING:
-    from robotctl.ros.queries.exchange import Send
-    from robotctl.ros.queries.visitor import Visitor
+    from robotctl.ros.context import Visitor
+    from robotctl.ros.exchange import Send
 
 
 def main(arguments: list[str]) -> int:
@@ -32,7 +35,7 @@ def main(arguments: list[str]) -> int:
     with suppress(BrokenPipeError, asyncio.CancelledError):  # nothing waits for the answer any more
         try:
             # This imports rclpy: after environment.prepare(), but before the wait for the line.
-            from robotctl.ros.queries.visitor import Visitor
+            from robotctl.ros.context import Visitor
 
             line = _first_line()
             if not line:
@@ -56,11 +59,11 @@ def _look(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
     """
     # Discovery goes on during these imports.
     if request["look"] in ("listen", "call"):  # these import numpy, which takes 60 ms
-        from robotctl.ros.queries import exchange
+        from robotctl.ros import exchange
 
         exchange.run(getattr(exchange, request["look"])(visitor, request, send))
         return
-    from robotctl.ros.graph.overview import node_facts, overview, topic_facts
+    from robotctl.ros.graph.endpoints import node_facts, overview, topic_facts
 
     visitor.settle()
     match request["look"]:

@@ -1,4 +1,4 @@
-"""The motion model of the simulated robot: lag, limits, odometry errors, battery, faults."""
+"""The simulated differential-drive robot, without a clock, a bus or ROS."""
 
 from __future__ import annotations
 

@@ -15,12 +15,12 @@ from robotctl.messages.definition import Definition, UnreadableType, parse_defin
 from robotctl.messages.fields import WrongValue
 from robotctl.messages.installed import UnusableType, installed_type
 from robotctl.messages.values import Decoder, encode, filled
+from robotctl.ros import qos
+from robotctl.ros.context import STDIN, Visitor
 from robotctl.ros.executor import AsyncioExecutor, RawTap
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.overview import services
-from robotctl.ros.messages import qos
-from robotctl.ros.messages.classes import NO_SUBSCRIPTION_EVENTS, message_class
-from robotctl.ros.queries.visitor import STDIN, Visitor
+from robotctl.ros.graph.endpoints import services
+from robotctl.ros.message_types import NO_SUBSCRIPTION_EVENTS, message_class
 
 Send = Callable[[dict[str, Any]], None]
 """Sends a report, a JSON object, to the command."""

@@ -1,1 +1,0 @@
-"""The log of the daemon: lines safe for a terminal, written without blocking the loop."""

@@ -1,1 +1,0 @@
-"""The sources of callbacks: one file for each kind of entity."""

@@ -1,1 +1,0 @@
-"""ROS message types: their classes, definitions and hashes, and QoS profiles."""

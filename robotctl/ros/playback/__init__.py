@@ -1,1 +1,0 @@
-"""Publishes recorded messages on ROS again."""

@@ -1,1 +1,0 @@
-"""The simulated differential-drive robot, without a clock, a bus or ROS."""
