@@ -52,6 +52,9 @@ def new_peer() -> Iterator[Callable[[World], Peer]]:
 class Daemon:
     """A daemon in this process and loop; requests go through its socket."""
 
+    def __init__(self, started: Any) -> None:
+        self.started = started
+
     async def ask(self, method: str, **params: Any) -> Any:
         """Call a method of the control socket from another thread."""
         return await asyncio.to_thread(call, "robot", method, params)
@@ -93,7 +96,7 @@ def in_process(
             if serving.done():
                 await serving  # raises the reason of a failed start
             try:
-                yield Daemon()
+                yield Daemon(ready.result())
             except BaseException:
                 serving.cancel()
                 raise

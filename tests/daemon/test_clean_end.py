@@ -31,27 +31,39 @@ STILL = bytes(48)
 # The emergency stop outlives the process
 
 
-def test_an_emergency_stop_is_left_by_reset_only(world: World) -> None:
+def test_an_emergency_stop_outlives_a_kill_and_a_stop_and_is_left_by_reset_only(
+    world: World,
+) -> None:
     latch = world.folder / "state" / "robotctl" / "robot" / "emergency-stop"
-    world.ok("start", "--sim")
+    world.ok("start", "--sim", "--drive", "circle")
+    until(lambda: world.status()["recorder"]["written"] > 100)
     assert "release it with: robotctl reset" in world.ok("estop")
     assert latch.exists()
-    refused = world.robotctl("set-mode", "moving")
+    refused = world.here("set-mode", "moving")
     assert refused.exit_code == 4
     assert "EMERGENCY_STOP" in refused.err
     assert "robotctl reset" in refused.err
-    world.ok("stop")
-    # after a stop
+    world.kill(pid_of(world))
+    assert world.sockets() != []
+    assert world.robotctl("status").exit_code == 3
+    killed = next(world.recordings.iterdir())
     assert "the emergency stop is still latched" in world.ok("start", "--sim")
     assert world.status()["mode"] == "EMERGENCY_STOP"
-    # after a kill
-    world.kill(pid_of(world))
+    until(lambda: f"repaired: {killed.name}_0.mcap" in world.log())
+    world.ok("stop")
+    journal = journal_of(read_back(killed)["/robotctl/journal"])
+    assert any(entry.name == ModeChanged.__name__ for entry in journal)
+    assert first_divergence(journal) is None
     world.ok("start", "--sim")
     assert world.status()["mode"] == "EMERGENCY_STOP"
     assert "requested by robotctl estop" in world.status()["mode_reason"]
     assert "released" in world.ok("reset")
     assert not latch.exists()
-    world.ok("stop")
+    stops = [world.spawn("stop") for _ in range(2)]
+    for process in stops:
+        _, err = process.communicate(timeout=DEADLINE_S)
+        assert process.returncode in (0, 3), err
+    assert world.here("stop").exit_code == 3
 
 
 def test_a_latch_that_cannot_be_written_is_reported_and_the_robot_stops(simulated: World) -> None:
@@ -111,25 +123,6 @@ def test_a_battery_stop_is_released_by_a_charged_battery_only_also_after_a_resta
     world.ok("stop")
 
 
-# Killed
-
-
-def test_after_a_kill_the_next_start_cleans_up_and_repairs(world: World) -> None:
-    world.ok("start", "--sim", "--drive", "circle")
-    until(lambda: world.status()["recorder"]["written"] > 100)
-    world.kill(pid_of(world))
-    assert world.sockets() != []
-    assert world.robotctl("status").exit_code == 3
-    killed = next(world.recordings.iterdir())
-    world.ok("start", "--sim")
-    assert world.status()["mode"] == "IDLE"
-    until(lambda: f"repaired: {killed.name}_0.mcap" in world.log())
-    world.ok("stop")
-    journal = journal_of(read_back(killed)["/robotctl/journal"])
-    assert any(entry.name == ModeChanged.__name__ for entry in journal)
-    assert first_divergence(journal) is None
-
-
 @pytest.mark.slow
 def test_fifty_kills_are_followed_by_fifty_starts(world: World) -> None:
     for _ in range(50):
@@ -169,13 +162,3 @@ def test_a_signal_during_the_start_ends_it(world: World) -> None:
     assert start.returncode != 0
     assert "stopped before it was ready" in err
     until(lambda: not world.processes())
-
-
-def test_two_stops_at_once_both_succeed(world: World) -> None:
-    world.ok("start", "--sim")
-    stops = [world.spawn("stop") for _ in range(2)]
-    for process in stops:
-        _, err = process.communicate(timeout=DEADLINE_S)
-        assert process.returncode in (0, 3), err
-    assert world.robotctl("status").exit_code == 3
-    assert world.robotctl("stop").exit_code == 3

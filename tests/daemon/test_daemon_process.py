@@ -220,7 +220,7 @@ def test_a_daemon_reports_ready_mode_watchdog_and_its_end(world: World) -> None:
     with listener(world.folder / "notify") as sock:
         world.environment |= {
             "NOTIFY_SOCKET": str(world.folder / "notify"),
-            "WATCHDOG_USEC": "2000000",
+            "WATCHDOG_USEC": "500000",
         }
         daemon = world.spawn("start", "--foreground", "--sim")
         until_told(sock, "READY=1")

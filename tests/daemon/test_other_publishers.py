@@ -6,6 +6,7 @@ import asyncio
 import json
 import re
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -21,7 +22,7 @@ from robotctl.kernel.types import (
 from robotctl.recording import read_messages
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import loop_until, until
-from tests.support.world import PATIENT, NewPeer, World, journal_of
+from tests.support.world import PATIENT, NewPeer, World, journal_of, new_world
 
 
 class Velocity:
@@ -149,6 +150,16 @@ def test_a_flood_to_an_idle_robot_gives_few_events() -> None:
 EntryData = dict[str, float]
 
 
+@pytest.fixture(scope="module")
+def simulated() -> Iterator[World]:
+    """A world with one daemon, for which a publisher of odometry is gone after 2 s."""
+    with new_world() as made:
+        made.patient.write_text(PATIENT.replace("timeout_s: 10.0", "timeout_s: 2.0"))
+        made.ok("start", "--sim")
+        yield made
+        made.ok("stop")
+
+
 @pytest.fixture
 def idle(simulated: World) -> World:
     """The world, when nothing of an earlier test keeps its robot from driving."""
@@ -211,13 +222,6 @@ def test_the_publisher_of_commands_is_shown_and_refuses_motion_until_it_is_gone(
     until(lambda: warning not in driving.status()["warnings"])
 
 
-def test_one_command_to_an_idle_robot_is_named_and_no_error(idle: World, new_peer: NewPeer) -> None:
-    sent_ns = new_peer(idle)("command_and_go", linear=0.1)
-    until(lambda: heard_since(idle, sent_ns))
-    until(lambda: any("velocity command" in each for each in idle.status()["warnings"]))
-    assert idle.status()["mode"] == "IDLE"
-
-
 def test_a_second_publisher_of_odometry_refuses_every_start(idle: World, new_peer: NewPeer) -> None:
     peer = new_peer(idle)
     peer("measure", x=10.0)
@@ -244,6 +248,13 @@ def test_a_second_publisher_of_odometry_that_contradicts_stops_a_moving_robot(
     reason = driving.status()["mode_reason"]
     assert "odometry comes from two publishers, /simulated_robot and " in reason
     assert "m and " in reason
+
+
+def test_one_command_to_an_idle_robot_is_named_and_no_error(idle: World, new_peer: NewPeer) -> None:
+    sent_ns = new_peer(idle)("command_and_go", linear=0.1)
+    until(lambda: heard_since(idle, sent_ns))
+    until(lambda: any("velocity command" in each for each in idle.status()["warnings"]))
+    assert idle.status()["mode"] == "IDLE"
 
 
 SETTINGS = f"""{PATIENT}

@@ -10,31 +10,42 @@ from typing import Any
 
 import pytest
 
+from robotctl.recording import read_messages
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
-from tests.support.world import NewPeer, Peer, World, entries_of, journal_of, new_world, read_back
+from tests.support.world import (
+    PATIENT,
+    NewPeer,
+    Peer,
+    World,
+    entries_of,
+    new_world,
+)
 
 ENDLESS = 100_000
 
 
+AGILE = f"""{PATIENT}
+limits: {{linear_accel_mps2: 2.0, angular_rps: 4.0, angular_accel_rps2: 10.0}}
+"""
+"""A small circle takes 2 s."""
+
+
 @pytest.fixture(scope="module")
 def acting() -> Iterator[World]:
-    """A world with a daemon; its recording is checked at the end."""
+    """A world with a daemon."""
     with new_world() as made:
-        made.ok("start", "--sim")
+        (made.folder / "agile.yaml").write_text(AGILE)
+        made.ok("start", "--sim", "--config", "agile.yaml")
+        until(lambda: made.here("preflight").exit_code == 0)
         yield made
         made.ok("stop")
-        (folder,) = made.recordings.iterdir()
-        topics = read_back(folder)
-        requests = [
-            entry.data
-            for entry in journal_of(topics["/robotctl/journal"])
-            if entry.name == "DriveRequested"
-        ]
-        assert requests
-        assert all("the ROS action /drive_pattern" in request for request in requests)
-        assert topics["/drive_pattern/_action/feedback"]
-        assert topics["/drive_pattern/_action/status"]
+
+
+@pytest.fixture(scope="module")
+def simulated(acting: World) -> World:
+    """The same world."""
+    return acting
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +67,8 @@ def endless(acting: World, client: Told) -> Iterator[int]:
         acting.ok("reset")
 
 
-def test_a_goal_drives_its_laps_and_tells_how_well(client: Told) -> None:
-    number = client("send", pattern="circle", size=0.1, laps=2, speed=0.3)
+def test_a_goal_drives_its_laps_and_tells_how_well(acting: World, client: Told) -> None:
+    number = client("send", pattern="circle", size=0.1, laps=2, speed=0.4)
     result = client("result", number=number)
     assert (result["status"], result["completed"], result["laps"]) == ("SUCCEEDED", True, 2)
     assert result["reason"] == "drive finished: 2 laps"
@@ -69,6 +80,11 @@ def test_a_goal_drives_its_laps_and_tells_how_well(client: Told) -> None:
     assert distances == sorted(distances)
     assert {lap for _, lap, _ in heard} <= {1, 2}
     assert heard
+    file = Path(acting.answer_here("record", "split")["finished"])
+    (asked,) = (each.data for each in entries_of(file) if each.name == "DriveRequested")
+    assert "the ROS action /drive_pattern" in asked
+    for topic in ("feedback", "status"):
+        assert any(read_messages(file, {f"/drive_pattern/_action/{topic}"}))
 
 
 def test_a_cancelled_goal_ramps_down(acting: World, client: Told, endless: int) -> None:
@@ -216,10 +232,10 @@ def test_the_path_of_a_node_is_driven_or_refused_by_name(
     x, y = place(simulated)
     points = [[x, y], [x + 0.2, y], [x + 0.3, y + 0.1]]
     planner("plan", topic="/plan", points=points, frame="odom")
-    driven = simulated.answer("drive", "path", "--topic", "plan", "--wait")
+    driven = simulated.answer_here("drive", "path", "--topic", "plan", "--wait")
     assert driven["distance_m"] == pytest.approx(0.34, abs=0.05)
     planner("plan", topic="/plan", points=[[0.0, 0.0], [0.2, 0.0]], frame="map")
-    refused = simulated.robotctl("drive", "path", "--topic", "/plan")
+    refused = simulated.here("drive", "path", "--topic", "/plan")
     assert (refused.exit_code, "frame 'map'" in refused.err) == (4, True), refused
     both = simulated.here("drive", "path", "points.csv", "--topic", "plan")
     assert (both.exit_code, "not both" in both.err) == (2, True)

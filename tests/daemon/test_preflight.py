@@ -4,16 +4,20 @@ A base that is commissioned: in its own process, and the simulated one.
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
-from signal import SIGINT, SIGKILL, SIGSTOP, Signals
+from signal import SIGINT, SIGKILL, Signals
 from typing import Any
 
 import pytest
 
+from robotctl.base.errors import Refused
+from robotctl.daemon import driver
+from robotctl.kernel.patterns import PatternKind
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S, until
-from tests.support.world import PATIENT, NewPeer, World
+from tests.support.world import PATIENT, InProcess, NewPeer, World
 
 
 def test_an_emergency_stop_topic_stops_a_drive_and_is_a_condition_of_the_next(
@@ -46,37 +50,35 @@ def test_an_emergency_stop_topic_stops_a_drive_and_is_a_condition_of_the_next(
     world.ok("stop")
 
 
-def test_without_a_robot_a_start_is_ready_and_says_what_is_missing_and_a_preflight_waits(
-    world: World,
+async def test_without_a_robot_a_start_is_ready_and_says_what_is_missing_and_a_preflight_waits(
+    in_process: InProcess, world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = world.ok("start", "--no-sim", "--drive", "square")
-    for text in (
-        "note: no robot to drive yet: no odometry was received on odom yet",
-        "note: no robot to drive yet: no battery level was received on battery_state yet",
-        "note: no robot to drive yet: no node subscribes to cmd_vel",
-        "check that the robot publishes odometry",  # why the drive is refused
-    ):
-        assert text in out
-    status = world.status()
-    assert (status["mode"], status["sim"]) == ("IDLE", False)
-    assert (status["pose"], status["battery"]) == (None, None)
-    refused = world.here("set-mode", "moving")
-    assert (refused.exit_code, refused.out) == (4, "")
-    assert "no odometry was received on odom yet" in refused.err
-    failed = world.here("preflight", "--json")
-    assert failed.exit_code == 4
-    conditions = json.loads(failed.out)["conditions"]
-    problems = {each["cause"]: each for each in conditions if each["problem"]}
-    assert {"odometry lost", "battery unknown"} <= set(problems)
-    assert "check that the robot publishes odometry" in problems["odometry lost"]["cure"]
-    waiting = world.spawn("preflight", "--wait", "600")
-    sim = world.spawn("sim")
-    out, err = waiting.communicate()
-    assert waiting.returncode == 0, err
-    assert "passed  odometry fresh" in out
-    sim.terminate()
-    sim.communicate()
-    world.ok("stop")
+    monkeypatch.setattr(driver, "READY_S", 0.1)
+    async with in_process(sim=False, drive=PatternKind.SQUARE) as daemon:
+        notes = "\n".join(daemon.started["notes"])
+        for text in (
+            "no robot to drive yet: no odometry was received on odom yet",
+            "no robot to drive yet: no battery level was received on battery_state yet",
+            "no robot to drive yet: no node subscribes to cmd_vel",
+            "check that the robot publishes odometry",  # why the drive is refused
+        ):
+            assert text in notes
+        status = await daemon.ask("status")
+        assert (status["mode"], status["sim"]) == ("IDLE", False)
+        assert (status["pose"], status["battery"]) == (None, None)
+        with pytest.raises(Refused, match="no odometry was received on odom yet"):
+            await daemon.ask("set_mode", mode=1, source="test")
+        conditions = (await daemon.ask("preflight"))["conditions"]
+        problems = {each["cause"]: each for each in conditions if each["problem"]}
+        assert {"odometry lost", "battery unknown"} <= set(problems)
+        assert "check that the robot publishes odometry" in problems["odometry lost"]["cure"]
+        waiting = world.spawn("preflight", "--wait", "600")
+        sim = world.spawn("sim")
+        out, err = await asyncio.to_thread(waiting.communicate)
+        assert waiting.returncode == 0, err
+        assert "passed  odometry fresh" in out
+        sim.terminate()
+        await asyncio.to_thread(sim.communicate)
 
 
 def test_an_input_of_another_type_prevents_motion_and_status_names_the_types(
@@ -158,7 +160,7 @@ def test_nobody_is_asked_without_a_terminal_and_nothing_moves(simulated: World) 
     simulated.ok("reset")
 
 
-@pytest.mark.parametrize("number", [SIGINT, SIGKILL, SIGSTOP])
+@pytest.mark.parametrize("number", [SIGINT, SIGKILL])
 def test_a_commissioning_that_is_interrupted_stops_the_robot(
     simulated: World, number: Signals
 ) -> None:

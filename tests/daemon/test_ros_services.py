@@ -12,8 +12,8 @@ from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
 from tests.support.world import PATIENT, NewPeer, World, new_world, read_back
 
-GENTLE = "limits.linear_accel_mps2: 0.03\n"
-"""A ramp from 0.1 m/s takes 3 s."""
+GENTLE = "limits.linear_accel_mps2: 0.1\n"
+"""A ramp from 0.1 m/s takes 1 s."""
 
 CALLS = IN_FLIGHT = 600
 """Sixty times rclpy's default queue."""

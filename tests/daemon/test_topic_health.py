@@ -91,7 +91,7 @@ def regular(period_s: float, begin_s: float, end_s: float, jitter: float = 0.0) 
 PERIODS = st.floats(0.002, 2.5)
 JITTERS = st.sampled_from([0.0, 0.2])
 END_OF_LEARNING_S = MINUTE_S + 10.0
-FEW = settings(max_examples=40, deadline=None)
+FEW = settings(max_examples=20, deadline=None)
 
 
 def in_time(period_s: float) -> float:
@@ -322,7 +322,7 @@ def test_what_ends_when_its_work_is_done_is_not_learned(topic: str, type_name: s
     assert may_be_learned(SCAN, SCAN_TYPE)
 
 
-SCAN_HZ, CAMERA_HZ, KEPT_HZ = 20.0, 30.0, 5.0
+SCAN_HZ, CAMERA_HZ, KEPT_HZ = 20.0, 60.0, 5.0
 IN_TIME_S = 1.0
 SLACK_S = 1.5
 """For a busy machine: the warning is stamped by a process that may wait."""
@@ -360,7 +360,7 @@ def test_a_sensor_that_stops_is_named_and_a_throttled_recording_is_the_same() ->
             with publishing(world, "lidar", "/scan", SCAN_HZ):
                 world.ok("start", "--sim", "--config", str(config))
                 until(lambda: world.here("drive", "circle").exit_code == 0)
-                until(lambda: topic(world, "/camera/image")["throttled"] > 50)
+                until(lambda: topic(world, "/camera/image")["throttled"] > 30)
                 until(lambda: topic(world, "/scan")["count"] > 20)
             stopped_s = time.time()
             (told,) = until(lambda: warnings(world, "/scan has been silent"))
@@ -386,7 +386,7 @@ def test_a_sensor_that_stops_is_named_and_a_throttled_recording_is_the_same() ->
     assert recorder["throttled"] >= camera["throttled"]
     assert screen.split()[-1] == "throttled"
     assert [each["verdict"] for each in checked["recordings"]] == ["same"]
-    assert len(topics["/odom"]) > 100, "what a check needs is never throttled"
+    assert len(topics["/odom"]) > 60, "what a check needs is never throttled"
     for name in ("/rosout", "/diagnostics"):
         first_ns = next(
             each.log_time for each in topics[name] if b"/scan has been silent" in bytes(each.data)
