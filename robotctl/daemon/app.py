@@ -21,7 +21,7 @@ from robotctl.config import Config, flat, load
 from robotctl.config.ros_settings import MODE_SERVICE, NODES
 from robotctl.config.settings import log_warning
 from robotctl.daemon.command_line import DaemonOptions
-from robotctl.daemon.driver import build
+from robotctl.daemon.driver import Driver
 from robotctl.daemon.host import DaemonKind, Host, Ready
 from robotctl.daemon.observer import Observer
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
@@ -233,7 +233,7 @@ async def serve(
         if not options.observe:
             await refuse_same_names(host)
         daemon: DaemonKind = (
-            Observer(host) if options.observe else build(host, await choose_command_type(host))
+            Observer(host) if options.observe else Driver(host, await choose_command_type(host))
         )
         session.last.enter_context(published_log(session, levels))
         session.last.push_async_callback(daemon.recorder.close)  # when no message comes any more

@@ -20,7 +20,7 @@ from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.parameter_keys import kernel_leaves
 from robotctl.kernel.ranges import Change
 from robotctl.kernel.types import ParameterChanged, ParameterRequested, Reply
-from robotctl.ros.nodes.node_services import Declared, ParameterServices
+from robotctl.ros.nodes.node_services import ParameterServices
 from robotctl.ros.session import Session
 
 START_CURE = "stop the daemon, and start it with --config, or with --ros-args -p {key}:=VALUE"
@@ -132,14 +132,7 @@ def serve_parameters(session: Session, parameters: Parameters, robot: str) -> No
     values = flat(parameters.config)
     for name, node in session.visible_nodes.items():
         declared = [
-            Declared(
-                each.key,
-                values[each.key],
-                each.about,
-                f"{each.allowed}; changes {each.change.value}",
-                each.range,
-                read_only=each.change is Change.START,
-            )
+            (each, values[each.key])
             for each in declarations().values()
             if _served_by(each.key, session.visible_nodes) == name
         ]

@@ -12,7 +12,7 @@ from robotctl.base.ros_arguments import LEVELS, UNSET, LogLevel, level_name
 from robotctl.base.text import printable
 from robotctl.daemon.log_lines import LoopHandler
 from robotctl.ros.nodes.node_services import LoggerServices, set_native_level
-from robotctl.ros.nodes.publishers import RosoutLine, RosoutPublisher
+from robotctl.ros.nodes.publishers import RosoutPublisher
 from robotctl.ros.session import Session
 
 PACKAGE: Final = "robotctl"
@@ -93,17 +93,8 @@ def published_log(session: Session, levels: LoggerLevels) -> Iterator[None]:
     publisher = RosoutPublisher(session)
 
     def publish(record: logging.LogRecord, text: str) -> None:
-        publisher.publish(
-            RosoutLine(
-                t_ns=round(record.created * 1e9),
-                level=LEVELS.get(level_name(record.levelno), LEVELS["DEBUG"]),
-                logger=levels.name_of(record.name),
-                text=text,
-                file=record.pathname,
-                function=record.funcName or "",
-                line=record.lineno,
-            )
-        )
+        level = LEVELS.get(level_name(record.levelno), LEVELS["DEBUG"])
+        publisher.publish(record, level, levels.name_of(record.name), text)
 
     handler = LoopHandler(asyncio.get_running_loop(), publish)
     root = logging.getLogger()

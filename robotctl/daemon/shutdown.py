@@ -79,35 +79,26 @@ ACKNOWLEDGED_S = 1.0
 publisher is destroyed before. After this time, the command timeout has stopped the robot."""
 
 
-class LastZero:
-    """Waits until the last command and the last robot status have arrived.
+async def last_zero_arrived(
+    velocity: VelocityPublisher, modes: ModeService, received: Callable[[], Mapping[str, int]]
+) -> None:
+    """Wait until the last command and the last robot status have arrived.
 
-    `received()` returns how many messages of each topic the recorder has received.
+    `received()` returns how many messages of each topic the recorder has received. Warn if a
+    subscriber does not acknowledge the last zero.
     """
 
-    def __init__(
-        self,
-        velocity: VelocityPublisher,
-        modes: ModeService,
-        received: Callable[[], Mapping[str, int]],
-    ) -> None:
-        self._velocity = velocity
-        self._modes = modes
-        self._received = received
-
-    async def arrived(self) -> None:
-        """Wait for both messages; then warn if a subscriber does not acknowledge the last zero."""
-        await until(self._is_recorded, DRAIN_S)
-        if not await until(self._velocity.is_acknowledged, ACKNOWLEDGED_S):
-            _log.warning(
-                "a subscriber of %s has not acknowledged the last zero within %g s",
-                self._velocity.topic,
-                ACKNOWLEDGED_S,
-            )
-
-    def _is_recorded(self) -> bool:
-        received = self._received()
+    def is_recorded() -> bool:
+        counts = received()
         return (
-            received.get(self._velocity.topic, 0) >= self._velocity.published
-            and received.get(self._modes.status_topic, 0) >= self._modes.published
+            counts.get(velocity.topic, 0) >= velocity.published
+            and counts.get(modes.status_topic, 0) >= modes.published
+        )
+
+    await until(is_recorded, DRAIN_S)
+    if not await until(velocity.is_acknowledged, ACKNOWLEDGED_S):
+        _log.warning(
+            "a subscriber of %s has not acknowledged the last zero within %g s",
+            velocity.topic,
+            ACKNOWLEDGED_S,
         )

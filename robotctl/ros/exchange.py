@@ -20,7 +20,7 @@ from robotctl.ros.context import STDIN, Visitor
 from robotctl.ros.executor import AsyncioExecutor, RawTap
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.endpoints import services
-from robotctl.ros.message_types import NO_SUBSCRIPTION_EVENTS, message_class
+from robotctl.ros.message_types import message_class, subscribe_raw
 
 Send = Callable[[dict[str, Any]], None]
 """Sends a report, a JSON object, to the command."""
@@ -191,12 +191,9 @@ async def listen(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
         if not failed.done():
             failed.set_exception(error)
 
-    callback: Any = RawTap(report, latency_s=0.0)
     profiles = [each.qos_profile for each in offered if each.topic_type == type_name]
     wanted = qos.recording(profiles, bulky=installed.holds_bytes) if profiles else qos.MONITOR
-    node.create_subscription(
-        kind, topic, callback, wanted, event_callbacks=NO_SUBSCRIPTION_EVENTS, raw=True
-    )
+    subscribe_raw(node, kind, topic, RawTap(report, latency_s=0.0), wanted)
     async with AsyncioExecutor(visitor.node.context, on_exception=fail) as executor:
         executor.add_node(node)
         await failed

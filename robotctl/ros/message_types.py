@@ -22,6 +22,7 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 
 from robotctl.kernel.params import CommandQos
 from robotctl.kernel.types import Twist
@@ -32,6 +33,7 @@ from robotctl.messages.inputs import (
     encode_twist,
 )
 from robotctl.messages.installed import UnusableType, installed_name
+from robotctl.ros.executor import RawTap
 from robotctl.ros.qos import COMMAND
 
 
@@ -67,6 +69,16 @@ def _is_ctrl_c() -> bool:
 
 NO_PUBLISHER_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 NO_SUBSCRIPTION_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
+
+
+def subscribe_raw(
+    node: Node, message_class: Any, topic: str, tap: RawTap, wanted: QoSProfile
+) -> Subscription:
+    """Subscribe to a topic with a tap, without rclpy's default event handlers."""
+    callback: Any = tap  # rclpy's types allow a callback of one argument only
+    return node.create_subscription(
+        message_class, topic, callback, wanted, event_callbacks=NO_SUBSCRIPTION_EVENTS, raw=True
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from robotctl.base.errors import Refused, UsageError
-from robotctl.daemon.api.driving import DriveGoals, DrivingMethods
+from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.daemon.control import inputs
-from robotctl.daemon.control.inputs import Inputs, RemoteRequests
+from robotctl.daemon.control.inputs import Inputs
 from robotctl.daemon.control.robot_report import GroundTruth
 from robotctl.ipc.method_params import (
     DriveParams,
@@ -256,7 +256,7 @@ def test_a_client_is_remote_by_the_host_of_its_gid_in_every_range(
 ) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery)
     monkeypatch.setattr(inputs, "requester", lambda: client)
-    assert RemoteRequests(OWN).is_remote() is is_remote
+    assert inputs.is_remote(OWN) is is_remote
 
 
 class Asked:
@@ -265,6 +265,7 @@ class Asked:
     def __init__(self) -> None:
         self.events: list[Any] = []
         self.begin = self.events.append
+        self.params = KernelParams()
 
     def new_request_id(self) -> int:
         return 1
@@ -278,10 +279,6 @@ def test_services_and_goals_tell_whether_they_are_remote() -> None:
     report: Any = None
     Inputs(control, report, lambda: True).service_call(Mode.MOVING.value, "the ROS service")
 
-    class Driving:
-        def pattern(self, *_: object) -> Pattern:
-            return Pattern()
-
-    driving: Any = Driving()
-    DriveGoals(control, driving, lambda: True).begin(Goal("", 0.0, 1, 0.0, False), "the ROS action")
+    goal = Goal("", 0.0, 1, 0.0, False)
+    DrivingMethods(control, report).begin_goal(goal, "the ROS action", remote=True)
     assert [event.remote for event in control.events] == [True, True]

@@ -14,15 +14,14 @@ from hypothesis import strategies as st
 
 from robotctl.daemon.host import MAX_WARNINGS
 from robotctl.daemon.host import diagnose as diagnose_daemon
-from robotctl.daemon.recording import recorder_report
 from robotctl.daemon.recording.recorder_report import (
     HEAVY_BYTES_PER_S,
     HEAVY_WINDOW_S,
     MAX_TOPICS,
     HeavyTopics,
     RateMeter,
-    TopicRows,
     diagnose,
+    topic_rows,
 )
 from robotctl.ipc.answers import TopicAnswer
 from robotctl.recording import Recorder, RecorderState, RecorderStats, Topic, TopicStats
@@ -195,7 +194,7 @@ def test_the_channels_of_a_topic_are_one_row_and_rows_are_sorted() -> None:
         TopicStats(received=1, written=1, throttled=4, name="/b", type_name="T", bytes=10),
         TopicStats(name="/a", type_name="S"),
     )
-    rows = decoded(TopicRows().encoded(topics, RATE))
+    rows = decoded(topic_rows(topics, RATE))
     assert [(row["name"], row["type"], row["rate"]) for row in rows] == [
         ("/a", "S", 0.0),
         ("/a", "T", 0.0),
@@ -203,30 +202,6 @@ def test_the_channels_of_a_topic_are_one_row_and_rows_are_sorted() -> None:
     ]
     assert rows[1] | {"count": 5, "dropped": 5, "lost": 2, "unseen": 1, "bytes": 50} == rows[1]
     assert rows[2] | {"count": 4, "written": 3, "queued": 1, "throttled": 4, "bytes": 40} == rows[2]
-
-
-def test_a_row_follows_its_counts_its_rate_and_new_topics(monkeypatch: pytest.MonkeyPatch) -> None:
-    rows = TopicRows()
-    encoded = list[str]()
-
-    def encode(row: msgspec.Struct) -> bytes:
-        encoded.append(row.name)  # type: ignore[attr-defined]
-        return msgspec.json.encode(row)
-
-    monkeypatch.setattr(recorder_report, "_encode", encode)
-    still, moving = TopicStats(1, name="/a", type_name="T"), TopicStats(name="/b", type_name="T")
-    first = rows.encoded((still, moving), {})
-    moving = TopicStats(received=7, name="/b", type_name="T")
-    second = rows.encoded((still, moving), {})
-    assert encoded == ["/a", "/b", "/b"]
-    assert [decoded(each)[1]["count"] for each in (first, second)] == [0, 7]
-    assert decoded(rows.encoded((still, moving), RATE))[1]["rate"] == 2.5
-    more = rows.encoded((still, moving, TopicStats(name="/aa", type_name="T")), RATE)
-    assert [(row["name"], row["rate"]) for row in decoded(more)] == [
-        ("/a", 0.0),
-        ("/aa", 0.0),
-        ("/b", 2.5),
-    ]
 
 
 def test_the_counts_of_a_topic_begin_with_the_counters_of_the_ledger() -> None:
@@ -333,5 +308,5 @@ def test_what_the_writer_thread_loses_is_seen(count: str) -> None:
 
 
 def test_a_row_has_the_fields_of_its_answer() -> None:
-    (row,) = decoded(TopicRows().encoded((TopicStats(name="/a", type_name="T"),), {}))
+    (row,) = decoded(topic_rows((TopicStats(name="/a", type_name="T"),), {}))
     assert row.keys() == get_type_hints(TopicAnswer).keys()

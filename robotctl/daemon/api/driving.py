@@ -9,16 +9,16 @@ from typing import Any
 
 from robotctl.base.errors import Refused, UsageError
 from robotctl.base.paths import DEFAULT_ROBOT
-from robotctl.daemon.api.lease import HoldMethods
 from robotctl.daemon.control.dispatcher import Control, granted
 from robotctl.daemon.control.robot_report import GroundTruth, RobotReport
 from robotctl.ipc.advice import advice
-from robotctl.ipc.answers import DriveAnswer, DrivenPath, ModeAnswer, Preflight
+from robotctl.ipc.answers import DriveAnswer, DrivenPath, HoldAnswer, ModeAnswer, Preflight
 from robotctl.ipc.method_names import (
     DRIVE,
     DRIVE_PATH,
     DRIVE_VELOCITY,
     END_DRIVE,
+    HOLD,
     PATH,
     PREFLIGHT,
     RESET,
@@ -29,6 +29,7 @@ from robotctl.ipc.method_params import (
     DrivePathParams,
     DriveVelocityParams,
     EndDriveParams,
+    HoldParams,
     MotionParams,
     NoParams,
     ResetParams,
@@ -36,7 +37,7 @@ from robotctl.ipc.method_params import (
 )
 from robotctl.ipc.request_handler import Method
 from robotctl.kernel.codec import finite_or_none
-from robotctl.kernel.course import PLAIN, Course, Held
+from robotctl.kernel.course import MAX_SILENCE_S, PLAIN, Course, Held
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind, SizeName
@@ -44,10 +45,12 @@ from robotctl.kernel.safety import remedies_for
 from robotctl.kernel.types import (
     DriveEnded,
     DriveRequested,
+    HoldReceived,
     ModeRequested,
     Phase,
     Reply,
     ResetRequested,
+    Twist,
 )
 from robotctl.ros.nodes.drive_action import DriveProgress, Goal
 
@@ -126,7 +129,6 @@ class DrivingMethods:
         self._robot = robot
         self._control = control
         self._robot_report = robot_report
-        self._holding = HoldMethods(control, robot, client_of)
 
     def table(self) -> dict[str, Method[Any]]:
         """Return every method by its name."""
@@ -139,7 +141,7 @@ class DrivingMethods:
             DRIVE_VELOCITY: Method(DriveVelocityParams, self._drive_velocity, None),
             DRIVE_PATH: Method(DrivePathParams, self._drive_path, None),
             END_DRIVE: Method(EndDriveParams, self._end_drive, None),
-            **self._holding.table(),
+            HOLD: Method(HoldParams, self._hold),
         }
 
     def pattern(
@@ -271,6 +273,65 @@ class DrivingMethods:
             return {"message": f"The robot stands, in {state.mode.name}", "mode": state.mode.name}
         return granted(await self._control.request(self._idle_request(params.source)), self._robot)
 
+    async def _hold(self, params: HoldParams) -> HoldAnswer:
+        """Begin a motion that ends unless it is held again and again, or hold it again."""
+        if params.hold:
+            return self._hold_again(params)
+        request_id, now_ns = self._control.new_request_id(), time.monotonic_ns()
+        held = Held(params.linear_mps, params.angular_rps, MAX_SILENCE_S, now_ns)
+        event = DriveRequested(
+            now_ns,
+            request_id,
+            self._control.params.pattern,
+            1,
+            False,
+            params.source,
+            self._client_of(params.lease),
+            params.reason,
+            Course(held=held),
+        )
+        answer = granted(await self._control.request(event), self._robot)
+        return {"message": answer["message"], "mode": answer["mode"], "hold": request_id}
+
+    def _hold_again(self, params: HoldParams) -> HoldAnswer:
+        wanted = Twist(params.linear_mps, params.angular_rps)
+        client = self._client_of(params.lease)
+        self._control.dispatch(HoldReceived(time.monotonic_ns(), params.hold, wanted, client))
+        state = self._control.state
+        goes_on = state.drive is not None and state.drive.request_id == params.hold
+        return {
+            "message": state.reason,
+            "mode": state.mode.name,
+            "hold": params.hold if goes_on else 0,
+        }
+
+    def begin_goal(self, goal: Goal, source: str, *, remote: bool) -> RequestedDrive:
+        """Request the drive of a goal at once; `remote`: the goal may come from another host.
+
+        Raises:
+            ValueError: The goal has 0 laps, an unknown pattern, or a speed above the limit.
+        """
+        if goal.laps == 0:
+            raise ValueError(f"0 laps: a goal ends by itself: use 1 to {MAX_LAPS}")
+        try:
+            pattern = self.pattern(_kind(goal.pattern), goal.size_m or None, goal.speed_mps or None)
+        except UsageError as error:
+            raise ValueError(str(error)) from None
+        request_id = self._control.new_request_id()
+        return RequestedDrive(
+            self._control,
+            self,
+            DriveRequested(
+                time.monotonic_ns(),
+                request_id,
+                pattern,
+                goal.laps,
+                goal.replace,
+                source,
+                remote=remote,
+            ),
+        )
+
     def ramp_down(self, request_id: int, source: str) -> bool:
         """Ramp down the drive that `request_id` began; return whether it was still running."""
         state = self._control.state
@@ -348,46 +409,6 @@ class RequestedDrive:
         return self._driving.ramp_down(
             self._event.request_id, f"{self._event.source}, which was cancelled"
         )
-
-
-class DriveGoals:
-    """Converts goals into requests for the kernel."""
-
-    def __init__(
-        self,
-        control: Control,
-        driving: DrivingMethods,
-        is_remote: Callable[[], bool] = lambda: False,
-    ) -> None:
-        """`is_remote()` returns whether the present goal may come from another host."""
-        self._control = control
-        self._driving = driving
-        self._is_remote = is_remote
-
-    def begin(self, goal: Goal, source: str) -> RequestedDrive:
-        """Request the drive of a goal at once.
-
-        Raises:
-            ValueError: The goal has 0 laps, an unknown pattern, or a speed above the limit.
-        """
-        if goal.laps == 0:
-            raise ValueError(f"0 laps: a goal ends by itself: use 1 to {MAX_LAPS}")
-        try:
-            pattern = self._driving.pattern(
-                _kind(goal.pattern), goal.size_m or None, goal.speed_mps or None
-            )
-        except UsageError as error:
-            raise ValueError(str(error)) from None
-        event = DriveRequested(
-            time.monotonic_ns(),
-            self._control.new_request_id(),
-            pattern,
-            goal.laps,
-            goal.replace,
-            source,
-            remote=self._is_remote(),
-        )
-        return RequestedDrive(self._control, self._driving, event)
 
 
 def _kind(name: str) -> PatternKind | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from robotctl.base.errors import Refused, UsageError
 from robotctl.daemon.control.dispatcher import Control
@@ -14,6 +14,7 @@ from robotctl.ipc.method_names import SIM_FAULT, SIM_SET
 from robotctl.ipc.method_params import SimFaultParams, SimSetParams
 from robotctl.ipc.request_handler import Method
 from robotctl.kernel.modes import Mode
+from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.sim import SimFault
 
 POLL_S = 0.001
@@ -22,18 +23,8 @@ AFTER_S = 1.0
 """How long `sim_fault` waits after the end of a fault to see whether the robot stops."""
 
 
-class Simulated(Protocol):
-    """The simulated robot of this process."""
-
-    def set_battery(self, level: float) -> None:
-        """Set the battery level, 0 to 1, and publish it."""
-
-    def begin_fault(self, fault: SimFault, for_s: float) -> None:
-        """Begin a fault that lasts `for_s` seconds."""
-
-
 def simulation_methods(
-    simulated: Callable[[], Simulated | None],
+    simulated: Callable[[], SimulatedRobot | None],
     control: Control,
     mark: Callable[[str, str], object],
 ) -> dict[str, Method[Any]]:
@@ -43,7 +34,7 @@ def simulation_methods(
     adds a mark to the recording.
     """
 
-    def robot() -> Simulated:
+    def robot() -> SimulatedRobot:
         found = simulated()
         if found is None:
             raise Refused("this daemon simulates no robot", "start it with: robotctl start --sim")

@@ -171,7 +171,7 @@ class Control:
         self._kernel = kernel
         self._journal = journal
         self.carry_out: Callable[[Effect], None] = _nothing_yet
-        """Carries out an effect; `driver.build` sets it before the first event."""
+        """Carries out an effect; the driver sets it before the first event."""
 
         self._requests = requests
         self._on_failure = on_failure

@@ -203,23 +203,13 @@ HOST = slice(4)
 """The part of a gid of Fast DDS that names vendor and host; processes of one host share it."""
 
 
-class RemoteRequests:
-    """Tells whether a request comes from another host, by the host bytes of its client's DDS gid.
+def is_remote(own_gid: bytes) -> bool:
+    """Return whether the request that is handled now may come from another host.
 
-    These are only two bytes, and a client can send any gid: this prevents mistakes, not attacks.
+    This is possible even if discovery is limited to this machine: a client on another host can
+    name this machine as its static peer. If the client's gid is unknown, the request counts as
+    remote unless discovery is limited to this machine. The host are only two bytes of the gid, and
+    a client can send any gid: this prevents mistakes, not attacks.
     """
-
-    def __init__(self, own_gid: bytes) -> None:
-        self._host = own_gid[HOST]
-
-    def is_remote(self) -> bool:
-        """Return whether the request that is handled now may come from another host.
-
-        This is possible even if discovery is limited to this machine: a client on another host can
-        name this machine as its static peer. If the client's gid is unknown, the request counts as
-        remote unless discovery is limited to this machine.
-        """
-        gid = requester()
-        if gid is None:
-            return not is_on_this_machine_only()
-        return gid[HOST] != self._host
+    gid = requester()
+    return not is_on_this_machine_only() if gid is None else gid[HOST] != own_gid[HOST]

@@ -21,7 +21,7 @@ from robotctl.kernel.patterns import named
 from robotctl.kernel.safety import RULE_OF, remedies_for, start_conditions
 from robotctl.kernel.state import State, is_level
 from robotctl.kernel.types import Cause, DriveEnded, Remedy
-from robotctl.ros.nodes.mode_service import ModeService, Shown
+from robotctl.ros.nodes.mode_service import ModeService
 from robotctl.ros.nodes.publishers import CommandLock
 
 
@@ -266,7 +266,7 @@ class ShownStatus:
         self._lock.show(mode)
         level = self._control.state.health.battery_level
         level = level if is_level(level) else nan
-        self._modes.publish(Shown(mode, level, is_connected(self._control)))
+        self._modes.publish(mode, level, is_connected(self._control))
 
     async def run(self) -> None:
         """Publish once a second, until cancelled."""

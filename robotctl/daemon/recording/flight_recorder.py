@@ -32,7 +32,7 @@ from robotctl.recording.seal import Keyring
 from robotctl.recording.write.recorder_options import TopicFilter
 from robotctl.ros.executor import UNKNOWN_GID
 from robotctl.ros.nodes import mode_service, publishers
-from robotctl.ros.nodes.publishers import HeadPublisher, JournalPublisher, MarkPublisher
+from robotctl.ros.nodes.publishers import HEAD_TOPIC, JournalPublisher, TextPublisher
 from robotctl.ros.session import Session
 from robotctl.ros.tap.tap import Tap
 
@@ -81,7 +81,9 @@ class FlightRecorder:
         self._closing = False
         self._must_record = config.on_recorder_failure == "stop"
         self._config = config
-        publish = HeadPublisher(session).publish if config.recording.publish_heads else None
+        publish = (
+            TextPublisher(session, HEAD_TOPIC).publish if config.recording.publish_heads else None
+        )
         self._heads = HeadForwarder(config.recording.head_command, publish)
         names = mode_service.names(session)
         evidence = {*map(session.resolve, _evidence_topics(config)), *names.values()}
@@ -111,7 +113,7 @@ class FlightRecorder:
         self.tap = Tap(session, self._sinks.open, topic_filter.records)
         for own_topic in (publishers.DIAGNOSTICS_TOPIC, publishers.ROSOUT_TOPIC):
             self.tap.subscribe_own(own_topic)
-        self._marks = MarkPublisher(session)
+        self._marks = TextPublisher(session, publishers.MARK_TOPIC)
         self._write_mark = self.tap.reserve(publishers.MARK_TOPIC)
         self._events: int | None = None
         """The channel of events for Foxglove, or None if `recording.foxglove_events` is off."""
@@ -262,7 +264,7 @@ def _own_topics(config: Config) -> list[str]:
         publishers.MARK_TOPIC,
         publishers.DIAGNOSTICS_TOPIC,
         publishers.ROSOUT_TOPIC,
-        publishers.HEAD_TOPIC,
+        HEAD_TOPIC,
         *mode_service.CALLS,
     )
     return [config.kernel.command.topic, *(topic.name for topic in own)]

@@ -26,7 +26,7 @@ class HeadForwarder:
     of the heads that arrive during a run, only the newest gets the next run.
     """
 
-    def __init__(self, command: str, publish: Callable[[str], None] | None) -> None:
+    def __init__(self, command: str, publish: Callable[[str], object] | None) -> None:
         """`command` is a command line, run without a shell, "" for none; `publish` sends to ROS.
 
         Raises:

@@ -6,7 +6,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import cast
 
 import msgspec
@@ -76,10 +76,7 @@ class HeavyTopics:
         }
 
 
-_encode = msgspec.json.Encoder().encode
-
-
-class _Answer(msgspec.Struct):
+class _Row(msgspec.Struct):
     """A TopicAnswer as a struct: creating and encoding it takes 60 % of the time for a dict."""
 
     name: str
@@ -95,94 +92,28 @@ class _Answer(msgspec.Struct):
     unseen: int
 
 
-@dataclass(slots=True, eq=False)
-class _Row:
-    key: TopicKey
-    at: int
-    """The index of the row in the list."""
+def topic_rows(topics: Sequence[TopicStats], rates: Mapping[TopicKey, float]) -> msgspec.Raw:
+    """Return the list of topics in the status as JSON, a row for each name and type, sorted.
 
-    places: list[int] = field(default_factory=list)
-    """The indices of the topic's channels in the recorder's counts."""
-
-    rate: float = 0.0
-
-
-class TopicRows:
-    """Makes the list of topics in the status: a row for each pair of name and type, sorted."""
-
-    def __init__(self) -> None:
-        self._rows: list[_Row] = []
-        self._row_of: list[_Row] = []
-        """The row of each channel, by the channel's index."""
-
-        self._topics: Sequence[TopicStats] = ()
-        self._rates: Mapping[TopicKey, float] = {}
-        self._encoded: list[bytes] = []
-        self._joined = msgspec.Raw(b"[]")
-
-    def encoded(self, topics: Sequence[TopicStats], rates: Mapping[TopicKey, float]) -> msgspec.Raw:
-        """Return the rows as a JSON list; only the changed rows are encoded again.
-
-        `topics`, its items and `rates` are compared by identity, so each change needs a new object.
-        A topic that is missing in `rates` has a rate of 0.
-        """
-        if topics is self._topics and rates is self._rates:
-            return self._joined
-        before = self._topics
-        if len(topics) != len(before):
-            self._arrange(topics)
-            changed = dict.fromkeys(self._rows)
-        else:
-            rows = zip(self._row_of, before, topics, strict=True)
-            changed = dict.fromkeys([row for row, old, new in rows if old is not new])
-        if rates is not self._rates:
-            changed |= dict.fromkeys(self._take_rates(rates))
-        if changed:
-            encoded = self._encoded
-            for row in changed:
-                places = row.places
-                stats = topics[places[0]] if len(places) == 1 else _sum(topics, places)
-                encoded[row.at] = _encode(_answer(stats, row.rate))
-            self._joined = msgspec.Raw(b"[" + b",".join(encoded) + b"]")
-        self._topics = topics
-        return self._joined
-
-    def _arrange(self, topics: Sequence[TopicStats]) -> None:
-        keys = [(topic.name, topic.type_name) for topic in topics]
-        rows = {key: _Row(key, at) for at, key in enumerate(sorted(set(keys)))}
-        for place, key in enumerate(keys):
-            rows[key].places.append(place)
-        self._rows, self._row_of = list(rows.values()), [rows[key] for key in keys]
-        self._encoded = [b""] * len(rows)
-        self._rates = {}
-
-    def _take_rates(self, rates: Mapping[TopicKey, float]) -> list[_Row]:
-        """Set the rates of the rows; return the rows whose rate has changed."""
-        self._rates = rates
-        changed = [row for row in self._rows if row.rate != rates.get(row.key, 0.0)]
-        for row in changed:
-            row.rate = rates.get(row.key, 0.0)
-        return changed
-
-
-def _sum(topics: Sequence[TopicStats], places: Sequence[int]) -> TopicStats:
-    return by_topic(topics[place] for place in places)[0]
-
-
-def _answer(topic: TopicStats, rate: float) -> _Answer:
-    return _Answer(
-        topic.name,
-        topic.type_name,
-        topic.received,
-        rate,
-        topic.bytes,
-        topic.written,
-        topic.queued,
-        topic.dropped,
-        topic.lost,
-        topic.throttled,
-        topic.unseen,
-    )
+    A topic that is missing in `rates` has a rate of 0.
+    """
+    rows = [
+        _Row(
+            each.name,
+            each.type_name,
+            each.received,
+            rates.get((each.name, each.type_name), 0.0),
+            each.bytes,
+            each.written,
+            each.queued,
+            each.dropped,
+            each.lost,
+            each.throttled,
+            each.unseen,
+        )
+        for each in sorted(by_topic(topics), key=lambda each: (each.name, each.type_name))
+    ]
+    return msgspec.Raw(msgspec.json.encode(rows))
 
 
 MAX_TOPICS = 100
@@ -235,7 +166,6 @@ class RecorderReport:
         self._filter = topic_filter
         self._robot = robot
         self._rates = RateMeter()
-        self._rows = TopicRows()
         self._heavy = HeavyTopics()
         self._logged: set[str] = set()
         self._logged_memory = False
@@ -248,7 +178,7 @@ class RecorderReport:
         """Return the recording's part of the status."""
         return {
             # This is JSON already, which the encoder of the answer copies.
-            "topics": cast(list[TopicAnswer], self._rows.encoded(stats.topics, self._rates.rates)),
+            "topics": cast(list[TopicAnswer], topic_rows(stats.topics, self._rates.rates)),
             "recorder": {
                 "state": stats.state.value,
                 "file": str(stats.file),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from asyncio import Future
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import nan
 from operator import attrgetter
 from pathlib import Path
@@ -24,17 +23,6 @@ from robotctl.ros.nodes.node_services import ManagedNode
 from robotctl.ros.session import Session
 
 _TEMPERATURE = Path("/sys/class/thermal/thermal_zone0/temp")
-
-
-@dataclass(frozen=True, slots=True)
-class Shown:
-    """The fields of RobotStatus that the daemon sets."""
-
-    mode: Mode
-    battery_level: float
-    """From 0 to 1, or NaN."""
-    is_connected: bool
-    """Whether odometry is fresh."""
 
 
 ESTOP, SET_MODE = "estop", "set_mode"
@@ -103,13 +91,13 @@ class ModeService:
         """The full name of the status topic."""
         return str(self._publisher.topic_name)
 
-    def publish(self, shown: Shown) -> None:
-        """Publish the status."""
+    def publish(self, mode: Mode, battery_level: float, is_connected: bool) -> None:
+        """Publish the status: battery level from 0 to 1, or NaN; whether odometry is fresh."""
         message = self._message
-        message.mode = shown.mode.value
-        message.battery_level = shown.battery_level
+        message.mode = mode.value
+        message.battery_level = battery_level
         message.cpu_temperature = _cpu_temperature()
-        message.is_connected = shown.is_connected
+        message.is_connected = is_connected
         self._publisher.publish(message)
         self.published += 1
 

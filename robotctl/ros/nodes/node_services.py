@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 from rcl_interfaces.msg import (
@@ -33,22 +32,10 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
 
 from robotctl.base.text import printable
-from robotctl.kernel.ranges import Range
+from robotctl.config import Declaration
+from robotctl.kernel.ranges import Change
 from robotctl.kernel.types import LifecycleState
 from robotctl.ros import qos
-
-
-@dataclass(frozen=True, slots=True)
-class Declared:
-    """One parameter with its present value; `range` is None if the value has no limits."""
-
-    key: str
-    value: Any
-    about: str
-    allowed: str
-    range: Range | None
-    read_only: bool
-
 
 Ask = Callable[[Sequence[tuple[str, Any]], str], str]
 """Called with (key, new value) pairs, to set all or none, and the name of the service that asks;
@@ -62,13 +49,14 @@ class ParameterServices(ParameterService):
     sets or refuses the values. The queues are short: rclpy's would take 0.3 MB per node.
     """
 
-    def __init__(self, node: Node, declared: Sequence[Declared], ask: Ask) -> None:
+    def __init__(self, node: Node, values: Sequence[tuple[Declaration, Any]], ask: Ask) -> None:
+        """Declare each parameter on `node`, with its present value."""
         self._node_weak_ref = weakref.ref(node)
         self._ask = ask
         self._asking = self._showing = False
-        self._keys = {each.key for each in declared}
-        for each in declared:
-            _declare(node, each)
+        self._keys = {declared.key for declared, _ in values}
+        for declared, value in values:
+            _declare(node, declared, value)
         node.add_on_set_parameters_callback(self._decide)
         self._name = node.get_fully_qualified_name()
         kinds: tuple[tuple[Any, str, Callable[..., Any]], ...] = (
@@ -126,31 +114,25 @@ class ParameterServices(ParameterService):
         return SetParametersResult(successful=not refusal, reason=refusal)
 
 
-def _declare(node: Node, declared: Declared) -> None:
-    if not isinstance(declared.value, list):
-        node.declare_parameter(declared.key, declared.value, _descriptor(declared))
-        return
-    texts = Parameter.Type.STRING_ARRAY
-    node.declare_parameter(declared.key, texts, _descriptor(declared))
-    # Not by a method of Node: each would take an empty list for an array of bytes.
-    node._parameters[declared.key] = Parameter(declared.key, texts, declared.value)
-
-
-def _descriptor(declared: Declared) -> ParameterDescriptor:
+def _declare(node: Node, declared: Declaration, value: Any) -> None:
     descriptor = ParameterDescriptor(
         description=declared.about,
-        additional_constraints=declared.allowed,
-        read_only=declared.read_only,
+        additional_constraints=f"{declared.allowed}; changes {declared.change.value}",
+        read_only=declared.change is Change.START,
     )
-    if declared.range is not None:
+    if declared.range is not None and isinstance(value, int):
         low, high, _ = declared.range
-        if isinstance(declared.value, int):
-            limits = IntegerRange(from_value=int(low), to_value=int(high))
-            descriptor.integer_range = [limits]
-        else:
-            limits = FloatingPointRange(from_value=float(low), to_value=float(high))
-            descriptor.floating_point_range = [limits]
-    return descriptor
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+    elif declared.range is not None:
+        low, high = float(declared.range.low), float(declared.range.high)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    if not isinstance(value, list):
+        node.declare_parameter(declared.key, value, descriptor)
+        return
+    texts = Parameter.Type.STRING_ARRAY
+    node.declare_parameter(declared.key, texts, descriptor)
+    # Not by a method of Node: each would take an empty list for an array of bytes.
+    node._parameters[declared.key] = Parameter(declared.key, texts, value)
 
 
 MAX_LEVELS: Final = 100

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import Any
 
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.qos import QoSProfile
@@ -16,7 +15,7 @@ from robotctl.messages.inputs import FRAME_AT, frame_bytes, frame_id_of, read_od
 from robotctl.ros import qos
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph.endpoints import publisher_names
-from robotctl.ros.message_types import NO_SUBSCRIPTION_EVENTS
+from robotctl.ros.message_types import subscribe_raw
 from robotctl.ros.session import Session
 
 WANTED = {OdometryQos.BEST_EFFORT: qos.SENSOR, OdometryQos.RELIABLE: QoSProfile(depth=10)}
@@ -67,15 +66,8 @@ class OdomSubscriber:
         """Gid of a publisher whose node is unknown -> how many more times to look for the node."""
 
         # A raw tap is fast; it must not collect messages, because the kernel decides on them.
-        tap: Any = RawTap(self._receive, latency_s=0.0)
-        self._subscription = self._node.create_subscription(
-            OdometryMessage,
-            topic,
-            tap,
-            wanted,
-            event_callbacks=NO_SUBSCRIPTION_EVENTS,
-            raw=True,
-        )
+        tap = RawTap(self._receive, latency_s=0.0)
+        self._subscription = subscribe_raw(self._node, OdometryMessage, topic, tap, wanted)
 
         self.look: Callable[[], None] = lambda: tap.poll()
         """Handles the messages that have arrived, without waiting until the loop does."""

@@ -92,23 +92,25 @@ class DiagnosticsPublisher:
 
 
 HEAD_TOPIC = OwnTopic("robotctl/head", String, qos.LATCHED)
+MARK_TOPIC = OwnTopic("robotctl/marks", String, qos.MARK)
 
 _log = logging.getLogger(__name__)
 
 
-class HeadPublisher:
-    """Publishes heads of the seal on `HEAD_TOPIC`, from the hidden node `_recorder`."""
+class TextPublisher:
+    """Publishes texts on a topic of type String, from the hidden node `_recorder`."""
 
-    def __init__(self, session: Session) -> None:
-        node = session.helper()
-        self._publisher = HEAD_TOPIC.create_publisher(node)
+    def __init__(self, session: Session, topic: OwnTopic) -> None:
+        self._publisher = topic.create_publisher(session.helper())
 
-    def publish(self, digest: str) -> None:
-        """Publish `digest`, the head of the seal in hex; a failure is only logged."""
+    def publish(self, text: str) -> bytes:
+        """Publish a text, and return the serialized message; a failure is only logged."""
+        serialized = bytes(serialize_message(String(data=text)))
         try:
-            self._publisher.publish(bytes(serialize_message(String(data=digest))))
+            self._publisher.publish(serialized)
         except _rclpy.RCLError as error:
-            _log.warning("the head of the seal cannot be published: %s", error)
+            _log.warning("nothing can be published on %s: %s", self._publisher.topic_name, error)
+        return serialized
 
 
 JOURNAL_TOPIC = OwnTopic("robotctl/journal", JournalEntry, qos.JOURNAL)
@@ -118,10 +120,9 @@ class JournalPublisher:
     """Publishes serialized journal entries on `JOURNAL_TOPIC`, from the hidden node `_recorder`."""
 
     def __init__(self, session: Session) -> None:
-        node = session.helper()
         # Called when a subscription comes or goes; to ask 150 times a second would cost more.
         events = PublisherEventCallbacks(matched=self._matched, use_default_callbacks=False)
-        self._publisher = JOURNAL_TOPIC.create_publisher(node, events)
+        self._publisher = JOURNAL_TOPIC.create_publisher(session.helper(), events)
         self._subscriptions = 0
         self._failing = False
 
@@ -141,46 +142,11 @@ class JournalPublisher:
         self._subscriptions = status.current_count
 
 
-MARK_TOPIC = OwnTopic("robotctl/marks", String, qos.MARK)
-
-
-class MarkPublisher:
-    """Publishes marks on `MARK_TOPIC`, from the hidden node `_recorder`."""
-
-    def __init__(self, session: Session) -> None:
-        node = session.helper()
-        self._publisher = MARK_TOPIC.create_publisher(node)
-
-    def publish(self, text: str) -> bytes:
-        """Publish a mark, and return the serialized message; a failure is only logged."""
-        serialized = bytes(serialize_message(String(data=text)))
-        try:
-            self._publisher.publish(serialized)
-        except _rclpy.RCLError as error:
-            _log.warning("the mark cannot be published: %s", error)
-        return serialized
-
-
 ROSOUT_TOPIC: Final = OwnTopic("/rosout", Log, qos.ROSOUT)
 """One topic for all nodes of a domain."""
 
 MAX_TEXT: Final = 10_000
 """Limit on the characters of a line; the rest is cut off."""
-
-
-@dataclass(frozen=True, slots=True)
-class RosoutLine:
-    """A log line; `level` is as in rcl_interfaces/msg/Log, `logger` the logger's name on ROS."""
-
-    t_ns: int
-    """Wall-clock time since the epoch [ns]."""
-
-    level: int
-    logger: str
-    text: str
-    file: str
-    function: str
-    line: int
 
 
 class RosoutPublisher:
@@ -189,21 +155,21 @@ class RosoutPublisher:
     def __init__(self, session: Session) -> None:
         self._publisher = ROSOUT_TOPIC.create_publisher(session.helper())
 
-    def publish(self, line: RosoutLine) -> None:
-        """Publish a log line.
+    def publish(self, record: logging.LogRecord, level: int, logger: str, text: str) -> None:
+        """Publish the `text` of a record; `level` and the name `logger` are those of ROS.
 
         Raises:
-            Exception: A field of `line` has a wrong type or value, or the middleware failed.
+            Exception: A field of `record` has a wrong type or value, or the middleware failed.
         """
-        seconds, nanoseconds = divmod(line.t_ns, NS_PER_S)
+        seconds, nanoseconds = divmod(round(record.created * 1e9), NS_PER_S)
         self._publisher.publish(
             Log(
                 stamp=Time(sec=seconds, nanosec=nanoseconds),
-                level=line.level,
-                name=line.logger,
-                msg=line.text if len(line.text) <= MAX_TEXT else f"{line.text[:MAX_TEXT]} ...",
-                file=line.file,
-                function=line.function,
-                line=line.line,
+                level=level,
+                name=logger,
+                msg=text if len(text) <= MAX_TEXT else f"{text[:MAX_TEXT]} ...",
+                file=record.pathname,
+                function=record.funcName or "",
+                line=record.lineno,
             )
         )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from math import nan
-from typing import Any
 
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import BatteryState
@@ -16,7 +15,7 @@ from robotctl.kernel.types import ZERO
 from robotctl.messages.inputs import OdometryEncoder
 from robotctl.ros import qos
 from robotctl.ros.executor import RawTap, Tick, Ticker
-from robotctl.ros.message_types import NO_SUBSCRIPTION_EVENTS, PLAIN, CommandType, OwnTopic
+from robotctl.ros.message_types import PLAIN, CommandType, OwnTopic, subscribe_raw
 from robotctl.ros.session import Session
 from robotctl.sim import Robot, SimFault, SimParams
 
@@ -82,14 +81,9 @@ class SimulatedRobot:
         """Wall-clock time minus steady time [ns], read when `run` begins."""
 
         node = session.node("simulated_robot")
-        tap: Any = RawTap(self._command, latency_s=None)
-        self._subscription = node.create_subscription(
-            command_type.message_class,
-            command,
-            tap,
-            command_type.qos,
-            event_callbacks=NO_SUBSCRIPTION_EVENTS,
-            raw=True,
+        tap = RawTap(self._command, latency_s=None)
+        self._subscription = subscribe_raw(
+            node, command_type.message_class, command, tap, command_type.qos
         )
         self._take_command: Callable[[], None] = lambda: tap.poll()
         self._encoder = OdometryEncoder("odom", "base_link")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable
 from threading import Lock
-from typing import Any
 
 from rclpy.duration import Duration
 
@@ -15,7 +14,7 @@ from robotctl.ros import qos
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.endpoints import TOOL_NODES, full_name, gid_of, node_of
-from robotctl.ros.message_types import NO_SUBSCRIPTION_EVENTS, PLAIN, CommandType, OwnTopic
+from robotctl.ros.message_types import PLAIN, CommandType, OwnTopic, subscribe_raw
 from robotctl.ros.session import RECORDER_NODE, Session
 
 NODE_NAME = "velocity_publisher"
@@ -93,16 +92,7 @@ class VelocityPublisher:
         is best effort, so that it receives from publishers of any QoS.
         """
         tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
-        # rclpy's types allow a callback of one argument only.
-        callback: Any = tap
-        self._node.create_subscription(
-            self._command.message_class,
-            self.topic,
-            callback,
-            qos.MONITOR,
-            event_callbacks=NO_SUBSCRIPTION_EVENTS,
-            raw=True,
-        )
+        subscribe_raw(self._node, self._command.message_class, self.topic, tap, qos.MONITOR)
         return lambda: tap.poll()
 
     def name_of(self, gid: bytes) -> str:

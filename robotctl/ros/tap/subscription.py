@@ -21,7 +21,7 @@ from rclpy.type_support import check_for_type_support
 from robotctl.messages.installed import UnusableType, installed_type, parse_type_name
 from robotctl.ros import qos
 from robotctl.ros.executor import RawTap, SerializedData, ViewSink
-from robotctl.ros.message_types import NO_SUBSCRIPTION_EVENTS, message_class
+from robotctl.ros.message_types import message_class, subscribe_raw
 
 Span = tuple[int, int]
 """The first and the last sequence number that one subscription delivered from a publisher."""
@@ -171,16 +171,7 @@ class TappedSubscription:
 
     def _create(self, sink: ViewSink, requested: QoSProfile) -> Any:
         tap = RawTap(sink, latency_s=self._latency_s, views=True)
-        # rclpy's types allow a callback of one argument only.
-        callback: Any = tap
-        return self._node.create_subscription(
-            message_class(self.type_name),
-            self.topic,
-            callback,
-            requested,
-            event_callbacks=NO_SUBSCRIPTION_EVENTS,
-            raw=True,
-        )
+        return subscribe_raw(self._node, message_class(self.type_name), self.topic, tap, requested)
 
 
 SLOW_LOAD_S = 2.0

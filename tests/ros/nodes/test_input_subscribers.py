@@ -38,7 +38,7 @@ from robotctl.messages.inputs import (
 from robotctl.ros import qos
 from robotctl.ros.message_types import COMMANDS, PLAIN
 from robotctl.ros.nodes import odom_subscriber
-from robotctl.ros.nodes.input_subscribers import BatterySubscriber, SafetyInputs, ScanSubscriber
+from robotctl.ros.nodes.input_subscribers import report_battery, report_safety_inputs, report_scans
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from robotctl.ros.session import Session
@@ -114,7 +114,7 @@ async def test_bytes_that_are_no_message_fail_nothing(session: Session, node: An
     poses: list[float] = []
     levels: list[float] = []
     OdomSubscriber(session, "odom", lambda odometry, *_: poses.append(odometry.pose.x), print)
-    BatterySubscriber(session, "battery_state", lambda level, *_: levels.append(level))
+    report_battery(session, "battery_state", lambda level, *_: levels.append(level))
     odometry = node.create_publisher(OdometryMessage, "/r2/odom", 10)
     battery = node.create_publisher(BatteryState, "/r2/battery_state", 10)
     for data in (b"", b"\x00\x01", b"\xff" * 1000, b"\x00\x01\x00\x00" + b"\xff" * 99):
@@ -146,9 +146,7 @@ async def test_the_publisher_of_odometry_that_was_silent_longest_is_forgotten(
 
 async def test_a_battery_level_is_handed_on_as_it_is_reported(session: Session, node: Any) -> None:
     levels: list[float] = []
-    subscription = BatterySubscriber(
-        session, "battery_state", lambda level, *_: levels.append(level)
-    )._subscription
+    subscription = report_battery(session, "battery_state", lambda level, *_: levels.append(level))
     publisher = node.create_publisher(BatteryState, "/r2/battery_state", qos.SENSOR)
     await until(lambda: publisher.get_subscription_count() and subscription.get_publisher_count())
     reported = [0.5, 80.0, -1.0, math.nan]
@@ -226,7 +224,7 @@ async def test_a_message_is_read_as_its_type_says(session: Session, node: Any) -
     used: Any = {kind.value: replace(params.of(kind), use=Use.OPTIONAL) for kind in SafetyInput}
     params = replace(params, **used | {"joy": replace(used["joy"], button=1)})
     readings: list[tuple[SafetyInput, float]] = []
-    SafetyInputs(session, params, "r2", lambda kind, read, *_: readings.append((kind, read)))
+    report_safety_inputs(session, params, "r2", lambda *told: readings.append(told[:2]))
     known: list[Any] = [(kind, pytest.approx(value, nan_ok=True)) for kind, _, _, value in MESSAGES]
     for expected, (_, topic, message, _) in zip(known, MESSAGES, strict=True):
         publisher = node.create_publisher(type(message), topic, 10)
@@ -273,7 +271,7 @@ async def test_a_scan_is_told_by_sectors_with_its_publisher_and_number(
     session: Session, node: Any
 ) -> None:
     told: list[tuple[tuple[float, ...], str, int]] = []
-    ScanSubscriber(session, "scan", lambda *scan: told.append(scan))
+    report_scans(session, "scan", lambda *scan: told.append(scan))
     publisher = node.create_publisher(LaserScan, "/r2/scan", qos.SENSOR)
     scan = LaserScan(angle_increment=0.01, range_min=0.1, range_max=10.0, ranges=[1.5])
 

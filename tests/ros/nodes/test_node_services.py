@@ -7,6 +7,7 @@ The mode service passes requests to the kernel, returns its replies, and shows t
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -25,19 +26,20 @@ from robot_controller.msg import RobotStatus
 from robot_controller.srv import SetMode
 from std_srvs.srv import Trigger
 
+from robotctl.config import Declaration, Kind
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.ranges import Range
+from robotctl.kernel.ranges import Change, Range
 from robotctl.kernel.types import Reply
 from robotctl.ros import qos
 from robotctl.ros.graph import endpoints
 from robotctl.ros.nodes import mode_service
-from robotctl.ros.nodes.mode_service import ModeService, Shown
-from robotctl.ros.nodes.node_services import MAX_LEVELS, Declared, LoggerServices, ParameterServices
-from robotctl.ros.nodes.publishers import MAX_TEXT, ROSOUT_TOPIC, RosoutLine, RosoutPublisher
+from robotctl.ros.nodes.mode_service import ModeService
+from robotctl.ros.nodes.node_services import MAX_LEVELS, LoggerServices, ParameterServices
+from robotctl.ros.nodes.publishers import MAX_TEXT, ROSOUT_TOPIC, RosoutPublisher
 from robotctl.ros.session import Session
 from tests.support.waiting import loop_until as until
 
-LINE = RosoutLine(1_700_000_000_123_456_789, 30, "r2.mode_service", "a line", "/a/file.py", "go", 7)
+LINE = logging.LogRecord("robotctl", 30, "/a/file.py", 7, "a line", None, None, func="go")
 
 
 async def test_a_line_has_every_field_and_a_late_subscriber_gets_it(
@@ -45,16 +47,17 @@ async def test_a_line_has_every_field_and_a_late_subscriber_gets_it(
 ) -> None:
     heard: list[Any] = []
     publisher = RosoutPublisher(session)
-    publisher.publish(LINE)
+    LINE.created = 1_700_000_000.5
+    publisher.publish(LINE, 30, "r2.mode_service", "a line")
     node.create_subscription(
         ROSOUT_TOPIC.message_class, ROSOUT_TOPIC.name, heard.append, qos.ROSOUT
     )
     await until(lambda: heard)
     (told,) = heard
-    assert (told.stamp.sec, told.stamp.nanosec) == (1_700_000_000, 123_456_789)
+    assert (told.stamp.sec, told.stamp.nanosec) == (1_700_000_000, 500_000_000)
     assert (told.level, told.name, told.msg) == (30, "r2.mode_service", "a line")
     assert (told.file, told.function, told.line) == ("/a/file.py", "go", 7)
-    publisher.publish(RosoutLine(0, 10, "", "x" * (MAX_TEXT + 1), "", "", 0))
+    publisher.publish(LINE, 10, "", "x" * (MAX_TEXT + 1))
     await until(lambda: len(heard) == 2)
     assert heard[1].msg == "x" * MAX_TEXT + " ..."
 
@@ -106,10 +109,12 @@ async def test_the_services_of_a_node_tell_and_set_levels(
     assert answer.results[-1].reason == f"more than {MAX_LEVELS} levels in one call"
 
 
-DECLARED = (
-    Declared("speed", 0.6, "a speed", "0 to 1 m/s", Range(0.0, 1.0, "m/s"), read_only=False),
-    Declared("number", 3, "a number", "0 to 9", Range(0, 9), read_only=False),
-    Declared("topics", [], "topics", "a list", None, read_only=True),
+NOW, START = Change.STANDING, Change.START
+LIMITS = Range(0.0, 1.0, "m/s")
+DECLARED: tuple[tuple[Declaration, Any], ...] = (
+    (Declaration("speed", Kind.NUMBER, 0.6, "a speed", "0 to 1 m/s", NOW, LIMITS), 0.6),
+    (Declaration("number", Kind.INTEGER, 3, "a number", "0 to 9", NOW, Range(0, 9)), 3),
+    (Declaration("topics", Kind.TEXTS, [], "topics", "a list", START, None), []),
 )
 
 
@@ -180,8 +185,8 @@ async def test_the_status_is_shown_to_whoever_comes_late(
     session: Session, executor: Any, node: Any
 ) -> None:
     service = ModeService(session, "r2", lambda requested, source: asyncio.Future())
-    service.publish(Shown(Mode.ERROR, math.nan, False))
-    service.publish(Shown(Mode.MOVING, 0.75, True))
+    service.publish(Mode.ERROR, math.nan, False)
+    service.publish(Mode.MOVING, 0.75, True)
     shown: list[Any] = []
     node.create_subscription(RobotStatus, service.status_topic, shown.append, qos.LATCHED)
     await until(lambda: shown)
@@ -224,7 +229,7 @@ async def test_requests_beyond_the_limit_are_refused_as_busy_and_stops_are_not(
         return pending[-1] if requested != 3 else replied(Reply(1, True, "", Mode.EMERGENCY_STOP))
 
     service = ModeService(session, "r2", wait)
-    service.publish(Shown(Mode.MOVING, 1.0, True))
+    service.publish(Mode.MOVING, 1.0, True)
     set_mode = node.create_client(SetMode, "/r2/set_mode")
     estop = node.create_client(Trigger, "/r2/estop")
     for client in (set_mode, estop):

@@ -25,7 +25,7 @@ from robotctl.recording.format import journal
 from robotctl.ros import qos
 from robotctl.ros.graph import endpoints
 from robotctl.ros.nodes import publishers
-from robotctl.ros.nodes.input_subscribers import BatterySubscriber
+from robotctl.ros.nodes.input_subscribers import report_battery
 from robotctl.ros.nodes.mode_service import ModeService
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.publishers import (
@@ -188,7 +188,7 @@ async def test_no_role_has_rclpy_report_qos_events_from_the_loop(
     monkeypatch.setattr(session, "node", kept)
     VelocityPublisher(session, "cmd_vel").monitor(lambda gid: None, 0.01)
     OdomSubscriber(session, "odom", lambda *_: None, lambda *_: None)
-    BatterySubscriber(session, "battery_state", lambda *_: None)
+    report_battery(session, "battery_state", lambda *_: None)
     ModeService(session, "r2", lambda requested, source: asyncio.Future())
     SimulatedRobot(
         session,
