@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import math
 import socket
 import sys
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
 import msgspec
 
@@ -52,72 +50,6 @@ class ClientLimits:
 
 
 DEFAULT_LIMITS = ClientLimits()
-
-
-class DeadlineMissed(TimeoutError):
-    """The work was cancelled at its deadline."""
-
-
-class Deadline:
-    """Limits the time of each of its `with` blocks, which must neither nest nor overlap.
-
-        with deadline.within(10.0):
-            await work()
-
-    At the deadline the task is cancelled, as by `asyncio.timeout`, and the block raises
-    DeadlineMissed. The blocks share one timer: a timer for each would slow `status` by a tenth.
-    """
-
-    def __init__(self) -> None:
-        self._task: asyncio.Task[object] | None = None
-        self._cancelling = 0
-        self._due_s = math.inf
-        self._is_missed = False
-        self._timer: asyncio.TimerHandle | None = None
-        """Fires at `_due_s` or earlier; if earlier, `_look` sets it again."""
-
-    def within(self, limit_s: float | None) -> Self:
-        """Set the deadline of the `with` block to `limit_s` seconds from now; None: no deadline."""
-        loop, self._task = asyncio.get_running_loop(), asyncio.current_task()
-        assert self._task is not None
-        self._cancelling = self._task.cancelling()
-        if limit_s is not None:
-            self._due_s = loop.time() + limit_s
-            if self._timer is None or self._timer.when() > self._due_s:
-                self._set_timer(loop)
-        return self
-
-    def miss(self) -> None:
-        """Miss the deadline now: cancel the work in the `with` block."""
-        assert self._task is not None
-        self._is_missed = True
-        self._task.cancel()
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
-    ) -> None:
-        task, self._task, self._due_s = self._task, None, math.inf
-        if self._is_missed and task is not None:
-            self._is_missed = False
-            ends = kind is not None and issubclass(kind, asyncio.CancelledError | TimeoutError)
-            if task.uncancel() <= self._cancelling and ends:
-                raise DeadlineMissed from error
-
-    def _set_timer(self, loop: asyncio.AbstractEventLoop) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-        self._timer = loop.call_at(self._due_s, self._look, loop)
-
-    def _look(self, loop: asyncio.AbstractEventLoop) -> None:
-        timer, self._timer = self._timer, None
-        assert timer is not None
-        if self._due_s <= timer.when():
-            self.miss()
-        elif self._due_s < math.inf:
-            self._set_timer(loop)
 
 
 P = TypeVar("P")
@@ -170,12 +102,10 @@ class RequestHandler:
         methods: Mapping[str, Method[Any]],
         identity: Identity,
         limits: ClientLimits,
-        deadline: Deadline,
         *,
         over_cap: bool,
     ) -> None:
         """With `over_cap`, accept only hello and an emergency stop. `sock` is polled, not read."""
-        self._deadline = deadline
         self._sock = sock
         self._methods = methods
         self._identity = identity
@@ -222,12 +152,14 @@ class RequestHandler:
             raise _Rejected(Code.METHOD_NOT_FOUND, UsageError(text))
         params = self._vouched(_decode(request, method.params))
         try:
-            with self._deadline.within(method.deadline_s):
+            async with asyncio.timeout(method.deadline_s) as deadline:
                 if method.deadline_s is not None:
                     return await method.handler(params)
-                with self._until_hangup():
+                with self._until_hangup(deadline):
                     return await method.handler(params)
-        except DeadlineMissed:
+        except TimeoutError:
+            if not deadline.expired():  # the handler raised it
+                raise
             text = f"{request.method} took longer than {method.deadline_s} s"
             raise _Rejected(Code.TIMEOUT, RobotctlError(text)) from None
 
@@ -263,8 +195,8 @@ class RequestHandler:
             raise _Rejected(Code.INVALID_REQUEST, UsageError(text))
 
     @contextmanager
-    def _until_hangup(self) -> Iterator[None]:
-        """Within the `with` block, miss the deadline when the client disconnects.
+    def _until_hangup(self, deadline: asyncio.Timeout) -> Iterator[None]:
+        """Within the `with` block, end the time until `deadline` when the client disconnects.
 
         The end of the client's stream does not show a disconnect: the client may have closed only
         its sending half. So the state of the socket is polled.
@@ -275,7 +207,7 @@ class RequestHandler:
         def look() -> None:
             nonlocal timer
             if is_hung_up(self._sock):
-                self._deadline.miss()
+                deadline.reschedule(loop.time())
             else:
                 timer = loop.call_later(period_s, look)
 

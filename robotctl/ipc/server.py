@@ -26,8 +26,6 @@ from robotctl.ipc.protocol import (
 from robotctl.ipc.request_handler import (
     DEFAULT_LIMITS,
     ClientLimits,
-    Deadline,
-    DeadlineMissed,
     Identity,
     Method,
     RequestHandler,
@@ -54,10 +52,7 @@ class Connection:
         self._sock = sock
         self._limits = limits
         self._over_cap = over_cap
-        self._deadline = Deadline()
-        self._handler = RequestHandler(
-            sock, methods, identity, limits, self._deadline, over_cap=over_cap
-        )
+        self._handler = RequestHandler(sock, methods, identity, limits, over_cap=over_cap)
         self._lines = LineBuffer(MAX_REQUEST_BYTES)
         self._is_listening = False
 
@@ -104,7 +99,7 @@ class Connection:
         limits = self._limits
         deadline_s = limits.overflow_request_s if self._over_cap else limits.request_s
         try:
-            with self._deadline.within(deadline_s):
+            async with asyncio.timeout(deadline_s):
                 line = self._lines.next_line()
                 if line is not None:
                     await asyncio.sleep(0)  # let other tasks run, even if many lines are buffered
@@ -117,7 +112,7 @@ class Connection:
                 return line
         except ProtocolError as error:
             await self.refuse(error.code, error)
-        except DeadlineMissed:
+        except TimeoutError:
             text = f"no whole request within {deadline_s:g} s: the connection is closed"
             await self.refuse(Code.TIMEOUT, RobotctlError(text))
         return None
@@ -138,7 +133,7 @@ class Connection:
 
     async def _send(self, line: bytes | bytearray) -> None:
         """Send a reply within `write_s`; other tasks run only if the socket's buffer is full."""
-        with self._deadline.within(self._limits.write_s):
+        async with asyncio.timeout(self._limits.write_s):
             await asyncio.get_running_loop().sock_sendall(self._sock, line)
 
     def _say_last(self, request_id: int | str | None, code: Code, error: RobotctlError) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from math import hypot, isfinite, sqrt
@@ -48,7 +48,6 @@ from robotctl.recording.format.noted_events import NOTED_MODES
 from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
-from robotctl.recording.read.messages import Message
 from robotctl.show.series import Series, ThinnedPath, is_on_earth
 
 MAX_SPANS: Final = 150
@@ -111,37 +110,24 @@ class Rates:
         self._last_s[topic] = t_s
 
 
-@dataclass(slots=True)
 class Traces:
     """What a report draws of a recording; times are in seconds from its first message."""
 
-    duration_s: float
-    driven: ThinnedPath = field(default_factory=ThinnedPath)
-    wanted: list[list[Point]] = field(default_factory=list)
-    modes: list[ModeSpan] = field(default_factory=list)
-    moments: list[TracedMoment] = field(default_factory=list)
-    drives: list[EndedDrive] = field(default_factory=list)
-    left_out: int = 0
-    """How many modes, moments, drives and wanted paths the limits have left out."""
+    def __init__(self, duration_s: float) -> None:
+        self.duration_s = duration_s
+        self.driven = ThinnedPath()
+        self.wanted: list[list[Point]] = []
+        self.modes: list[ModeSpan] = []
+        self.moments: list[TracedMoment] = []
+        self.drives: list[EndedDrive] = []
+        self.left_out = 0
+        """How many modes, moments, drives and wanted paths the limits have left out."""
 
-    commanded_linear: Series = field(init=False)
-    commanded_angular: Series = field(init=False)
-    linear: Series = field(init=False)
-    angular: Series = field(init=False)
-    error: Series = field(init=False)
-    battery: Series = field(init=False)
-    lateness: Series = field(init=False)
-    rates: Rates = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.commanded_linear = Series(self.duration_s)
-        self.commanded_angular = Series(self.duration_s)
-        self.linear = Series(self.duration_s)
-        self.angular = Series(self.duration_s)
-        self.error = Series(self.duration_s)
-        self.battery = Series(self.duration_s)
-        self.lateness = Series(self.duration_s)
-        self.rates = Rates(self.duration_s)
+        self.commanded_linear, self.commanded_angular, self.linear, self.angular = (
+            Series(duration_s) for _ in range(4)
+        )
+        self.error, self.battery, self.lateness = (Series(duration_s) for _ in range(3))
+        self.rates = Rates(duration_s)
 
     def enter_mode(self, t_s: float, mode: str, reason: str) -> None:
         """Begin a span at `t_s`; if mode and reason are unchanged, only extend the last span."""
@@ -318,26 +304,11 @@ Taker = Callable[[Traces, float, bytes], None]
 """A function that adds a message to traces, given its time [s] and its bytes."""
 
 
-@dataclass(frozen=True, slots=True)
-class TopicTraces:
-    """Adds messages to traces; the keys of `takers` are the topics to draw, with their type."""
+def topic_takers(topics: Sequence[TopicInfo]) -> dict[tuple[str, str], Taker]:
+    """Choose the odometry, command and battery topic with most messages; return their takers.
 
-    takers: dict[tuple[str, str], Taker]
-
-    def take(self, message: Message, traces: Traces, t_s: float) -> None:
-        """Add a message, if its topic is drawn."""
-        taker = self.takers.get((message.topic, message.type_name))
-        if taker is not None:
-            taker(traces, t_s, message.data)
-
-    @property
-    def topics(self) -> list[str]:
-        """The topics that are drawn."""
-        return [topic for topic, _ in self.takers]
-
-
-def topic_traces(topics: Sequence[TopicInfo]) -> TopicTraces:
-    """Choose the topics to draw: the odometry, command and battery topic with most messages."""
+    The keys are the name and the type of each topic.
+    """
     takers: dict[tuple[str, str], Taker] = {}
     kinds: tuple[dict[str, Taker], ...] = (
         {ODOMETRY: _take_odometry},
@@ -352,7 +323,7 @@ def topic_traces(topics: Sequence[TopicInfo]) -> TopicTraces:
         if found:
             chosen = max(found, key=lambda each: each.message_count)
             takers[chosen.name, chosen.type_name] = kind[chosen.type_name]
-    return TopicTraces(takers)
+    return takers
 
 
 def _take_odometry(traces: Traces, t_s: float, data: bytes) -> None:
@@ -411,7 +382,7 @@ def read_recorded(
             note_missing(missing, sentence)
 
         traces = Traces(info.duration_s)
-        journal, others = journal_topic(info), topic_traces(info.topics)
+        journal, takers = journal_topic(info), topic_takers(info.topics)
         for event in info.events:
             if journal is None or event.kind is EventKind.MARK:  # the journal has all but marks
                 t_s = (event.log_ns - info.start_ns) / NS_PER_S
@@ -421,7 +392,8 @@ def read_recorded(
             t_s = (message.log_ns - info.start_ns) / NS_PER_S
             traces.rates.add(message.topic, t_s)
             if journal is None:
-                others.take(message, traces, t_s)
+                if taker := takers.get((message.topic, message.type_name)):
+                    taker(traces, t_s, message.data)
             elif message.topic == journal:
                 try:
                     from_journal.take(decoder.decode(message.data), t_s)
@@ -433,7 +405,7 @@ def read_recorded(
             info=info,
             traces=traces,
             has_journal=journal is not None,
-            drawn=() if journal is not None else tuple(others.topics),
+            drawn=() if journal is not None else tuple(topic for topic, _ in takers),
             missing=tuple(missing),
             is_live=recording.is_live,
             is_cut_off=recording.is_cut_off and info.library.startswith(OWN_LIBRARY),
@@ -467,16 +439,18 @@ def figures_of(recorded: Recorded) -> list[KeyFigure]:
     lost = sum(counts.get("lost", 0) + counts.get("dropped", 0) for counts in ledger)
     rms_m, most_m = _cross_track(traces)
     drives = len(traces.drives) if recorded.has_journal else None
-    fastest = _largest(traces.linear.least, traces.linear.most)
+    speeds = [abs(each) for each in (traces.linear.least, traces.linear.most) if each is not None]
+    levels = traces.battery.columns
+    begin, end = (levels[0].first, levels[-1].last) if levels else (None, None)
     figures = [
         KeyFigure("duration_s", "Duration", info.duration_s, ".1f", "s"),
         KeyFigure("drives", "Drives", drives, "d", ""),
         KeyFigure("distance_m", "Distance", _distance(traces), ".2f", "m"),
         KeyFigure("cross_track_rms_m", "Off track, RMS", rms_m, ".3f", "m"),
         KeyFigure("cross_track_max_m", "Off track, at most", most_m, ".3f", "m"),
-        KeyFigure("speed_max_mps", "Speed, at most", fastest, ".2f", "m/s"),
-        KeyFigure("battery_begin", "Battery, begin", _first(traces), ".1f", "%"),
-        KeyFigure("battery_end", "Battery, end", _last(traces), ".1f", "%"),
+        KeyFigure("speed_max_mps", "Speed, at most", max(speeds, default=None), ".2f", "m/s"),
+        KeyFigure("battery_begin", "Battery, begin", begin, ".1f", "%"),
+        KeyFigure("battery_end", "Battery, end", end, ".1f", "%"),
         KeyFigure("tick_late_max_ms", "Tick late, at most", traces.lateness.most, ".1f", "ms"),
         KeyFigure("messages", "Messages", info.message_count, "d", ""),
         KeyFigure("lost", "Messages lost", lost if ledger else None, "d", ""),
@@ -512,17 +486,3 @@ def _cross_track(traces: Traces) -> tuple[float | None, float | None]:
         )
         rms_m = sqrt(max(sum(squares) / time_s, 0.0))
     return rms_m, traces.error.most
-
-
-def _largest(least: float | None, most: float | None) -> float | None:
-    return None if least is None or most is None else max(abs(least), abs(most))
-
-
-def _first(traces: Traces) -> float | None:
-    columns = traces.battery.columns
-    return columns[0].first if columns else None
-
-
-def _last(traces: Traces) -> float | None:
-    columns = traces.battery.columns
-    return columns[-1].last if columns else None

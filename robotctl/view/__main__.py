@@ -8,11 +8,10 @@ The process ends on a signal, with the daemon, and when stdin is closed (see `ou
 from __future__ import annotations
 
 import asyncio
-import os
 import sys
 from contextlib import ExitStack, suppress
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
 from robotctl.base import environment
 from robotctl.base.errors import RobotctlError
@@ -20,46 +19,32 @@ from robotctl.base.processes import report_fd, send_report
 from robotctl.view.serving import serve
 from robotctl.view.view_job import ViewJob
 
-_STDIN: Final = 0
-
 
 def main(arguments: list[str]) -> int:
     """Serve one view, and return the exit code."""
-    with ExitStack() as at_end:
-        return _main(arguments, at_end)
-
-
-def _main(arguments: list[str], at_end: ExitStack) -> int:
-    """Do the work of `main`; `at_end` collects what must be closed last."""
-    note = environment.prepare()
-    report = partial(_report, report_fd(arguments))
-    line = _first_line()
-    if not line:
-        return 0
-    if note:
-        report({"note": note})
-    try:
-        asyncio.run(serve(ViewJob.from_json(line), report, at_end))
-    except RobotctlError as error:
-        report({"error": str(error), "exit_code": error.exit_code, **error.details()})
-        return error.exit_code
-    except Exception as error:  # noqa: BLE001 - the command shows it
-        text = f"unexpected {type(error).__name__}: {error}"
-        report({"error": text, "exit_code": RobotctlError.exit_code})
-        return RobotctlError.exit_code
+    with ExitStack() as at_end:  # what must be closed last
+        note = environment.prepare()
+        report = partial(_report, report_fd(arguments))
+        line = sys.stdin.buffer.readline()
+        if not line.endswith(b"\n"):
+            return 0
+        if note:
+            report({"note": note})
+        try:
+            asyncio.run(serve(ViewJob.from_json(line), report, at_end))
+        except RobotctlError as error:
+            report({"error": str(error), "exit_code": error.exit_code, **error.details()})
+            return error.exit_code
+        except Exception as error:  # noqa: BLE001 - the command shows it
+            text = f"unexpected {type(error).__name__}: {error}"
+            report({"error": text, "exit_code": RobotctlError.exit_code})
+            return RobotctlError.exit_code
     return 0
 
 
 def _report(descriptor: int, said: dict[str, Any]) -> None:
     with suppress(BrokenPipeError):  # the command has ended, or does not read reports any more
         send_report(descriptor, said)
-
-
-def _first_line() -> bytes:
-    line = b""
-    while not line.endswith(b"\n") and (piece := os.read(_STDIN, 1 << 16)):
-        line += piece
-    return line
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from functools import partial
 from typing import Any, Final
 
 from robotctl.base.errors import Refused
-from robotctl.view.admission import Admission
 from robotctl.view.foxglove import (
     ClientMessage,
     ClientOffers,
@@ -35,7 +34,7 @@ from robotctl.view.foxglove import (
     status,
     unadvertise,
 )
-from robotctl.view.viewer import BINARY, TRY_LATER, Viewer, frame_head
+from robotctl.view.viewer import BINARY, TRY_LATER, Admission, Viewer, frame_head
 
 DEFAULT_PORT: Final = 8765
 """The default port of Foxglove."""

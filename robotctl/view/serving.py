@@ -1,4 +1,4 @@
-"""Runs one view: connects the ROS domain to the server, and ends both."""
+"""Runs one view: feeds the server with the topics of a ROS domain, and ends both."""
 
 from __future__ import annotations
 
@@ -8,16 +8,21 @@ import os
 import socket
 import sys
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any, Final
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
 
 from robotctl.base.own_process import end_signals
 from robotctl.base.processes import pidfd_of
-from robotctl.view.admission import Admission, new_token
+from robotctl.view.foxglove import StatusLevel
 from robotctl.view.server import ViewServer
 from robotctl.view.view_job import ViewJob
+
+if TYPE_CHECKING:
+    from robotctl.ros.session import Session
+from robotctl.view.viewer import Admission, new_token
 
 _OUT_OF_DESCRIPTORS: Final = frozenset({errno.EMFILE, errno.ENFILE})
 
@@ -25,25 +30,28 @@ SAID_AGAIN_S: Final = 60.0
 """The least time between lines about a lack of descriptors; asyncio reports one each second."""
 
 
-class LoopFailures:
-    """Handles exceptions of the loop. While no descriptor is free, new viewers have to wait."""
+def loop_failures() -> Callable[[asyncio.AbstractEventLoop, dict[str, Any]], None]:
+    """Return the handler for exceptions of the loop: it prints one line if no descriptor is free.
 
-    def __init__(self) -> None:
-        self._said_s = -SAID_AGAIN_S
+    Until one is free, new viewers have to wait. Any other failure is left to asyncio.
+    """
+    said_s = -SAID_AGAIN_S
 
-    def handle(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Print one line if no descriptor is free; leave any other failure to asyncio."""
+    def handle(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        nonlocal said_s
         error = context.get("exception")
         if not isinstance(error, OSError) or error.errno not in _OUT_OF_DESCRIPTORS:
             loop.default_exception_handler(context)
-        elif (now_s := time.monotonic()) - self._said_s >= SAID_AGAIN_S:
-            self._said_s = now_s
+        elif (now_s := time.monotonic()) - said_s >= SAID_AGAIN_S:
+            said_s = now_s
             print(
                 f"robotctl view: {error.strerror}: new viewers wait; raise the limit (ulimit -n), "
                 "or close other viewers",
                 file=sys.stderr,
                 flush=True,
             )
+
+    return handle
 
 
 Report = Callable[[dict[str, Any]], None]
@@ -61,83 +69,119 @@ async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
     Raises:
         RobotctlError: The view cannot be served; the text says why.
     """
-    asyncio.get_running_loop().set_exception_handler(LoopFailures().handle)
-    await Serving(job, report).show_domain(at_end)
+    loop, target, token, ended = asyncio.get_running_loop(), job.live, new_token(), end_signals()
+    loop.set_exception_handler(loop_failures())
 
-
-class Serving:
-    """Serves the view that a job describes, and reports the view's address and its end."""
-
-    def __init__(self, job: ViewJob, report: Report) -> None:
-        self._job = job
-        self._report = report
-        self._token = new_token()
-        self._admission = Admission(self._token, job.origins, job.host)
-        self._ended = end_signals()
-        if not job.outlives_stdin:
-            asyncio.get_running_loop().add_reader(_STDIN, self._end_with_stdin)
-
-    async def show_domain(self, at_end: ExitStack) -> None:
-        """Serve the topics of a domain until its daemon ends."""
-        target = self._job.live
-        os.nice(NICENESS)
-        # After environment.prepare(), because they import rclpy.
-        from robotctl.ros.session import ros_session
-        from robotctl.view.live_view import LiveView
-
-        server = self._controlled_server(target.robot)
-        with pidfd_of(target.daemon_pid) as daemon:
-            if daemon is not None:
-                loop = asyncio.get_running_loop()
-                loop.add_reader(daemon, self._end_with_daemon, loop, daemon, target.robot)
-            async with ros_session(
-                domain_id=target.domain_id, namespace=target.namespace, at_end=at_end
-            ) as session:
-                await self._run(server, LiveView(session, server).run())
-
-    def _controlled_server(self, robot: str) -> ViewServer:
-        """Return a server that gives viewers the control that the job allows."""
-        name = f"robotctl: robot {robot}"
-        if not self._job.control:
-            return ViewServer(name, self._admission)
-        from robotctl.view.remote_control import SERVICES, RemoteControl
-
-        capabilities = ["services", *(["clientPublish"] if self._job.lease else [])]
-        server = ViewServer(name, self._admission, capabilities=capabilities, services=SERVICES)
-        RemoteControl(robot, server, self._job.lease)
-        return server
-
-    async def _run(self, server: ViewServer, feed: Coroutine[Any, Any, None]) -> None:
-        """Run the server and its feed until one of them ends, or `_ended` is set."""
-        work: list[asyncio.Future[Any]] = [asyncio.ensure_future(feed)]
-        try:
-            port = await server.listen(self._job.host, self._job.port)
-            work += [asyncio.ensure_future(server.run()), asyncio.ensure_future(self._ended.wait())]
-            self._report({"ready": self._address(port)})
-            done, _ = await asyncio.wait(work, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                task.result()
-        finally:
-            server.close()
-            for task in work:
-                task.cancel()
-            await asyncio.gather(*work, return_exceptions=True)
-
-    def _address(self, port: int) -> dict[str, Any]:
-        """Return the URL to connect to, and the one that opens the desktop application."""
-        host = socket.gethostname() if self._job.host in _WILDCARDS else self._job.host
-        host = f"[{host}]" if ":" in host else host
-        url = f"ws://{host}:{port}/?token={self._token}"
-        opens = f"foxglove://open?ds=foxglove-websocket&ds.url={quote(url, safe='')}"
-        return {"url": url, "open": opens, "port": port}
-
-    def _end_with_stdin(self) -> None:
-        asyncio.get_running_loop().remove_reader(_STDIN)
-        self._ended.set()
-
-    def _end_with_daemon(
-        self, loop: asyncio.AbstractEventLoop, descriptor: int, robot: str
-    ) -> None:
+    def end_with(descriptor: int) -> None:
         loop.remove_reader(descriptor)
-        self._report({"ended": f"the daemon of robot {robot!r} has ended"})
-        self._ended.set()
+        if descriptor != _STDIN:
+            report({"ended": f"the daemon of robot {target.robot!r} has ended"})
+        ended.set()
+
+    if not job.outlives_stdin:
+        loop.add_reader(_STDIN, end_with, _STDIN)
+    os.nice(NICENESS)
+    from robotctl.ros.session import ros_session  # after environment.prepare(): it imports rclpy
+
+    server = _controlled_server(job, Admission(token, job.origins, job.host))
+    with pidfd_of(target.daemon_pid) as daemon:
+        if daemon is not None:
+            loop.add_reader(daemon, end_with, daemon)
+        async with ros_session(
+            domain_id=target.domain_id, namespace=target.namespace, at_end=at_end
+        ) as session:
+            feed = asyncio.ensure_future(LiveView(session, server).run())
+            work: list[asyncio.Future[Any]] = [feed]
+            try:
+                port = await server.listen(job.host, job.port)
+                work += [asyncio.ensure_future(server.run()), asyncio.ensure_future(ended.wait())]
+                report({"ready": _address(job.host, port, token)})
+                done, _ = await asyncio.wait(work, return_when=asyncio.FIRST_COMPLETED)
+                for task in done:
+                    task.result()
+            finally:
+                server.close()
+                for task in work:
+                    task.cancel()
+                await asyncio.gather(*work, return_exceptions=True)
+
+
+def _controlled_server(job: ViewJob, admission: Admission) -> ViewServer:
+    """Return a server that gives viewers the control that the job allows."""
+    name = f"robotctl: robot {job.live.robot}"
+    if not job.control:
+        return ViewServer(name, admission)
+    from robotctl.view.remote_control import SERVICES, RemoteControl
+
+    capabilities = ["services", *(["clientPublish"] if job.lease else [])]
+    server = ViewServer(name, admission, capabilities=capabilities, services=SERVICES)
+    RemoteControl(job.live.robot, server, job.lease)
+    return server
+
+
+def _address(host: str, port: int, token: str) -> dict[str, Any]:
+    """Return the URL to connect to, and the one that opens the desktop application."""
+    host = socket.gethostname() if host in _WILDCARDS else host
+    host = f"[{host}]" if ":" in host else host
+    url = f"ws://{host}:{port}/?token={token}"
+    opens = f"foxglove://open?ds=foxglove-websocket&ds.url={quote(url, safe='')}"
+    return {"url": url, "open": opens, "port": port}
+
+
+_NODE: Final = "_view"
+"""The node's name; ROS tools hide names that begin with an underscore."""
+
+
+class LiveView:
+    """Offers the topics of a domain to viewers, and sends messages of the topics they watch."""
+
+    def __init__(self, session: Session, server: ViewServer) -> None:
+        from robotctl.ros.tap.on_demand import OnDemandTap
+
+        self._server = server
+        self._channels: dict[str, int] = {}
+        self._topics: dict[int, str] = {}
+        self._tap = OnDemandTap(session.node(_NODE), self)
+        server.on_subscribed = self._subscribed
+        server.on_unwatched = self._unwatched
+
+    async def run(self) -> None:
+        """Follow the graph until cancelled."""
+        await self._tap.run()
+
+    # From the tap
+
+    def appeared(self, topic: str, type_name: str, definition: str) -> None:
+        """Offer a topic."""
+        channel_id = self._server.offer(topic, type_name, definition)
+        self._channels[topic] = channel_id
+        self._topics[channel_id] = topic
+
+    def vanished(self, topic: str) -> None:
+        """Withdraw a topic."""
+        channel_id = self._channels.pop(topic)
+        del self._topics[channel_id]
+        self._server.withdraw(channel_id)
+
+    def unusable(self, topic: str, problem: str) -> None:
+        """Show viewers the note `problem` on a topic that is not offered; "" removes the note."""
+        if problem:
+            self._server.note(topic, StatusLevel.WARNING, problem)
+        else:
+            self._server.clear(topic)
+
+    # From the server
+
+    def _subscribed(self, channel_id: int) -> None:
+        """Subscribe to the topic again for a new viewer, which needs the latched messages."""
+        self._tap.want(self._topics[channel_id], partial(self._forward, channel_id))
+
+    def _unwatched(self, channel_id: int) -> None:
+        topic = self._topics.get(channel_id)
+        if topic is not None:
+            self._tap.unwant(topic)
+
+    def _forward(
+        self, channel_id: int, data: bytes | memoryview, received_ns: int, *_: object
+    ) -> None:
+        self._server.publish(channel_id, received_ns, data)

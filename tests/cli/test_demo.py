@@ -46,7 +46,7 @@ def test_the_demo_shows_what_was_recorded_and_touches_no_running_daemon(
     assert (after["pid"], after["mode"]) == (before["pid"], "IDLE")
     assert read_info(folder).missing == ()
     (log,) = home.glob("state/robotctl/demo_*/daemon.log")
-    assert f"'--config', '{sim.CONFIG}'" in log.read_text()
+    assert f"'--config={sim.CONFIG}'" in log.read_text()
 
 
 def test_the_configuration_of_the_demo_is_patient_with_a_busy_machine() -> None:

@@ -313,7 +313,7 @@ def test_the_daemon_is_not_imported_from_the_working_directory(
 ) -> None:
     (tmp_path / "json.py").write_text("raise SystemExit('shadowed')")
     monkeypatch.undo()
-    command = launch.StartOptions("robot").command()
+    command = launch.daemon_command("robot", {}, ())
     program = [*command[: command.index("-m")], "-c", "import json; print(json.__file__)"]
     ran = subprocess.run(program, cwd=tmp_path, capture_output=True, text=True)
     assert ran.stdout.strip().startswith(str(Path(os.__file__).parent)), ran.stderr

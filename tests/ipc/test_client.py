@@ -1,19 +1,15 @@
-"""A call returns an answer, or one error that says what to do, within its deadline.
-
-A deadline acts as `asyncio.timeout` does, and one timer serves all work; on a virtual clock.
-"""
+"""A call returns an answer, or one error that says what to do, within its deadline."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import os
-import selectors
 import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -23,7 +19,7 @@ import pytest
 from robotctl.base.errors import NoDaemon, Refused, RobotctlError
 from robotctl.ipc import client as client_module
 from robotctl.ipc.client import Client, NoAnswer, call
-from robotctl.ipc.request_handler import ClientLimits, Deadline, DeadlineMissed
+from robotctl.ipc.request_handler import ClientLimits
 
 NO_DAEMON = "no daemon for robot 'robot' (start one with: robotctl start)"
 HELLO_REPLY = {"jsonrpc": "2.0", "id": 0, "result": {"protocol": 1}}
@@ -260,144 +256,3 @@ async def test_the_end_of_the_daemon_ends_a_call_under_way(serve: Any, robot: An
         await robot.called.wait()
     with pytest.raises(NoDaemon, match="the daemon is stopping"):
         await waiting
-
-
-class VirtualSelector(selectors.DefaultSelector):
-    """A selector that does not wait: the clock of its loop jumps to the next timer."""
-
-    now_s = 0.0
-
-    def select(self, timeout: float | None = None) -> list[Any]:
-        self.now_s += timeout or 0.0
-        return super().select(0.0)
-
-
-class VirtualLoop(asyncio.SelectorEventLoop):
-    """A loop on the clock of its selector."""
-
-    def __init__(self) -> None:
-        self.clock = VirtualSelector()
-        super().__init__(self.clock)
-        self.timers = 0
-
-    def time(self) -> float:
-        return self.clock.now_s
-
-    def call_at(self, *args: Any, **options: Any) -> asyncio.TimerHandle:  # type: ignore[override]
-        self.timers += 1
-        return super().call_at(*args, **options)
-
-
-def virtual(work: Callable[[VirtualLoop, Deadline], Coroutine[Any, Any, None]]) -> Any:
-    """Make a test that runs on a virtual clock."""
-
-    async def main() -> None:
-        loop = asyncio.get_running_loop()
-        assert isinstance(loop, VirtualLoop)
-        await work(loop, Deadline())
-
-    def test() -> None:
-        with asyncio.Runner(loop_factory=VirtualLoop) as runner:
-            runner.run(main())
-
-    return test
-
-
-async def wait_too_long(deadline: Deadline) -> None:
-    with deadline.within(10.0):
-        await asyncio.sleep(60.0)
-
-
-@virtual
-async def test_work_that_is_late_is_cancelled_at_its_deadline(
-    loop: VirtualLoop, deadline: Deadline
-) -> None:
-    for limit_s in (5.0, 2.0, 10.0):
-        begun = loop.time()
-        with pytest.raises(DeadlineMissed), deadline.within(limit_s):
-            await asyncio.sleep(60.0)
-        assert loop.time() - begun == pytest.approx(limit_s)
-    task = asyncio.current_task()
-    assert task is not None
-    assert task.cancelling() == 0
-
-
-@virtual
-async def test_a_shorter_deadline_after_a_longer_one_is_kept(
-    loop: VirtualLoop, deadline: Deadline
-) -> None:
-    with deadline.within(10.0):
-        await asyncio.sleep(1.0)
-    with pytest.raises(DeadlineMissed), deadline.within(2.0):
-        await asyncio.sleep(60.0)
-    assert loop.time() == pytest.approx(3.0)
-
-
-@virtual
-async def test_work_after_a_deadline_is_not_cancelled_by_it(
-    loop: VirtualLoop, deadline: Deadline
-) -> None:
-    with deadline.within(1.0):
-        await asyncio.sleep(0.5)
-    await asyncio.sleep(60.0)
-    with deadline.within(None):
-        await asyncio.sleep(60.0)
-    with deadline.within(1.0):
-        await asyncio.sleep(0.9)
-
-
-@virtual
-async def test_a_cancellation_by_others_is_none_by_the_deadline(
-    loop: VirtualLoop, deadline: Deadline
-) -> None:
-    task = asyncio.create_task(wait_too_long(deadline))
-    await asyncio.sleep(1.0)
-    task.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await task
-    assert loop.time() == pytest.approx(1.0)
-
-
-@virtual
-async def test_a_cancellation_just_as_the_deadline_is_missed_is_not_lost(
-    loop: VirtualLoop, deadline: Deadline
-) -> None:
-    task = asyncio.create_task(wait_too_long(deadline))
-    await asyncio.sleep(0.0)
-    deadline.miss()
-    task.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await task
-
-
-@virtual
-async def test_an_error_of_the_work_comes_out_as_it_is(
-    loop: VirtualLoop, deadline: Deadline
-) -> None:
-    with pytest.raises(TimeoutError) as raised, deadline.within(10.0):
-        raise TimeoutError("of the work")
-    assert not isinstance(raised.value, DeadlineMissed)
-
-
-@virtual
-async def test_work_that_answers_its_cancellation_with_a_timeout_of_its_own_is_late(
-    loop: VirtualLoop, deadline: Deadline
-) -> None:
-    async def give_up() -> None:
-        try:
-            await asyncio.sleep(60.0)
-        except asyncio.CancelledError:
-            raise TimeoutError from None
-
-    with pytest.raises(DeadlineMissed), deadline.within(1.0):
-        await give_up()
-
-
-@virtual
-async def test_work_can_be_told_that_its_time_is_over(
-    loop: VirtualLoop, deadline: Deadline
-) -> None:
-    loop.call_later(3.0, deadline.miss)
-    with pytest.raises(DeadlineMissed), deadline.within(None):
-        await asyncio.sleep(60.0)
-    assert loop.time() == pytest.approx(3.0)

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from robotctl.view.admission import Admission
 from robotctl.view.server import ViewServer
+from robotctl.view.viewer import Admission
 from tests.support.waiting import DEADLINE_S
 
 SDK = "foxglove.sdk.v1"

@@ -14,10 +14,9 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
 from robotctl.base.errors import Refused
-from robotctl.view.admission import Admission, new_token
 from robotctl.view.foxglove import Offer, StatusLevel
 from robotctl.view.server import MAX_OFFERS, ViewServer, listening_socket
-from robotctl.view.viewer import MAX_REQUEST_BYTES
+from robotctl.view.viewer import MAX_REQUEST_BYTES, Admission, new_token
 from tests.support.view_client import STRING, TOKEN, Served, ViewClient, served, view_client
 from tests.support.waiting import loop_until
 

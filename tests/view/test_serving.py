@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 
 from robotctl.base.errors import UsageError
 from robotctl.cli.commands.status import view
-from robotctl.view.admission import KNOWN_ORIGINS, Admission
 from robotctl.view.foxglove import (
     ClientMessage,
     ClientOffers,
@@ -32,8 +31,9 @@ from robotctl.view.foxglove import (
     text_request,
 )
 from robotctl.view.remote_control import MAX_CALLS, SERVICES, STOP, RemoteControl, velocity_of
-from robotctl.view.serving import LoopFailures
+from robotctl.view.serving import loop_failures
 from robotctl.view.view_job import is_origin
+from robotctl.view.viewer import KNOWN_ORIGINS, Admission
 from tests.support.view_client import served, view_client
 from tests.support.waiting import loop_until
 
@@ -85,7 +85,7 @@ def test_anything_else_is_refused(data: bytes) -> None:
 async def test_a_viewer_waits_while_no_descriptor_is_free(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    asyncio.get_running_loop().set_exception_handler(LoopFailures().handle)
+    asyncio.get_running_loop().set_exception_handler(loop_failures())
     said: list[str] = []
 
     def is_said() -> bool:
@@ -111,12 +111,12 @@ async def test_a_viewer_waits_while_no_descriptor_is_free(
 async def test_a_lack_that_lasts_is_said_once_and_another_failure_as_ever(
     capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    loop, failures = asyncio.get_running_loop(), LoopFailures()
+    loop, failures = asyncio.get_running_loop(), loop_failures()
     for _ in range(3):
         error = OSError(errno.ENFILE, "Too many open files in system")
-        failures.handle(loop, {"message": "socket.accept()", "exception": error})
+        failures(loop, {"message": "socket.accept()", "exception": error})
     assert capfd.readouterr().err.count("\n") == 1
-    failures.handle(loop, {"message": "a callback failed", "exception": ValueError("wrong")})
+    failures(loop, {"message": "a callback failed", "exception": ValueError("wrong")})
     assert "a callback failed" in caplog.text
 
 

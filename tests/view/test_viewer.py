@@ -16,13 +16,13 @@ from websockets.datastructures import Headers
 from websockets.frames import Close, Frame, Opcode
 from websockets.http11 import Request
 
-from robotctl.view.admission import Admission
 from robotctl.view.server import ViewServer
 from robotctl.view.viewer import (
     BINARY,
     MAX_BYTES,
     MAX_CONTROL_BYTES,
     PIECE_BYTES,
+    Admission,
     Outbox,
     OverfullOutbox,
     Viewer,

@@ -7,7 +7,7 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -24,7 +24,7 @@ from robotctl.cli.commands.status import POLL_S, polled_until, show
 from robotctl.cli.options import ConfigFile, DomainId, Json, Namespace, Robot, new_app
 from robotctl.cli.quick import stop_daemon
 from robotctl.cli.targets.driving import Background, ignoring, interrupted_by
-from robotctl.cli.targets.launch import INTERRUPTIONS, StartOptions, launch
+from robotctl.cli.targets.launch import INTERRUPTIONS, daemon_command, launch
 from robotctl.cli.targets.requests import request_source
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.status import TopicLines
@@ -240,12 +240,10 @@ def demo(
     """
     robot = f"demo_{os.getpid()}"
     with reserved_domain() as domain_id:
-        options = StartOptions(
-            robot, config=CONFIG, recordings=recordings, sim=True, domain_id=domain_id
-        )
+        options = {"config": CONFIG, "recordings": recordings, "domain-id": domain_id, "sim": True}
         if not as_json:
             print(f"starting a simulated robot: {robot}, ROS domain {domain_id}", flush=True)
-        with _daemon(options, keep=keep):
+        with _daemon(robot, daemon_command(robot, options, ()), keep=keep):
             result = _drive_one_lap(robot, quiet=as_json)
     png = write_picture(result.folder, robot, result.reference, result.driven, result.drive)
     if as_json:
@@ -255,21 +253,21 @@ def demo(
 
 
 @contextmanager
-def _daemon(options: StartOptions, *, keep: bool) -> Iterator[None]:
+def _daemon(robot: str, command: Sequence[str], *, keep: bool) -> Iterator[None]:
     """Run a daemon during the block; with `keep`, it continues after a block without error."""
     with interrupted_by(INTERRUPTIONS):
         try:
-            for note in launch(options).get("notes") or []:
+            for note in launch(robot, command).get("notes") or []:
                 print(f"note: {printable(note)}", file=sys.stderr)
             yield
             if not keep:
                 with ignoring(INTERRUPTIONS):
-                    _stop_if_running(options.robot)
+                    _stop_if_running(robot)
         except BaseException:
             with ignoring(INTERRUPTIONS):
-                file = _recording_of(options.robot)
+                file = _recording_of(robot)
                 if file is not None:
-                    _stop_if_running(options.robot)
+                    _stop_if_running(robot)
                     print(f"stopped; recorded until then: {file}", file=sys.stderr)
             raise
 

@@ -28,8 +28,8 @@ from robotctl.cli.options import (
 from robotctl.cli.targets.driving import interrupted_by
 from robotctl.cli.targets.launch import (
     INTERRUPTIONS,
-    StartOptions,
     check_view_installed,
+    daemon_command,
     launch,
     start_view_of,
 )
@@ -126,26 +126,26 @@ def start(
     if config is not None and profile is not None:
         cure = f"copy the profile: robotctl config show --profile {profile.value} > robot.yaml"
         raise UsageError("--config with --profile", cure)
-    options = StartOptions(
-        robot=check_robot_name(robot),
-        namespace=None if namespace is None else check_namespace(namespace),
-        config=config if profile is None else profile.path,
-        recordings=recordings,
-        drive=None if drive is None else drive.value,
-        sim=sim,
-        domain_id=domain_id,
-        observe=observe,
-        include=tuple(include or ()),
-        exclude=tuple(exclude or ()),
-        allow_same_names=allow_same_names,
-        log_levels=tuple(log_level or ()),
-        ros_words=tuple(ros_words or ()),
-    )
-    for level in options.log_levels:
+    options = {
+        "namespace": None if namespace is None else check_namespace(namespace),
+        "config": config if profile is None else profile.path,
+        "recordings": recordings,
+        "drive": None if drive is None else drive.value,
+        "domain-id": domain_id,
+        "sim": sim is True,
+        "no-sim": sim is False,
+        "observe": observe,
+        "allow-same-names": allow_same_names,
+        "include": include,
+        "exclude": exclude,
+        "log-level": log_level,
+    }
+    for level in log_level or ():
         read_log_level(level)
-    ros_arguments.parse(options.ros_words)
+    ros_arguments.parse(ros_words or ())
+    words = [ros_arguments.BEGIN, *ros_words, ros_arguments.END] if ros_words else []
+    command = daemon_command(check_robot_name(robot), options, words)
     if foreground:
-        command = options.command()
         os.execv(command[0], command)
 
     def on_ready(ready: StartSummary) -> None:
@@ -157,7 +157,7 @@ def start(
         print_answer({**ready, **shown}, lines, as_json=as_json)
 
     with interrupted_by(INTERRUPTIONS):
-        launch(options, on_ready)
+        launch(robot, command, on_ready)
 
 
 def _view_of(robot: str, ready: StartSummary) -> dict[str, Any] | None:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, cast
 
-from robotctl.base import ros_arguments
 from robotctl.base.environment import RANGE
 from robotctl.base.errors import (
     IN_PARENTHESES,
@@ -48,63 +46,41 @@ INTERRUPTIONS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _TOO_SLOW = {"error": f"the daemon was not ready within {READY_DEADLINE_S:g} s"}
 
 
-@dataclass(frozen=True, slots=True)
-class StartOptions:
-    """The options that `robotctl start` passes to the daemon; None means the daemon's default."""
+def daemon_command(robot: str, options: Mapping[str, object], words: Sequence[str]) -> list[str]:
+    """Return the command line of a daemon.
 
-    robot: str
-    namespace: str | None = None
-    config: Path | None = None
-    recordings: Path | None = None
-    drive: str | None = None
-    sim: bool | None = None
-    domain_id: int | None = None
-    observe: bool = False
-    include: tuple[str, ...] = ()
-    exclude: tuple[str, ...] = ()
-    allow_same_names: bool = False
-    log_levels: tuple[str, ...] = ()
-    ros_words: tuple[str, ...] = ()
-    """The words after `--ros-args`."""
-
-    def command(self) -> list[str]:
-        """Return the daemon's command line."""
-        command = [*DAEMON, "--robot", self.robot]
-        for name in ("namespace", "config", "recordings", "drive", "domain_id"):
-            value = getattr(self, name)
-            if value is not None:
-                command += [f"--{name.replace('_', '-')}", str(value)]
-        if self.sim is not None:
-            command.append("--sim" if self.sim else "--no-sim")
-        if self.observe:
-            command.append("--observe")
-        if self.allow_same_names:
-            command.append("--allow-same-names")
-        command += [f"--include={pattern}" for pattern in self.include]
-        command += [f"--exclude={pattern}" for pattern in self.exclude]
-        command += [f"--log-level={level}" for level in self.log_levels]
-        if self.ros_words:
-            command += [ros_arguments.BEGIN, *self.ros_words, ros_arguments.END]
-        return command
+    An option is left out if its value is None or False, is a flag if it is True, and is given once
+    for each value of a list. `words` are added as they are.
+    """
+    command = [*DAEMON, "--robot", robot]
+    for name, value in options.items():
+        if value is True:
+            command.append(f"--{name}")
+        elif value is not None and value is not False:
+            values = value if isinstance(value, list) else [value]
+            command += [f"--{name}={each}" for each in values]
+    return [*command, *words]
 
 
 def launch(
-    options: StartOptions, on_ready: Callable[[StartSummary], None] = lambda ready: None
+    robot: str,
+    command: Sequence[str],
+    on_ready: Callable[[StartSummary], None] = lambda ready: None,
 ) -> StartSummary:
-    """Start a daemon in its own session; pass its report to `on_ready`, and return the report.
+    """Run the daemon's `command` in its own session; pass its report to `on_ready`; return it.
 
     If a signal comes before `on_ready` has returned, the daemon ends: it never runs unnoticed.
 
     Raises:
         RobotctlError: The daemon did not start; the error has its reason and exit code.
     """
-    log = _log_of(options.robot)
+    log = _log_of(robot)
     # A name of its own, until it is clear that no other daemon writes to the robot's log.
     own_log = log.with_name(f"{log.name}.{os.getpid()}")
     # A Ctrl-C between the start of the child and the `try` would leave the child behind.
     unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPTIONS)
     try:
-        daemon = start(options.command(), option="--ready-fd", log=own_log)
+        daemon = start(command, option="--ready-fd", log=own_log)
     except BaseException:
         signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
         raise
@@ -122,9 +98,9 @@ def launch(
         _end(daemon, patiently=False)
         own_log.unlink(missing_ok=True)
         raise
-    is_running = is_owned(lock_path(options.robot))  # then `log` belongs to the other daemon
+    is_running = is_owned(lock_path(robot))  # then `log` belongs to the other daemon
     kept = log.with_name(f"{log.name}.failed") if is_running else log
-    see = str(kept) if is_running else command_for(options.robot, "logs")
+    see = str(kept) if is_running else command_for(robot, "logs")
     failure = _failure(ended, said, own_log, see)
     if isinstance(failure, AlreadyRunning | UsageError):  # own_log has only this error
         own_log.unlink(missing_ok=True)

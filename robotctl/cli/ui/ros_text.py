@@ -52,31 +52,22 @@ def message_lines(value: Any, limit: int | None = SHOWN_LENGTH) -> Iterator[str]
     """
     if isinstance(value, Mapping) and value:
         for name, inner in value.items():
-            yield from _entry(f"{name}:", inner, limit)
+            lines = message_lines(inner, limit)
+            if inner and (isinstance(inner, Mapping) or _is_list(inner)):
+                indent = "  " if isinstance(inner, Mapping) else ""
+                yield f"{name}:"
+                yield from (f"{indent}{line}" for line in lines)
+            else:
+                yield f"{name}: {next(lines)}"
     elif _is_list(value) and value:
-        yield from _items(value, limit)
+        for item in value[:limit]:
+            first, *others = message_lines(item, limit)
+            yield f"- {first}"
+            yield from (f"  {line}" for line in others)
+        if limit is not None and len(value) > limit:
+            yield f"- '{_CUT}'"
     else:
         yield _scalar(value, limit)
-
-
-def _entry(label: str, value: Any, limit: int | None) -> Iterator[str]:
-    if isinstance(value, Mapping) and value:
-        yield label
-        yield from (f"  {line}" for line in message_lines(value, limit))
-    elif _is_list(value) and value:
-        yield label
-        yield from _items(value, limit)
-    else:
-        yield f"{label} {_scalar(value, limit)}"
-
-
-def _items(values: Sequence[Any], limit: int | None) -> Iterator[str]:
-    for item in values[:limit]:
-        first, *others = message_lines(item, limit)
-        yield f"- {first}"
-        yield from (f"  {line}" for line in others)
-    if limit is not None and len(values) > limit:
-        yield f"- '{_CUT}'"
 
 
 def _is_list(value: Any) -> bool:

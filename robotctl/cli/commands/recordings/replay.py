@@ -148,21 +148,13 @@ def replay(
         raise UsageError("--all-bytes goes with --check")
     daemon_robot = check_robot_name(robot or DEFAULT_ROBOT)
     if check or what_if or resim:
+        from robotctl.cli.commands.recordings.replay_check import check_command, compare_command
+
         _refuse_playing_options(context)
-    if check:
-        from robotctl.cli.commands.recordings.replay_check import check_command
-
-        check_command(files, robot, all_bytes=all_bytes, as_json=as_json)
-        return
-    if resim:
-        from robotctl.cli.commands.recordings.replay_check import resim_command
-
-        resim_command(files, what_if or [], robot, as_json=as_json)
-        return
-    if what_if:
-        from robotctl.cli.commands.recordings.replay_check import what_if_command
-
-        what_if_command(files, what_if, robot, as_json=as_json)
+        if check:
+            check_command(files, robot, all_bytes=all_bytes, as_json=as_json)
+        else:
+            compare_command(files, what_if or [], robot, resim=resim, as_json=as_json)
         return
     from robotctl.replay.job import (
         Job,
@@ -175,7 +167,12 @@ def replay(
     from robotctl.replay.replay_guard import domain_to_play_in
 
     domain = requested_domain(domain_id)
-    name = _only(files)
+    if len(files) > 1:
+        raise UsageError(
+            f"{len(files)} recordings were given, but only one can be played "
+            "(for several files of one recording, give their folder)"
+        )
+    name = files[0]
     path = find_recording(str(name), robot)
     job = Job(
         file=path.absolute(),
@@ -224,20 +221,6 @@ def _refuse_playing_options(context: typer.Context) -> None:
             raise UsageError(
                 f"{spelling} is only for playing; leave it out with --check, --what-if and --resim"
             )
-
-
-def _only(files: list[Path]) -> Path:
-    """Return the one recording to play.
-
-    Raises:
-        UsageError: There are several.
-    """
-    if len(files) > 1:
-        raise UsageError(
-            f"{len(files)} recordings were given, but only one can be played "
-            "(for several files of one recording, give their folder)"
-        )
-    return files[0]
 
 
 def _names(given: list[str] | None) -> tuple[str, ...]:

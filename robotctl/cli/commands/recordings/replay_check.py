@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +10,13 @@ from robotctl.base.errors import Divergence, RobotctlError, UnreadableFile, Usag
 from robotctl.check.closed_loop import resimulate
 from robotctl.check.many import check_recordings
 from robotctl.check.report import Verdict
-from robotctl.check.what_if import Settings, check_scope, parse_settings, what_if
-from robotctl.cli.targets.recordings import LABEL_WIDTH, select_recordings, skipped_lines
-from robotctl.cli.ui.output import Progress, print_answer, progress_bar
+from robotctl.check.what_if import check_scope, parse_settings, what_if
+from robotctl.cli.targets.recordings import (
+    LABEL_WIDTH,
+    select_recordings,
+    skipped_lines,
+)
+from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import duration, number, printable, row, short_path
 from robotctl.kernel.modes import Mode
 
@@ -121,21 +125,19 @@ def _gravest(reports: Sequence[dict[str, Any]]) -> RobotctlError | None:
 _LABEL_WIDTH, _COLUMN_WIDTH = 26, 14
 
 
-def compare_settings(
+def compare_command(
     files: Sequence[Path],
     settings: Sequence[str],
     robot: str | None,
-    compare: Callable[[Path, Settings, Progress], dict[str, Any]],
-    lines: Callable[[dict[str, Any]], Iterator[str]],
     *,
-    closed_loop: bool,
+    resim: bool,
     as_json: bool,
 ) -> None:
     """Compare each recording with a re-run under `settings`; print tables, or one JSON object.
 
-    `compare` compares one recording, and `lines` turns the result into text. An argument among
-    `files` that has an equals sign and names no file is one more setting. If `closed_loop`,
-    settings of the simulated robot and `rate_hz` are allowed, too.
+    With `resim`, a simulated robot repeats the recorded drives, and settings of that robot and
+    `rate_hz` are allowed, too. Otherwise the robot does not react. An argument among `files` that
+    has an equals sign and names no file is one more setting.
 
     Raises:
         UsageError: A setting is not allowed, or no recording is given.
@@ -146,14 +148,15 @@ def compare_settings(
     if not files:
         raise UsageError("give a recording: robotctl replay FILE --what-if KEY=VALUE")
     parsed = parse_settings([*settings, *more])
-    check_scope(parsed, closed_loop=closed_loop)
+    check_scope(parsed, closed_loop=resim)
     found = []
     paths, skipped = select_recordings(files, robot)
     for path in paths:
         with progress_bar(short_path(path), quiet=as_json) as on_progress:
-            found.append(compare(path, parsed, on_progress))
+            found.append((resimulate if resim else what_if)(path, parsed, on_progress))
         if not as_json:
-            print("\n".join(lines(found[-1])), flush=True)
+            lines = resim_lines(found[-1]) if resim else what_if_lines(found[-1])
+            print("\n".join(lines), flush=True)
     if skipped and not as_json:
         print("\n".join(skipped_lines(skipped)), flush=True)
     incomplete = [each for each in found if each["missing"]]
@@ -193,20 +196,6 @@ OPEN_LOOP = (
     "  The robot does not react here: the measurements stay as recorded.\n"
     "  To see how it would have driven, use --resim."
 )
-
-
-def what_if_command(
-    files: Sequence[Path], settings: Sequence[str], robot: str | None, *, as_json: bool
-) -> None:
-    """Print how the decisions in recordings change with the parameters `settings`.
-
-    Raises:
-        UsageError: A setting is not allowed.
-        UnreadableFile: A recording could not be read completely.
-    """
-    compare_settings(
-        files, settings, robot, what_if, what_if_lines, closed_loop=False, as_json=as_json
-    )
 
 
 def what_if_lines(found: dict[str, Any]) -> Iterator[str]:
@@ -258,20 +247,6 @@ _FIGURES = {
     "closure_m": ("closure [m]", ".4f"),
 }
 _SIDES = {"recorded": "recorded", "simulated": "simulated", "what_if": "what if"}
-
-
-def resim_command(
-    files: Sequence[Path], settings: Sequence[str], robot: str | None, *, as_json: bool
-) -> None:
-    """Repeat the recorded drives with a simulated robot; print how the repeated drives differ.
-
-    Raises:
-        UsageError: A setting is not allowed.
-        UnreadableFile: A recording could not be read completely.
-    """
-    compare_settings(
-        files, settings, robot, resimulate, resim_lines, closed_loop=True, as_json=as_json
-    )
 
 
 def resim_lines(found: dict[str, Any]) -> Iterator[str]:

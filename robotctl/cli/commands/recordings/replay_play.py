@@ -6,8 +6,7 @@ import select
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from robotctl.base.errors import Interrupted, RobotctlError, UsageError, error_for_exit_code
 from robotctl.base.processes import Child, program, start
@@ -31,8 +30,8 @@ LINE_S = 1.0
 """The period of the lines that --draw prints without a terminal."""
 
 
-class Screen(Protocol):
-    """Shows a replay to the user, from the reports of the player process."""
+class Screen:
+    """Shows a replay, from the reports of the player process; this base class shows nothing."""
 
     def show(self, report: dict[str, Any]) -> None:
         """Show a report: a note, the wait for subscribers, the start, or the progress."""
@@ -48,7 +47,7 @@ class Screen(Protocol):
 def screen(robot: RecordedRobot | None, *, quiet: bool) -> Iterator[Screen]:
     """Yield a screen: a bar on a terminal, otherwise printed notes; `quiet` shows nothing."""
     if quiet:
-        yield _Nothing()
+        yield Screen()
     elif is_terminal():
         bar = _Bar(robot)
         bar.resume()
@@ -60,18 +59,7 @@ def screen(robot: RecordedRobot | None, *, quiet: bool) -> Iterator[Screen]:
         yield _Notes(robot)
 
 
-class _Nothing:
-    def show(self, report: dict[str, Any]) -> None:
-        pass
-
-    def suspend(self) -> None:
-        pass
-
-    def resume(self) -> None:
-        pass
-
-
-class _Notes(_Nothing):
+class _Notes(Screen):
     """A screen that prints notes and, with a recorded robot, one line per second."""
 
     def __init__(self, robot: RecordedRobot | None) -> None:
@@ -93,7 +81,7 @@ class _Notes(_Nothing):
             print(f"{position_s:.1f} s  {recorded_line(robot)}", flush=True)
 
 
-class _Bar:
+class _Bar(Screen):
     """A screen with a bar that updates in place, below the notes."""
 
     def __init__(self, robot: RecordedRobot | None) -> None:
@@ -205,22 +193,8 @@ END_DEADLINE_S = 15.0
 """How long the player may take to remove its publishers from the graph and exit."""
 
 
-@dataclass(slots=True)
-class PlayerReport:
-    """The reports of the player process so far."""
-
-    summary: dict[str, Any] = field(default_factory=dict)
-    error: RobotctlError | None = None
-    interrupted: bool = False
-    """Whether Ctrl-C or a signal has ended the replay."""
-    ended: bool = False
-    """Whether the player will report nothing more."""
-
-
-def play_in_process(
-    job: Job, open_screen: Callable[[], AbstractContextManager[Screen]]
-) -> PlayerReport:
-    """Play a recording in a child process; when the process has ended, return its reports.
+def play_in_process(job: Job, open_screen: Callable[[], AbstractContextManager[Screen]]) -> _Player:
+    """Play a recording in a child process; when the process has ended, return what it reported.
 
     The first Ctrl-C asks the process to end. The screen opens while the process joins ROS.
 
@@ -228,87 +202,86 @@ def play_in_process(
         RobotctlError: The process ended without a summary or an error.
         KeyboardInterrupt: Ctrl-C was pressed a second time.
     """
-    report = PlayerReport()
-    child = start(program(PLAYER), with_stdin=True)
+    player = _Player(start(program(PLAYER), with_stdin=True))
     try:
-        with suppress(BrokenPipeError):  # the process has ended; the loop below notices
-            child.send(f"{job.to_json()}\n".encode())
-        with open_screen() as screen:
-            player = _Player(child, report, screen)
-            with Keyboard(player.suspend, player.resume) as keyboard:
-                while not report.ended:
-                    try:
-                        player.wait_for_input(keyboard)
-                    except KeyboardInterrupt:
-                        if report.interrupted:
-                            raise
-                        report.interrupted = True
-                        child.close_stdin()
+        player.send(f"{job.to_json()}\n".encode())
+        with open_screen() as player.screen, Keyboard(player.suspend, player.resume) as keyboard:
+            while not player.ended:
+                try:
+                    player.wait_for_input(keyboard)
+                except KeyboardInterrupt:
+                    if player.interrupted:
+                        raise
+                    player.interrupted = True
+                    player.child.close_stdin()
     finally:
-        exit_code = child.close(END_DEADLINE_S)
-    if not (report.summary or report.error or report.interrupted):
+        exit_code = player.child.close(END_DEADLINE_S)
+    if not (player.summary or player.error or player.interrupted):
         raise RobotctlError(
             f"the player ended with exit code {exit_code} before the replay was over "
             "(see why with: robotctl --debug replay ...)"
         )
-    return report
+    return player
 
 
 class _Player:
     """Handles what the player process reports and what the user presses."""
 
-    def __init__(self, child: Child, report: PlayerReport, screen: Screen) -> None:
-        self._child = child
-        self._report = report
-        self._screen = screen
+    def __init__(self, child: Child) -> None:
+        self.child = child
+        self.screen = Screen()
+        self.summary: dict[str, Any] = {}
+        self.error: RobotctlError | None = None
+        self.interrupted = False
+        """Whether Ctrl-C or a signal has ended the replay."""
+        self.ended = False
+        """Whether the process will report nothing more."""
         self._paused = False
         self._was_playing = False
 
     def wait_for_input(self, keyboard: Keyboard) -> None:
-        """Wait for a report of the player or for a key, and handle it."""
-        child = self._child
+        """Wait for a report of the process or for a key, and handle it."""
+        child = self.child
         patience_s = None if child.has_stdin else END_DEADLINE_S
         ready, _, _ = select.select([child.fileno(), *keyboard.sources], [], [], patience_s)
-        self._report.ended = not ready
+        self.ended = not ready
         if child.fileno() in ready:
             try:
                 for report in child.receive():
                     self._handle(report)
             except EOFError:
-                self._report.ended = True
+                self.ended = True
         if not set(ready).isdisjoint(keyboard.sources):
             for key in keyboard.read():
-                self._press(key)
+                if key == QUIT:
+                    child.close_stdin()
+                elif key in COMMAND_OF_KEY:
+                    self.send(COMMAND_OF_KEY[key].line())
 
     def suspend(self) -> None:
         """Pause the player while this process is stopped."""
         self._was_playing = not self._paused
-        self._send(Command.PAUSE)
-        self._screen.suspend()
+        self.send(Command.PAUSE.line())
+        self.screen.suspend()
 
     def resume(self) -> None:
         """Continue, unless the replay was paused before `suspend`."""
-        self._screen.resume()
+        self.screen.resume()
         if self._was_playing:
-            self._send(Command.RESUME)
+            self.send(Command.RESUME.line())
+
+    def send(self, line: bytes) -> None:
+        """Send a line to the process; if that has ended, `wait_for_input` notices."""
+        with suppress(BrokenPipeError):
+            self.child.send(line)
 
     def _handle(self, report: dict[str, Any]) -> None:
         if "error" in report:
-            self._report.error = error_for_exit_code(report["exit_code"], report["error"], report)
+            self.error = error_for_exit_code(report["exit_code"], report["error"], report)
         if "progress" in report:
             self._paused = report["progress"]["paused"]
-        self._report.summary = report.get("summary", self._report.summary)
-        self._screen.show(report)
-
-    def _press(self, key: str) -> None:
-        if key == QUIT:
-            self._child.close_stdin()
-        elif key in COMMAND_OF_KEY:
-            self._send(COMMAND_OF_KEY[key])
-
-    def _send(self, command: Command) -> None:
-        with suppress(BrokenPipeError):  # it has ended; `wait_for_input` notices
-            self._child.send(command.line())
+        self.summary = report.get("summary", self.summary)
+        self.screen.show(report)
 
 
 def play_command(job: Job, *, draw: bool, as_json: bool) -> None:
@@ -327,11 +300,11 @@ def play_command(job: Job, *, draw: bool, as_json: bool) -> None:
                 robot, _ = stack.enter_context(recorded_robot(job))
             yield stack.enter_context(screen(robot, quiet=as_json))
 
-    report = play_in_process(job, open_screen)
-    error = Interrupted() if report.interrupted else report.error
-    if report.summary:
-        lines = summary_lines(report.summary)
-        print_answer(report.summary, lines, as_json=as_json, error=error)
+    player = play_in_process(job, open_screen)
+    error = Interrupted() if player.interrupted else player.error
+    if player.summary:
+        lines = summary_lines(player.summary)
+        print_answer(player.summary, lines, as_json=as_json, error=error)
     elif error is not None:
         raise error
 
