@@ -25,9 +25,8 @@ from recording.figures import Figure, Round, table
 from recording.heard_drive import record_drive
 
 from robotctl.check.journal import read_event, read_snapshot
-from robotctl.check.many import check_recordings
 from robotctl.check.report import Verdict
-from robotctl.check.run import check_recording
+from robotctl.check.run import check_recording, check_recordings
 from robotctl.recording import Compression, Recording
 from robotctl.recording.format.journal import EntryKind
 from robotctl.recording.read.journal_reader import read_journal

@@ -27,9 +27,8 @@ if TYPE_CHECKING:
     from robotctl.check.compare import first_divergence
     from robotctl.check.incident import Incident, IncidentKind, Searched, find_incident
     from robotctl.check.invariants import Violation
-    from robotctl.check.many import check_recordings
     from robotctl.check.report import Divergence, Report, Verdict
-    from robotctl.check.run import check_recording
+    from robotctl.check.run import check_recording, check_recordings
     from robotctl.check.what_if import Settings, parse_settings, what_if
     from robotctl.check.why import Why, explain
 
@@ -64,7 +63,7 @@ _MODULES = {
     "Violation": "invariants",
     "Why": "why",
     "check_recording": "run",
-    "check_recordings": "many",
+    "check_recordings": "run",
     "explain": "why",
     "find_incident": "incident",
     "first_divergence": "compare",

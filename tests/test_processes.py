@@ -22,7 +22,6 @@ import pytest
 import robotctl
 from robotctl.base.jobs import job_command, reports_of
 from robotctl.base.processes import Child, LineSplitter, program, readable_within, start
-from robotctl.check.many import check_recordings
 from robotctl.config import RecordingParams
 from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.recording import read_info
@@ -59,7 +58,6 @@ if any(name in sys.orig_argv for name in {modules}):
 """
 """Prints as Fast DDS does, before the process reports, and also lines that look like reports."""
 
-CHECKER = "robotctl.check.many"
 JOBS = "robotctl.base.jobs"
 
 
@@ -88,7 +86,7 @@ def noisy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Let each child print to stdout and stderr when it starts, or imports rclpy; return the folder
     for it.
     """
-    modules = [CHECKER, JOBS]
+    modules = [JOBS]
     folder = tmp_path / "site"
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(NOISE.format(modules=modules))
@@ -113,15 +111,6 @@ def test_a_replay_whose_libraries_print_is_heard_and_its_output_is_one_object(
     assert ran.returncode == 0, ran.stderr
     assert json.loads(ran.stdout)["sent"] == 3
     assert ran.stderr.count("fastrtps_port7412") == 2  # nothing that a library says is lost
-
-
-def test_a_check_whose_processes_print_is_heard(
-    noisy: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    recording = record(noisy / "run", drive(1.0))
-    reports = check_recordings([recording, recording])
-    assert [report["verdict"] for report in reports] == ["same", "same"]
-    assert capfd.readouterr().out == ""
 
 
 async def test_a_clip_whose_process_prints_is_heard(
@@ -276,9 +265,8 @@ def test_a_program_that_cannot_be_started_leaves_no_descriptor_behind() -> None:
     assert os.listdir("/proc/self/fd") == before
 
 
-@pytest.mark.parametrize("module", [CHECKER, JOBS])
-def test_a_child_that_is_started_by_hand_reports_it(module: str) -> None:
-    ran = subprocess.run([*program(module), "{}"], capture_output=True, text=True, timeout=60)
+def test_a_child_that_is_started_by_hand_reports_it() -> None:
+    ran = subprocess.run([*program(JOBS), "{}"], capture_output=True, text=True, timeout=60)
     assert (ran.returncode, ran.stdout) == (1, "")
     assert ran.stderr == "this is started by robotctl, with --report-fd\n"
 
@@ -294,12 +282,11 @@ def test_lines_come_out_of_pieces() -> None:
 
 
 def test_every_child_is_started_in_one_way() -> None:
-    from robotctl.check import many as checking
     from robotctl.cli.commands.recordings import replay_play
     from robotctl.cli.targets import launch
 
     player = program(replay_play.PLAYER)
-    programs = (launch.DAEMON, player, checking.WORKER, job_command("module:function", {}))
+    programs = (launch.DAEMON, player, job_command("module:function", {}))
     assert all(each[:3] == (sys.executable, "-P", "-m") for each in programs)
     root = Path(robotctl.__file__).parent
     cli = root / "cli"  # what is foreign runs programs that are not ours

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from robotctl.base.errors import UnreadableFile
-from robotctl.base.store import RemoteFile
+from robotctl.base.store import RemoteFile, path_of
 from robotctl.check.calls import ServiceChecks
 from robotctl.check.commands import CommandCheck
 from robotctl.check.compare import Comparison, JournalFormat, Rerun, without_retired_fields
@@ -279,6 +280,35 @@ def check_recording(
         report.notes.append(f"not every byte was read{how}")
     report.took_s = time.perf_counter() - began
     return report
+
+
+def check_recordings(
+    paths: Sequence[Path],
+    on_progress: Progress = lambda done, total: None,
+    *,
+    all_bytes: bool = False,
+) -> list[dict[str, Any]]:
+    """Check each path as `check_recording` does; return the JSON reports in the same order.
+
+    Several recordings are checked in one process per CPU, and `on_progress` gets their number.
+    """
+    if len(paths) == 1:
+        return [check_recording(paths[0], on_progress, all_bytes=all_bytes).as_object()]
+    from robotctl.base.pool import local_processes, results_of  # here: one check needs no processes
+
+    results = results_of(partial(_checked, all_bytes), paths, local_processes, on_progress)
+    reports = dict(results)
+    return [reports[path] or _lost(path) for path in paths]
+
+
+def _checked(all_bytes: bool, path: Path) -> dict[str, Any]:
+    return check_recording(path_of(str(path)), all_bytes=all_bytes).as_object()
+
+
+def _lost(path: Path) -> dict[str, Any]:
+    report = Report(path)
+    report.miss("the process that checked it was killed")
+    return report.as_object()
 
 
 class _Check:

@@ -36,7 +36,7 @@ from robotctl.recording.format.names import INDEX_FILE
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
-    from robotctl.collection.jobs import Done
+    from robotctl.base.pool import Done
 
 
 Failures = dict[Path, str]
@@ -48,8 +48,8 @@ def index_recordings(
 ) -> Failures:
     """Index recordings, in one process per CPU; return those that failed, each with the reason."""
     # Imported here: a question about indexed recordings needs neither processes nor the kernel.
+    from robotctl.base.pool import local_processes, results_of
     from robotctl.collection.indexing import index_recording
-    from robotctl.collection.jobs import local_processes, results_of
 
     results = results_of(index_recording, recordings, local_processes, on_progress)
     return {

@@ -17,7 +17,7 @@ from queue import Empty, Queue
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from robotctl.base.errors import IN_PARENTHESES, Refused, RobotctlError, UsageError
-from robotctl.collection.jobs import Done
+from robotctl.base.pool import Done
 from robotctl.collection.judgement import software_hash, software_name
 from robotctl.collection.judging import Answers, Judged, Judging, ResultStore
 

@@ -11,19 +11,18 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from xml.etree import ElementTree
 
 from robotctl.base.errors import ConfigError, Refused
 from robotctl.base.files import open_regular
+from robotctl.base.pool import Done
 from robotctl.base.text import printable
-from robotctl.collection.jobs import Done
 from robotctl.collection.judgement import (
     FAILED,
     UNKNOWN,
     VERDICTS,
     Judgement,
-    Totals,
     Typed,
     software_hash,
     totals_of,
@@ -190,7 +189,7 @@ class GateReport:
             groups.setdefault((each.by, each.at, each.why), []).append(path)
         return groups
 
-    def totals(self) -> Totals | None:
+    def totals(self) -> dict[str, Any] | None:
         """Return sums and maxima over all drives, None if no other parameters were tried."""
         changes = [each.other for each in self.results.values() if each.other is not None]
         return totals_of(changes) if changes else None
@@ -202,8 +201,7 @@ class GateReport:
 def cause_of(result: Judgement) -> str:
     """Return "VERDICT: CAUSE", or "changed: CAUSE" if only other parameters cause a failure."""
     if result.verdict not in FAILED and result.differs:
-        failure = None if result.other is None else result.other.failure
-        if failure is not None:
+        if result.other is not None and result.other["failure"]:
             return f"{CHANGED}: the kernel fails with other parameters"
         return f"{CHANGED}: other parameters change modes or answers"
     return f"{result.verdict}: {result.cause}"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Generic, Literal, TypeVar, cast
 
@@ -128,173 +128,51 @@ class Typed(Generic[Kind]):
             raise ValueError(str(error)) from error
 
 
-@dataclass(frozen=True, slots=True)
-class Pair:
-    """The values of a quantity with the recorded and with other parameters (`what_if`)."""
-
-    recorded: float
-    what_if: float
+Change = dict[str, Any]
+"""What `replay --what-if --json` prints of a recording, without its path."""
 
 
-@dataclass(frozen=True, slots=True)
-class Apart:
-    """The difference of two kernels' commands: RMS, maximum, and when it occurs (None if 0)."""
+def totals_of(changes: Iterable[Change]) -> dict[str, Any]:
+    """Return sums and maxima over all drives of many recordings, as JSON values.
 
-    rms: float
-    max: float
-    max_after_s: float | None
+    `modes_s` has the times in each mode over the whole recordings, not only their drives.
+    """
+    every = list(changes)
+    drives = [drive for change in every for drive in change["drives"]]
+    modes = dict.fromkeys(mode for change in every for mode in change["modes_s"])
 
+    def both(total: Callable[[str], float]) -> dict[str, float]:
+        return {side: total(side) for side in ("recorded", "what_if")}
 
-@dataclass(frozen=True, slots=True)
-class FirstDifference:
-    """The first event that has different effects with the recorded and with other parameters."""
+    def of_drives(key: str, side: str) -> list[float]:
+        return [each[side][key] for each in drives if each[side] is not None]
 
-    after_s: float
-    event: str
-    recorded: tuple[str, ...]
-    what_if: tuple[str, ...]
+    def largest(key: str, side: str) -> float:
+        return max(of_drives(key, side), default=0.0)
 
+    def in_mode(mode: str, side: str) -> float:
+        times = (each["modes_s"].get(mode) for each in every)
+        return sum((each[side] for each in times if each), 0.0)
 
-@dataclass(frozen=True, slots=True)
-class Failure:
-    """The first event that the kernel handles with the recorded, but not with other parameters."""
-
-    after_s: float
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class OtherAnswer:
-    """A request that gets a different answer with the other parameters."""
-
-    after_s: float
-    request_id: int
-    recorded: str
-    what_if: str
+    return {
+        "drives": len(drives),
+        "end_otherwise": sum(map(ends_otherwise, drives)),
+        "modes_s": {mode: both(partial(in_mode, mode)) for mode in modes},
+        "commanded_m": both(lambda side: sum(of_drives("commanded_m", side))),
+        "max_linear_mps": both(partial(largest, "max_linear_mps")),
+        "max_angular_rps": both(partial(largest, "max_angular_rps")),
+    }
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """What the robot did in a drive, under the recorded commands; None means not known."""
+def ends_otherwise(drive: Mapping[str, Any]) -> bool:
+    """Return whether a drive began with only one kernel, or ended in another way in the two.
 
-    laps: int
-    distance_m: float | None
-    rms_error_m: float | None
-    max_error_m: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class Commanded:
-    """One kernel's decisions in a drive; the last five fields are None if the drive did not end."""
-
-    modes_s: dict[str, float]
-    commanded_m: float
-    max_linear_mps: float
-    max_angular_rps: float
-    duration_s: float | None
-    completed: bool | None
-    ended: str | None
-    cause: str | None
-    end_mode: str | None
-
-    @property
-    def end(self) -> tuple[bool | None, str | None, str | None]:
-        """How the drive ended: `completed`, `cause` and `end_mode`, but not the text `ended`."""
-        return self.completed, self.cause, self.end_mode
-
-
-@dataclass(frozen=True, slots=True)
-class DriveChange:
-    """A drive with both sets of parameters; None for the set with which the drive never began."""
-
-    drive: int
-    request_id: int
-    after_s: float
-    measured: Measured | None
-    recorded: Commanded | None
-    what_if: Commanded | None
-
-    @property
-    def ends_otherwise(self) -> bool:
-        """Whether the drive began with only one kernel, or the `end` of the two kernels differs."""
-        mine, theirs = self.recorded, self.what_if
-        return mine is None or theirs is None or mine.end != theirs.end
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """What would change in a recording with other parameters, if the robot moved as recorded."""
-
-    duration_s: float
-    settings: dict[str, dict[str, Any]]
-    ticks: int
-    linear_mps: Apart
-    angular_rps: Apart
-    modes_s: dict[str, Pair]
-    mode_differs_s: float
-    first_difference: FirstDifference | None
-    failure: Failure | None
-    drives: tuple[DriveChange, ...]
-    no_drive: dict[str, str]
-    answers: tuple[OtherAnswer, ...]
-    answer_count: int
-    missing: tuple[str, ...]
-
-    @property
-    def differs(self) -> bool:
-        """Whether modes or answers change, or the kernel fails; changed velocities do not count."""
-        return bool(self.mode_differs_s or self.answer_count or self.failure)
-
-
-@dataclass(frozen=True, slots=True)
-class Totals:
-    """Sums and maxima over all drives in many recordings."""
-
-    drives: int
-    end_otherwise: int
-    modes_s: dict[str, Pair]
-    """Times in each mode, over the whole recordings, not only their drives."""
-
-    commanded_m: Pair
-    max_linear_mps: Pair
-    max_angular_rps: Pair
-
-
-_change = Typed(Change)
-
-
-def change_of(found: Mapping[str, Any]) -> Change:
-    """Return a Change from `found`, the JSON object of `replay --what-if`."""
-    return _change(found)
-
-
-def totals_of(changes: Iterable[Change]) -> Totals:
-    """Return the sums and maxima over recordings; `changes` holds one Change per recording."""
-    all_changes = list(changes)
-    drives = [drive for change in all_changes for drive in change.drives]
-    before = [each.recorded for each in drives if each.recorded is not None]
-    after = [each.what_if for each in drives if each.what_if is not None]
-    modes = dict.fromkeys(mode for change in all_changes for mode in change.modes_s)
-    linear = [_largest(each.max_linear_mps for each in side) for side in (before, after)]
-    angular = [_largest(each.max_angular_rps for each in side) for side in (before, after)]
-    return Totals(
-        drives=len(drives),
-        end_otherwise=sum(each.ends_otherwise for each in drives),
-        modes_s={
-            mode: Pair(
-                sum(each.modes_s[mode].recorded for each in all_changes if mode in each.modes_s),
-                sum(each.modes_s[mode].what_if for each in all_changes if mode in each.modes_s),
-            )
-            for mode in modes
-        },
-        commanded_m=Pair(*(sum(each.commanded_m for each in side) for side in (before, after))),
-        max_linear_mps=Pair(*linear),
-        max_angular_rps=Pair(*angular),
-    )
-
-
-def _largest(numbers: Iterable[float]) -> float:
-    return max(numbers, default=0.0)
+    The text `ended` does not count.
+    """
+    mine, theirs = drive["recorded"], drive["what_if"]
+    if mine is None or theirs is None:
+        return True
+    return any(mine[key] != theirs[key] for key in ("completed", "cause", "end_mode"))
 
 
 _OTHER_RULES = re.compile(r"decided by the rules of another version \([^)]*\): ")
@@ -324,7 +202,7 @@ def outcome_of(
         "violations": [] if report is None else [each.text for each in report.violations],
         "violation_count": 0 if report is None else report.violation_count,
         "missing": [] if report is None else _missing(report),
-        "other": None if other is None else asdict(other),
+        "other": other,
     }
     text = json.dumps(parts, sort_keys=True)
     if path is not None:
@@ -384,8 +262,12 @@ class Judgement:
 
     @property
     def differs(self) -> bool:
-        """Whether other parameters change modes or answers, or make the kernel fail."""
-        return self.other is not None and self.other.differs
+        """Whether other parameters change modes or answers, or make the kernel fail.
+
+        Changed velocities do not count.
+        """
+        other = self.other or {}
+        return any(other.get(key) for key in ("mode_differs_s", "answer_count", "failure"))
 
     def as_object(self) -> dict[str, Any]:
         """Return the judgement as JSON values."""
@@ -457,14 +339,15 @@ def _checked(
     if not settings:
         return report, verdict, says, None
     try:
-        other = change_of(what_if(path, settings))
+        other = what_if(path, settings)
+        del other["path"]
     except ConfigError as error:
         problem: tuple[VerdictName, str] = "unfit", f"the parameters do not fit: {error}"
     except UnreadableFile as error:
         problem = "unreadable", str(error)
     else:
-        if verdict == "same" and other.missing:
-            return report, "incomplete", other.missing[0], other
+        if verdict == "same" and other["missing"]:
+            return report, "incomplete", other["missing"][0], other
         return report, verdict, says, other
     return (report, verdict, says, None) if verdict in FAILED else (report, *problem, None)
 

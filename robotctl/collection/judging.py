@@ -13,9 +13,7 @@ from uuid import uuid4
 
 from robotctl.base.errors import Refused, RobotctlError, UnreadableFile
 from robotctl.base.files import open_regular
-from robotctl.base.store.folder_store import FolderStore
-from robotctl.base.store.objects import StoreError
-from robotctl.collection.jobs import Done, Processes, local_processes, local_threads, results_of
+from robotctl.base.pool import Done, Processes, local_processes, local_threads, results_of
 from robotctl.collection.judgement import (
     BeingWritten,
     Content,
@@ -28,6 +26,7 @@ from robotctl.collection.judgement import (
     software_hash,
     software_name,
 )
+from robotctl.recording.disk import replaced_file
 
 MAX_BYTES: Final = 64 << 20
 
@@ -51,7 +50,6 @@ class ResultStore:
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder).absolute()
-        self._store = FolderStore(self.folder)
 
     def __str__(self) -> str:
         """Return the folder."""
@@ -79,17 +77,11 @@ class ResultStore:
         """Store a result, unless its key is in the store already; return the result that is stored.
 
         Raises:
-            Refused: The store cannot be written.
+            Refused: The store cannot be read or written.
         """
-        name, data = _name(result.key), _sealed(result)
-        try:
-            if self._store.put_if_absent(name, [data]):
-                return result
-            if (stored := self.get(result.key)) is not None:
-                return stored
-            self._store.put(name, [data])  # it was damaged
-        except StoreError as error:
-            raise Refused(f"cannot write results: {error.cause}", error.cure) from error
+        if (stored := self.get(result.key)) is not None:
+            return stored
+        self._write(_name(result.key), _sealed(result))
         return result
 
     def put_token(self) -> str:
@@ -99,11 +91,16 @@ class ResultStore:
             Refused: The store cannot be written.
         """
         name = f"{uuid4().hex}.token"
-        try:
-            self._store.put(name, [name.encode()])
-        except StoreError as error:
-            raise Refused(f"cannot write results: {error.cause}", error.cure) from error
+        self._write(name, name.encode())
         return name
+
+    def _write(self, name: str, data: bytes) -> None:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with replaced_file(self.folder / name) as file:
+                file.write(data)
+        except OSError as error:
+            raise Refused(f"cannot write results: {error}") from error
 
     def has_token(self, name: str) -> bool:
         """Return whether the token with this name is in the folder."""

@@ -273,7 +273,7 @@ def sealed_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """
     monkeypatch.setattr("robotctl.decisions.log.END_S", 30.0)
     monkeypatch.setattr(  # it takes seconds, and tells nothing of the seal
-        "robotctl.check.many.check_recordings",
+        "robotctl.check.run.check_recordings",
         lambda paths, on_progress: [{"verdict": "same"} for _ in paths],
     )
     folder = tmp_path / "runs"

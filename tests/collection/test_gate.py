@@ -20,6 +20,7 @@ from xml.etree import ElementTree
 import pytest
 
 from robotctl.base.errors import ConfigError
+from robotctl.base.pool import local_processes, results_of
 from robotctl.check import compare
 from robotctl.check import report as check_report
 from robotctl.check.compare import Comparison
@@ -28,7 +29,6 @@ from robotctl.check.run import check_recording
 from robotctl.collection import gate as gates
 from robotctl.collection import judgement, judging
 from robotctl.collection.gate import Baseline, GateReport, junit_text, read_baseline
-from robotctl.collection.jobs import local_processes, results_of
 from robotctl.collection.judgement import judge
 from robotctl.collection.judging import ResultStore
 from robotctl.kernel.kernel import Kernel
@@ -182,9 +182,6 @@ DAMAGES: dict[str, Callable[[bytes], bytes]] = {
     "settings of None": sealed(lambda result: result.update(settings=None)),
     "a number as the hash": sealed(lambda result: result.update(recording=5)),
     "another recording": sealed(lambda result: result.update(recording="0" * 64)),
-    "a number as the change": sealed(lambda result: result.update(other=5)),
-    "a change without modes": sealed(lambda result: result["other"].pop("modes_s")),
-    "a mode that is text": sealed(lambda result: result["other"]["modes_s"].update(IDLE="x")),
     "no cause": sealed(lambda result: result.pop("cause")),
 }
 
@@ -211,8 +208,7 @@ def test_no_thread_meets_a_class_that_is_not_prepared() -> None:
     """Two threads in which msgspec prepares the same class crash Python."""
     program = (
         "from robotctl.collection import gate, judgement, judging\n"
-        "kinds = judging._Sealed, judgement.Judgement, judgement.Change, judgement.DriveChange\n"
-        "kinds += judgement.Commanded, gate._File, gate.Accepted\n"
+        "kinds = judging._Sealed, judgement.Judgement, gate._File, gate.Accepted\n"
         "print([kind.__name__ for kind in kinds if '__msgspec_cache__' not in vars(kind)])"
     )
     ran = subprocess.run(

@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 
 from robotctl import __version__
+from robotctl.base.pool import local_threads
 from robotctl.check.report import Report
 from robotctl.check.run import check_recording
 from robotctl.collection.gate import Baseline, GateReport, judge_all
-from robotctl.collection.jobs import local_threads
 from robotctl.collection.judging import ResultStore, judge_here
 from robotctl.config import Config
 from robotctl.kernel.constants import NS_PER_S

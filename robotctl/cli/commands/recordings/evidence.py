@@ -174,7 +174,7 @@ def _prove(items: Sequence[dict[str, Any]], *, quiet: bool) -> dict[str, Any] | 
 
     Return None if no recording is finished.
     """
-    from robotctl.check.many import check_recordings
+    from robotctl.check.run import check_recordings
     from robotctl.cli.commands.recordings.verify import verify_together
 
     finished = [item for item in items if "size_bytes" in item and item["state"] != _LIVE]

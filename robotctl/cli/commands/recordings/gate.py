@@ -5,7 +5,6 @@ from __future__ import annotations
 import getpass
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,7 +19,7 @@ from robotctl.cli.ui.text import elided, row, short_path
 
 if TYPE_CHECKING:
     from robotctl.collection.gate import Baseline, GateReport
-    from robotctl.collection.judgement import Commanded, DriveChange, Judgement
+    from robotctl.collection.judgement import Judgement
     from robotctl.collection.judging import Engine
 
 
@@ -221,7 +220,7 @@ def answer_object(place: Path, report: GateReport) -> dict[str, Any]:
         "accepted": len(report.accepted),
         "stored": report.stored,
         "causes": {cause: [p.name for p in paths] for cause, paths in report.causes().items()},
-        "totals": None if totals is None else asdict(totals),
+        "totals": totals,
         "recordings": [
             {
                 "path": str(path),
@@ -263,10 +262,11 @@ def _group(title: str, paths: Sequence[Path]) -> Iterator[str]:
 def _first(result: Judgement) -> str:
     other = result.other
     if other is not None and not result.says:
-        if (failure := other.failure) is not None:
-            return f"{failure.after_s:.3f} s after the beginning: {failure.text}"
-        if (found := other.first_difference) is not None:
-            return f"{found.after_s:.3f} s after the beginning, at {found.event.split(' ')[0]}"
+        if failure := other["failure"]:
+            return f"{failure['after_s']:.3f} s after the beginning: {failure['text']}"
+        if found := other["first_difference"]:
+            at = found["event"].split(" ")[0]
+            return f"{found['after_s']:.3f} s after the beginning, at {at}"
     return result.says
 
 
@@ -276,50 +276,52 @@ def _change_lines(report: GateReport) -> Iterator[str]:
     if totals is None:
         return
     yield f"  {'':24}{'recorded':>12}{'what-if':>12}"
-    for mode, seconds in totals.modes_s.items():
-        yield f"  {f'in {mode}':24}{seconds.recorded:10.1f} s{seconds.what_if:10.1f} s"
-    for label, pair, unit in (
-        ("commanded", totals.commanded_m, "m"),
-        ("largest speed", totals.max_linear_mps, "m/s"),
-        ("largest turning speed", totals.max_angular_rps, "rad/s"),
+    for mode, seconds in totals["modes_s"].items():
+        yield f"  {f'in {mode}':24}{seconds['recorded']:10.1f} s{seconds['what_if']:10.1f} s"
+    for label, key, unit in (
+        ("commanded", "commanded_m", "m"),
+        ("largest speed", "max_linear_mps", "m/s"),
+        ("largest turning speed", "max_angular_rps", "rad/s"),
     ):
-        before, after = (f"{number:.2f} {unit}" for number in (pair.recorded, pair.what_if))
+        before, after = (f"{totals[key][side]:.2f} {unit}" for side in ("recorded", "what_if"))
         yield f"  {label:24}{before:>12}{after:>12}"
     yield from row("  what-if: ", OPEN_LOOP)
-    if totals.drives:
-        yield f"  {totals.end_otherwise} of {totals.drives} drives end otherwise"
+    if totals["drives"]:
+        yield f"  {totals['end_otherwise']} of {totals['drives']} drives end otherwise"
         yield f"    {'':9}{'MOVING':>9}{'commanded':>12}{'largest':>11}  ends"
         yield from _drive_lines(report)
 
 
 def _drive_lines(report: GateReport) -> Iterator[str]:
+    from robotctl.collection.judgement import ends_otherwise
+
     drives = [
         (path, drive)
         for path, result in report.results.items()
         if result.other is not None
-        for drive in result.other.drives
+        for drive in result.other["drives"]
     ]
-    drives.sort(key=lambda each: not each[1].ends_otherwise)
+    drives.sort(key=lambda each: not ends_otherwise(each[1]))
     for path, drive in drives[:MAX_NAMED]:
-        yield from row("  ", f"{path.name}, drive {drive.drive}: {_driven(drive)}")
-        for label, side in (("recorded", drive.recorded), ("what-if", drive.what_if)):
+        yield from row("  ", f"{path.name}, drive {drive['drive']}: {_driven(drive['measured'])}")
+        for label, side in (("recorded", drive["recorded"]), ("what-if", drive["what_if"])):
             yield _side_line(label, side)
     if len(drives) > MAX_NAMED:
         yield f"  and {len(drives) - MAX_NAMED} more drives: --json names all"
 
 
-def _driven(drive: DriveChange) -> str:
-    found = drive.measured
+def _driven(found: dict[str, Any] | None) -> str:
     if found is None:
         return "its end is not recorded"
-    far = "" if found.distance_m is None else f", {found.distance_m:.2f} m driven"
-    return f"{found.laps} lap{'' if found.laps == 1 else 's'}{far}"
+    far = "" if found["distance_m"] is None else f", {found['distance_m']:.2f} m driven"
+    return f"{found['laps']} lap{'' if found['laps'] == 1 else 's'}{far}"
 
 
-def _side_line(label: str, side: Commanded | None) -> str:
+def _side_line(label: str, side: dict[str, Any] | None) -> str:
     if side is None:
         return f"    {label:9}does not begin"
-    moving = f"{side.modes_s.get('MOVING', 0.0):.1f} s"
-    commanded, largest = f"{side.commanded_m:.2f} m", f"{side.max_linear_mps:.2f} m/s"
-    ends = "not recorded" if side.ended is None else f"{side.end_mode}: {side.cause or side.ended}"
+    moving = f"{side['modes_s'].get('MOVING', 0.0):.1f} s"
+    commanded, largest = f"{side['commanded_m']:.2f} m", f"{side['max_linear_mps']:.2f} m/s"
+    why = side["cause"] or side["ended"]
+    ends = "not recorded" if side["ended"] is None else f"{side['end_mode']}: {why}"
     return f"    {label:9}{moving:>9}{commanded:>12}{largest:>11}  {elided(ends, 33)}"

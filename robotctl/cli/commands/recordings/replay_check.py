@@ -8,8 +8,8 @@ from typing import Any
 
 from robotctl.base.errors import Divergence, RobotctlError, UnreadableFile, UsageError
 from robotctl.check.closed_loop import resimulate
-from robotctl.check.many import check_recordings
 from robotctl.check.report import Verdict
+from robotctl.check.run import check_recordings
 from robotctl.check.what_if import check_scope, parse_settings, what_if
 from robotctl.cli.targets.recordings import (
     LABEL_WIDTH,

@@ -148,7 +148,7 @@ _ROWS: Final = ("came_in", "known", "rule", "asked", "went_out", "since")
 
 def judge(path: Path, recorded: Recorded, *, quiet: bool) -> ReportFindings:
     """Check, verify and explain a recording; without a journal, only verify its bytes."""
-    from robotctl.check.many import check_recordings
+    from robotctl.check.run import check_recordings
     from robotctl.cli.commands.recordings.verify import verify_together
     from robotctl.show.page import ReportFindings
 
