@@ -76,7 +76,7 @@ def _live(world: World, peer: Peer) -> Observed:
         nodes=peer("nodes"),
         publishers=peer("publishers"),
         services=peer("services"),
-        refusals=[world.robotctl(*command) for command in refused],
+        refusals=[world.here(*command) for command in refused],
         still=world.status(),
         topics={},
     )
@@ -201,7 +201,7 @@ def test_a_message_larger_than_the_queue_is_counted_and_named(
 def test_an_observer_that_is_to_drive_as_well_is_not_started(
     world: World, option: tuple[str, ...]
 ) -> None:
-    ran = world.robotctl("start", "--observe", *option)
+    ran = world.here("start", "--observe", *option)
     assert ran.exit_code == 2
     assert "--observe records and does nothing else" in ran.err
     assert not world.recordings.exists()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import os
 import subprocess
 import sys
 from importlib.metadata import version
@@ -12,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-import robotctl
 from robotctl.base.errors import ConfigError
 from robotctl.config import Config
 from robotctl.daemon.recording import head_forwarder
@@ -26,11 +24,11 @@ from robotctl.daemon.recording.provenance import (
     software,
 )
 from robotctl.daemon.recording.recordings_folder import open_recorder
-from robotctl.recording import Recording, read_info
+from robotctl.recording import read_info
 from robotctl.recording.format.names import FOXGLOVE_RECORD, SOFTWARE_RECORD
 from robotctl.recording.seal import Head
 from tests.support.waiting import DEADLINE_S, until
-from tests.support.world import PATIENT, World
+from tests.support.world import PATIENT, InProcess, World
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -93,28 +91,9 @@ def test_versions_and_host_are_named(repository: Path, monkeypatch: pytest.Monke
     assert all(known.values())
 
 
-def test_a_directory_that_is_gone_is_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "gone").mkdir()
-    monkeypatch.chdir(tmp_path / "gone")
-    (tmp_path / "gone").rmdir()
-    assert "directory" not in provenance()
-
-
 def test_the_version_of_rclpy_is_that_of_its_wheel() -> None:
     """The package in the wheel names an earlier version than the wheel."""
     assert provenance()["rclpy"] == version("ros-jazzy-rclpy")
-
-
-@pytest.mark.parametrize("name", ["HEAD", "refs/heads/main", "packed-refs", "commondir"])
-def test_a_pipe_in_the_place_of_a_file_of_git_holds_up_nothing(tmp_path: Path, name: str) -> None:
-    git = tmp_path / ".git"
-    (git / "refs" / "heads").mkdir(parents=True)
-    if name != "HEAD":
-        (git / "HEAD").write_text("ref: refs/heads/main\n")
-    os.mkfifo(git / name)
-    assert revision(tmp_path) == ""
 
 
 @pytest.fixture
@@ -140,12 +119,6 @@ def test_the_digest_is_what_sha256sum_makes_of_its_own_list(package: Path) -> No
     assert software.__wrapped__(package)[DIGEST] == hashlib.sha256(listed.stdout).hexdigest()
 
 
-def test_every_module_of_the_kernel_is_hashed() -> None:
-    kernel = Path(robotctl.__file__).parent / "kernel"
-    assert {f"kernel/{path.name}" for path in kernel.glob("*.py")} <= set(software())
-    assert "daemon/driver.py" in software()
-
-
 def test_a_module_that_cannot_be_read_fails_no_start(package: Path) -> None:
     (package / "kernel" / "module.py").unlink()
     (package / "kernel" / "module.py").symlink_to("nothing")
@@ -168,42 +141,17 @@ def test_each_file_names_the_software_and_the_device(tmp_path: Path) -> None:
         assert metadata[FOXGLOVE_RECORD] == {"deviceName": "r2"}
 
 
-def written(world: World) -> int:
-    """Return how many messages are in the file."""
-    return int(world.answer("record", "status")["recorder"]["written"])
-
-
-def test_recordings_are_sealed_over_a_kill_and_a_restart(world: World) -> None:
-    world.ok("start", "--sim")
-    until(lambda: written(world) > 200)
-    (pid,) = world.processes()
-    world.kill(pid)
-    until(lambda: not world.processes())
-    (killed,) = world.recordings.iterdir()
-    ran = world.robotctl("verify", str(killed))
-    assert ran.exit_code == 0, ran
-    assert "not closed" in ran.out
-    world.ok("start", "--sim")
-    until(lambda: written(world) > 50)
-    world.ok("stop")
-    head = world.ok("key", "head").strip()
-    ran = world.robotctl("verify", str(world.recordings), "--head", head)
-    assert "broken" not in ran.out
-    assert "2 of 2 files" in ran.out
-    assert ran.exit_code in (0, 4), ran  # the second start may have repaired the first recording
-
-
-def test_without_a_place_for_the_key_the_robot_starts_and_says_so(world: World) -> None:
+async def test_without_a_place_for_the_key_the_robot_starts_and_says_so(
+    in_process: InProcess, world: World
+) -> None:
     blocked = world.folder / "state" / "robotctl" / "robot" / "seal"
     blocked.parent.mkdir(parents=True, mode=0o700)
     blocked.write_text("")
-    world.ok("start", "--observe")
-    until(lambda: any("not sealed" in text for text in world.status()["warnings"]))
-    world.ok("stop")
+    async with in_process(observe=True, sim=None) as daemon:
+        await daemon.until(lambda status: any("not sealed" in each for each in status["warnings"]))
     (folder,) = world.recordings.iterdir()
-    with Recording(folder) as recording:
-        assert recording.info().missing == ()
-    assert world.robotctl("verify", str(folder)).exit_code == 4
+    assert read_info(folder).missing == ()
+    assert world.here("verify", str(folder)).exit_code == 4
 
 
 def test_heads_are_published_and_given_to_a_program(world: World) -> None:
@@ -258,13 +206,6 @@ async def test_a_program_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) ->
     async with asyncio.timeout(DEADLINE_S):
         await forwarder.finish()
     assert "was ended" in forwarder.problem
-
-
-async def test_without_a_program_nothing_runs() -> None:
-    forwarder = HeadForwarder("", None)
-    forwarder.take(head(1))
-    await forwarder.finish()
-    assert forwarder.problem == ""
 
 
 def test_a_malformed_command_line_is_refused() -> None:

@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 
 from robotctl.check.compare import first_divergence
-from robotctl.ipc.answers import Status
 from robotctl.recording import read_info
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.format.recorded_events import ERRORS
@@ -150,28 +149,6 @@ def test_start_prints_what_runs(session: Session) -> None:
     assert max(map(len, session.started.splitlines())) <= 100
 
 
-def test_status_has_the_stable_keys(session: Session) -> None:
-    status = session.idle
-    assert set(status) == Status.__required_keys__
-    assert set(status["pose"]) == {"x", "y", "theta"}
-    assert set(status["velocity"]) == {"linear", "angular"}
-    ledger = ("bytes", "written", "queued", "dropped", "lost", "throttled", "unseen")
-    assert {frozenset(topic) for topic in status["topics"]} == {
-        frozenset({"name", "type", "count", "rate", *ledger})
-    }
-    assert set(status["recorder"]) == {
-        "state",
-        "file",
-        "bytes",
-        "received",
-        "written",
-        "queued",
-        "dropped",
-        "lost",
-        "throttled",
-    }
-
-
 def test_status_shows_the_present_state(session: Session) -> None:
     assert (session.idle["mode"], session.idle["phase"]) == ("IDLE", "standing")
     assert (session.moving["mode"], session.moving["phase"]) == ("MOVING", "driving")
@@ -190,10 +167,6 @@ def test_drive_wait_returns_the_tracking_numbers(session: Session) -> None:
     assert drive["distance_m"] == pytest.approx(2 * 3.1416 * 0.15, rel=0.1)
     assert 0.0 < drive["cross_track_rms_m"] <= drive["cross_track_max_m"] < 0.05
     assert drive["closure_m"] < 0.05
-
-
-def test_a_simulated_drive_tells_how_far_the_robot_truly_was_off_its_path(session: Session) -> None:
-    drive = session.drive
     assert 0.0 < drive["true_cross_track_rms_m"] <= drive["true_cross_track_max_m"] < 0.05
     assert drive["true_cross_track_max_m"] != drive["cross_track_max_m"]
 
@@ -261,17 +234,6 @@ def test_nonsense_on_the_socket_is_answered_and_changes_nothing(session: Session
 # The recording
 
 
-def test_every_topic_is_recorded(session: Session) -> None:
-    assert set(session.topics) >= {
-        "/cmd_vel",
-        "/odom",
-        "/battery_state",
-        "/robot_status",
-        "/robotctl/journal",
-    }
-    assert set(session.topics) == {topic["name"] for topic in session.before_stop["topics"]}
-
-
 @pytest.mark.parametrize("topic", ["/cmd_vel", "/odom", "/battery_state", "/robot_status"])
 def test_every_message_is_recorded_from_the_first_to_the_last(session: Session, topic: str) -> None:
     sequence = [message.sequence for message in session.topics[topic]]
@@ -328,17 +290,11 @@ def test_the_status_topic_shows_each_change_of_mode(session: Session) -> None:
     assert changes == decided
 
 
-def test_the_status_topic_comes_each_second(session: Session) -> None:
-    times = [message.log_time / 1e9 for message in session.topics["/robot_status"]]
-    changes = sum(entry.name == "ModeChanged" for entry in session.journal)
-    periodic = len(times) - changes
-    assert periodic - 1 <= times[-1] - times[0] <= periodic + 1
-
-
 def test_the_counts_add_up(session: Session) -> None:
     recorder = session.before_stop["recorder"]
     assert recorder["received"] == recorder["written"] + recorder["queued"] + recorder["dropped"]
     assert (recorder["dropped"], recorder["lost"]) == (0, 0)
+    assert set(session.topics) == {topic["name"] for topic in session.before_stop["topics"]}
     total = sum(len(messages) for messages in session.topics.values())
     assert f"recorded {total} messages" in session.log
     assert "0 dropped, 0 lost" in session.log

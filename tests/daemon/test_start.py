@@ -120,22 +120,27 @@ def test_a_daemon_in_the_foreground_with_closed_streams_writes_into_no_file_of_o
 # Starting wrong
 
 
-def test_a_wrong_configuration_starts_nothing(world: World) -> None:
-    config = world.folder / "robot.yaml"
+def test_what_cannot_be_started_is_one_sentence_and_starts_nothing(world: World) -> None:
+    config, unknown = world.folder / "robot.yaml", world.folder / "unknown.yaml"
     config.write_text("limits.linear_mps: -1")
-    ran = world.robotctl("start", "--config", str(config))
-    assert (ran.exit_code, ran.out) == (2, "")
-    assert f"{config}: line 1: limits.linear_mps: -1 is not allowed: use 0.01 to 10 m/s" in ran.err
-    assert ran.err.count("\n") == 1
-    assert not world.recordings.exists()
-
-
-def test_a_socket_path_that_is_too_long_starts_nothing(world: World) -> None:
-    world.environment["XDG_RUNTIME_DIR"] = str(world.folder / "run" / ("long" * 25))
-    ran = world.robotctl("start", "--sim")
-    assert ran.exit_code == 2
-    assert "longer than 107 bytes: set XDG_RUNTIME_DIR to a shorter folder" in ran.err
-    assert not world.recordings.exists()
+    unknown.write_text("socket.group: no_such_group\n")
+    run, long = world.environment["XDG_RUNTIME_DIR"], str(world.folder / "run" / ("long" * 25))
+    (world.folder / "file").write_text("")
+    for options, variables, said in (
+        (("--config", str(config)), {}, f"{config}: line 1: limits.linear_mps: -1 is not allowed"),
+        (("--config", str(unknown)), {}, "there is no group 'no_such_group'"),
+        ((), {"XDG_RUNTIME_DIR": long}, "longer than 107 bytes: set XDG_RUNTIME_DIR to a shorter"),
+        ((), {"XDG_RUNTIME_DIR": str(world.folder / "file")}, f"{world.folder / 'file'} is not a"),
+        ((), {"ROS_DOMAIN_ID": "233"}, "ROS_DOMAIN_ID is '233': use 0 to 232"),
+    ):
+        own = {"ROS_DOMAIN_ID": str(world.domain_id), "XDG_RUNTIME_DIR": run}
+        world.environment |= own | variables
+        ran = world.here("start", "--sim", *options)
+        assert (ran.exit_code, ran.out, ran.err.count("\n")) == (2, "", 1), ran
+        assert said in ran.err
+        world.environment |= own
+        assert not world.recordings.exists()
+    assert world.robotctl("status").exit_code == 3
 
 
 def test_a_start_fails_if_the_socket_path_is_not_a_socket(world: World) -> None:
@@ -165,23 +170,6 @@ def test_a_start_that_may_open_too_few_files_is_refused(world: World) -> None:
     assert not world.recordings.exists()
 
 
-def test_a_file_in_the_place_of_the_runtime_folder_is_named(world: World) -> None:
-    in_the_way = world.folder / "run" / "robotctl"
-    in_the_way.write_text("")
-    ran = world.robotctl("start", "--sim")
-    assert ran.exit_code != 0
-    assert str(in_the_way) in ran.err
-    assert ran.err.count("\n") == 1
-
-
-def test_a_ros_domain_that_does_not_exist_starts_nothing(world: World) -> None:
-    world.environment["ROS_DOMAIN_ID"] = "233"
-    ran = world.robotctl("start", "--sim")
-    assert ran.exit_code == 2
-    assert "ROS_DOMAIN_ID is '233': use 0 to 232" in ran.err
-    assert not world.recordings.exists()
-
-
 def test_a_failed_start_in_the_foreground_says_why_in_one_line(world: World) -> None:
     world.recordings.write_text("")
     ran = world.robotctl("start", "--foreground", "--sim")
@@ -190,7 +178,7 @@ def test_a_failed_start_in_the_foreground_says_why_in_one_line(world: World) -> 
     assert ran.err.count("\n") == 1
 
 
-@pytest.mark.parametrize("module", ["asyncio", "robotctl.daemon.lock", "robotctl.daemon.app"])
+@pytest.mark.parametrize("module", ["asyncio", "robotctl.daemon.app"])
 def test_a_ctrl_c_while_the_daemon_is_still_importing_ends_it_without_a_traceback(
     module: str, world: World
 ) -> None:
@@ -210,20 +198,7 @@ runpy.run_module("robotctl.daemon", run_name="__main__", alter_sys=True)
     assert (ran.returncode, ran.stderr) == (130, b"")
 
 
-# Without a robot
-
-
-def test_a_start_waits_for_the_robot_so_that_the_first_drive_is_taken(world: World) -> None:
-    start = world.spawn("start", "--no-sim")
-    until(lambda: world.sockets() != [] or start.poll() is not None)
-    sim = world.spawn("sim")
-    out, err = start.communicate(timeout=DEADLINE_S)
-    assert start.returncode == 0, err
-    assert "no robot to drive yet" not in out
-    world.ok("set-mode", "moving")
-    world.ok("stop")
-    sim.terminate()
-    sim.communicate(timeout=DEADLINE_S)
+# With ROS arguments
 
 
 def test_a_start_takes_parameters_remaps_a_namespace_and_a_node_name() -> None:
@@ -321,12 +296,3 @@ def test_a_member_of_the_group_stops_the_robot_and_the_journal_names_the_user(wo
     assert (member.returncode, out.startswith("Mode changed to EMERGENCY_STOP")) == (0, True), err
     assert f") of uid {MEMBER}: " in world.status()["mode_reason"]
     world.ok("stop")
-
-
-def test_an_unknown_group_is_refused_by_name_and_nothing_starts(world: World) -> None:
-    config = world.folder / "robot.yaml"
-    config.write_text("socket.group: no_such_group\n")
-    refused = world.robotctl("start", "--sim", "--config", str(config))
-    assert refused.exit_code == 2
-    assert "there is no group 'no_such_group'" in refused.err
-    assert world.robotctl("status").exit_code == 3
