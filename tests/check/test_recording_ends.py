@@ -33,9 +33,19 @@ from robotctl.testing.drives import BEGIN_NS, drive_requested
 from robotctl.testing.hearing import BATTERY, ODOMETRY
 from tests.support.edited_recordings import Contents, Stored, write_contents
 from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS, heard_drive, status
-from tests.tampering.edits import MOTION, Kind, changed, dropped, metadata, moves, removed, still
+from tests.tampering.edits import (
+    MOTION,
+    Kind,
+    appended,
+    changed,
+    dropped,
+    metadata,
+    moves,
+    removed,
+    repeated_at_the_end,
+    still,
+)
 from tests.tampering.kinds import FOUND, OBSERVED, UNNAMED
-from tests.tampering.topic_kinds import appended, repeated_at_the_end
 
 
 def halves(contents: Contents, *, queued: int = 0) -> tuple[Contents, Contents]:

@@ -9,12 +9,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from random import Random
 
+from mcap.records import Channel, Schema
+
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.units import NS_PER_S
+from robotctl.messages.definition import parse_definition, rihs01_hash
 from robotctl.messages.inputs import decode_twist, encode_twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, decode, encode
 from robotctl.recording.format.names import LEDGER_RECORD
 from tests.support.edited_recordings import Contents, Stored, edit
-from tests.support.heard_drives import JOURNAL
+from tests.support.heard_drives import JOURNAL, received
 
 Kind = Callable[[Contents, Random], Contents]
 """An edit; the generator chooses its place."""
@@ -403,18 +407,6 @@ by_one_ulp = flipped(4)
 FREQUENT = ("Tick", "OdomReceived", "SafetyInputReceived")
 
 
-def first_snapshot_dropped(
-    entries: list[JournalEntry], random: Random
-) -> list[JournalEntry | None]:
-    return [None, *entries[1:]]
-
-
-def first_part_dropped(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
-    snapshots = [at for at, each in enumerate(entries) if each.kind is EntryKind.SNAPSHOT]
-    first = random.choice(snapshots[1:])
-    return [*[None] * first, *entries[first:]]
-
-
 def rare_dropped(entries: list[JournalEntry], random: Random) -> Sequence[JournalEntry | None]:
     rare = {
         each.name for each in entries if each.kind is EntryKind.EVENT and each.name not in FREQUENT
@@ -460,3 +452,97 @@ def decided_without_event(contents: Contents, random: Random) -> Contents:
     return journal(
         lambda entries, _: [None if each.seq == gone else each for each in entries], careful=True
     )(contents, random)
+
+
+# Topics: after their ends, and what the file tells of them
+
+Change = Callable[[Stored], Stored]
+"""Makes of the last message what is added."""
+
+Described = tuple[Channel, Schema]
+
+
+def appended(
+    topic: str,
+    counts: tuple[int, int],
+    change: Change = lambda message: message,
+    *,
+    step: int = 1,
+    first: int = 1,
+    every_s: float = 0.0,
+    after_s: float = 0.0,
+) -> Kind:
+    """Add messages after the last one of a topic, so many at least and at most.
+
+    They are numbered in steps of `step`, `first` for the first one; they follow the end of the
+    recording `after_s` later, and each other in `every_s`.
+    """
+
+    def make(contents: Contents, random: Random) -> Contents:
+        last = [each for each in contents.messages if each.topic == topic][-1]
+        end_ns = max(each.log_ns for each in contents.messages)
+        begin_ns = end_ns + round(after_s * NS_PER_S)
+        edited = contents.copy()
+        for number in range(random.randint(*counts)):
+            at_ns = begin_ns + round(number * every_s * NS_PER_S)
+            sequence = last.sequence + (first + number) * step
+            message = replace(last, log_ns=at_ns, publish_ns=at_ns, sequence=sequence)
+            edited.messages.append(change(message))
+        return edited
+
+    return make
+
+
+def repeated_at_the_end(topic: str, counts: tuple[int, int], change: Change) -> Kind:
+    """Repeat the last message of a topic, so often at least and at most."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        last = [each for each in contents.messages if each.topic == topic][-1]
+        edited = contents.copy()
+        edited.messages += [change(last)] * random.randint(*counts)
+        return edited
+
+    return make
+
+
+def call(message: Stored) -> Stored:
+    """Make a call of a service, each of another client's."""
+    return replace(message, data=received(message.sequence, None))
+
+
+def described(change: Callable[[Channel, Schema], Described], *topics: str) -> Kind:
+    """Change what the file tells of one of these topics."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        chosen = random.choice(topics)
+        edited = contents.copy()
+        edited.types = [
+            change(channel, schema) if channel.topic == chosen else (channel, schema)
+            for channel, schema in contents.types
+        ]
+        return edited
+
+    return make
+
+
+def with_type_hash(channel: Channel, schema: Schema, text: str) -> Described:
+    """Change the type hash that a channel tells."""
+    return replace(channel, metadata={**channel.metadata, "topic_type_hash": text}), schema
+
+
+def of_another_version(channel: Channel, schema: Schema) -> Described:
+    """Add a field to a type, with the hash that it then has."""
+    text = b"uint8 another\n" + schema.data
+    type_hash = rihs01_hash(schema.name, parse_definition(schema.name, text.decode()))
+    return with_type_hash(channel, replace(schema, data=text), type_hash)
+
+
+def together(*kinds: Kind) -> Kind:
+    """Edit one after the other."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        for kind in kinds:
+            contents = kind(contents, random)
+        return contents
+
+    return make
