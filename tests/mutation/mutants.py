@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import difflib
-import itertools
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
@@ -46,17 +45,13 @@ class Site:
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """The code of the module at `path` with one change: in `where`, `was` became `now`.
-
-    `lines` are those of the statement, or of its head, that was changed.
-    """
+    """The code of the module at `path` with one change: in `where`, `was` became `now`."""
 
     path: Path
     code: str
     where: str
     was: str
     now: str
-    lines: range
 
     @property
     def key(self) -> Key:
@@ -90,37 +85,7 @@ def mutant_at(site: Site) -> Mutant:
         " ".join(line[1:].strip() for line in changes if line.startswith(sign)).strip()
         for sign in "-+"
     )
-    return Mutant(site.path, code, site.where, was, now, _changed_lines(source, code))
-
-
-def _changed_lines(source: str, code: str) -> range:
-    """Return the lines of the innermost statement, or of its head, that became another one."""
-    before, after = source.splitlines(), code.splitlines()
-    same = _same_at_begin(before, after)
-    begin = same + 1
-    end = len(before) - _same_at_begin(before[same:][::-1], after[same:][::-1])
-    lines = range(begin, max(begin, end) + 1)
-    for node in ast.walk(ast.parse(source)):  # outer statements come before inner ones
-        if isinstance(node, ast.stmt):
-            head = _head(node)
-            if head.start <= lines.start and lines.stop <= head.stop:
-                return head
-    return lines
-
-
-def _head(node: ast.stmt) -> range:
-    """Return the lines of a statement without those of the statements in it."""
-    inner = (each for field in ("body", "cases") for each in getattr(node, field, []))
-    first = next(inner, None)
-    if first is None:
-        return range(node.lineno, (node.end_lineno or node.lineno) + 1)
-    begin = first.pattern.lineno if isinstance(first, ast.match_case) else first.lineno
-    return range(node.lineno, max(begin, node.lineno + 1))
-
-
-def _same_at_begin(one: Sequence[str], other: Sequence[str]) -> int:
-    pairs = itertools.takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False))
-    return sum(1 for _ in pairs)
+    return Mutant(site.path, code, site.where, was, now)
 
 
 class _Places:
