@@ -85,7 +85,7 @@ def stored(folder: Path) -> int:
     return len(list(folder.glob("*.json")))
 
 
-@pytest.mark.parametrize("count", [40, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [20, pytest.param(1000, marks=pytest.mark.slow)])
 def test_a_killed_worker_and_a_restarted_scheduler_lose_no_result_and_count_none_twice(
     dask: DaskProcesses, tmp_path: Path, count: int
 ) -> None:
@@ -284,6 +284,7 @@ def test_a_killed_gate_leaves_no_process_and_the_next_judges_only_what_is_left(
 FLEET_PAGE = Path(__file__).parents[2] / "docs/fleet.md"
 
 
+@pytest.mark.slow
 def test_the_gate_runs_on_ray(tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="Ray has 240 MB: no extra brings it")
     (program,) = re.findall(r"```python\n(import sys\n.*?)```", FLEET_PAGE.read_text(), re.DOTALL)

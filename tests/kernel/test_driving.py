@@ -39,8 +39,7 @@ def drive(kind: PatternKind, laps: int = 1, rate_hz: float = 50.0, seed: int = 1
 
 
 @pytest.mark.parametrize("kind", PatternKind)
-@pytest.mark.parametrize("rate_hz", [50.0, 100.0])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("rate_hz", "seed"), [(50.0, 1), (100.0, 2)])
 def test_a_lap_closes_and_stays_near_its_path(kind: PatternKind, rate_hz: float, seed: int) -> None:
     driven = drive(kind, 1, rate_hz, seed)
     report = driven.ended.report
@@ -85,8 +84,7 @@ def shortest_rounded_square_s() -> float:
     return rest_s + 4.0 * 0.5 * pi / LIMITS.angular_rps + stop_s
 
 
-@pytest.mark.parametrize("rate_hz", [50.0, 100.0])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("rate_hz", "seed"), [(50.0, 1), (100.0, 2)])
 @pytest.mark.parametrize(
     ("kind", "shortest_s", "share"),
     [
@@ -104,7 +102,7 @@ def test_a_lap_takes_little_more_than_the_shortest_possible_time(
     assert shortest_s < driven.duration_s <= share * shortest_s
 
 
-@pytest.mark.parametrize("kind", PatternKind)
+@pytest.mark.parametrize("kind", [PatternKind.SQUARE, PatternKind.FIGURE_EIGHT])
 def test_errors_do_not_add_up_over_laps(kind: PatternKind) -> None:
     one, report = drive(kind).ended.report, drive(kind, laps=4).ended.report
     assert report.laps == 4
@@ -114,7 +112,7 @@ def test_errors_do_not_add_up_over_laps(kind: PatternKind) -> None:
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.2])
-@pytest.mark.parametrize("kind", PatternKind)
+@pytest.mark.parametrize("kind", [PatternKind.SQUARE, PatternKind.ROUNDED_SQUARE])
 def test_a_slower_or_a_quicker_robot_closes_its_lap_if_its_lag_is_told(
     kind: PatternKind, lag_s: float
 ) -> None:
@@ -270,13 +268,12 @@ BENDS: tuple[Point, ...] = ((0.0, 0.0), (0.8, 0.0), (1.2, 0.6), (0.4, 1.0))
 TURNED = Pose(0.0, 0.0, pi)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("kind", [*PatternKind, None])
 def test_every_pattern_is_driven_near_its_path_within_the_limits_to_its_end_in_time(
-    kind: PatternKind | None, seed: int
+    kind: PatternKind | None,
 ) -> None:
     """A kind of None stands for waypoints; the lag of the base is told, as it should be."""
-    draw = Random(f"{kind} {seed}")
+    draw = Random(f"{kind} 1")
     limits = VelocityLimits(
         draw.uniform(0.2, 1.0), draw.uniform(0.8, 2.0), draw.uniform(0.5, 2.0), draw.uniform(4, 8)
     )

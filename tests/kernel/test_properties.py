@@ -159,7 +159,7 @@ ANY_EVENTS = st.lists(strategies.event(strategies.INT64, REQUEST_ID), max_size=4
 
 
 @given(ANY_EVENTS, st.sampled_from(("fresh", "latched", "ready", "moving")))
-@settings(max_examples=300)
+@settings(max_examples=100)
 def test_every_promise_holds_for_any_events_at_any_times(events: list[Event], begin: str) -> None:
     state = {
         "fresh": State(),
@@ -174,7 +174,7 @@ def test_every_promise_holds_for_any_events_at_any_times(events: list[Event], be
 
 
 @given(ANY_EVENTS)
-@settings(max_examples=100)
+@settings(max_examples=40)
 def test_an_emergency_stop_is_possible_at_any_moment(events: list[Event]) -> None:
     bench = moving()
     for event in events:
@@ -207,7 +207,7 @@ def test_an_emergency_stop_is_possible_at_any_moment(events: list[Event]) -> Non
     st.lists(st.integers(0, 400_000_000), min_size=20, max_size=60),
     strategies.COURSE,
 )
-@settings(max_examples=150)
+@settings(max_examples=50)
 def test_every_allowed_configuration_keeps_every_promise(
     limits: VelocityLimits,
     rate_hz: float,
@@ -331,7 +331,7 @@ class AnyHistory(RuleBasedStateMachine):
 
 
 TestAnyHistory = AnyHistory.TestCase
-TestAnyHistory.settings = settings(max_examples=60, stateful_step_count=30)
+TestAnyHistory.settings = settings(max_examples=25, stateful_step_count=30)
 
 HISTORY = """
 import hashlib
@@ -493,11 +493,8 @@ def follow(seed: int) -> Iterator[str]:
     yield from (f"seed {seed}: {each.text}" for each in fed.invariants.violations)
 
 
-@pytest.mark.parametrize("first", [0, 10])
-def test_after_any_schedule_of_faults_every_invariant_holds_and_the_robot_moves_again(
-    first: int,
-) -> None:
-    assert [problem for seed in range(first, first + 10) for problem in follow(seed)] == []
+def test_after_any_schedule_of_faults_every_invariant_holds_and_the_robot_moves_again() -> None:
+    assert [problem for seed in range(10) for problem in follow(seed)] == []
 
 
 @pytest.mark.slow

@@ -180,8 +180,9 @@ def assert_all_are_as_built(paths: Iterable[Path]) -> int:
     return len(hashes)
 
 
-def test_every_installed_type_is_what_ros_built_and_what_rosbags_reads() -> None:
-    assert assert_all_are_as_built(BUILT) > 300
+@pytest.mark.parametrize("step", [4, pytest.param(1, marks=pytest.mark.slow)])
+def test_installed_types_are_what_ros_built_and_what_rosbags_reads(step: int) -> None:
+    assert assert_all_are_as_built(BUILT[::step]) > 300 // step
 
 
 def test_a_type_of_a_bag_is_installed_without_its_description(
@@ -221,7 +222,7 @@ def drawn(dice: Random, count: int) -> Iterator[tuple[str, str]]:
         known = [*known[-12:], f"T{number}"]
 
 
-@pytest.mark.parametrize("count", [25, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [12, pytest.param(500, marks=pytest.mark.slow)])
 def test_drawn_types_are_what_rosidl_makes_of_them(
     count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

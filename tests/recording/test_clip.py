@@ -194,7 +194,7 @@ def test_of_the_modes_a_clip_keeps_that_of_an_observer(mode: str, kept: dict[str
     assert copied == ("robotctl", kept)
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(start_s=st.floats(0.0, DURATION_S), length_s=st.floats(0.05, 10.0))
 def test_whatever_is_cut_a_fresh_kernel_decides_it_the_same(
     driven_recording: Path,
