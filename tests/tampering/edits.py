@@ -11,8 +11,8 @@ from random import Random
 
 from mcap.records import Channel, Schema
 
+from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.units import NS_PER_S
 from robotctl.messages.definition import parse_definition, rihs01_hash
 from robotctl.messages.inputs import decode_twist, encode_twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, decode, encode

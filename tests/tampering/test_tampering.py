@@ -16,7 +16,7 @@ import pytest
 from robotctl.check.report import Verdict
 from robotctl.check.run import check_recording
 from robotctl.recording.read.whole_recording import RecordingProof, verify_recording
-from robotctl.recording.write import file_seal
+from robotctl.recording.write import mcap_writer
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.heard_drives import COMMANDS
 from tests.support.recordings import Forger, keyring
@@ -92,7 +92,7 @@ def by_seal(tmp_path: Path, honest: Honest, monkeypatch: pytest.MonkeyPatch) -> 
 
     The forger edits consistently, hashes the chain again, and lacks only the private key.
     """
-    monkeypatch.setattr(file_seal, "LINK_PERIOD_S", 0.0)  # a link at each commit
+    monkeypatch.setattr(mcap_writer, "LINK_PERIOD_S", 0.0)  # a link at each commit
     sealed = write_contents(tmp_path / "sealed" / "run", honest["stopped"], keyring(tmp_path / "k"))
     found = verify_recording(sealed)
     assert (found.proof, found.wrong) == (RecordingProof.SEALED, ())
