@@ -123,31 +123,6 @@ def test_without_systemd_the_unit_is_written_and_the_command_that_enables_it_is_
     assert (units / "robotctl-robot.service").is_file()
 
 
-def test_the_service_copies_at_the_lowest_priority_with_what_was_given(
-    cli: Cli, units: Path, home: Path
-) -> None:
-    ran = cli("boot", "sync", "show", "--json", "--", URL)
-    timer, service = json.loads(ran.out)["units"]
-    assert service["path"] == str(units / "robotctl-robot-sync.service")
-    assert timer["path"] == str(units / "robotctl-robot-sync.timer")
-    lines = service["text"].splitlines()
-    for line in ("Type=oneshot", "Nice=19", "IOSchedulingClass=idle", "UMask=0077"):
-        assert line in lines
-    recordings = home / "state" / "robotctl" / "recordings" / "robot"
-    assert started(service["text"]).endswith(
-        f"robotctl sync {URL} --robot robot --recordings {recordings}"
-    )
-    assert "OnUnitInactiveSec=10min" in timer["text"]
-
-
-@pytest.mark.parametrize("words", [["--dry-run"], ["--robot=r2"], ["--jsno"], ["--recordings"]])
-def test_what_sync_would_not_take_is_refused_at_once(
-    cli: Cli, units: Path, words: list[str]
-) -> None:
-    assert cli("boot", "sync", "install", "--", URL, *words).exit_code == 2
-    assert not units.exists()
-
-
 def test_the_units_of_copies_are_enabled_and_removed_again(
     cli: Cli, units: Path, systemctl: Path
 ) -> None:

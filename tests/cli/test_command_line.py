@@ -83,13 +83,6 @@ def test_what_is_spelt_plainly_takes_the_short_way(
     assert by_typer(arguments.split(), calls) == call
 
 
-@pytest.mark.parametrize(
-    "arguments", ["", "--help", "status --help", "status x", "set-mode", "--json status", "drive x"]
-)
-def test_everything_else_is_left_to_typer(arguments: str) -> None:
-    assert quick.match(arguments.split()) is None
-
-
 @settings(
     max_examples=300,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
@@ -263,11 +256,6 @@ WALKED = dict(commands())
 
 def options_of(command: Any) -> set[str]:
     return {option for parameter in command.params for option in parameter.opts}
-
-
-def test_the_walk_finds_groups_and_what_is_in_them() -> None:
-    assert {"status", "recordings", "recordings rm", "topic echo"} <= set(WALKED)
-    assert {name.split()[0] for name in WALKED} == set(registry.COMMANDS)
 
 
 @pytest.mark.parametrize("name", WALKED)

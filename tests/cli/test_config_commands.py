@@ -88,4 +88,4 @@ def test_a_profile_is_one_that_exists_and_given_without_a_file(
 
 def test_start_passes_the_file_of_the_profile_to_the_daemon(cli: Cli) -> None:
     assert cli("start", "--profile", "husky").exit_code == 0
-    assert f"'--config', '{Profile.HUSKY.path}'" in cli("logs").out
+    assert f"'--config={Profile.HUSKY.path}'" in cli("logs").out

@@ -222,12 +222,6 @@ def test_the_name_of_the_file_chooses_the_format(
     assert (tmp_path / name).read_text().startswith(begin)
 
 
-def test_the_answer_about_a_json_file_is_json(cli: Cli, tmp_path: Path) -> None:
-    target = tmp_path / "x.jsonl"
-    ran = cli("export", str(DRIVE), "--topic", "/odom", "--json", "-o", str(target))
-    assert json.loads(ran.out) == {"target": str(target), "rows": 83, "columns": 92, "lost": []}
-
-
 def test_only_the_given_time_is_exported(cli: Cli, tmp_path: Path) -> None:
     run = str(written(tmp_path))
     ran = cli("export", run, "--topic", "/all", "--from", "2", "--to", "5", "--json")
@@ -306,24 +300,6 @@ def test_a_field_with_the_name_of_a_time_keeps_a_column_of_its_own(
     ran = cli("export", str(tmp_path / "named"), "--topic", "/n", "--json")
     row = json.loads(ran.out)
     assert (row["log_ns"], row["message.log_ns"]) == (START_NS, 7)
-
-
-def test_a_reader_that_closes_the_pipe_ends_the_export_quietly(
-    command: list[str], tmp_path: Path
-) -> None:
-    run = written(tmp_path, 3000)
-    with subprocess.Popen(
-        [*command, "export", str(run), "--topic", "/all"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        assert process.stdout.readline().startswith("log_ns,")
-        process.stdout.close()
-        assert process.stderr.read() == ""
-        assert process.wait(60) == 0
 
 
 def test_control_characters_reach_a_file_but_no_terminal(

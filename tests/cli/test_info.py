@@ -68,22 +68,6 @@ def test_a_truncated_file_shows_what_can_be_read_and_says_what_is_missing(
 
 
 @pytest.mark.parametrize(
-    ("content", "text"),
-    [(None, "No such file"), (b"", "empty"), (b"hello" * 50, "not an MCAP file")],
-)
-def test_what_is_no_recording_is_one_sentence(
-    content: bytes | None, text: str, cli: Cli, tmp_path: Path
-) -> None:
-    file = tmp_path / "any.mcap"
-    if content is not None:
-        file.write_bytes(content)
-    ran = cli("info", str(file))
-    assert (ran.exit_code, ran.out) == (6, "")
-    assert ran.err.count("\n") == 1
-    assert text in ran.err
-
-
-@pytest.mark.parametrize(
     ("offered", "text"),
     [
         ("", ""),

@@ -139,12 +139,3 @@ def test_options_that_contradict_each_other_are_named(
     ran = cli("find", *arguments)
     assert ran.exit_code == 2
     assert says in " ".join(ran.err.split())
-
-
-def test_a_recording_that_cannot_be_indexed_has_an_exit_code(cli: Cli) -> None:
-    folder = Path("recordings/broken")
-    folder.mkdir(parents=True)
-    (folder / "broken_0.mcap").write_bytes(b"no MCAP")
-    ran = cli("index", "recordings")
-    assert ran.exit_code == 6
-    assert "broken is left out: " in ran.out

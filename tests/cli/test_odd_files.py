@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 
 from robotctl.base.errors import ConfigError, UsageError
-from robotctl.base.paths import log_path, make_private, recordings_note_path
 from robotctl.config import load
 from robotctl.daemon.command_line import parse
 from robotctl.testing.drives import drive, record
@@ -82,47 +81,11 @@ def test_a_list_of_files_that_is_a_fifo_is_told_and_the_files_are_read(
     assert ("not a regular file" in ran.out + ran.err) is (command != "recover")
 
 
-def test_a_fifo_among_the_recordings_hides_no_other(run: Cli) -> None:
-    record(Path("recordings") / "robot_20260101_000000", drive(1.0))
-    os.mkfifo("recordings/robot_20260102_000000")
-    Path("recordings/robot_20260103_000000").mkdir()
-    os.mkfifo("recordings/robot_20260103_000000/robot_20260103_000000_0.mcap")
-    ran = run("recordings")
-    assert ran.exit_code == 0, ran
-    assert "robot_20260101_000000" in ran.out
-    assert "unreadable" in ran.out
-
-
 @pytest.mark.parametrize("path", ["fifo", "/dev/zero", "."])
 def test_a_configuration_is_a_file(path: str) -> None:
     os.mkfifo("fifo")
     with pytest.raises(ConfigError, match=f"{path}: .*: give the path of a YAML file"):
         load(Path(path))
-
-
-def test_a_note_that_is_a_fifo_is_as_good_as_none(run: Cli) -> None:
-    note = recordings_note_path("robot")
-    make_private(note.parent)
-    os.mkfifo(note)
-    ran = run("info", "last")
-    assert ran.exit_code == 4
-    assert "no recording" in ran.err
-
-
-def test_a_log_that_is_a_fifo_is_named(run: Cli) -> None:
-    path = log_path("robot")
-    make_private(path.parent)
-    os.mkfifo(path)
-    ran = run("logs")
-    assert (ran.exit_code, ran.out) == (1, "")
-    assert ran.err == f"robotctl: {path}: it is not a regular file\n"
-
-
-def test_a_clip_goes_into_no_fifo(run: Cli) -> None:
-    record(Path(RECORDING), drive(1.0))
-    os.mkfifo("out")
-    ran = run("clip", RECORDING, "--at", "0.5", "-o", "out")
-    assert (ran.exit_code, ran.err) == (4, "robotctl: cannot write out: File exists\n")
 
 
 # A working folder that is gone

@@ -142,15 +142,6 @@ def test_nothing_else_than_a_picture_is_written(recording: Path, cli: Cli, tmp_p
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_a_terminal_without_braille_gets_stars(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    from robotctl.cli.commands.recordings import report
-
-    monkeypatch.setattr(report, "can_show_braille", lambda: False)
-    out = cli("plot", "run.mcap", "/t", "x").out
-    assert out.isascii()
-    assert "*" in out
-
-
 @pytest.mark.parametrize(
     "values",
     [[5e-324] * 3, [0.0, 5e-324], [1e-310, 3e-310], [-1.2345e-5, -2.5e-5], [-1.2345e14, -2.5e14]],
@@ -164,23 +155,6 @@ def test_the_smallest_and_the_longest_numbers_there_are_can_be_drawn(
     assert {line.find("\u2502") for line in ran.out.splitlines()[1:-1]} == {11}
     for name in ("small.png", "small.svg"):
         assert cli("plot", "small.mcap", "/t", "x", "-o", name).exit_code == 0
-
-
-def texts_of(picture: str) -> list[ElementTree.Element]:
-    return list(ElementTree.parse(picture).getroot().iter("{http://www.w3.org/2000/svg}text"))
-
-
-def test_a_number_beside_a_picture_is_written_whole(cli: Cli) -> None:
-    write(Path("stamps.mcap"), [(1.7e9 + n / 20, []) for n in range(21)])
-    assert cli("plot", "stamps.mcap", "/t", "x", "-o", "stamps.svg").exit_code == 0
-    numbers = [text for text in texts_of("stamps.svg") if text.get("class") == "value"]
-    assert [text.text for text in numbers] == ["1700000000", "1700000000.5", "1700000001"]
-    for text in numbers:  # they end at x
-        assert float(text.get("x", 0)) >= 7 * len(text.text or "")
-    assert cli("plot", "stamps.mcap", "/t", "x", "-o", "stamps.png").exit_code == 0
-    with Image.open("stamps.png") as image:
-        edge = image.convert("L").crop((0, 0, 4, image.height))
-        assert edge.getextrema() == (255, 255)  # nothing is cut off
 
 
 def write_transforms(path: Path) -> None:

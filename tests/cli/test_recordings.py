@@ -15,7 +15,7 @@ from robotctl.base.paths import recordings_note_path
 from robotctl.cli.commands.recordings.info import remove
 from robotctl.cli.targets.recordings import parse_moment
 from robotctl.cli.ui import text
-from robotctl.recording import Recorder, Topic
+from robotctl.recording import Recorder
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import ERRORS, RecordedEvent
 from robotctl.recording.keep.listing import CLIPS_FOLDER, set_kept
@@ -23,7 +23,6 @@ from robotctl.testing.drives import START_NS, TWIST
 from tests.cli.conftest import Cli
 from tests.support.recordings import read_strictly, write_numbered
 
-SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 OLDER, NEWER = "robot_20260101_120000", "robot_20260101_120000-2"
 
 
@@ -116,25 +115,6 @@ def test_another_folder_may_be_named(library: Path, cli: Cli, tmp_path: Path) ->
     assert "no such folder" in ran.err
 
 
-def test_without_any_daemon_ever_it_is_the_folder_here(cli: Cli) -> None:
-    ran = cli("recordings")
-    assert (ran.exit_code, ran.out) == (
-        0,
-        "no recordings in recordings (start one: robotctl start)\n",
-    )
-    assert json.loads(cli("recordings", "--json").out)["recordings"] == []
-    record(Path("recordings") / "mine")
-    assert "mine" in cli("recordings").out
-
-
-@pytest.mark.parametrize("note", [b"", b"/nowhere\n", b"\xff\xfe\0", b"a\0b\n"])
-def test_a_note_that_leads_nowhere_does_no_harm(cli: Cli, note: bytes) -> None:
-    path = recordings_note_path("robot")
-    path.parent.mkdir(parents=True)
-    path.write_bytes(note)
-    assert cli("recordings").exit_code == 0
-
-
 def test_keep_marks_a_recording_and_unkeep_takes_it_back(library: Path, cli: Cli) -> None:
     assert cli("recordings", "keep", OLDER).exit_code == 0
     answer = json.loads(cli("recordings", "keep", "last", "--json").out)
@@ -162,20 +142,6 @@ def test_an_option_before_keep_is_refused_and_nothing_is_changed(
         )
         assert told in ran.err
     assert not list(library.glob("*/keep"))
-
-
-def test_a_table_in_a_pipe_is_not_cut(cli: Cli) -> None:
-    name = "a_recording_with_a_name_" + "of_many_words" * 10
-    topic = Topic("/a" * 60, "some_package/msg/" + "Type" * 30)
-    recorder = Recorder(Path("recordings") / name, on_failure=pytest.fail)
-    write_numbered(recorder, recorder.add_topic(topic), range(1, 10))
-    recorder.close()
-    assert f"  {name} " in cli("recordings").out
-    found = cli("info", name).out
-    (line,) = (line for line in found.splitlines() if topic.name in line)
-    assert line.split()[:3] == [topic.name, topic.type_name.replace("/msg/", "/"), "9"]
-    (header,) = (line for line in found.splitlines() if line.endswith("Hz"))
-    assert len(header) == len(line)
 
 
 HERE = "demo_7_20260102_120000"
@@ -254,34 +220,6 @@ def test_a_folder_is_recovered_file_by_file(library: Path, cli: Cli) -> None:
     assert (saved / "metadata.yaml").exists()
     assert cli("info", str(saved)).exit_code == 0
     assert cli("recover", OLDER).exit_code == 4
-
-
-def test_a_folder_without_anything_readable_leaves_no_folder(cli: Cli, tmp_path: Path) -> None:
-    for name in ("empty", "broken"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "broken" / "a.mcap").write_bytes(b"")
-    for name in ("empty", "broken"):
-        ran = cli("recover", str(tmp_path / name))
-        assert (ran.exit_code, ran.out) == (6, "")
-        assert not (tmp_path / f"{name}_recovered").exists()
-
-
-@pytest.mark.skipif(not SAMPLES.is_dir(), reason="no sample bags")
-def test_bags_of_rosbag2_are_shown_recovered_and_cut(cli: Cli, tmp_path: Path) -> None:
-    for bag in sorted(SAMPLES.iterdir()):
-        found = json.loads(cli("info", str(bag), "--json").out)
-        assert found["messages"] > 0
-        out = tmp_path / bag.name
-        ran = cli("recover", str(bag), "-o", str(out), "--json")
-        assert (ran.exit_code, json.loads(ran.out)["messages"]) == (0, found["messages"])
-        assert json.loads(cli("info", str(out), "--json").out)["messages"] == found["messages"]
-        clip = tmp_path / f"{bag.name}.mcap"
-        ran = cli("clip", str(bag), "--at", "0", "--before", "0", "--after", "0.5", "-o", str(clip))
-        assert ran.exit_code == 0, ran.err
-        assert read_strictly(clip)
-    listed = json.loads(cli("recordings", "--recordings", str(SAMPLES), "--json").out)
-    assert all(each["readable"] and not each["damage"] for each in listed["recordings"])
-    assert len(listed["recordings"]) == len(list(SAMPLES.iterdir()))
 
 
 NAME = "robot_20260101_120000"

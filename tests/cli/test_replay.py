@@ -37,17 +37,6 @@ def diverging(written: list[Written]) -> list[Written]:
     return changed
 
 
-def test_a_recording_that_is_decided_the_same_is_said_in_two_lines(
-    cli: Cli, written: list[Written]
-) -> None:
-    record(Path("run"), written)
-    ran = cli("replay", "run", "--check")
-    assert ran.exit_code == 0
-    first, second = ran.out.splitlines()
-    assert first.split() == ["same", "run"]
-    assert "bit for bit" in second
-
-
 def test_many_are_checked_and_the_gravest_decides_the_exit_code(
     cli: Cli, written: list[Written]
 ) -> None:
@@ -77,14 +66,6 @@ def test_a_divergence_is_told_with_what_led_to_it(cli: Cli, written: list[Writte
     found = json.loads(cli("replay", "run", "--check", "--json").out)["recordings"][0]["divergence"]
     assert found["mode"] == "MOVING"
     assert found["state"]["drive"]["pattern"]["kind"] == "square"
-
-
-def test_what_cannot_be_read_is_no_success(cli: Cli) -> None:
-    Path("empty.mcap").touch()
-    ran = cli("replay", "nowhere", "empty.mcap", "--check")
-    assert ran.exit_code == 6
-    assert "2 of 2 recordings could not be checked completely" in ran.err
-    assert "it is empty" in ran.out
 
 
 def test_other_files_in_a_glob_are_skipped_with_a_line_each(
@@ -126,15 +107,6 @@ def test_a_recording_under_another_name_is_known_by_its_first_bytes(
     file.rename("renamed.bin")
     record(Path("other"), written)
     assert cli("replay", "other", "renamed.bin", "--check").out.count("same ") == 2
-
-
-def test_nothing_but_other_files_is_an_error(cli: Cli) -> None:
-    Path("README").touch()
-    Path("NOTES").touch()
-    assert cli("replay", "README", "--check").exit_code == 6
-    ran = cli("replay", "README", "NOTES", "--check")
-    assert ran.exit_code == 6
-    assert "skipped" not in ran.out
 
 
 @pytest.fixture(scope="module")
@@ -234,7 +206,7 @@ def test_keys_pause_step_and_change_the_rate(terminal: Any, long_file: Path) -> 
     assert viewing.is_cooked()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGQUIT])
 def test_a_signal_ends_it_and_the_terminal_is_as_before(
     number: signal.Signals, terminal: Any, long_file: Path
 ) -> None:

@@ -172,10 +172,6 @@ def test_while_the_robot_moves_nothing_is_sent(
     assert seen[:3] == [False, False, False]
 
 
-def test_without_a_daemon_nothing_waits(cli: Cli, own_recording: Path, tmp_path: Path) -> None:
-    assert cli("sync", str(tmp_path / "usb"), "--pause-while-moving").exit_code == 0
-
-
 @pytest.fixture
 def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Answers]:
     """Return a function that lets the daemon answer with these modes and errors."""
@@ -219,14 +215,6 @@ def test_a_daemon_that_does_not_tell_may_have_a_moving_robot(
     with SyncPace(None, "robot") as pace:
         pace(0)
     assert left == []
-
-
-def test_a_daemon_that_cannot_be_asked_at_all_is_told_at_once(
-    answers: Callable[..., Answers],
-) -> None:
-    answers(Refused("the socket belongs to another user"))
-    with pytest.raises(Refused, match="another user"), SyncPace(None, "robot"):
-        pass
 
 
 SHA = "0123456789abcdef" * 4
@@ -275,12 +263,3 @@ def test_each_command_says_of_a_copy_what_it_says_of_the_recording(
     assert checked["path"] == str(copy)
     (gated,) = json.loads(cli("gate", "--in", str(copy.parent), "--json").out)["recordings"]
     assert Path(gated["path"]).name == copy.name
-
-
-def test_the_newest_of_a_name_counts(copies: Path, cli: Cli, tmp_path: Path) -> None:
-    copy = tmp_path / "usb" / "robot_20261122_041522"
-    older = copy / SHA / "metadata.yaml"
-    older.parent.mkdir()
-    older.write_text("rosbag2_bagfile_information:\n")
-    os.utime(older, (1, 1))
-    assert cli("info", str(copy)).exit_code == 0

@@ -15,7 +15,6 @@ from mcap.writer import Writer
 
 from robotctl.base.errors import UsageError
 from robotctl.cli.commands.node import parse_words
-from robotctl.cli.commands.topic import statistics
 from robotctl.cli.ui.ros_text import message_lines, plain_json
 from robotctl.cli.ui.status import TopicLines
 from tests.cli.conftest import Cli
@@ -140,13 +139,6 @@ def test_values_that_are_no_yaml_of_fields_are_refused(words: list[str]) -> None
         parse_words(words)
 
 
-def test_the_rate_is_of_the_periods_between_messages() -> None:
-    told = {"min_s": 1.0, "max_s": 2.0, "std_dev_s": 0.5, "window": 3}
-    assert statistics([0, 10**9, 3 * 10**9]) == {"rate_hz": pytest.approx(2 / 3), **told}
-    assert statistics([5]) is None
-    assert statistics([5, 5]) is None
-
-
 SCALARS = st.one_of(
     st.booleans(), st.integers(-(2**63), 2**64 - 1), st.floats(allow_nan=False), st.text()
 )
@@ -211,19 +203,6 @@ def test_long_lists_and_texts_are_cut_unless_all_is_wanted() -> None:
 
 def test_json_holds_no_number_that_json_does_not_know() -> None:
     assert plain_json({"a": [nan, inf, 1.5], "b": b"\x01"}) == {"a": [None, None, 1.5], "b": [1]}
-
-
-SERVICE_EVENT = "/set_mode/_service_event"
-SERVICE_EVENT_TYPE = "robot_controller/srv/SetMode_Event"
-
-
-@pytest.mark.usefixtures("wide_terminal")
-def test_a_long_name_takes_its_room_from_the_types() -> None:
-    name = f"/demo_12345{SERVICE_EVENT}"
-    table = TopicLines([("/odom", ""), (name, "")])
-    row = table.row(name, SERVICE_EVENT_TYPE, 3, 0.5)
-    assert row.split() == [name, "robot_contr..etMode_Event", "3", "0.5"]
-    assert table.row("/odom", "nav_msgs/msg/Odometry", 3, 0.5).split()[1] == "nav_msgs/Odometry"
 
 
 @given(name=st.text(max_size=100), type_name=st.text(max_size=100))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import pty
 import re
@@ -19,7 +18,7 @@ from rich.console import Console
 from robotctl.base.errors import Refused
 from robotctl.cli.commands import status as watch
 from robotctl.cli.targets.driving import Background
-from robotctl.cli.ui.panels import History, drive_map, live_view, sparkline
+from robotctl.cli.ui.panels import History, drive_map, live_view
 from robotctl.ipc.answers import DrivenPath
 from robotctl.ipc.client import call
 from tests.cli.conftest import Cli, Spawn
@@ -114,13 +113,6 @@ def test_a_poll_that_fails_does_not_end_the_view_of_a_drive(
     assert driving.result() == {"waited": True}
 
 
-def test_json_is_the_status_line_by_line(daemon: None, spawn: Spawn) -> None:
-    process = spawn("watch", "--json")
-    assert process.stdout is not None
-    for _ in range(2):
-        assert json.loads(process.stdout.readline())["mode"] == "IDLE"
-
-
 @pytest.mark.parametrize(
     ("key", "mode", "told"),
     [(" ", "IDLE", "stopped with a ramp"), ("e", "EMERGENCY_STOP", "emergency stop, released")],
@@ -140,12 +132,6 @@ def test_a_key_stops_the_robot(key: str, mode: str, told: str, daemon: None) -> 
         watching.close()
 
 
-def test_a_sparkline_shows_amounts() -> None:
-    assert sparkline([0.0, 0.5, -1.0]) == "▁▅█"
-    assert sparkline([0.0, 0.0]) == "▁▁"
-    assert sparkline([]) == ""
-
-
 def test_an_error_is_drawn_only_while_it_is_measured() -> None:
     path: DrivenPath = {"reference": [], "driven": [[0.0, 0.0], [1.0, 1.0]]}
     history, drawn = History(), []
@@ -156,18 +142,3 @@ def test_an_error_is_drawn_only_while_it_is_measured() -> None:
         assert "speed" in output.getvalue()
         drawn.append("error" in output.getvalue())
     assert drawn == [True, False, False]
-
-
-@pytest.mark.parametrize("lines", [10, 24, 80])
-def test_the_map_fits_beside_the_topics(lines: int) -> None:
-    history = History()
-    for _ in range(100):
-        history.add({"velocity": {"linear": float("nan")}, "drive": {"cross_track_m": 12.5}})
-    path: DrivenPath = {"reference": [], "driven": [[0.0, 0.0], [1.0, 1.0]]}
-    output = StringIO()
-    Console(width=38, file=output).print(drive_map(path, history, lines))
-    shown = output.getvalue().splitlines()
-    assert max(len(line) for line in shown) <= 38
-    assert len(shown) <= max(lines, 24) - 12
-    assert "error" in shown[-1]
-    assert "12.500 m" in shown[-1]

@@ -7,7 +7,6 @@ import json
 import logging
 import os
 import sys
-import threading
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
@@ -17,8 +16,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.base import jobs
-from robotctl.base.processes import Child, start
+from robotctl.base.processes import start
 from robotctl.collection.catalogue import stamps_in
 from robotctl.collection.index_file import files_of, index_path, stamp_of
 from robotctl.config import RecordingParams
@@ -226,68 +224,6 @@ async def test_the_end_does_not_wait_and_what_goes_wrong_then_is_in_the_log(
     assert log.read_text() == ""
     await asyncio.to_thread(go_on.write_text, "now")
     await until(lambda: log.read_text() == "not indexed")
-
-
-async def test_a_cancelled_indexer_leaves_no_process(
-    indexed: Callable[[str], Indexer], until: Until, tmp_path: Path
-) -> None:
-    pid = tmp_path / "pid"
-    lasting = f"import os, time; open({str(pid)!r}, 'w').write(str(os.getpid())); time.sleep(600)"
-    indexer = indexed(lasting)
-    running = asyncio.create_task(indexer.run())
-    indexer.file_finished()
-    await until(lambda: pid.exists() and pid.read_text())
-    running.cancel()
-    await asyncio.wait({running})
-    with pytest.raises(ProcessLookupError):
-        os.kill(int(pid.read_text()), 0)
-
-
-async def test_nothing_of_it_runs_on_the_loop(
-    indexed: Callable[[str], Indexer], until: Until, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """All that opens a file or makes a system call about a process runs in other threads."""
-    seen: list[tuple[str, bool]] = []
-
-    def watched(owner: object, name: str) -> None:
-        function = getattr(owner, name)
-
-        def call(*arguments: Any, **options: Any) -> Any:
-            seen.append((name, threading.current_thread() is threading.main_thread()))
-            return function(*arguments, **options)
-
-        monkeypatch.setattr(owner, name, call)
-
-    indexer = indexed(REPORT % "the disk is full")
-    for owner, name in (
-        *((module, "start"), (jobs, "start")),
-        *((module, "find_spec"), (module, "_size")),
-    ):
-        watched(owner, name)
-    watched(Child, "close")
-    running = asyncio.create_task(indexer.run())
-    indexer.file_finished()
-    await until(lambda: indexer.problem)
-    running.cancel()
-    await asyncio.wait({running})
-    await indexer.finish()
-    assert {name for name, _ in seen} == {"start", "find_spec", "_size", "close"}
-    assert [name for name, on_loop in seen if on_loop] == []
-
-
-async def test_without_duckdb_that_is_said_once_and_nothing_is_started(
-    indexed: Callable[[str], Indexer],
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    indexer = indexed("")
-    monkeypatch.setattr(module, "find_spec", lambda name: None)
-    monkeypatch.setattr(module, "start", lambda *_, **__: pytest.fail("a process was started"))
-    caplog.set_level("INFO")
-    for _ in range(2):
-        await indexer.finish()
-    assert caplog.messages == [module.NOT_INSTALLED]
-    assert indexer.problem == ""
 
 
 SAY = """

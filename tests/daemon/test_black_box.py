@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -143,16 +142,6 @@ def test_every_file_of_a_split_recording_stands_alone(flight: Flight) -> None:
     assert check_recording(flight.folder).verdict is Verdict.SAME
 
 
-def test_a_split_loses_nothing(flight: Flight) -> None:
-    first, second = map(str, flight.files)
-    assert (flight.split["finished"], flight.split["file"]) == (first, second)
-    commands = [m.sequence for m in read_messages(flight.folder, {"/cmd_vel"})]
-    assert commands == list(range(1, len(commands) + 1))
-    journal = journal_of(read_back(flight.folder)["/robotctl/journal"])
-    assert [entry.seq for entry in journal] == list(range(len(journal)))
-    assert sum(entry.kind is EntryKind.SNAPSHOT for entry in journal) >= 2
-
-
 def test_each_file_names_the_software_that_made_it(flight: Flight) -> None:
     modes = []
     for path in flight.files:
@@ -180,14 +169,6 @@ def test_the_ledger_is_in_the_file_and_accounts_for_every_message(flight: Flight
         assert (counts["queued"], counts["dropped"]) == (0, 0)
         repeated = topic["count"] - counts["written"]  # latched messages, in the second file
         assert repeated in ((0, 1) if topic["name"] in LATCHED else (0,)), topic["name"]
-
-
-def test_record_status_counts_each_topic(flight: Flight) -> None:
-    assert flight.during["recorder"]["state"] == "recording"
-    for topic in flight.during["topics"]:
-        assert topic["count"] == topic["written"] + topic["queued"] + topic["dropped"]
-    assert "/cmd_vel" in flight.screen
-    assert flight.screen.startswith("recording: ")
 
 
 # Marks
@@ -237,13 +218,6 @@ def test_clips_are_no_part_of_the_bag(flight: Flight) -> None:
     assert "clips" not in metadata
 
 
-def test_the_list_shows_a_live_recording_and_its_worst_event(flight: Flight) -> None:
-    (listed,) = flight.live["recordings"]
-    assert (listed["live"], listed["worst"], listed["robot"]) == (True, "error", "robot")
-    assert len(listed["clips"]) == 1
-    assert json.dumps(flight.live).isprintable()
-
-
 @pytest.fixture
 def short_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make each chunk fill a file."""
@@ -276,19 +250,6 @@ async def test_each_file_begins_with_a_snapshot_and_can_be_decided_again(
         assert report.verdict is Verdict.SAME
         assert not any("before the first snapshot" in note for note in report.notes)
     assert seqs == list(range(len(seqs)))
-
-
-@pytest.mark.usefixtures("short_files")
-async def test_the_oldest_files_of_the_recording_that_goes_on_are_removed_as_well(
-    in_process: InProcess, world: World, tmp_path: Path
-) -> None:
-    config = tmp_path / "config.yaml"
-    config.write_text(f"{PATIENT}recording: {{max_total_gb: 0.0001}}\n")
-    async with in_process(config=config):
-        await loop_until(lambda: min(map(number_of, files_of(world)), default=0) >= 3)
-    files = files_of(world)
-    assert list(map(number_of, files)) == list(range(number_of(files[0]), number_of(files[-1]) + 1))
-    assert read_info(files[0].parent).missing == ()
 
 
 SLOW_DISK_S = 0.3
@@ -327,30 +288,6 @@ async def test_nothing_is_received_any_more_when_the_recording_is_finished(
 
 def count(status: Any, topic: str) -> int:
     return sum(each["count"] for each in status["topics"] if each["name"] == topic)
-
-
-async def test_a_file_that_is_full_at_the_end_is_followed_by_none(
-    in_process: InProcess, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    said: Closed = []
-
-    class FullAtEnd(Recorder):
-        def __init__(self, *given: Any, on_full: Callable[[Path], None], **options: Any) -> None:
-            super().__init__(*given, on_full=on_full, **options)
-            self.tell_full = on_full
-
-        def close(self) -> RecorderStats:
-            """Report a full file at the close; the loop gets the call after it."""
-            stats = super().close()
-            self.tell_full(stats.file)
-            time.sleep(SLOW_DISK_S)
-            said.append(self.stats())
-            return stats
-
-    monkeypatch.setattr(recordings_folder, "Recorder", FullAtEnd)
-    async with in_process():
-        pass
-    assert [stats.dropped for stats in said] == [0]
 
 
 async def test_the_publisher_stays_until_the_last_zero_is_acknowledged(

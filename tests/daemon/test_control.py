@@ -5,7 +5,6 @@ A reply is sent after the latch is on the disk, and a cure names the robot.
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import threading
 import time
@@ -18,7 +17,7 @@ import pytest
 
 from robotctl.base.errors import Refused
 from robotctl.check.compare import first_divergence
-from robotctl.daemon.api.status import StatusSource, common_methods, recording_methods
+from robotctl.daemon.api.status import StatusSource, recording_methods
 from robotctl.daemon.api.warnings import Warnings
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.control import latch
@@ -29,7 +28,6 @@ from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.shutdown import send_zero, stand_still
 from robotctl.ipc.answers import RobotFacts
-from robotctl.ipc.method_names import STATUS
 from robotctl.ipc.method_params import MarkParams, NoParams
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
@@ -266,12 +264,6 @@ async def test_a_stop_is_confirmed_when_it_is_on_the_disk(
     await recorded.latch.close()
 
 
-async def test_the_latch_remembers_why_the_robot_stopped(recorded: Recorded) -> None:
-    recorded.effects.carry_out(LatchEmergencyStop("empty", Cause.BATTERY_LOW))
-    await recorded.latch.close()
-    assert recorded.latch.read() == LatchedStop("empty", Cause.BATTERY_LOW)
-
-
 async def test_a_stop_that_could_not_be_saved_is_confirmed_with_that(recorded: Recorded) -> None:
     (recorded.latch_path.with_suffix(".new")).mkdir()
     reply = recorded.requests.expect_reply(1)
@@ -313,23 +305,6 @@ async def test_the_log_names_the_robot_in_a_cure(
     assert "IDLE -> ERROR: no disk: see robotctl logs --robot r2: restart after that" in caplog.text
     assert "robotctl start --robot r2" in caplog.text
     await recorded.latch.close()
-
-
-async def test_the_loop_turns_between_the_parts_of_a_status() -> None:
-    done: list[str] = []
-
-    def part(name: str) -> str:
-        done.append(name)
-        asyncio.get_running_loop().call_soon(done.append, "turn")
-        return name
-
-    source: Any = SimpleNamespace(
-        stats=lambda: part("counts"), status=lambda stats: part(f"answer from {stats}")
-    )
-    answer = await common_methods(source, asyncio.Event())[STATUS].handler(NoParams())
-
-    assert answer == "answer from counts"
-    assert done == ["counts", "turn", "answer from counts"]
 
 
 FAILURE = "the recorder failed: see robotctl logs"
@@ -388,7 +363,3 @@ def test_the_notes_of_a_start_name_the_robot_in_a_cure(recorder: FlightRecorder)
     note = "moving is refused: no odometry: (robotctl status lists the topics)"
     (told,) = source.summary([note])["notes"]
     assert "(robotctl status --robot r2 lists the topics)" in told
-
-
-def test_diagnostics_on_ros_name_the_robot_in_a_cure(recorder: FlightRecorder) -> None:
-    assert recorder.report.diagnosis(FAILED, []).message == FAILURE_OF_R2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +13,7 @@ import pytest
 from robotctl.config import Config, RecordingParams, flat
 from robotctl.daemon.recording import recordings_folder
 from robotctl.daemon.recording.flight_recorder import _evidence_topics
-from robotctl.daemon.recording.recordings_folder import MAX_NAMED, DiskReserve
+from robotctl.daemon.recording.recordings_folder import DiskReserve
 from robotctl.daemon.recording.topic_sinks import TopicSinks
 from robotctl.recording import Recorder
 from robotctl.recording.write.recorder import MessageGate
@@ -87,19 +86,6 @@ async def test_a_disk_that_cannot_be_asked_is_told_as_long_as_it_lasts(
     looking.cancel()
 
 
-async def test_without_a_reserve_nobody_looks(tmp_path: Path) -> None:
-    recorder: Any = None
-    await DiskReserve(0, {}).run(recorder, tmp_path)
-
-
-def test_of_many_topics_some_are_named() -> None:
-    names = [f"/t{number}" for number in range(MAX_NAMED + 5)]
-    reserve = DiskReserve(10 * GB, gates(*names))
-    for look in range(1, len(names) + 1):
-        reserve.look(-look * GB, dict.fromkeys(names, look))
-    assert len(list(reserve.warnings())) == MAX_NAMED + 1
-
-
 @pytest.mark.parametrize("free", [0, 5 * GB])
 def test_a_topic_without_messages_is_not_left_out(free: int) -> None:
     doors = gates("/idle")
@@ -152,19 +138,6 @@ def test_what_a_check_needs_and_what_is_latched_is_recorded_whole(
 
 def test_without_throttle_and_reserve_nothing_stands_before_the_recorder(bag: Recorder) -> None:
     assert not isinstance(sinks(bag).open(described("/camera")), MessageGate)
-
-
-def test_a_topic_that_comes_again_is_counted_once(bag: Recorder) -> None:
-    made = sinks(bag, expected_rates=("/scan=10",))
-    for _ in range(3):
-        sink = made.open(described("/scan"))
-    now_s = time.monotonic()
-    for look in range(1, 20):
-        for number in (0, 1):
-            at_ns = time.time_ns()
-            sink(b"", at_ns, at_ns, 2 * look + number, GID)
-        made.health.look(now_s + 0.2 * look, time.time_ns())
-    assert list(made.health.warnings(now_s + 4.0)) == []
 
 
 def test_a_topic_that_was_stopped_for_the_disk_stays_so_with_another_qos(bag: Recorder) -> None:

@@ -31,15 +31,6 @@ def simulated() -> Iterator[World]:
         made.ok("stop")
 
 
-def test_a_shell_with_another_discovery_range_than_the_daemon_is_told(
-    simulated: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-    told, fine = (each for each in findings(simulated) if each["check"] == "discovery")
-    assert told["text"] == "the range of the daemon is LOCALHOST, that of this shell SUBNET"
-    assert fine["text"].endswith("this machine only"), "what is true of the daemon"
-
-
 def test_the_disk_is_the_one_on_which_the_daemon_records(simulated: World) -> None:
     (disk,) = (each["text"] for each in findings(simulated) if each["check"] == "disk")
     assert disk.endswith(f"GB free for recordings in {simulated.folder / 'elsewhere'}")

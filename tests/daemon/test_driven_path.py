@@ -51,15 +51,6 @@ def test_of_a_long_way_every_second_point_is_forgotten(monkeypatch: pytest.Monke
     assert (driven[0], driven[-1]) == ([0.0, 0.0], [100.0, 0.0])
 
 
-def test_another_drive_begins_another_path() -> None:
-    bench = moving()
-    seen = of(bench)
-    seen.drove_to(Pose(1.0, 0.0, 0.0))
-    bench.drive(replacing=True)
-    seen.drove_to(Pose(0.1, 0.0, 0.0))
-    assert seen.path()["driven"] == [[0.0, 0.0], [0.1, 0.0]]
-
-
 def test_the_closure_is_told_from_the_end_of_the_first_lap_on() -> None:
     bench = moving(ticks=0)
     bench.params = bench.kernel.params  # type: ignore[attr-defined]
@@ -122,14 +113,6 @@ def test_the_true_closure_is_that_of_the_moment_at_which_the_last_lap_ends() -> 
     true = seen.ground_truth.errors(ended.request_id)
     assert true is not None
     assert true.closure_m == pytest.approx(0.2)
-
-
-def test_of_a_drive_that_ends_before_the_first_sample_no_errors_are_told() -> None:
-    bench = moving(ticks=0)
-    bench.drive(replacing=True)
-    bench.request(Mode.EMERGENCY_STOP)
-    *_, ended = (each for each in bench.effects if isinstance(each, DriveEnded))
-    assert not isfinite(of(bench).drive_ended(ended).report.cross_track_max_m)
 
 
 @pytest.mark.parametrize(("level", "is_told"), [(0.31, False), (0.29, True)])

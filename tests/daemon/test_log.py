@@ -47,14 +47,6 @@ def test_a_name_that_steers_a_terminal_is_escaped() -> None:
     assert formatted("Größe %s", "µ") == "INFO: Größe µ"
 
 
-def test_colours_of_others_are_left_out() -> None:
-    assert formatted("%s", "\x1b[1;31mError\x1b[0m: no \x1b[m route") == "INFO: Error: no  route"
-
-
-def test_a_name_cannot_look_like_an_entry() -> None:
-    assert formatted("in %s", "a\nERROR: forged") == "INFO: in a\n    ERROR: forged"
-
-
 def test_a_traceback_stays_readable() -> None:
     lines = formatted("it failed", failed=True).split("\n")
     assert lines[:2] == ["INFO: it failed", "Traceback (most recent call last):"]
@@ -165,15 +157,6 @@ def test_all_is_written_in_order_before_the_end(queued: Run) -> None:
     assert (plain, out) == ("plain", "ended\n")
 
 
-def test_a_reader_that_left_ends_nothing(queued: Run) -> None:
-    reading, writing = os.pipe()
-    os.close(reading)
-    with queued("log.info('one'); time.sleep(0.05); log.info('two')", writing) as process:
-        os.close(writing)
-        assert process.communicate(timeout=DEADLINE_S)[0] == "ended\n"
-    assert process.returncode == 0
-
-
 def test_a_line_that_repeats_itself_is_written_three_times_and_counted(queued: Run) -> None:
     code = """
 for n in range(2000):
@@ -220,14 +203,6 @@ async def test_lines_of_other_threads_are_published_in_the_loop(log: logging.Log
     assert told == [("WARNING", "from a\n    thread", threading.get_ident())]
 
 
-async def test_a_line_is_not_published_where_it_is_logged(log: logging.Logger) -> None:
-    told: list[str] = []
-    handler_of(log, lambda record, text: told.append(text))
-    log.info("later")
-    assert told == []
-    await loop_until(lambda: told == ["later"])
-
-
 async def test_a_burst_leaves_turns_of_the_loop_to_others(log: logging.Logger) -> None:
     told: list[str] = []
     handler_of(log, lambda record, text: told.append(text))
@@ -249,21 +224,6 @@ async def test_lines_that_do_not_fit_are_counted_and_told(log: logging.Logger) -
     await loop_until(lambda: len(told) > CAPACITY)
     assert told[CAPACITY - 1] == str(CAPACITY - 1)
     assert told[CAPACITY:] == ["7 log lines are missing here: the log file has them"]
-
-
-async def test_a_line_that_cannot_be_published_is_counted_and_told(log: logging.Logger) -> None:
-    told: list[str] = []
-
-    def publish(record: logging.LogRecord, text: str) -> None:
-        if text == "bad":
-            raise RuntimeError("the middleware failed")
-        told.append(text)
-
-    handler_of(log, publish)
-    log.info("bad")
-    log.info("good")
-    await loop_until(lambda: len(told) == 2)
-    assert told == ["good", "1 log lines are missing here: the log file has them"]
 
 
 async def test_what_publishing_logs_leads_to_no_further_line(log: logging.Logger) -> None:
@@ -318,16 +278,6 @@ def test_the_node_that_owns_the_log_sets_the_level_of_all_our_modules(levels: Lo
     assert (levels.get("r2.modes"), levels.get("robotctl")) == (10, 10)
     levels.set("r2.modes", 0, "a test")
     assert not OURS.isEnabledFor(logging.DEBUG)
-
-
-def test_an_unset_level_is_0_and_that_of_all_loggers_is_info(levels: LoggerLevels) -> None:
-    assert levels.get("never.heard.of") == 0
-    assert "never.heard.of" not in logging.root.manager.loggerDict
-    assert levels.get("") == 20
-    levels.set("", 40, "a test")
-    assert (levels.get(""), OURS.isEnabledFor(logging.WARNING)) == (40, False)
-    levels.set("", 0, "a test")
-    assert levels.get("") == 20
 
 
 @pytest.mark.parametrize("level", [5, 25, 51, 255])

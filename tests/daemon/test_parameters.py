@@ -95,11 +95,6 @@ def test_a_wrong_change_is_refused_by_name(
     assert simulated.answer_here("param", "list") == before
 
 
-def test_an_unknown_key_is_refused_by_get(simulated: World) -> None:
-    ran = simulated.robotctl("param", "get", "limits.linear_mp")
-    assert (ran.exit_code, "did you mean limits.linear_mps?" in ran.err) == (2, True)
-
-
 def test_a_dump_is_a_configuration_file(simulated: World, tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text(simulated.ok("param", "dump"))
@@ -119,22 +114,6 @@ def test_each_visible_node_lists_its_keys_and_each_key_has_one_node(graph: Graph
         assert sorted({*own, *OWN}) == listed[f"/{name}"]
     declared = [key for keys in listed.values() for key in keys if key not in OWN]
     assert sorted(declared) == sorted(flat(Config()))
-
-
-def test_a_node_tells_the_values_and_the_declaration(graph: Graph) -> None:
-    keys = ["limits.linear_mps", "pattern.kind", "rate_hz"]
-    assert graph.peer("get", node="/velocity_publisher", keys=keys) == [0.6, "square", 50.0]
-    assert graph.peer("get", node="/mode_service", keys=["recording.include"]) == [[]]
-    described = graph.peer("describe", node="/velocity_publisher", key="limits.linear_mps")
-    assert described == {
-        "type": 3,
-        "about": "largest speed of a command",
-        "allowed": "0.01 to 10 m/s; changes while the robot stands",
-        "read_only": False,
-        "range": [[0.01, 10.0]],
-    }
-    described = graph.peer("describe", node="/simulated_robot", key="sim.lag_s")
-    assert described["read_only"] is True
 
 
 @pytest.mark.parametrize(

@@ -114,13 +114,6 @@ def test_a_transition_that_the_state_does_not_have_changes_nothing(
     assert manual.status()["mode"] == "IDLE"
 
 
-def test_the_state_machine_is_that_of_ros(caller: Told) -> None:
-    states, transitions, graph = caller("machine")
-    assert {"unconfigured", "inactive", "active", "finalized"} <= set(states)
-    assert "activate" in graph
-    assert set(transitions) <= set(graph)
-
-
 def test_the_cure_activates_the_node(manual: World, caller: Told) -> None:
     name = "mode_service/change_state"
     for label in ("cleanup", "configure", "activate"):

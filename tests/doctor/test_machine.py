@@ -26,7 +26,6 @@ from robotctl.doctor.machine import (
     check_range,
     check_shell,
 )
-from robotctl.recording.write.recorder_options import RecorderOptions
 from tests.support.users import as_root, process_of
 
 MEMORY = "fastrtps_0123456789abcdef"
@@ -88,12 +87,6 @@ def test_memory_of_another_user_is_left(memory: Path) -> None:
     assert not {name for name in stale(memory) if name.startswith(MEMORY)}
 
 
-def test_a_link_in_the_place_of_a_lock_is_not_followed(memory: Path, tmp_path: Path) -> None:
-    (memory / f"{MEMORY}_el").unlink()
-    (memory / f"{MEMORY}_el").symlink_to("/etc/passwd")
-    assert MEMORY not in stale(memory)
-
-
 def test_shared_memory_that_is_not_there_is_a_fault(tmp_path: Path) -> None:
     assert levels(machine.check_memory(tmp_path / "none")) == [("shared memory", Level.FAULT)]
 
@@ -151,12 +144,6 @@ def test_a_disk_that_is_full_is_a_fault(tmp_path: Path, monkeypatch: pytest.Monk
     assert levels(machine.check_disk(folder)) == [("disk", Level.WARNING)]
     monkeypatch.setattr(machine, "FULL_BYTES", 1 << 62)
     assert levels(machine.check_disk(folder)) == [("disk", Level.FAULT)]
-
-
-def test_the_disk_is_judged_by_the_limits_of_the_recorder() -> None:
-    options = RecorderOptions()
-    limits = (options.warn_free_bytes, options.stop_free_bytes)
-    assert limits == (machine.SCARCE_BYTES, machine.FULL_BYTES)
 
 
 @pytest.mark.parametrize("kind", ["file", "FIFO", "link to nothing", "link to itself"])
@@ -224,13 +211,6 @@ def test_a_folder_that_cannot_be_created_is_a_fault(
     assert found.cure == f"set {variable} to a folder of yours"
 
 
-def test_folders_that_a_start_will_create_are_in_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "not" / "yet"))
-    assert levels(machine.check_folders(state_folder())) == [("permissions", Level.OK)]
-
-
 def test_a_priority_beyond_the_limit_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "getuid", lambda: 1000)
     monkeypatch.setattr(resource, "getrlimit", lambda _: (10, 10))
@@ -290,12 +270,6 @@ def test_a_range_that_hides_processes_is_named(
         "ROS_LOCALHOST_ONLY": localhost_only,
     }
     assert text in only([*check_range(environment)]).text
-
-
-@pytest.mark.parametrize("discovery", ["", "LOCALHOST", "SUBNET", "SYSTEM_DEFAULT"])
-def test_a_range_of_ros_gives_no_alarm(discovery: str) -> None:
-    assert [*check_range({"ROS_AUTOMATIC_DISCOVERY_RANGE": discovery})] == []
-    assert [*check_range({"ROS_LOCALHOST_ONLY": "1"})] == []
 
 
 def test_a_profiles_file_that_has_no_effect_is_named(tmp_path: Path) -> None:

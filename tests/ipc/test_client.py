@@ -18,7 +18,7 @@ import pytest
 
 from robotctl.base.errors import NoDaemon, Refused, RobotctlError
 from robotctl.ipc import client as client_module
-from robotctl.ipc.client import Client, NoAnswer, call
+from robotctl.ipc.client import NoAnswer, call
 from robotctl.ipc.request_handler import ClientLimits
 
 NO_DAEMON = "no daemon for robot 'robot' (start one with: robotctl start)"
@@ -219,17 +219,6 @@ def test_a_call_without_a_deadline_outlasts_silence_while_the_daemon_answers_oth
 
 
 # Against the real server
-
-
-async def test_calls_share_one_connection_and_one_hello(serve: Any, robot: Any) -> None:
-    def talk() -> list[object]:
-        with Client("robot") as client:
-            assert client.daemon_pid == os.getpid()
-            client.call("set_mode", {"mode": 1, "source": "test"})
-            return [client.call("status")["mode"] for _ in range(3)]
-
-    async with serve():
-        assert await asyncio.to_thread(talk) == [1, 1, 1]
 
 
 async def test_a_refusal_arrives_as_the_error_that_was_raised(serve: Any, robot: Any) -> None:

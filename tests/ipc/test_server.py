@@ -39,7 +39,7 @@ ESTOP = request("set_mode", mode=3, source="test")
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become somebody else")
 async def test_another_uid_is_refused_every_time(path: Path, serve: Any, robot: Any) -> None:
-    rounds = 1000
+    rounds = 100
     async with serve():
         os.chmod(path.parent, 0o711)
         os.chmod(path, 0o666)
@@ -81,12 +81,6 @@ async def test_hello_returns_the_identity_of_the_daemon(serve: Any, connect: Any
         "robot": "robot",
         "pid": os.getpid(),
     }
-
-
-async def test_an_unknown_value_is_null(serve: Any, connect: Any) -> None:
-    async with serve():
-        reply = await (await connect()).call("status")
-    assert reply["result"]["battery"] is None
 
 
 async def test_another_protocol_is_named_with_the_way_out(serve: Any, connect: Any) -> None:
@@ -177,13 +171,6 @@ async def test_a_parameter_outside_its_limits_is_named(
     assert reply["error"]["data"]["exit_code"] == 2
     assert named in reply["error"]["message"]
     assert robot.mode_requests == 0
-
-
-async def test_an_unknown_method_is_named(serve: Any, connect: Any) -> None:
-    async with serve():
-        reply = await (await connect()).call("fly")
-    assert reply["error"]["code"] == Code.METHOD_NOT_FOUND
-    assert "'fly'" in reply["error"]["message"]
 
 
 # Malformed input

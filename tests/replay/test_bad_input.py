@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Awaitable, Callable
-from dataclasses import replace
-from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
 import pytest
-from zstandard import ZstdCompressor
 
 from robotctl.cli import app
-from robotctl.recording import read_info
-from robotctl.recording.format.records import MAGIC
 from tests.support.bags import STRING, TWIST, Line, data, in_order, talk, text, twist, write_bag
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -38,39 +33,6 @@ async def test_a_damaged_chunk_costs_its_own_messages_and_is_named(
     await until(lambda: len(listener.heard["/alpha"]) == ran.summary["sent"])
     sent = iter(recorded)
     assert all(message in sent for message in listener.heard["/alpha"])
-
-
-async def test_messages_that_rosbag2_compressed_one_by_one_are_sent_as_they_were(
-    tmp_path: Path, listener: Any, replay: Any, until: Until
-) -> None:
-    lines = talk("/alpha", 5, 1.0)
-    stored = [replace(line, data=ZstdCompressor().compress(line.data)) for line in lines]
-    write_bag(tmp_path / "bag_0.mcap", stored)
-    (tmp_path / "metadata.yaml").write_text(
-        "rosbag2_bagfile_information:\n"
-        "  compression_format: zstd\n"
-        "  compression_mode: MESSAGE\n"
-        "  relative_file_paths:\n    - bag_0.mcap\n"
-    )
-    listener.listen("/alpha", STRING)
-    ran = await replay(tmp_path, "--json")
-    assert ran.exit_code == 0, ran.err
-    await until(lambda: listener.heard["/alpha"] == data(lines))
-
-
-async def test_a_file_of_another_profile_is_played_as_far_as_its_messages_are_ours(
-    tmp_path: Path, listener: Any, replay: Any, until: Until
-) -> None:
-    lines = [*talk("/alpha", 5, 1.0), Line("/old", "std_msgs/String", 6.0, b"x", encoding="ros1")]
-    file = write_bag(tmp_path / "run.mcap", lines)
-    content = file.read_bytes()
-    assert content.count(b"\4\0\0\0ros2") == 1
-    file.write_bytes(content.replace(b"\4\0\0\0ros2", b"\4\0\0\0ros1"))
-    listener.listen("/alpha", STRING)
-    ran = await replay(file, "--json")
-    assert ran.exit_code == 0, ran.err
-    assert ran.summary["skipped"] == {"/old": "is encoded as ros1, not as cdr"}
-    await until(lambda: listener.heard["/alpha"] == [line.data for line in lines[:5]])
 
 
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason="the sample recordings are not here")
@@ -102,20 +64,6 @@ async def test_of_a_bag_from_elsewhere_what_is_installed_is_played_and_the_rest_
     assert ran.exit_code == 0
     assert (ran.summary["sent"], ran.summary["failed"]) == (sent, unserved)
     assert ran.summary["skipped"] == skipped
-
-
-async def test_a_type_name_of_two_parts_is_that_of_a_message(
-    tmp_path: Path, listener: Any, replay: Any, until: Until
-) -> None:
-    lines = talk("/alpha", 3)
-    short = [changed(line, type_name="std_msgs/String") for line in lines]
-    file = write_bag(tmp_path / "run.mcap", short)
-    (topic,) = read_info(file).topics
-    assert topic.type_name == STRING
-    listener.listen("/alpha", STRING)
-    ran = await replay(file, "--json")
-    assert (ran.exit_code, ran.summary["skipped"]) == (0, {})
-    await until(lambda: listener.heard["/alpha"] == data(lines))
 
 
 async def test_what_cannot_be_published_is_named_and_skipped(
@@ -152,39 +100,6 @@ async def test_what_cannot_be_published_is_named_and_skipped(
     assert len(ran.summary["notes"]) == len(skipped) + 1
     await until(lambda: listener.heard["/late"] == data(strings))
     await until(lambda: listener.heard["/alpha"] == data(alpha))
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [(None, "No such file"), (MAGIC, "")],
-)
-async def test_what_is_no_recording_is_one_sentence(
-    content: bytes | None, said: str, tmp_path: Path, replay: Any
-) -> None:
-    file = tmp_path / "any.mcap"
-    if content is not None:
-        file.write_bytes(content)
-    ran = await replay(file)
-    assert (ran.exit_code, ran.out) == (6, "")
-    assert ran.err.count("\n") == 1
-    assert said in ran.err
-
-
-async def test_of_a_truncated_file_what_can_be_read_is_played_and_the_rest_is_told(
-    tmp_path: Path, listener: Any, replay: Any, until: Until
-) -> None:
-    lines = talk("/alpha", 200, 1.0)
-    file = write_bag(tmp_path / "run.mcap", lines, chunk_bytes=1000)
-    whole = file.read_bytes()
-    file.write_bytes(whole[: len(whole) // 2])
-    listener.listen("/alpha", STRING)
-    ran = await replay(file, "--json")
-    assert ran.exit_code == 6
-    assert ran.err.startswith(f"robotctl: {file} is incomplete: ")
-    assert ran.err.count("\n") == 1
-    sent = ran.summary["sent"]
-    assert 0 < sent < 200
-    await until(lambda: listener.heard["/alpha"] == data(lines[:sent]))
 
 
 @pytest.mark.parametrize(
@@ -225,12 +140,6 @@ def test_an_option_that_makes_no_sense_is_one_sentence(
     assert (exit_code, out) == (2, "")
     assert said in err
     assert err.count("\n") == 1
-
-
-async def test_a_recording_without_messages_is_played_at_once(tmp_path: Path, replay: Any) -> None:
-    ran = await replay(write_bag(tmp_path / "run.mcap", []))
-    assert ran.exit_code == 0, ran.err
-    assert "sent        0 messages" in ran.out
 
 
 async def test_a_reader_that_has_left_is_no_failure(tmp_path: Path, start: Any) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 import os
 import shutil
@@ -14,7 +12,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
-from PIL import Image
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import ModeRequested
@@ -108,21 +105,6 @@ class Chromium:
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
-
-    def screenshot(self, width: int, height: int) -> bytes:
-        """Return the page as PNG."""
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-        self.call("Emulation.setDeviceMetricsOverride", **size)
-        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
-
-    def pdf(self) -> bytes:
-        """Return the page as it would be printed."""
-        return base64.b64decode(self.call("Page.printToPDF", printBackground=True)["data"])
-
-    def dark(self, on: bool) -> None:
-        """Let the reader prefer a dark page, or a light one."""
-        feature = {"name": "prefers-color-scheme", "value": "dark" if on else "light"}
-        self.call("Emulation.setEmulatedMedia", features=[feature])
 
     def _next(self) -> dict[str, Any]:
         until = time.monotonic() + DEADLINE_S
@@ -231,36 +213,6 @@ def test_a_link_to_a_moment_opens_the_page_there(browser: Chromium, page: Path) 
     browser.open("about:blank")
     browser.open(f"{page.as_uri()}#t=1.25")
     assert cursor(browser) == pytest.approx(1.25)
-
-
-def test_every_inner_link_leads_somewhere(browser: Chromium, page: Path) -> None:
-    browser.open(page.as_uri())
-    lost = "[...document.links].filter(a => !document.querySelector(a.hash)).map(a => a.href)"
-    assert browser.value(lost) == []
-
-
-def test_no_part_is_wider_than_a_phone_or_a_screen(browser: Chromium, page: Path) -> None:
-    browser.open(page.as_uri())
-    for width in (360, 800, 1600):
-        browser.screenshot(width, 900)
-        assert browser.value("document.documentElement.scrollWidth") <= width
-
-
-def test_the_page_is_light_or_dark_as_the_reader_wishes(browser: Chromium, page: Path) -> None:
-    browser.open(page.as_uri())
-    corners: list[tuple[object, ...]] = []
-    for dark in (False, True):
-        browser.dark(dark)
-        with Image.open(io.BytesIO(browser.screenshot(1000, 800))) as image:
-            corners.append(image.convert("L").crop((0, 0, 4, 4)).getextrema())
-            assert len(image.convert("RGB").getcolors(1 << 20) or ()) > 50
-    assert corners[0] == (255, 255)
-    assert corners[1] < (40, 40)
-
-
-def test_the_page_can_be_printed(browser: Chromium, page: Path) -> None:
-    browser.open(page.as_uri())
-    assert browser.pdf().startswith(b"%PDF")
 
 
 def test_without_its_script_the_page_is_as_complete(browser: Chromium, page: Path) -> None:

@@ -110,25 +110,6 @@ def test_the_figures_are_those_of_the_drive(folder: Path, written: list[Written]
     assert max(x for x, _ in wanted) == pytest.approx(1.0, abs=0.01)
 
 
-def test_reasons_verdicts_and_explanations_stand_in_their_parts(folder: Path) -> None:
-    _, page = page_of(folder)
-    assert "requested by operator" in page.sections["modes"]
-    assert "refused" in page.sections["moments"]
-    assert "battery 80 %" in page.sections["why"]
-    assert "compared bit for bit" in page.sections["verdicts"]
-    assert "/cmd_vel" in page.sections["messages"]
-    assert "limits.linear_mps" in page.sections["parameters"]
-
-
-def test_a_moment_is_a_link_to_its_mark_in_the_plots(folder: Path) -> None:
-    text, page = page_of(folder)
-    moments = read_recorded(folder).traces.moments
-    assert moments
-    for number, moment in enumerate(moments, 1):
-        assert f"moment-{number}" in page.ids
-        assert f'href="#moment-{number}" data-t="{moment.t_s:.4f}"' in text
-
-
 def test_the_policy_of_the_page_allows_its_own_script_and_no_other(folder: Path) -> None:
     text, _ = page_of(folder)
     policy = re.search(r'Content-Security-Policy" content="([^"]+)"', text)
@@ -318,14 +299,6 @@ def test_the_driven_path_lies_over_the_wanted_one() -> None:
     assert both == dots(braille([], SQUARE))
 
 
-def test_the_square_is_drawn_where_it_is() -> None:
-    assert braille([], SQUARE, rows=3)[:3] == [
-        "   1.00 \u2502\u284f\u2809\u2809\u2809\u2809\u28b9",
-        "        \u2502\u2847    \u28b8",
-        "   0.00 \u2502\u28c7\u28c0\u28c0\u28c0\u28c0\u28f8",
-    ]
-
-
 @pytest.mark.parametrize(
     "path",
     [
@@ -366,8 +339,3 @@ def test_the_png_is_a_square_with_both_paths_in_it(tmp_path: Path) -> None:
         edge, corner = pixels[400, 103], pixels[5, 5]
     assert (red > 200, green < 100, blue < 60) == (True, True, True)
     assert edge != corner == (255, 255, 255)
-
-
-def test_what_is_not_finite_is_left_out() -> None:
-    figure = path_figure([], [(0.0, 1.0), (NAN, NAN), (2.0, 3.0)])
-    assert (figure.x, figure.y) == ((0.0, 2.0), (1.0, 3.0))

@@ -6,7 +6,6 @@ The bytes of the protocol are those of Foxglove's own SDK; requests are decoded 
 from __future__ import annotations
 
 import asyncio
-import errno
 import resource
 import socket
 import struct
@@ -106,18 +105,6 @@ async def test_a_viewer_waits_while_no_descriptor_is_free(
         "robotctl view: Too many open files: new viewers wait; raise the limit (ulimit -n), or "
         "close other viewers\n"
     )
-
-
-async def test_a_lack_that_lasts_is_said_once_and_another_failure_as_ever(
-    capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
-) -> None:
-    loop, failures = asyncio.get_running_loop(), loop_failures()
-    for _ in range(3):
-        error = OSError(errno.ENFILE, "Too many open files in system")
-        failures(loop, {"message": "socket.accept()", "exception": error})
-    assert capfd.readouterr().err.count("\n") == 1
-    failures(loop, {"message": "a callback failed", "exception": ValueError("wrong")})
-    assert "a callback failed" in caplog.text
 
 
 TOKEN = "T0ken_of-this-run"

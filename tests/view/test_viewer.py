@@ -12,20 +12,15 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 import pytest
-from websockets.datastructures import Headers
 from websockets.frames import Close, Frame, Opcode
-from websockets.http11 import Request
 
-from robotctl.view.server import ViewServer
 from robotctl.view.viewer import (
     BINARY,
     MAX_BYTES,
     MAX_CONTROL_BYTES,
     PIECE_BYTES,
-    Admission,
     Outbox,
     OverfullOutbox,
-    Viewer,
     frame_head,
 )
 from tests.support.view_client import STRING, TOKEN, Served, served
@@ -110,27 +105,6 @@ def _frames_in_memory() -> int:
     return sum(type(each) is Frame for each in gc.get_objects())
 
 
-async def test_a_request_that_is_no_ascii_is_refused() -> None:
-    """Some versions of websockets keep such bytes as surrogates."""
-    sent = bytearray()
-
-    class Transport(asyncio.Transport):
-        def write(self, data: bytes | bytearray | memoryview) -> None:
-            sent.extend(data)
-
-        def close(self) -> None:
-            sent.extend(b"END")
-
-        def is_closing(self) -> bool:
-            return False
-
-    viewer = Viewer(ViewServer("test", Admission(TOKEN)), Admission(TOKEN))
-    viewer._transport = Transport()
-    viewer._shake_hands(Request("/?token=\udcff", Headers(Host="127.0.0.1")))
-    assert sent.startswith(b"HTTP/1.1 400 ")
-    assert sent.endswith(b"the request is not in ASCII\nEND")
-
-
 def drained(outbox: Outbox) -> bytes:
     return b"".join(iter(outbox.take, b""))
 
@@ -171,14 +145,6 @@ def test_nothing_comes_between_the_pieces_of_a_frame() -> None:
     outbox.put_message(b"h", b"y")
     taken += drained(outbox)
     assert taken == b"h" + b"x" * (2 * PIECE_BYTES) + b"c" * (PIECE_BYTES + 1) + b"hy"
-
-
-def test_small_messages_are_taken_together_but_no_more_than_a_transport_may_copy() -> None:
-    outbox = Outbox()
-    for _ in range(1000):
-        outbox.put_message(b"head", bytes(200))
-    piece = outbox.take()
-    assert PIECE_BYTES <= len(piece) < PIECE_BYTES + 204
 
 
 def test_offers_and_answers_are_never_dropped_but_bounded() -> None:
