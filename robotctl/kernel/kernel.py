@@ -53,7 +53,6 @@ from robotctl.kernel.types import (
     LoopStalled,
     ModeChanged,
     ModeRequested,
-    MotionRequest,
     OdometrySourceFound,
     OdomReceived,
     ParameterChanged,
@@ -389,10 +388,7 @@ class Kernel:
     def _start(
         self, t_ns: int, request_id: int, pattern: Pattern, course: Course, laps: int, reason: str
     ) -> None:
-        self._notice_gap(t_ns)
-        finding = failed_start_condition(self.state.health, self.params, t_ns)
-        if finding is not None:
-            self._refuse(request_id, finding.detail, finding.remedies)
+        if not self._may_start(t_ns, request_id):
             return
         odometry = self.state.health.odometry
         assert odometry is not None, "a rule refuses without odometry"
@@ -424,6 +420,14 @@ class Kernel:
         else:
             self._accept(request_id, "Drive replaced: mode is MOVING")
 
+    def _may_start(self, t_ns: int, request_id: int) -> bool:
+        """Return whether every start condition holds; if not, refuse the request."""
+        self._notice_gap(t_ns)
+        finding = failed_start_condition(self.state.health, self.params, t_ns)
+        if finding is not None:
+            self._refuse(request_id, finding.detail, finding.remedies)
+        return finding is None
+
     def _set_moving(self, reason: str, drive: Drive | None, guarded: Guarded | None) -> None:
         """Begin a motion; the robot's pose at the first one becomes the origin of the fence."""
         health = self.state.health
@@ -443,11 +447,7 @@ class Kernel:
 
     def _start_guarded(self, t_ns: int, request_id: int, reason: str) -> None:
         """Change to MOVING with the velocities from `guard_topic`, or refuse the request."""
-        self._notice_gap(t_ns)
-        finding = failed_start_condition(self.state.health, self.params, t_ns)
-        if finding is not None:
-            self._refuse(request_id, finding.detail, finding.remedies)
-        else:
+        if self._may_start(t_ns, request_id):
             reason = f"{reason}, guarding {self.params.guard_topic}"
             self._set_moving(reason, None, Guarded())
             self._effects.append(ModeChanged(Mode.IDLE, Mode.MOVING, reason))
@@ -519,7 +519,7 @@ class Kernel:
             state = replace(state, phase=Phase.STOPPING, stop_reason=stop_reason)
         self.state = state
 
-    def _is_kept_by_another(self, event: MotionRequest) -> bool:
+    def _is_kept_by_another(self, event: ModeRequested | DriveRequested) -> bool:
         """Refuse the request if another client holds the lease; return whether it was refused."""
         lease = self.state.lease
         if lease is None or lease.client == event.client:
@@ -527,7 +527,9 @@ class Kernel:
         self._refuse_for(lease, event)
         return True
 
-    def _refuse_for(self, lease: Lease, event: MotionRequest) -> None:
+    def _refuse_for(
+        self, lease: Lease, event: ModeRequested | DriveRequested | LeaseRequested
+    ) -> None:
         why = f" ({lease.reason})" if lease.reason else ""
         refusal = f"{lease.source} holds the lease{why}, and {event.source} asked"
         self._refuse(event.request_id, refusal, (Remedy.WAIT_FOR_LEASE,))

@@ -40,13 +40,18 @@ _NEVER: frozenset[Mode] = frozenset()
 
 
 def _rule(
-    cause: Cause, action: Mode, raised_in: frozenset[Mode], check: Check, remedy: Remedy
+    cause: Cause,
+    raised_in: frozenset[Mode],
+    check: Check,
+    remedy: Remedy,
+    action: Mode = Mode.ERROR,
+    clear_check: Check | None = None,
 ) -> Rule:
-    return Rule(cause, action, raised_in, check, check, remedy)
+    return Rule(cause, action, raised_in, check, clear_check or check, remedy)
 
 
 _REPORTED: tuple[Rule, ...] = tuple(
-    _rule(cause, Mode.ERROR, raised_in, checks.reported(cause), remedy)
+    _rule(cause, raised_in, checks.reported(cause), remedy)
     for cause, raised_in, remedy in (
         (Cause.TASK_DIED, _ALWAYS, Remedy.READ_LOG_AND_RESTART),
         (Cause.RECORDER_FAILED, _ALWAYS, Remedy.RESTART),
@@ -56,108 +61,49 @@ _REPORTED: tuple[Rule, ...] = tuple(
 )
 """Rules for failures of the daemon, which it reports: the kernel cannot see them by itself."""
 
+_STOP = Mode.EMERGENCY_STOP
+_TROUBLE = checks.reported(Cause.TOPIC_TROUBLE)
+
 RULES: tuple[Rule, ...] = (
-    _rule(Cause.OPERATOR_STOP, Mode.EMERGENCY_STOP, _NEVER, checks.healthy, Remedy.RELEASE_STOP),
+    _rule(Cause.OPERATOR_STOP, _NEVER, checks.healthy, Remedy.RELEASE_STOP, _STOP),
+    _rule(Cause.ESTOP_PRESSED, _ALWAYS, checks.estop_pressed, Remedy.RELEASE_BUTTON, _STOP),
+    _rule(Cause.ESTOP_SILENT, _MOVING, checks.estop_silent, Remedy.CHECK_INPUT, _STOP),
     _rule(
-        Cause.ESTOP_PRESSED,
-        Mode.EMERGENCY_STOP,
-        _ALWAYS,
-        checks.estop_pressed,
-        Remedy.RELEASE_BUTTON,
-    ),
-    _rule(
-        Cause.ESTOP_SILENT,
-        Mode.EMERGENCY_STOP,
-        _MOVING,
-        checks.estop_silent,
-        Remedy.CHECK_INPUT,
-    ),
-    Rule(
-        Cause.BATTERY_LOW,
-        Mode.EMERGENCY_STOP,
-        _MOVING,
-        checks.battery_at_stop,
+        *(Cause.BATTERY_LOW, _MOVING, checks.battery_at_stop, Remedy.CHARGE_BATTERY, _STOP),
         checks.battery_before_clear,
-        Remedy.CHARGE_BATTERY,
     ),
     *_REPORTED,
-    _rule(Cause.NOT_ACTIVE, Mode.ERROR, _NEVER, checks.not_active, Remedy.ACTIVATE),
-    _rule(Cause.LOOP_STALLED, Mode.ERROR, _MOVING, checks.healthy, Remedy.FREE_PROCESSOR),
+    _rule(Cause.NOT_ACTIVE, _NEVER, checks.not_active, Remedy.ACTIVATE),
+    _rule(Cause.LOOP_STALLED, _MOVING, checks.healthy, Remedy.FREE_PROCESSOR),
+    _rule(Cause.TICK_OVERRUN, _MOVING, checks.tick_overrun, Remedy.FREE_PROCESSOR_OR_LOWER_RATE),
+    _rule(Cause.ODOMETRY_WRONG, _MOVING, checks.odometry_wrong, Remedy.CHECK_ODOMETRY_SOURCE),
+    _rule(Cause.ODOMETRY_LOST, _MOVING, checks.odometry_lost, Remedy.CHECK_ODOMETRY_IS_PUBLISHED),
     _rule(
-        Cause.TICK_OVERRUN,
-        Mode.ERROR,
-        _MOVING,
-        checks.tick_overrun,
-        Remedy.FREE_PROCESSOR_OR_LOWER_RATE,
-    ),
-    _rule(
-        Cause.ODOMETRY_WRONG,
-        Mode.ERROR,
-        _MOVING,
-        checks.odometry_wrong,
-        Remedy.CHECK_ODOMETRY_SOURCE,
-    ),
-    _rule(
-        Cause.ODOMETRY_LOST,
-        Mode.ERROR,
-        _MOVING,
-        checks.odometry_lost,
-        Remedy.CHECK_ODOMETRY_IS_PUBLISHED,
-    ),
-    _rule(
-        Cause.ODOMETRY_CONTRADICTED,
-        Mode.ERROR,
-        _MOVING,
-        checks.odometry_contradicted,
+        *(Cause.ODOMETRY_CONTRADICTED, _MOVING, checks.odometry_contradicted),
         Remedy.STOP_ONE_ODOMETRY_PUBLISHER,
     ),
     _rule(
-        Cause.SECOND_ODOMETRY,
-        Mode.ERROR,
-        _NEVER,
-        checks.second_odometry,
+        *(Cause.SECOND_ODOMETRY, _NEVER, checks.second_odometry),
         Remedy.STOP_ONE_ODOMETRY_PUBLISHER,
     ),
-    _rule(Cause.FENCE_LEFT, Mode.ERROR, _MOVING, checks.fence_left, Remedy.BRING_BACK),
-    _rule(Cause.OBSTACLE_NEAR, Mode.ERROR, _MOVING, checks.obstacle_near, Remedy.CLEAR_PATH),
-    _rule(Cause.SCAN_LOST, Mode.ERROR, _MOVING, checks.scan_lost, Remedy.CHECK_SCAN),
-    _rule(Cause.BUMPER_PRESSED, Mode.ERROR, _MOVING, checks.bumper_pressed, Remedy.FREE_ROBOT),
-    _rule(Cause.TILTED, Mode.ERROR, _MOVING, checks.tilted, Remedy.FREE_ROBOT),
-    _rule(Cause.BASE_FAULT, Mode.ERROR, _MOVING, checks.base_fault, Remedy.CHECK_BASE),
-    _rule(Cause.INPUT_LOST, Mode.ERROR, _MOVING, checks.input_lost, Remedy.CHECK_INPUT),
-    _rule(Cause.TRACKING_LOST, Mode.ERROR, _MOVING, checks.tracking_lost, Remedy.CHECK_WHEELS),
+    _rule(Cause.FENCE_LEFT, _MOVING, checks.fence_left, Remedy.BRING_BACK),
+    _rule(Cause.OBSTACLE_NEAR, _MOVING, checks.obstacle_near, Remedy.CLEAR_PATH),
+    _rule(Cause.SCAN_LOST, _MOVING, checks.scan_lost, Remedy.CHECK_SCAN),
+    _rule(Cause.BUMPER_PRESSED, _MOVING, checks.bumper_pressed, Remedy.FREE_ROBOT),
+    _rule(Cause.TILTED, _MOVING, checks.tilted, Remedy.FREE_ROBOT),
+    _rule(Cause.BASE_FAULT, _MOVING, checks.base_fault, Remedy.CHECK_BASE),
+    _rule(Cause.INPUT_LOST, _MOVING, checks.input_lost, Remedy.CHECK_INPUT),
+    _rule(Cause.TRACKING_LOST, _MOVING, checks.tracking_lost, Remedy.CHECK_WHEELS),
     _rule(
-        Cause.FOREIGN_PUBLISHER,
-        Mode.ERROR,
-        _MOVING,
-        checks.foreign_publisher,
-        Remedy.STOP_COMMAND_PUBLISHER,
+        Cause.FOREIGN_PUBLISHER, _MOVING, checks.foreign_publisher, Remedy.STOP_COMMAND_PUBLISHER
     ),
-    _rule(Cause.COMMAND_UNHEARD, Mode.ERROR, _NEVER, checks.command_unheard, Remedy.START_BASE),
-    _rule(
-        Cause.COMMAND_TYPES_MIXED,
-        Mode.ERROR,
-        _NEVER,
-        checks.command_types_mixed,
-        Remedy.SET_COMMAND_TYPE,
-    ),
-    _rule(
-        Cause.TOPIC_TROUBLE,
-        Mode.ERROR,
-        _NEVER,
-        checks.reported(Cause.TOPIC_TROUBLE),
-        Remedy.CHECK_TOPIC,
-    ),
-    _rule(
-        Cause.BATTERY_UNKNOWN,
-        Mode.ERROR,
-        _MOVING,
-        checks.battery_unknown,
-        Remedy.CHECK_BATTERY_TOPIC,
-    ),
-    _rule(Cause.OPERATOR_ERROR, Mode.ERROR, _NEVER, checks.healthy, Remedy.CLEAR_ERROR),
+    _rule(Cause.COMMAND_UNHEARD, _NEVER, checks.command_unheard, Remedy.START_BASE),
+    _rule(Cause.COMMAND_TYPES_MIXED, _NEVER, checks.command_types_mixed, Remedy.SET_COMMAND_TYPE),
+    _rule(Cause.TOPIC_TROUBLE, _NEVER, _TROUBLE, Remedy.CHECK_TOPIC),
+    _rule(Cause.BATTERY_UNKNOWN, _MOVING, checks.battery_unknown, Remedy.CHECK_BATTERY_TOPIC),
+    _rule(Cause.OPERATOR_ERROR, _NEVER, checks.healthy, Remedy.CLEAR_ERROR),
 )
-"""Every cause, the most severe first."""
+"""Every cause, the most severe first; the action is ERROR unless it is named."""
 
 RULE_OF: Mapping[Cause, Rule] = MappingProxyType({rule.cause: rule for rule in RULES})
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import Enum
 from math import nan
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from robotctl.kernel.constants import TWIST
 from robotctl.kernel.course import PLAIN, Course
@@ -127,22 +127,6 @@ class LeaseLost:
     t_ns: int
     client: int
     how: str = "its connection closed"
-
-
-class MotionRequest(Protocol):
-    """A request from a client; `client` is 0 for a client without an identity."""
-
-    @property
-    def request_id(self) -> int:
-        """The id of the request, which the reply carries as well."""
-
-    @property
-    def client(self) -> int:
-        """The number of the client."""
-
-    @property
-    def source(self) -> str:
-        """The name of the client."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,16 +98,6 @@ class PatientSender:
         return True
 
 
-def clock_sender(publisher: Publisher) -> Callable[[int], bool]:
-    """Return a function that publishes a time [ns] and returns whether this succeeded."""
-    send_once = sender(publisher)
-
-    def send(time_ns: int) -> bool:
-        return send_once(_CLOCK.pack(ENCAPSULATION, *divmod(time_ns, NS_PER_S)))
-
-    return send
-
-
 class RequestSender:
     """Sends the request in a serialized introspection event; does not wait for the response.
 
@@ -410,7 +400,8 @@ class ReplaySession:
         """Create a publisher of the clock, and return a function that publishes a time [ns]."""
         qos = QoSProfile(depth=10)  # reliable: matches best-effort subscriptions too
         publisher = self._node.create_publisher(serialized_type(CLOCK_TYPE), topic, qos)
-        return clock_sender(publisher)
+        send = sender(publisher)
+        return lambda time_ns: send(_CLOCK.pack(ENCAPSULATION, *divmod(time_ns, NS_PER_S)))
 
     def count_matched(self) -> int:
         """Return how many subscriptions have matched our publishers, over all topics."""

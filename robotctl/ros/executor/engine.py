@@ -41,7 +41,10 @@ from robotctl.ros.executor.waitables import GuardSource, WaitableSource, WaitSet
 
 
 class Nodes:
-    """Keeps the nodes of one executor; sets each node's attribute `executor`, as rclpy does."""
+    """Keeps the nodes of one executor; sets each node's attribute `executor`, as rclpy does.
+
+    The nodes are untyped here: rclpy's types allow its own executors only.
+    """
 
     def __init__(self, executor: Any) -> None:
         self._executor = executor
@@ -50,7 +53,7 @@ class Nodes:
     def __iter__(self) -> Iterator[Node]:
         return iter(list(self._nodes))
 
-    def add(self, node: Node) -> bool:
+    def add(self, node: Any) -> bool:
         """Add the node; return False if it was added before.
 
         Raises:
@@ -58,7 +61,7 @@ class Nodes:
         """
         if node in self._nodes:
             return False
-        other = _executor_of(node)
+        other = node.executor
         if (
             other is not None
             and other is not self._executor
@@ -70,17 +73,17 @@ class Nodes:
             )
         # Before the setter, which calls the executor's `add_node` again.
         self._nodes[node] = None
-        _set_executor(node, self._executor)
+        node.executor = self._executor
         return True
 
-    def remove(self, node: Node) -> bool:
+    def remove(self, node: Any) -> bool:
         """Remove the node; return False if it was not added."""
         try:
             del self._nodes[node]
         except KeyError:
             return False
-        if _executor_of(node) is self._executor:
-            _set_executor(node, None)
+        if node.executor is self._executor:
+            node.executor = None
         return True
 
     def clear(self) -> None:
@@ -117,15 +120,6 @@ def _entities_of(node: Node) -> Iterator[Any]:
         node.guards,
         node.waitables,
     )
-
-
-def _executor_of(node: Node) -> Any:
-    # rclpy's types allow its own executors only.
-    return node.executor
-
-
-def _set_executor(node: Any, executor: Any) -> None:
-    node.executor = executor
 
 
 class Attachments:

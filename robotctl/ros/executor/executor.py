@@ -31,48 +31,10 @@ from robotctl.ros.executor import futures
 from robotctl.ros.executor.announcements import check_announcements
 from robotctl.ros.executor.engine import Engine, Nodes
 from robotctl.ros.executor.futures import Tasks
-from robotctl.ros.executor.loop_thread import LoopThread, check_priority
+from robotctl.ros.executor.loop_thread import LoopThread
 from robotctl.ros.executor.runtime import ExceptionHandler
 
 SERVICE_POLL_S = 0.02
-
-
-async def call(client: Client, request: Any, timeout_s: float | None) -> Any:
-    """Send a request and return its response.
-
-    Raises:
-        TimeoutError: No response came within `timeout_s` seconds (None: no deadline).
-    """
-    try:
-        async with asyncio.timeout(timeout_s) as deadline:
-            return await futures.wait(client.call_async(request))
-    except TimeoutError:
-        if not deadline.expired():
-            raise
-        raise TimeoutError(
-            f"no response from service {client.srv_name} within {timeout_s:g} s; "
-            "is its node running?"
-        ) from None
-
-
-async def wait_for_service(client: Client | ActionClient, timeout_s: float | None) -> None:
-    """Wait until a server for the client is discovered.
-
-    Raises:
-        TimeoutError: No server was discovered within `timeout_s` seconds (None: no deadline).
-    """
-    if isinstance(client, ActionClient):
-        ready, name = client.server_is_ready, client._action_name
-    else:
-        ready, name = client.service_is_ready, client.srv_name
-    try:
-        async with asyncio.timeout(timeout_s):
-            while not ready():  # noqa: ASYNC110 - the graph has no callback
-                await asyncio.sleep(SERVICE_POLL_S)
-    except TimeoutError:
-        raise TimeoutError(
-            f"no server for {name} within {timeout_s:g} s; is its node running?"
-        ) from None
 
 
 class AsyncioExecutor:
@@ -101,8 +63,8 @@ class AsyncioExecutor:
         Raises:
             ValueError: The priority is outside 1..99.
         """
-        if fifo_priority is not None:
-            check_priority(fifo_priority)
+        if fifo_priority is not None and not 1 <= fifo_priority <= 99:
+            raise ValueError(f"a SCHED_FIFO priority must be 1 to 99, not {fifo_priority}")
         self._context = get_default_context() if context is None else context
         self._on_exception = on_exception
         self._fifo_priority = fifo_priority
@@ -276,7 +238,16 @@ class AsyncioExecutor:
                 f"the client of {client.srv_name} belongs to no node of this executor, "
                 "so its response would not be taken; call add_node first"
             )
-        return await call(client, request, timeout_s)
+        try:
+            async with asyncio.timeout(timeout_s) as deadline:
+                return await futures.wait(client.call_async(request))
+        except TimeoutError:
+            if not deadline.expired():
+                raise
+            raise TimeoutError(
+                f"no response from service {client.srv_name} within {timeout_s:g} s; "
+                "is its node running?"
+            ) from None
 
     async def wait_for(self, future: Future, *, timeout_s: float | None) -> Any:
         """Return an rclpy Future's result; cancel the future if the wait ends without a result.
@@ -299,7 +270,18 @@ class AsyncioExecutor:
             RuntimeError: This is not the executor's loop.
         """
         self._running()
-        await wait_for_service(client, timeout_s)
+        if isinstance(client, ActionClient):
+            ready, name = client.server_is_ready, client._action_name
+        else:
+            ready, name = client.service_is_ready, client.srv_name
+        try:
+            async with asyncio.timeout(timeout_s):
+                while not ready():  # noqa: ASYNC110 - the graph has no callback
+                    await asyncio.sleep(SERVICE_POLL_S)
+        except TimeoutError:
+            raise TimeoutError(
+                f"no server for {name} within {timeout_s:g} s; is its node running?"
+            ) from None
 
     # Internals
 

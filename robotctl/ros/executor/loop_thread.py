@@ -64,16 +64,6 @@ class LoopThread:
             self._loop.call_soon_threadsafe(callback)
 
 
-def check_priority(priority: int) -> None:
-    """Check a SCHED_FIFO priority.
-
-    Raises:
-        ValueError: The priority is outside 1..99.
-    """
-    if not 1 <= priority <= 99:
-        raise ValueError(f"a SCHED_FIFO priority must be 1 to 99, not {priority}")
-
-
 class FifoScheduling:
     """Runs the calling thread under SCHED_FIFO until `restore`.
 
@@ -82,12 +72,7 @@ class FifoScheduling:
     """
 
     def __init__(self, priority: int) -> None:
-        """Request SCHED_FIFO at `priority`, 1 (low) to 99; `description` says if it was granted.
-
-        Raises:
-            ValueError: The priority is outside 1..99.
-        """
-        check_priority(priority)
+        """Request SCHED_FIFO at `priority`, 1 (low) to 99; `description` says if it was granted."""
         self._former: tuple[int, os.sched_param] | None = None
         self._thread = threading.get_native_id()
         former = (os.sched_getscheduler(self._thread), os.sched_getparam(self._thread))
@@ -103,11 +88,6 @@ class FifoScheduling:
         else:
             self._former = former
             self.description = f"SCHED_FIFO {priority}"
-
-    @property
-    def granted(self) -> bool:
-        """Whether the thread runs under SCHED_FIFO now."""
-        return self._former is not None
 
     def restore(self) -> None:
         """Restore the thread's former scheduling; may be called from any thread."""

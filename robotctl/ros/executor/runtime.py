@@ -35,6 +35,13 @@ from robotctl.ros.executor.event_loop import (
 )
 
 
+class Resumable(Protocol):
+    """A source that waits for its callback group."""
+
+    def resume(self) -> None:
+        """Continue to deliver the waiting data."""
+
+
 class Pooled(Protocol):
     """A source that a pool polls."""
 
@@ -140,7 +147,7 @@ def rested_s(rest_s: float) -> float:
     return until_ns / NS_PER_S
 
 
-_log = logging.getLogger("robotctl.ros.executor")
+log = logging.getLogger("robotctl.ros.executor")
 
 
 class SlowCallbacks:
@@ -164,7 +171,7 @@ class SlowCallbacks:
             del self._quiet_until_ns[name]
         self._quiet_until_ns[where] = now + SLOW_WARNING_PAUSE_NS
         unsaid = self._unsaid.pop(where, 0)
-        _log.warning(
+        log.warning(
             "the callback of %s held the loop for %.0f ms%s; everything else waited. "
             "Make it async, or run the long part with asyncio.to_thread",
             where,
@@ -207,17 +214,8 @@ class TimedSteps:
                 thrown = error
 
 
-log = logging.getLogger("robotctl.ros.executor")
-
 ExceptionHandler = Callable[[Exception, str], None]
 """Called with each exception that a callback raises, and the name of that callback."""
-
-
-class Resumable(Protocol):
-    """A source that waits for its callback group."""
-
-    def resume(self) -> None:
-        """Continue to deliver the waiting data."""
 
 
 class Runtime:

@@ -261,11 +261,6 @@ class TakeFailed(Exception):
         self.reason = reason
 
 
-def coroutine_of(result: Any) -> Coroutine[Any, Any, Any] | None:
-    """Return a callback's result if it is a coroutine, or None."""
-    return result if isinstance(result, CoroutineType) else None
-
-
 # Every step of the clock: rcl's on-reset callback is not called when /clock moves.
 _ANY_JUMP = JumpThreshold(
     min_forward=Duration(nanoseconds=1),

@@ -25,7 +25,7 @@ from robotctl.ros.executor.event_loop import (
 from robotctl.ros.executor.raw_tap import RawTap, SerializedTaker
 from robotctl.ros.executor.rcutils import RclCallFailed
 from robotctl.ros.executor.runtime import Runtime
-from robotctl.ros.executor.source import EventFdSource, TakeFailed, coroutine_of
+from robotctl.ros.executor.source import EventFdSource, TakeFailed
 
 
 class QosEventSource(EventFdSource):
@@ -145,7 +145,8 @@ class _TakenSource(EventFdSource):
 
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
         decode, receive = self._decode, self._receive
-        return coroutine_of(receive(*item) if decode is None else receive(decode(item)))
+        result = receive(*item) if decode is None else receive(decode(item))
+        return result if isinstance(result, CoroutineType) else None
 
     def drain(self) -> bool:
         self._polls += 1
