@@ -27,8 +27,8 @@ from robotctl.daemon.observer import Observer
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.recording.provenance import DIGEST, provenance, software
 from robotctl.daemon.recording.recordings_folder import save_recordings_path
-from robotctl.daemon.ros_logs import LoggerLevels, apply_levels, published_log, serve_logger_levels
-from robotctl.daemon.service_manager import ServiceManager, reporting
+from robotctl.daemon.ros_logs import LoggerLevels, published_log, serve_logger_levels
+from robotctl.daemon.service_manager import ServiceManager
 from robotctl.daemon.supervisor import DISCOVERY_S, Supervisor, until
 from robotctl.decisions.journal import YEAR_S, DecisionKind, log_folder
 from robotctl.decisions.log import DecisionLog
@@ -125,11 +125,6 @@ OF_ONE_START: Final = ("directory", "git.directory", "user")
 """Keys of `provenance` that describe one start, and not the software."""
 
 
-def open_decision_log(options: DaemonOptions, config: Config) -> DecisionLog:
-    """Return the robot's journal of decisions; nothing is written yet."""
-    return DecisionLog(log_folder(options.robot), config.decisions.keep_years * YEAR_S)
-
-
 def _note_start(
     log: DecisionLog, options: DaemonOptions, config: Config, recorder: FlightRecorder
 ) -> None:
@@ -212,7 +207,7 @@ async def serve(
     ):
         own_logger = session.logger_name(RECORDER_NODE if options.observe else MODE_SERVICE)
         levels = LoggerLevels(own_logger)
-        apply_levels(levels, options.log_levels)
+        levels.apply(options.log_levels)
         notes += await asyncio.to_thread(save_recordings_path, options.recordings, options.robot)
         for folder in (address.parent, robot_state_folder(options.robot)):
             notes += chain_to(folder).group_writable()
@@ -226,7 +221,7 @@ async def serve(
             time.monotonic() + DISCOVERY_S,
             stop,
             session,
-            open_decision_log(options, config),
+            DecisionLog(log_folder(options.robot), config.decisions.keep_years * YEAR_S),
             warnings=[],
         )
         host.warnings.append(host.decisions.warning)
@@ -263,7 +258,7 @@ async def serve(
 
         async with noted(host.decisions, options, config, daemon.recorder):
             try:
-                async with reporting(manager, daemon.mode):
+                async with manager.reporting(daemon.mode):
                     await daemon.run(server, notes, ready)
             except BaseException:
                 await daemon.stop_robot()

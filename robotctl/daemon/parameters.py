@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Container, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from robotctl.base.errors import Refused, RobotctlError
 from robotctl.config import Config, check_together, declarations, flat, with_setting, with_text
@@ -26,11 +26,8 @@ from robotctl.ros.session import Session
 START_CURE = "stop the daemon, and start it with --config, or with --ros-args -p {key}:=VALUE"
 
 
-class Setting(NamedTuple):
-    """A key and its new value, in the form that a configuration file uses."""
-
-    key: str
-    value: object
+Setting = tuple[str, Any]
+"""A key and its new value, in the form that a configuration file uses."""
 
 
 class Parameters:
@@ -57,7 +54,7 @@ class Parameters:
         Raises:
             ConfigError: There is no such key, or the value is not allowed.
         """
-        return Setting(key, flat(with_text(self.config, key, text))[key])
+        return key, flat(with_text(self.config, key, text))[key]
 
     def request(self, settings: Sequence[Setting], source: str) -> Reply:
         """Change all parameters and return the last reply, or change none and return a refusal.
@@ -122,9 +119,9 @@ def listed(config: Config) -> list[ParameterAnswer]:
 def serve_parameters(session: Session, parameters: Parameters, robot: str) -> None:
     """Give each visible node its parameters and services; errors suggest commands for `robot`."""
 
-    def ask(settings: Sequence[tuple[str, Any]], source: str) -> str:
+    def ask(settings: Sequence[Setting], source: str) -> str:
         try:
-            reply = parameters.request([Setting(*each) for each in settings], source)
+            reply = parameters.request(settings, source)
         except RobotctlError as error:
             return str(error)
         return "" if reply.ok else advice(reply.message, reply.remedies, robot).sentence

@@ -77,11 +77,20 @@ class LoggerLevels:
             source,
         )
 
+    def change(self, name: str, level: int, source: str) -> str:
+        """Set a level of Python's logger and of rcl's; return why it was refused, or "".
+
+        rcl's default level is never changed: at DEBUG, rcl writes two lines for each message.
+        """
+        refusal = self.refusal(name, level) or (set_native_level(name, level) if name else "")
+        if not refusal:
+            self.set(name, level, source)
+        return refusal
+
     def apply(self, levels: Iterable[LogLevel]) -> None:
-        """Set the levels of a command line; skip those that `refusal` does not allow."""
+        """Set the levels of a command line; skip those that are refused."""
         for each in levels:
-            if not self.refusal(each.logger, each.level):
-                self.set(each.logger, each.level, "the command line")
+            self.change(each.logger, each.level, "the command line")
 
     def _python_name(self, name: str) -> str:
         return PACKAGE if name == self.own else name
@@ -108,27 +117,5 @@ def published_log(session: Session, levels: LoggerLevels) -> Iterator[None]:
 
 def serve_logger_levels(session: Session, levels: LoggerLevels) -> None:
     """Add the services that get and set logger levels to each visible node."""
-
-    def change(name: str, level: int, source: str) -> str:
-        refusal = levels.refusal(name, level) or _set_native(LogLevel(name, level))
-        if not refusal:
-            levels.set(name, level, source)
-        return refusal
-
     for node in session.visible_nodes.values():
-        LoggerServices(node, levels.get, change)
-
-
-def apply_levels(levels: LoggerLevels, given: tuple[LogLevel, ...]) -> None:
-    """Set the levels that a command line gives, for the loggers of Python and of rcl."""
-    for each in given:
-        _set_native(each)
-    levels.apply(given)
-
-
-def _set_native(level: LogLevel) -> str:
-    """Set the level of a logger of rcl, if `level` names one; return why it was refused, or "".
-
-    rcl's default level is never changed: at DEBUG, rcl writes two lines for each message.
-    """
-    return set_native_level(level.logger, level.level) if level.logger else ""
+        LoggerServices(node, levels.get, levels.change)

@@ -42,20 +42,19 @@ class ServiceManager:
         """Report that the daemon is ready."""
         self._tell("READY=1")
 
-    def stopping(self) -> None:
-        """Report that the daemon has begun to end."""
-        self._tell("STOPPING=1\nSTATUS=stopping")
+    @asynccontextmanager
+    async def reporting(self, status: Callable[[], str]) -> AsyncIterator[None]:
+        """Report keep-alives and the status within the block; then that the daemon is stopping."""
+        task = asyncio.create_task(self._run(status))
+        try:
+            yield
+        finally:
+            task.cancel()
+            self._tell("STOPPING=1\nSTATUS=stopping")
+            if self._socket is not None:
+                self._socket.close()
 
-    def close(self) -> None:
-        """Close the socket."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-
-    async def run(self, status: Callable[[], str]) -> None:
-        """Send systemd's watchdog a keep-alive, and the status when it changes, until cancelled."""
-        if self._socket is None:
-            return
+    async def _run(self, status: Callable[[], str]) -> None:
         told = ""
         while True:
             lines = ["WATCHDOG=1"]
@@ -68,15 +67,3 @@ class ServiceManager:
         if self._socket is not None:
             with suppress(OSError):
                 self._socket.send(text.encode())
-
-
-@asynccontextmanager
-async def reporting(manager: ServiceManager, status: Callable[[], str]) -> AsyncIterator[None]:
-    """Run `manager.run` within the block; at its end, report that the daemon is stopping."""
-    task = asyncio.create_task(manager.run(status))
-    try:
-        yield
-    finally:
-        task.cancel()
-        manager.stopping()
-        manager.close()

@@ -179,7 +179,7 @@ def test_a_daemon_reports_ready_mode_watchdog_and_its_end(world: World) -> None:
         assert daemon.returncode == 0
 
 
-def test_without_systemd_nothing_is_told_and_a_lost_socket_stops_nothing(
+async def test_without_systemd_nothing_is_told_and_a_lost_socket_stops_nothing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
@@ -187,6 +187,5 @@ def test_without_systemd_nothing_is_told_and_a_lost_socket_stops_nothing(
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
     manager = ServiceManager()
     assert "NOTIFY_SOCKET" not in os.environ
-    manager.ready()
-    manager.stopping()
-    manager.close()
+    async with manager.reporting(lambda: "IDLE"):
+        manager.ready()

@@ -88,7 +88,6 @@ class PendingRequests:
         self._replies: dict[int, asyncio.Future[Reply]] = {}
         self._ends: dict[int, asyncio.Future[DriveEnded]] = {}
         self._replies_now: dict[int, Reply | None] = {}
-        self._at_once: dict[int, Reply] = {}
 
     def new_id(self) -> int:
         """Return a new request id."""

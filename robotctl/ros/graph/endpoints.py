@@ -9,7 +9,7 @@ import ctypes
 import re
 from collections.abc import Iterable, Mapping
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
@@ -22,17 +22,8 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from robotctl.base.text import printable
 from robotctl.ros import qos
 from robotctl.ros.graph import rcl_graph
-from robotctl.ros.graph.rcl_graph import Gid, Role
-
-
-class Endpoint(NamedTuple):
-    """A publisher or subscription of any process; in names, bytes other than UTF-8 are escaped."""
-
-    node_name: str
-    node_namespace: str
-    topic_type: str
-    gid: bytes
-    qos_profile: QoSProfile
+from robotctl.ros.graph.rcl_graph import Endpoint as Endpoint
+from robotctl.ros.graph.rcl_graph import Gid, Role, escaped
 
 
 def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
@@ -47,7 +38,7 @@ def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
         with node.handle:
             found = rcl_graph.topic_names_and_types(node.handle.pointer, dds_names=dds_names)
     return {
-        name.decode(errors="surrogateescape"): [_escaped(each) for each in types]
+        name.decode(errors="surrogateescape"): [escaped(each) for each in types]
         for name, types in found
     }
 
@@ -83,7 +74,7 @@ def node_names(node: Node) -> list[str]:
     """Return the full name of each discovered node; a name that two nodes share is listed twice."""
     with node.handle:
         found = rcl_graph.node_names(node.handle.pointer)
-    return [f"{_escaped(space).rstrip('/')}/{_escaped(name)}" for name, space in found]
+    return [f"{escaped(space).rstrip('/')}/{escaped(name)}" for name, space in found]
 
 
 def is_topic_name(name: str) -> bool:
@@ -118,21 +109,7 @@ def _endpoints(node: Node, role: Role, topic: str, dds_names: bool) -> list[Endp
             except UnicodeDecodeError:
                 pass
         name = topic.encode(errors="surrogateescape")
-        found = rcl_graph.endpoints(node.handle.pointer, role, name, dds_names=dds_names)
-    return [
-        Endpoint(
-            _escaped(each.node_name),
-            _escaped(each.node_namespace),
-            _escaped(each.topic_type),
-            each.gid,
-            each.qos_profile,
-        )
-        for each in found
-    ]
-
-
-def _escaped(text: bytes) -> str:
-    return text.decode(errors="backslashreplace")
+        return rcl_graph.endpoints(node.handle.pointer, role, name, dds_names=dds_names)
 
 
 LOOK_NODE = "_robotctl_look_"

@@ -115,14 +115,19 @@ class Role(Enum):
     SUBSCRIPTION = "rcl_get_subscriptions_info_by_topic"
 
 
-class RawEndpoint(NamedTuple):
-    """A publisher or subscription with its QoS; its names are the bytes that it announced."""
+class Endpoint(NamedTuple):
+    """A publisher or subscription of any process; in names, bytes other than UTF-8 are escaped."""
 
-    node_name: bytes
-    node_namespace: bytes
-    topic_type: bytes
+    node_name: str
+    node_namespace: str
+    topic_type: str
     gid: bytes
     qos_profile: QoSProfile
+
+
+def escaped(text: bytes) -> str:
+    """Return the text; a byte that is not UTF-8 becomes a backslash escape."""
+    return text.decode(errors="backslashreplace")
 
 
 @cache
@@ -181,7 +186,7 @@ def node_names(node: int) -> list[tuple[bytes, bytes]]:
             _library("librcutils.so").rcutils_string_array_fini(ctypes.byref(array))
 
 
-def endpoints(node: int, role: Role, topic: bytes, *, dds_names: bool) -> list[RawEndpoint]:
+def endpoints(node: int, role: Role, topic: bytes, *, dds_names: bool) -> list[Endpoint]:
     """Return the endpoints of a topic that have the `role`; `topic` may be any bytes.
 
     Raises:
@@ -211,12 +216,12 @@ def _strings(array: StringArray) -> Iterator[bytes]:
     return (array.data[index] for index in range(array.size))
 
 
-def _endpoint(info: EndpointInfo) -> RawEndpoint:
+def _endpoint(info: EndpointInfo) -> Endpoint:
     qos = info.qos
-    return RawEndpoint(
-        info.node_name,
-        info.node_namespace,
-        info.topic_type,
+    return Endpoint(
+        escaped(info.node_name),
+        escaped(info.node_namespace),
+        escaped(info.topic_type),
         bytes(info.gid),
         QoSProfile(
             history=HistoryPolicy(qos.history),
