@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Container, Sequence
 from dataclasses import replace
 from typing import Any
@@ -71,8 +70,7 @@ class Parameters:
             check_together(config.kernel)
             events.append(
                 ParameterRequested(
-                    time.monotonic_ns(),
-                    self._control.new_request_id(),
+                    *self._control.stamp(),
                     key,
                     str(flat(before)[key]),
                     str(flat(config)[key]),

@@ -42,7 +42,7 @@ async def stand_still(
     control.dispatch(FaultReported(now_ns(), Cause.DAEMON_ENDS, _ENDING))
     for mode in (Mode.IDLE, Mode.ERROR):
         if control.state.mode is Mode.MOVING:
-            request = ModeRequested(now_ns(), control.new_request_id(), mode, "the daemon's end")
+            request = ModeRequested(now_ns(), control.stamp()[1], mode, "the daemon's end")
             try:
                 await asyncio.wait_for(control.request(request), ramp_down_s)
             except TimeoutError:

@@ -43,8 +43,8 @@ class FakeControl:
         self.state = State(mode=mode)
         self.params = KernelParams()
 
-    def new_request_id(self) -> int:
-        return self.ended.request_id
+    def stamp(self) -> tuple[int, int]:
+        return 0, self.ended.request_id
 
     def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
         end: asyncio.Future[DriveEnded] = asyncio.get_running_loop().create_future()
@@ -118,8 +118,8 @@ class RampingControl(FakeControl):
         self.state = state
         self.asked: list[ModeRequested] = []
 
-    def new_request_id(self) -> int:
-        return 7
+    def stamp(self) -> tuple[int, int]:
+        return 0, 7
 
     def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
         return asyncio.get_running_loop().create_future()
@@ -253,8 +253,8 @@ class Asked:
         self.begin = self.events.append
         self.params = KernelParams()
 
-    def new_request_id(self) -> int:
-        return 1
+    def stamp(self) -> tuple[int, int]:
+        return 0, 1
 
     def expect_end(self, request_id: int) -> None:
         pass

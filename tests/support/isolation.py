@@ -29,12 +29,11 @@ SETTLING_S: Final = 3.0
 """How long a thread, child or descriptor of the last test may need to end."""
 
 PURE: Final[Collection[str]] = {
-    *("_aligned", "_eventfd_write", "_function", "_gid_getter", "_hash_of", "_installed_hash"),
-    *("_kinds", "_libc", "_library", "_qos_lines", "_rays", "_reader", "_rmw_handle_getter"),
-    *("_setter", "_take_serialized", "_type_support", "_wrong_in", "corners_of"),
-    *("counts_each_message", "declarations", "decoder_of", "free_beside_m", "installed_type"),
-    *("kernel_leaves", "library", "message_class", "path_of", "serialized_type"),
-    *("software", "software_hash"),
+    *("_aligned", "_eventfd_write", "_hash_of", "_installed_hash", "_kinds", "_libc"),
+    *("_qos_lines", "_rays", "_reader", "_setter", "_take_serialized", "_type_support"),
+    *("_wrong_in", "corners_of", "counts_each_message", "declarations", "decoder_of"),
+    *("free_beside_m", "function", "installed_type", "kernel_leaves", "library", "message_class"),
+    *("path_of", "serialized_type", "software", "software_hash"),
 }
 """Caches whose values follow from their arguments, the code and the installed packages alone."""
 

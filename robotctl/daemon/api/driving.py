@@ -171,11 +171,9 @@ class DrivingMethods:
 
     async def begin(self, kind: PatternKind, source: str) -> Reply:
         """Request one lap, or endless laps if the pattern is closed; return the kernel's reply."""
-        request_id, pattern = self._control.new_request_id(), self.pattern(kind)
-        laps = default_laps(kind, wait=False)
-        return await self._control.request(
-            DriveRequested(time.monotonic_ns(), request_id, pattern, laps, False, source)
-        )
+        pattern, laps = self.pattern(kind), default_laps(kind, wait=False)
+        event = DriveRequested(*self._control.stamp(), pattern, laps, False, source)
+        return await self._control.request(event)
 
     async def _get_path(self, _: NoParams) -> DrivenPath:
         return self._robot_report.path()
@@ -187,10 +185,8 @@ class DrivingMethods:
         if params.mode not in list(Mode):
             names = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
             raise UsageError(f"{params.mode} is not a mode", f"use {names}")
-        request_id = self._control.new_request_id()
         event = ModeRequested(
-            time.monotonic_ns(),
-            request_id,
+            *self._control.stamp(),
             params.mode,
             params.source,
             self._client_of(params.lease),
@@ -199,8 +195,7 @@ class DrivingMethods:
         return granted(await self._control.request(event), self._robot)
 
     async def _reset(self, params: ResetParams) -> ModeAnswer:
-        request_id = self._control.new_request_id()
-        event = ResetRequested(time.monotonic_ns(), request_id, params.source, params.reason)
+        event = ResetRequested(*self._control.stamp(), params.source, params.reason)
         return granted(await self._control.request(event), self._robot)
 
     async def _drive(self, params: DriveParams) -> DriveAnswer:
@@ -234,10 +229,8 @@ class DrivingMethods:
         Raises:
             Refused: The kernel refused the drive, or the drive ended early.
         """
-        request_id = self._control.new_request_id()
         event = DriveRequested(
-            time.monotonic_ns(),
-            request_id,
+            *self._control.stamp(),
             pattern,
             laps,
             params.replace,
@@ -246,7 +239,7 @@ class DrivingMethods:
             params.reason,
             course,
         )
-        end = self._control.expect_end(request_id)
+        end = self._control.expect_end(event.request_id)
         try:
             answer = granted(await self._control.request(event), self._robot)
             if not params.wait:
@@ -254,7 +247,7 @@ class DrivingMethods:
             ended = await end
         except asyncio.CancelledError:
             if params.wait:
-                self.ramp_down(request_id, f"{params.source}, whose connection closed")
+                self.ramp_down(event.request_id, f"{params.source}, whose connection closed")
             raise
         finally:
             end.cancel()
@@ -277,7 +270,7 @@ class DrivingMethods:
         """Begin a motion that ends unless it is held again and again, or hold it again."""
         if params.hold:
             return self._hold_again(params)
-        request_id, now_ns = self._control.new_request_id(), time.monotonic_ns()
+        now_ns, request_id = self._control.stamp()
         held = Held(params.linear_mps, params.angular_rps, MAX_SILENCE_S, now_ns)
         event = DriveRequested(
             now_ns,
@@ -317,13 +310,11 @@ class DrivingMethods:
             pattern = self.pattern(_kind(goal.pattern), goal.size_m or None, goal.speed_mps or None)
         except UsageError as error:
             raise ValueError(str(error)) from None
-        request_id = self._control.new_request_id()
         return RequestedDrive(
             self._control,
             self,
             DriveRequested(
-                time.monotonic_ns(),
-                request_id,
+                *self._control.stamp(),
                 pattern,
                 goal.laps,
                 goal.replace,
@@ -343,8 +334,7 @@ class DrivingMethods:
         return True
 
     def _idle_request(self, source: str) -> ModeRequested:
-        request_id = self._control.new_request_id()
-        return ModeRequested(time.monotonic_ns(), request_id, Mode.IDLE, source)
+        return ModeRequested(*self._control.stamp(), Mode.IDLE, source)
 
     def _check_speed(self, speed_mps: float | None) -> None:
         """Check a speed against the configured limit.

@@ -75,9 +75,8 @@ class LeaseMethods:
         self._clients += 1
         ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         holder = _Holder(self._clients, params.token, ended)
-        request_id = self._control.new_request_id()
         event = LeaseRequested(
-            time.monotonic_ns(), request_id, True, holder.client, params.source, params.reason
+            *self._control.stamp(), True, holder.client, params.source, params.reason
         )
         try:
             granted(await self._control.request(event), self._robot)
@@ -116,9 +115,8 @@ class LeaseMethods:
 
     async def _release(self, params: LeaseReleaseParams) -> MessageAnswer:
         holder = self._holder
-        request_id = self._control.new_request_id()
         client = self.client_of(params.token)
-        event = LeaseRequested(time.monotonic_ns(), request_id, False, client, params.source)
+        event = LeaseRequested(*self._control.stamp(), False, client, params.source)
         answer = granted(await self._control.request(event), self._robot)
         if holder is not None and holder.client == client and not holder.ended.done():
             holder.ended.set_result(f"Lease released by {params.source}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -215,9 +216,9 @@ class Control:
         self._snapshot_t_ns = t_ns
         self._journal.snapshot(t_ns, self._kernel)
 
-    def new_request_id(self) -> int:
-        """Return a new request id."""
-        return self._requests.new_id()
+    def stamp(self) -> tuple[int, int]:
+        """Return the steady time [ns] and a new request id, with which a request begins."""
+        return time.monotonic_ns(), self._requests.new_id()
 
     def begin(self, event: Request) -> asyncio.Future[Reply]:
         """Dispatch a request now; the returned future gets the reply after all other effects."""

@@ -187,11 +187,8 @@ class Inputs:
 
     def service_call(self, requested: int, source: str) -> asyncio.Future[Reply]:
         """Dispatch the mode request of a ROS node; return the future of its reply."""
-        request_id = self._control.new_request_id()
         return self._control.begin(
-            ModeRequested(
-                time.monotonic_ns(), request_id, requested, source, remote=self._is_remote()
-            )
+            ModeRequested(*self._control.stamp(), requested, source, remote=self._is_remote())
         )
 
     def recorder_failed(self, detail: str) -> None:

@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache
-from typing import Any, Final, NamedTuple, Self
+from typing import Final, NamedTuple, Self
 
 from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
@@ -26,7 +26,14 @@ from robotctl.messages.cdr import CdrReader
 from robotctl.ros.executor import RclCallFailed, rcutils
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.endpoints import PROCESS_BYTES, gid_of
-from robotctl.ros.graph.rcl_graph import GID_BYTES, PublisherOptions, Qos, SubscriptionOptions
+from robotctl.ros.graph.rcl_graph import (
+    GID_BYTES,
+    PublisherOptions,
+    Qos,
+    SubscriptionOptions,
+    checked,
+    function,
+)
 from robotctl.ros.graph.rcl_graph import Time as RmwTime
 
 TOPIC: Final = "ros_discovery_info"
@@ -62,7 +69,7 @@ class IntroductionReader:
         self.by_process: dict[bytes, Introduction] = {}
         self._node = node
         self._message = rcutils.SerializedMessage(allocator=rcutils.default_allocator())
-        options = _function("rmw_get_default_subscription_options", SubscriptionOptions)()
+        options = function("rmw_get_default_subscription_options", SubscriptionOptions)()
         self._reader = _create(node, "rmw_create_subscription", _qos(_READ_DEPTH), options)
 
     def look(self) -> None:
@@ -81,7 +88,7 @@ class IntroductionReader:
 
     def _take(self) -> bytes | None:
         taken = ctypes.c_bool(False)
-        take = _function("rmw_take_serialized_message", ctypes.c_int)
+        take = function("rmw_take_serialized_message")
         code = take(self._reader, ctypes.byref(self._message), ctypes.byref(taken), None)
         if code:
             raise RclCallFailed(f"rmw_take_serialized_message failed with {code}")
@@ -103,7 +110,7 @@ class IntroductionWriter:
             RclCallFailed: The middleware could not create the writer.
         """
         self._node = node
-        options = _function("rmw_get_default_publisher_options", PublisherOptions)()
+        options = function("rmw_get_default_publisher_options", PublisherOptions)()
         self._writer = _create(node, "rmw_create_publisher", _qos(1), options)
 
     def write(self, data: bytes) -> None:
@@ -115,11 +122,11 @@ class IntroductionWriter:
             capacity=len(data),
             allocator=rcutils.default_allocator(),
         )
-        _checked("rmw_publish_serialized_message", self._writer, ctypes.byref(message), None)
+        checked("rmw_publish_serialized_message", self._writer, ctypes.byref(message), None)
 
     def is_acknowledged(self) -> bool:
         """Return whether all discovered processes have acknowledged the last announcement."""
-        wait = _function("rmw_publisher_wait_for_all_acked", ctypes.c_int)
+        wait = function("rmw_publisher_wait_for_all_acked")
         code = wait(self._writer, RmwTime(0, 0))
         if code == _TIMEOUT:
             rcutils.take_error_text()
@@ -151,19 +158,11 @@ def read_introduction(data: bytes) -> Introduction:
 
 
 @cache
-def _function(name: str, restype: Any) -> Any:
-    """Return a function of rmw, which librcl has loaded."""
-    function = ctypes.PyDLL("librcl.so")[name]
-    function.restype = restype
-    return function
-
-
-@cache
 def _type_support() -> ctypes.c_void_p:
     library = ctypes.PyDLL("librmw_dds_common__rosidl_typesupport_c.so")
-    function = library[f"rosidl_typesupport_c__get_message_type_support_handle__{_TYPE}"]
-    function.restype = ctypes.c_void_p
-    return ctypes.c_void_p(function())
+    handle = library[f"rosidl_typesupport_c__get_message_type_support_handle__{_TYPE}"]
+    handle.restype = ctypes.c_void_p
+    return ctypes.c_void_p(handle())
 
 
 def _qos(depth: int) -> Qos:
@@ -176,10 +175,9 @@ def _qos(depth: int) -> Qos:
     )
 
 
-def _create(node: Node, function: str, qos: Qos, options: ctypes.Structure) -> ctypes.c_void_p:
-    create = _function(function, ctypes.c_void_p)
+def _create(node: Node, name: str, qos: Qos, options: ctypes.Structure) -> ctypes.c_void_p:
     with node.handle:
-        made = create(
+        made = function(name, ctypes.c_void_p)(
             _rmw_node(node),
             _type_support(),
             ctypes.c_char_p(TOPIC.encode()),
@@ -187,24 +185,18 @@ def _create(node: Node, function: str, qos: Qos, options: ctypes.Structure) -> c
             ctypes.byref(options),
         )
     if not made:
-        raise RclCallFailed(f"{function} failed: {rcutils.take_error_text()}")
+        raise RclCallFailed(f"{name} failed: {rcutils.take_error_text()}")
     return ctypes.c_void_p(made)
 
 
-def _destroy(node: Node, function: str, made: ctypes.c_void_p) -> None:
+def _destroy(node: Node, name: str, made: ctypes.c_void_p) -> None:
     with node.handle:
-        _checked(function, _rmw_node(node), made)
+        checked(name, _rmw_node(node), made)
 
 
 def _rmw_node(node: Node) -> ctypes.c_void_p:
-    handle = _function("rcl_node_get_rmw_handle", ctypes.c_void_p)
+    handle = function("rcl_node_get_rmw_handle", ctypes.c_void_p)
     return ctypes.c_void_p(handle(ctypes.c_void_p(node.handle.pointer)))
-
-
-def _checked(function: str, *arguments: Any) -> None:
-    code = _function(function, ctypes.c_int)(*arguments)
-    if code:
-        raise RclCallFailed(f"{function} failed with {code}: {rcutils.take_error_text()}")
 
 
 _POLL_S: Final = 0.005
@@ -400,9 +392,7 @@ class GraphChanges:
 
 def _add_graph_of(node: int, wait_set: int) -> None:
     """Add the graph guard condition of the rcl_node_t at `node` to the rcl_wait_set_t."""
-    library: Any = ctypes.PyDLL("librcl.so")
-    library.rcl_node_get_graph_guard_condition.restype = ctypes.c_void_p
-    guard = library.rcl_node_get_graph_guard_condition(ctypes.c_void_p(node))
-    library.rcl_wait_set_add_guard_condition(
-        ctypes.c_void_p(wait_set), ctypes.c_void_p(guard), None
-    )
+    of_node = function("rcl_node_get_graph_guard_condition", ctypes.c_void_p)
+    guard = of_node(ctypes.c_void_p(node))
+    add = function("rcl_wait_set_add_guard_condition")
+    add(ctypes.c_void_p(wait_set), ctypes.c_void_p(guard), None)

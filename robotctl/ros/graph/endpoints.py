@@ -8,7 +8,6 @@ from __future__ import annotations
 import ctypes
 import re
 from collections.abc import Iterable, Mapping
-from functools import cache
 from typing import Any
 
 from rclpy.exceptions import InvalidTopicNameException
@@ -16,14 +15,13 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.utilities import get_rmw_implementation_identifier
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from robotctl.base.text import printable
 from robotctl.ros import qos
 from robotctl.ros.graph import rcl_graph
 from robotctl.ros.graph.rcl_graph import Endpoint as Endpoint
-from robotctl.ros.graph.rcl_graph import Gid, Role, escaped
+from robotctl.ros.graph.rcl_graph import Gid, Role, checked, escaped, function
 
 
 def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
@@ -59,15 +57,13 @@ def publisher_count(node: Node, topic: str) -> int:
     rclpy's `Node.count_publishers` would expand and validate the name each time.
     """
     with node.handle:
-        count: int = node.handle.get_count_publishers(topic)
-        return count
+        return int(node.handle.get_count_publishers(topic))
 
 
 def subscription_count(node: Node, topic: str) -> int:
     """Return how many subscriptions a topic has; `topic` is its full name."""
     with node.handle:
-        count: int = node.handle.get_count_subscribers(topic)
-        return count
+        return int(node.handle.get_count_subscribers(topic))
 
 
 def node_names(node: Node) -> list[str]:
@@ -133,14 +129,13 @@ def gid_of(publisher: Publisher) -> bytes:
     """Return the gid that messages of this publisher carry.
 
     Raises:
-        RuntimeError: The middleware does not report the gid.
+        RclCallFailed: The middleware does not report the gid.
     """
     gid = Gid()
     with publisher.handle:
-        rmw_publisher = _rmw_handle_getter()(publisher.handle.pointer)
-        code = _gid_getter()(rmw_publisher, ctypes.byref(gid))
-    if code:
-        raise RuntimeError(f"rmw_get_gid_for_publisher failed with {code}")
+        handle = function("rcl_publisher_get_rmw_handle", ctypes.c_void_p)
+        rmw_publisher = handle(ctypes.c_void_p(publisher.handle.pointer))
+        checked("rmw_get_gid_for_publisher", ctypes.c_void_p(rmw_publisher), ctypes.byref(gid))
     return bytes(gid.data)
 
 
@@ -174,24 +169,6 @@ def full_name(endpoint: Endpoint) -> str:
     if endpoint.node_name == UNKNOWN_NODE:
         return ""
     return printable(f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}")
-
-
-@cache
-def _rmw_handle_getter() -> Any:
-    function = ctypes.CDLL("librcl.so").rcl_publisher_get_rmw_handle
-    function.argtypes = [ctypes.c_void_p]
-    function.restype = ctypes.c_void_p
-    return function
-
-
-@cache
-def _gid_getter() -> Any:
-    # The wheels have no librmw_implementation.so, which would choose the middleware.
-    library = ctypes.CDLL(f"lib{get_rmw_implementation_identifier()}.so")
-    function = library.rmw_get_gid_for_publisher
-    function.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
-    function.restype = ctypes.c_int
-    return function
 
 
 MAX_NAMES = 5000

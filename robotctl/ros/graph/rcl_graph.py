@@ -131,8 +131,22 @@ def escaped(text: bytes) -> str:
 
 
 @cache
-def _library(name: str) -> Any:
-    return ctypes.PyDLL(name)  # keeps the GIL, as rclpy's own calls do
+def function(name: str, restype: Any = ctypes.c_int) -> Any:
+    """Return a C function of rcl, or of what rcl loads; calls keep the GIL, as rclpy's do."""
+    found = ctypes.PyDLL("librcl.so")[name]
+    found.restype = restype
+    return found
+
+
+def checked(name: str, *arguments: Any) -> None:
+    """Call a C function that returns 0 for success.
+
+    Raises:
+        RclCallFailed: It returned another code.
+    """
+    code = function(name)(*arguments)
+    if code:
+        raise RclCallFailed(f"{name} failed with {code}: {rcutils.take_error_text()}")
 
 
 def topic_names_and_types(node: int, *, dds_names: bool) -> list[tuple[bytes, list[bytes]]]:
@@ -143,16 +157,13 @@ def topic_names_and_types(node: int, *, dds_names: bool) -> list[tuple[bytes, li
     Raises:
         RclCallFailed: rcl could not list them.
     """
-    found = NamesAndTypes()
-    allocator = rcutils.default_allocator()
-    _check(
+    found, allocator = NamesAndTypes(), rcutils.default_allocator()
+    checked(
         "rcl_get_topic_names_and_types",
-        _library("librcl.so").rcl_get_topic_names_and_types(
-            ctypes.c_void_p(node),
-            ctypes.byref(allocator),
-            ctypes.c_bool(dds_names),
-            ctypes.byref(found),
-        ),
+        ctypes.c_void_p(node),
+        ctypes.byref(allocator),
+        ctypes.c_bool(dds_names),
+        ctypes.byref(found),
     )
     try:
         return [
@@ -160,7 +171,7 @@ def topic_names_and_types(node: int, *, dds_names: bool) -> list[tuple[bytes, li
             for index, name in enumerate(_strings(found.names))
         ]
     finally:
-        _library("librmw.so").rmw_names_and_types_fini(ctypes.byref(found))
+        function("rmw_names_and_types_fini")(ctypes.byref(found))
 
 
 def node_names(node: int) -> list[tuple[bytes, bytes]]:
@@ -170,20 +181,13 @@ def node_names(node: int) -> list[tuple[bytes, bytes]]:
         RclCallFailed: rcl could not list them.
     """
     names, namespaces = StringArray(), StringArray()
-    _check(
-        "rcl_get_node_names",
-        _library("librcl.so").rcl_get_node_names(
-            ctypes.c_void_p(node),
-            rcutils.default_allocator(),
-            ctypes.byref(names),
-            ctypes.byref(namespaces),
-        ),
-    )
+    allocator, both = rcutils.default_allocator(), (ctypes.byref(names), ctypes.byref(namespaces))
+    checked("rcl_get_node_names", ctypes.c_void_p(node), allocator, *both)
     try:
         return list(zip(_strings(names), _strings(namespaces), strict=True))
     finally:
-        for array in (names, namespaces):
-            _library("librcutils.so").rcutils_string_array_fini(ctypes.byref(array))
+        for array in both:
+            function("rcutils_string_array_fini")(array)
 
 
 def endpoints(node: int, role: Role, topic: bytes, *, dds_names: bool) -> list[Endpoint]:
@@ -192,24 +196,20 @@ def endpoints(node: int, role: Role, topic: bytes, *, dds_names: bool) -> list[E
     Raises:
         RclCallFailed: rcl could not list them.
     """
-    found = EndpointInfos()
-    allocator = rcutils.default_allocator()
-    _check(
+    found, allocator = EndpointInfos(), rcutils.default_allocator()
+    checked(
         role.value,
-        getattr(_library("librcl.so"), role.value)(
-            ctypes.c_void_p(node),
-            ctypes.byref(allocator),
-            ctypes.c_char_p(topic),
-            ctypes.c_bool(dds_names),
-            ctypes.byref(found),
-        ),
+        ctypes.c_void_p(node),
+        ctypes.byref(allocator),
+        ctypes.c_char_p(topic),
+        ctypes.c_bool(dds_names),
+        ctypes.byref(found),
     )
     try:
         return [_endpoint(found.array[index]) for index in range(found.size)]
     finally:
-        _library("librmw.so").rmw_topic_endpoint_info_array_fini(
-            ctypes.byref(found), ctypes.byref(allocator)
-        )
+        fini = function("rmw_topic_endpoint_info_array_fini")
+        fini(ctypes.byref(found), ctypes.byref(allocator))
 
 
 def _strings(array: StringArray) -> Iterator[bytes]:
@@ -239,8 +239,3 @@ def _endpoint(info: EndpointInfo) -> Endpoint:
 def _duration(time: Time) -> Duration:
     nanoseconds = time.sec * NS_PER_S + time.nsec
     return Duration(nanoseconds=min(nanoseconds, 2**63 - 1))
-
-
-def _check(function: str, code: int) -> None:
-    if code:
-        raise RclCallFailed(f"{function} failed with {code}: {rcutils.take_error_text()}")
