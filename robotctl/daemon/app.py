@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, ExitStack, asynccontextmanager
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 from robotctl import __version__
@@ -38,6 +39,7 @@ from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.constants import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.kernel.params import CommandParams, Stamping
+from robotctl.kernel.types import Cause
 from robotctl.ros.graph import endpoints
 from robotctl.ros.message_types import COMMANDS, PLAIN, CommandType, stamped
 from robotctl.ros.nodes.velocity_publisher import is_monitor
@@ -238,7 +240,7 @@ async def serve(
             daemon.methods(),
             identity,
             group=group,
-            on_unreachable=supervisor.unreachable,
+            on_unreachable=partial(supervisor.report_state, Cause.UNREACHABLE),
         )
         host.warnings.append(server.warning)
         try:

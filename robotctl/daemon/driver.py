@@ -45,7 +45,7 @@ from robotctl.ipc.server import ControlServer
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.state import Health, State, latched
-from robotctl.kernel.types import LifecycleState, Odometry, Reply
+from robotctl.kernel.types import Cause, LifecycleState, Odometry, Reply
 from robotctl.ros.message_types import CommandType
 from robotctl.ros.nodes.drive_action import DriveAction
 from robotctl.ros.nodes.input_subscribers import (
@@ -165,7 +165,7 @@ class Driver:
         recorder.on_file = self._journal_snapshot
         recorder.health.on_news = self._diagnostics.publish
         if host.config.on_topic_trouble == "refuse":
-            recorder.health.on_troubles = host.supervisor.topics_in_trouble
+            recorder.health.on_troubles = partial(host.supervisor.report_state, Cause.TOPIC_TROUBLE)
 
     def methods(self) -> Mapping[str, Method[Any]]:
         """Return the methods of the control socket."""

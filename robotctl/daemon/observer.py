@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 from robotctl.base.errors import Refused
 from robotctl.daemon.api.status import (
@@ -82,19 +82,7 @@ class Observer:
 
     def facts(self) -> RobotFacts:
         """Return the robot's part of the status: all unknown."""
-        return {
-            "mode": None,
-            "phase": None,
-            "mode_reason": None,
-            "pose": None,
-            "velocity": None,
-            "battery": None,
-            "sim": None,
-            "lease": None,
-            "stalls": None,
-            "odometry_dropped": None,
-            "drive": None,
-        }
+        return cast(RobotFacts, dict.fromkeys(RobotFacts.__annotations__))
 
     def remedies(self) -> tuple[Remedy, ...]:
         """Return (): an observer has no mode to leave."""

@@ -76,22 +76,12 @@ class Supervisor:
         else:
             loop.default_exception_handler(context)
 
-    def unreachable(self, problem: str) -> None:
-        """Report why the control socket is unreachable; "" clears the fault."""
-        self._report_state(Cause.UNREACHABLE, problem)
-
-    def topics_in_trouble(self, problem: str) -> None:
-        """Report which recorded topics have an unexpected rate; "" clears the fault."""
-        self._report_state(Cause.TOPIC_TROUBLE, problem)
-
-    def _report_state(self, cause: Cause, problem: str) -> None:
+    def report_state(self, cause: Cause, problem: str) -> None:
+        """Report a fault of the socket or of recorded topics; the problem "" clears it."""
         if self._dispatch is not None:
             now = time.monotonic_ns()
-            self._dispatch(
-                FaultReported(now, cause, problem[:MAX_DETAIL])
-                if problem
-                else FaultCleared(now, cause)
-            )
+            fault = FaultReported(now, cause, problem[:MAX_DETAIL])
+            self._dispatch(fault if problem else FaultCleared(now, cause))
 
     def _report(self, error: Exception, what: str) -> None:
         while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:

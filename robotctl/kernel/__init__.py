@@ -132,34 +132,8 @@ __all__ = [
     "to_json",
 ]
 
-_MODULES = {
-    "BatteryParams": "params",
-    "BatteryScale": "params",
-    "CommandParams": "params",
-    "Kernel": "kernel",
-    "KernelParams": "params",
-    "Lease": "types",
-    "LeaseLost": "types",
-    "LeaseRequested": "types",
-    "LifecycleChanged": "types",
-    "LifecycleState": "types",
-    "Mode": "modes",
-    "OdometryParams": "params",
-    "ParameterChanged": "types",
-    "ParameterRequested": "types",
-    "Pattern": "patterns",
-    "PatternKind": "patterns",
-    "Pose": "geometry",
-    "Remedy": "types",
-    "Snapshot": "codec",
-    "State": "state",
-    "TrackingParams": "params",
-    "VelocityLimits": "params",
-    "from_json": "codec",
-    "latched": "state",
-    "to_json": "codec",
-}
-"""The module of each name; a name that is missing here is in `types`."""
+_MODULES = ("types", "patterns", "params", "state", "kernel", "codec")
+"""The modules in which a name is looked for."""
 
 
 def __getattr__(name: str) -> object:
@@ -167,4 +141,5 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module  # here: `robotctl status` imports this package
 
-    return getattr(import_module(f"{__name__}.{_MODULES.get(name, 'types')}"), name)
+    modules = (import_module(f"{__name__}.{each}") for each in _MODULES)
+    return next(getattr(module, name) for module in modules if hasattr(module, name))

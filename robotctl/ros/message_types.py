@@ -16,14 +16,13 @@ from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
-from geometry_msgs.msg import Twist as TwistMessage
-from geometry_msgs.msg import TwistStamped as TwistStampedMessage
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
+from robotctl.kernel.constants import TWIST, TWIST_STAMPED
 from robotctl.kernel.params import CommandQos
 from robotctl.kernel.types import Twist
 from robotctl.messages.inputs import (
@@ -118,19 +117,20 @@ class CommandType:
     `encode` returns a serialized message; `decode` raises `struct.error` if data are missing.
     """
 
-    message_class: Any
+    type_name: str
+    """The type as `package/msg/Name`."""
     encode: Callable[[Twist], bytes]
     decode: Callable[[bytes], Twist]
     qos: QoSProfile = field(default_factory=lambda: COMMAND)
     """What our publisher offers, and what the simulated robot requests."""
 
     @property
-    def type_name(self) -> str:
-        """The type as `package/msg/Name`."""
-        return type_name_of(self.message_class)
+    def message_class(self) -> Any:
+        """The class of the messages."""
+        return message_class(self.type_name)
 
 
-PLAIN = CommandType(TwistMessage, encode_twist, decode_twist)
+PLAIN = CommandType(TWIST, encode_twist, decode_twist)
 """geometry_msgs/Twist."""
 
 
@@ -138,7 +138,7 @@ def stamped(frame_id: str) -> CommandType:
     """Return the type geometry_msgs/TwistStamped; `encode` sets `frame_id` and the present time."""
     encoder = StampedTwistEncoder(frame_id)
     return CommandType(
-        TwistStampedMessage,
+        TWIST_STAMPED,
         lambda twist: encoder.encode(twist, time.time_ns()),
         decode_twist_stamped,
     )

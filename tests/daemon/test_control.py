@@ -162,17 +162,21 @@ def test_a_lasting_failure_is_reported_once() -> None:
 
 async def test_a_cancelled_request_is_removed() -> None:
     bench = Bench()
-    bench.requests.expect_reply(1).cancel()
-    bench.requests.answer(Reply(1, True, "", Mode.IDLE))
-    bench.do = lambda effect: bench.requests.answer(effect) if isinstance(effect, Reply) else None
+    bench.requests.replies.expect(1).cancel()
+    bench.requests.replies.settle(Reply(1, True, "", Mode.IDLE))
+    bench.do = lambda effect: (
+        bench.requests.replies.settle(effect) if isinstance(effect, Reply) else None
+    )
     reply = await bench.control.request(ResetRequested(1, 2, "test"))
     assert (reply.request_id, reply.ok) == (2, True)
-    await loop_until(lambda: not bench.requests._replies)
+    await loop_until(lambda: not bench.requests.replies._waiting)
 
 
 async def test_no_motion_begins_while_the_daemon_ends() -> None:
     bench = Bench()
-    bench.do = lambda effect: bench.requests.answer(effect) if type(effect) is Reply else None
+    bench.do = lambda effect: (
+        bench.requests.replies.settle(effect) if type(effect) is Reply else None
+    )
     await stand_still(bench.control, bench.published)
     assert bench.names[-2:] == ["Tick", "PublishTwist"]
     reply = await bench.control.request(ModeRequested(time.monotonic_ns(), 1, 1, "test"))
@@ -209,7 +213,9 @@ async def test_a_last_zero_that_fails_is_sent_again() -> None:
 
 async def test_a_ramp_that_takes_too_long_is_cut() -> None:
     bench = Bench(moving().kernel.params, moving().state)
-    bench.do = lambda effect: bench.requests.answer(effect) if type(effect) is Reply else None
+    bench.do = lambda effect: (
+        bench.requests.replies.settle(effect) if type(effect) is Reply else None
+    )
     assert bench.control.state.command != ZERO
     await stand_still(  # without ticks
         bench.control,
@@ -254,7 +260,7 @@ async def test_a_stop_is_confirmed_when_it_is_on_the_disk(
         write(path, stop)
 
     monkeypatch.setattr(latch, "write", write_slowly)
-    reply = recorded.requests.expect_reply(1)
+    reply = recorded.requests.replies.expect(1)
     recorded.effects.carry_out(LatchEmergencyStop("test"))
     recorded.effects.carry_out(REPLY)
     assert not reply.done()
@@ -266,14 +272,14 @@ async def test_a_stop_is_confirmed_when_it_is_on_the_disk(
 
 async def test_a_stop_that_could_not_be_saved_is_confirmed_with_that(recorded: Recorded) -> None:
     (recorded.latch_path.with_suffix(".new")).mkdir()
-    reply = recorded.requests.expect_reply(1)
+    reply = recorded.requests.replies.expect(1)
     recorded.effects.carry_out(LatchEmergencyStop("test"))
     recorded.effects.carry_out(REPLY)
     answer = await reply
     assert isinstance(answer, UnsavedReply)
     assert answer.ok
     assert f"{REPLY.message}, but a restart would forget this stop: " in answer.message
-    refused = recorded.requests.expect_reply(2)
+    refused = recorded.requests.replies.expect(2)
     recorded.effects.carry_out(Reply(2, False, "no", Mode.EMERGENCY_STOP))
     assert await refused == Reply(2, False, "no", Mode.EMERGENCY_STOP)
     await recorded.latch.close()

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from robotctl.base.errors import Refused, RobotctlError
 from robotctl.daemon.control.decisions import Request
@@ -81,13 +81,33 @@ def granted(reply: Reply, robot: str) -> ModeAnswer:
 T = TypeVar("T", Reply, DriveEnded)
 
 
-class PendingRequests:
-    """The futures of replies and of ends of drives, by request id; for the loop's thread only."""
+class Pending(Generic[T]):
+    """The futures of replies or of ends of drives, by request id; for the loop's thread only."""
 
     def __init__(self) -> None:
+        self._waiting: dict[int, asyncio.Future[T]] = {}
+
+    def expect(self, request_id: int) -> asyncio.Future[T]:
+        """Return the future of what a request leads to."""
+        future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
+        self._waiting[request_id] = future
+        future.add_done_callback(lambda _: self._waiting.pop(request_id, None))
+        return future
+
+    def settle(self, result: T) -> None:
+        """Set the result of the future, if there is one."""
+        future = self._waiting.get(result.request_id)
+        if future is not None and not future.done():
+            future.set_result(result)
+
+
+class PendingRequests:
+    """What requests wait for: their replies, and the ends of the drives that they start."""
+
+    def __init__(self) -> None:
+        self.replies: Pending[Reply] = Pending()
+        self.ends: Pending[DriveEnded] = Pending()
         self._last_id = 0
-        self._replies: dict[int, asyncio.Future[Reply]] = {}
-        self._ends: dict[int, asyncio.Future[DriveEnded]] = {}
         self._replies_now: dict[int, Reply | None] = {}
 
     def new_id(self) -> int:
@@ -95,51 +115,22 @@ class PendingRequests:
         self._last_id += 1
         return self._last_id
 
-    def expect_reply(self, request_id: int) -> asyncio.Future[Reply]:
-        """Return the future of the reply to a request."""
-        return _expect(self._replies, request_id)
-
     def expect_reply_now(self, request_id: int) -> None:
         """Prepare for a reply that the caller gets by `reply_now`, and not by a future."""
         self._replies_now[request_id] = None
 
     def keep_now(self, reply: Reply) -> bool:
         """Keep the reply if `expect_reply_now` expects it; return whether the reply was kept."""
-        if reply.request_id not in self._replies_now:
-            return False
-        self._replies_now[reply.request_id] = reply
-        return True
+        is_expected = reply.request_id in self._replies_now
+        if is_expected:
+            self._replies_now[reply.request_id] = reply
+        return is_expected
 
     def reply_now(self, request_id: int) -> Reply:
         """Return the reply that `keep_now` has kept."""
         reply = self._replies_now.pop(request_id)
         assert reply is not None, "the request was dispatched while another event was handled"
         return reply
-
-    def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
-        """Return the future of the end of the drive that a request will start."""
-        return _expect(self._ends, request_id)
-
-    def answer(self, reply: Reply) -> None:
-        """Set the result of the future of this reply, if there is one."""
-        _settle(self._replies, reply)
-
-    def end_drive(self, ended: DriveEnded) -> None:
-        """Set the result of the future of this end of a drive, if there is one."""
-        _settle(self._ends, ended)
-
-
-def _expect(waiting: dict[int, asyncio.Future[T]], request_id: int) -> asyncio.Future[T]:
-    future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
-    waiting[request_id] = future
-    future.add_done_callback(lambda _: waiting.pop(request_id, None))
-    return future
-
-
-def _settle(waiting: dict[int, asyncio.Future[T]], result: T) -> None:
-    future = waiting.get(result.request_id)
-    if future is not None and not future.done():
-        future.set_result(result)
 
 
 SNAPSHOT_PERIOD_NS = 10 * NS_PER_S
@@ -222,7 +213,7 @@ class Control:
 
     def begin(self, event: Request) -> asyncio.Future[Reply]:
         """Dispatch a request now; the returned future gets the reply after all other effects."""
-        reply = self._requests.expect_reply(event.request_id)
+        reply = self._requests.replies.expect(event.request_id)
         self._asked(event)
         try:
             self.dispatch(event)
@@ -244,7 +235,7 @@ class Control:
 
     def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
         """Return the future of the end of the drive that request `request_id` will start."""
-        return self._requests.expect_end(request_id)
+        return self._requests.ends.expect(request_id)
 
     def _step(self, event: Event) -> None:
         last = self._snapshot_t_ns

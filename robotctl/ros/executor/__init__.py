@@ -36,25 +36,12 @@ __all__ = [
     "run",
 ]
 
-_MODULES = {
-    "UNKNOWN_GID": "raw_tap",
-    "AsyncioExecutor": "executor",
-    "EventLoop": "event_loop",
-    "ExceptionHandler": "runtime",
-    "RawTap": "raw_tap",
-    "RclCallFailed": "rcutils",
-    "SerializedData": "raw_tap",
-    "Sink": "raw_tap",
-    "Tick": "ticker",
-    "Ticker": "ticker",
-    "UnsupportedPlatform": "rcutils",
-    "ViewSink": "raw_tap",
-    "requester": "replies",
-    "run": "event_loop",
-}
+_MODULES = ("event_loop", "rcutils", "ticker", "raw_tap", "runtime", "replies", "executor")
+"""The modules in which a name is looked for; the first ones need no rclpy."""
 
 
 def __getattr__(name: str) -> object:
-    if name not in _MODULES:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    modules = (import_module(f"{__name__}.{each}") for each in _MODULES)
+    return next(getattr(module, name) for module in modules if hasattr(module, name))
