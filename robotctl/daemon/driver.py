@@ -163,9 +163,9 @@ class Driver:
         ).carry_out
         recorder.on_failure = inputs.recorder_failed
         recorder.on_file = self._journal_snapshot
-        recorder.health.on_news = self._diagnostics.publish
+        recorder.sinks.on_news = self._diagnostics.publish
         if host.config.on_topic_trouble == "refuse":
-            recorder.health.on_troubles = partial(host.supervisor.report_state, Cause.TOPIC_TROUBLE)
+            recorder.sinks.on_troubles = partial(host.supervisor.report_state, Cause.TOPIC_TROUBLE)
 
     def methods(self) -> Mapping[str, Method[Any]]:
         """Return the methods of the control socket."""

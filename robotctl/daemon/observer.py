@@ -47,7 +47,7 @@ class Observer:
         self._diagnostics = Diagnostics(
             host.session, host.options.robot, self.recorder.report, warnings
         )
-        self.recorder.health.on_news = self._diagnostics.publish
+        self.recorder.sinks.on_news = self._diagnostics.publish
         host.supervisor.report_to(self._note)
 
     def methods(self) -> Mapping[str, Method[Any]]:

@@ -118,7 +118,7 @@ async def test_a_topic_that_comes_back_with_another_type_is_taken_as_that(
     await until(lambda: taken.messages[topic])
     assert taken.topics[topic].type_name == "std_msgs/msg/String"
     assert b"as text" in taken.messages[topic][0][0]
-    await until(lambda: not taken.tap.unrecorded.problems)
+    await until(lambda: not taken.tap.unrecorded.by_topic)
 
 
 async def test_a_topic_that_nobody_publishes_for_long_is_given_back(
@@ -143,11 +143,11 @@ async def test_of_several_types_the_most_published_is_taken_and_others_are_named
     await until(lambda: len(tap._node.get_publishers_info_by_topic(topic)) == len(kept))
     await look_until(tap, lambda: topic in taken.topics)
     assert taken.topics[topic].type_name == "std_msgs/msg/UInt64"
-    assert tap.unrecorded.problems == {
+    assert tap.unrecorded.by_topic == {
         topic: f"{topic} is recorded as std_msgs/msg/UInt64, not as std_msgs/msg/String"
     }
     other_node.destroy_publisher(other)
-    await look_until(tap, lambda: not tap.unrecorded.problems)
+    await look_until(tap, lambda: not tap.unrecorded.by_topic)
 
 
 async def test_what_is_not_wanted_is_left_alone(taken: Any, node: Any, topic: str) -> None:
@@ -157,7 +157,7 @@ async def test_what_is_not_wanted_is_left_alone(taken: Any, node: Any, topic: st
     publisher(node, f"{topic}_c")  # topics are looked at in the order of their names
     await until(lambda: f"{topic}_c" in taken.topics)
     assert not {f"{topic}_a", f"{topic}_b"} & taken.topics.keys()
-    assert taken.tap.unrecorded.problems == {}
+    assert taken.tap.unrecorded.by_topic == {}
 
 
 async def test_hidden_topics_are_taken_but_for_the_executors_own(
@@ -294,9 +294,9 @@ async def test_a_topic_too_many_is_named_and_the_process_keeps_its_files(
     tap = Tap(session, taken.open)
     kept = [publisher(node, f"{topic}_{index}") for index in range(2)]
     await until(lambda: all(tap._node.count_publishers(each.topic_name) for each in kept))
-    await look_until(tap, lambda: tap.unrecorded.problems)
+    await look_until(tap, lambda: tap.unrecorded.by_topic)
     assert len(taken.topics) == 1
-    (problem, *_) = tap.unrecorded.problems.values()
+    (problem, *_) = tap.unrecorded.by_topic.values()
     assert "there are more topics than 2 open files allow (see ulimit -n)" in problem
 
 

@@ -21,7 +21,7 @@ from robotctl.daemon.recording.head_forwarder import HeadForwarder
 from robotctl.daemon.recording.housekeeping import Indexer, Tidier
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.recording.recordings_folder import DiskReserve, open_recorder, retention_policy
-from robotctl.daemon.recording.topic_sinks import HealthLooks, TopicSinks
+from robotctl.daemon.recording.topic_sinks import TopicSinks
 from robotctl.daemon.supervisor import Work
 from robotctl.ipc.advice import for_robot
 from robotctl.recording import RecorderStats, Topic
@@ -104,13 +104,13 @@ class FlightRecorder:
         own = (mode_service.STATUS.name, publishers.JOURNAL_TOPIC.name)
         proof = map(session.resolve, (*topics, *own))
         topic_filter = TopicFilter(config.recording.include, config.recording.exclude, proof)
-        self._sinks = TopicSinks(
+        self.sinks = TopicSinks(
             self._recorder,
             config.recording,
             is_own=frozenset(map(session.resolve, _own_topics(config))).__contains__,
             is_evidence=evidence.__contains__,
         )
-        self.tap = Tap(session, self._sinks.open, topic_filter.records)
+        self.tap = Tap(session, self.sinks.open, topic_filter.records)
         for own_topic in (publishers.DIAGNOSTICS_TOPIC, publishers.ROSOUT_TOPIC):
             self.tap.subscribe_own(own_topic)
         self._marks = TextPublisher(session, publishers.MARK_TOPIC)
@@ -128,9 +128,8 @@ class FlightRecorder:
         self._indexer = Indexer(
             self.folder, log_path(options.robot), enabled=config.recording.index
         )
-        self._reserve = DiskReserve(round(config.recording.min_free_gb * 1e9), self._sinks.gates)
+        self._reserve = DiskReserve(round(config.recording.min_free_gb * 1e9), self.sinks.gates)
         self.report = RecorderReport(self._recorder, topic_filter, options.robot)
-        self.health = HealthLooks(self._sinks.health)
 
     def reconfigure(self, config: Config) -> None:
         """Apply the settings in `config` for retention, clips, index and recorder failures."""
@@ -148,7 +147,7 @@ class FlightRecorder:
             "tidier": self.tidier.run,
             "indexer": self._indexer.run,
             "heads of the seal": self._heads.run,
-            "topic health": self.health.run,
+            "topic health": self.sinks.watch,
             "disk reserve": partial(self._reserve.run, self._recorder, self.folder),
         }
 
@@ -236,7 +235,7 @@ class FlightRecorder:
             *self.tap.mismatches.warnings(),
             *(warning for _, warning in self.report.heavy_warnings()),
             *self._reserve.warnings(),
-            *self.health.warnings(),
+            *self.sinks.warnings(),
             *self.tidier.problems,
             *filter(None, [self._heads.problem, self._indexer.problem]),
         ]

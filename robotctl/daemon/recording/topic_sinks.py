@@ -17,36 +17,6 @@ from robotctl.ros.executor import ViewSink
 from robotctl.ros.tap.tap import TopicDescription
 
 
-class HealthLooks:
-    """Calls a TopicHealth periodically, with the times of the system's clocks."""
-
-    def __init__(self, health: TopicHealth) -> None:
-        self._health = health
-        self.on_news: Callable[[], None] = lambda: None
-        """Called when a trouble has changed or a publisher was restarted."""
-
-        self.on_troubles: Callable[[str], None] | None = None
-        """Called with `TopicHealth.troubles()` each time that this text changes."""
-
-        self._troubles = ""
-
-    async def run(self) -> None:
-        """Check all topics every LOOK_S, until cancelled."""
-        while True:
-            if self.on_troubles is not None:
-                troubles = self._health.troubles()
-                if troubles != self._troubles:
-                    self._troubles = troubles
-                    self.on_troubles(troubles)
-            await asyncio.sleep(LOOK_S)
-            if self._health.look(time.monotonic(), time.time_ns()):
-                self.on_news()
-
-    def warnings(self) -> Iterator[str]:
-        """Yield warnings about present and recent troubles."""
-        yield from self._health.warnings(time.monotonic())
-
-
 class TopicSinks:
     """Opens the sinks, which pass messages to the recorder; for the loop's thread.
 
@@ -77,6 +47,25 @@ class TopicSinks:
         expected = (each.rpartition("=") for each in params.expected_rates)
         named = [name for name, _, rate in expected if is_plain_name(name) and float(rate)]
         self.health = TopicHealth(RateByTopic(params.expected_rates), named, time.monotonic())
+        self.on_news: Callable[[], None] = lambda: None
+        """Called when a trouble has changed or a publisher was restarted."""
+
+        self.on_troubles: Callable[[str], None] | None = None
+        """Called with `TopicHealth.troubles()` each time that this text changes."""
+
+    async def watch(self) -> None:
+        """Check all topics every LOOK_S, until cancelled."""
+        told = ""
+        while True:
+            if self.on_troubles is not None and told != (told := self.health.troubles()):
+                self.on_troubles(told)
+            await asyncio.sleep(LOOK_S)
+            if self.health.look(time.monotonic(), time.time_ns()):
+                self.on_news()
+
+    def warnings(self) -> Iterator[str]:
+        """Yield warnings about present and recent troubles."""
+        yield from self.health.warnings(time.monotonic())
 
     def open(self, topic: TopicDescription) -> ViewSink:
         """Return the sink for a topic's messages; register the topic with the recorder."""

@@ -86,11 +86,6 @@ class Nodes:
             node.executor = None
         return True
 
-    def clear(self) -> None:
-        """Remove all nodes."""
-        for node in self:
-            self.remove(node)
-
     def entities(self) -> dict[Any, Node]:
         """Return entity -> node for all nodes; remove the nodes that were destroyed."""
         found: dict[Any, Node] = {}

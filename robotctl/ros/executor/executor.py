@@ -143,7 +143,7 @@ class AsyncioExecutor:
             self._close()
             return engine is None or not engine.runtime.tasks
         self._is_shutdown = True
-        self._tasks.close()
+        self._tasks.closed = True
         engine.request_close()
         if self._loop_thread.is_current():
             return not engine.runtime.tasks
@@ -301,7 +301,7 @@ class AsyncioExecutor:
         self._engine = Engine(
             self, loop, self._loop_thread, self._nodes, self._close, self._on_exception
         )
-        self._tasks.open(self._engine.runtime)
+        self._tasks.runtime = self._engine.runtime
         self._loop_thread.open(loop)
         self._engine.open(self._fifo_priority)
 
@@ -310,9 +310,10 @@ class AsyncioExecutor:
         if self._closed:
             return
         self._closed = True
-        self._tasks.close()
+        self._tasks.closed = True
         self._served.set()
-        self._nodes.clear()
+        for node in self._nodes:
+            self._nodes.remove(node)
         if self._engine is None:
             self._loop_thread.give_up()
             self._finished.set()

@@ -176,16 +176,11 @@ class Tasks:
     def __init__(self, executor: Any, loop_thread: LoopThread) -> None:
         self._executor = executor
         self._loop_thread = loop_thread
-        self._runtime: Runtime | None = None
-        self._closed = False
+        self.runtime: Runtime | None = None
+        """Set when the executor is opened: the tasks run in its loop."""
 
-    def open(self, runtime: Runtime) -> None:
-        """Use the loop of `runtime` for the tasks."""
-        self._runtime = runtime
-
-    def close(self) -> None:
-        """Cancel the tasks that have not begun."""
-        self._closed = True
+        self.closed = False
+        """Set when the executor is closed: tasks that have not begun are cancelled."""
 
     def create(self, callback: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> ExecutorTask:
         """Run a function, a coroutine function or a coroutine in the loop; return its future.
@@ -203,10 +198,10 @@ class Tasks:
     def _run_function(
         self, task: ExecutorTask, function: Any, args: tuple[Any, ...], kwargs: dict[str, Any]
     ) -> None:
-        if task.cancelled() or self._closed:
+        if task.cancelled() or self.closed:
             self._settle(task, lambda: Future.cancel(task))
             return
-        assert self._runtime is not None
+        assert self.runtime is not None
         begun = time.monotonic_ns()
         try:
             result = function(*args, **kwargs)
@@ -214,7 +209,7 @@ class Tasks:
             self._fail(task, error, name_of(function))
             return
         finally:
-            self._runtime.slow.check(f"task {name_of(function)}", time.monotonic_ns() - begun)
+            self.runtime.slow.check(f"task {name_of(function)}", time.monotonic_ns() - begun)
         if inspect.iscoroutine(result):
             self._run_coroutine(task, result)
         else:
@@ -234,11 +229,11 @@ class Tasks:
             if not task.done():
                 self._settle(task, lambda: Future.cancel(task))
 
-        if task.cancelled() or self._closed:
+        if task.cancelled() or self.closed:
             finished()
             return
-        assert self._runtime is not None
-        task.running = self._runtime.spawn(run(), f"task {name_of(coroutine)}", finished)
+        assert self.runtime is not None
+        task.running = self.runtime.spawn(run(), f"task {name_of(coroutine)}", finished)
 
     def _fail(self, task: ExecutorTask, error: Exception, name: str) -> None:
         has_done_callback = bool(task._callbacks)
@@ -248,12 +243,12 @@ class Tasks:
             self._report(error, f"task {name}")
 
     def _settle(self, task: ExecutorTask, settle: Callable[[], None]) -> None:
-        later = None if self._closed else self._executor
+        later = None if self.closed else self._executor
         with callbacks_at_once(task, ImmediateCallbacks(self._report), later):
             settle()
 
     def _report(self, error: Exception, where: str) -> None:
-        if self._runtime is not None:
-            self._runtime.report(error, where)
+        if self.runtime is not None:
+            self.runtime.report(error, where)
         else:
             log.error("exception in the %s", where, exc_info=error)

@@ -114,12 +114,7 @@ class ModeService:
         )
 
     def _stop(self, _: Any, response: Any) -> Any:
-        return self._answer_stop(self._ask(Mode.EMERGENCY_STOP.value, ESTOP), response)
-
-    async def _answer_stop(self, reply: Future[Reply], response: Any) -> Any:
-        done = await reply
-        response.success, response.message = done.ok, self._say(done)
-        return response
+        return self._answer(self._ask(Mode.EMERGENCY_STOP.value, ESTOP), response)
 
     def _set_mode(self, request: Any, response: Any) -> Any:
         mode = request.requested_mode
@@ -128,12 +123,13 @@ class ModeService:
             response.message = f"busy: {self._in_work} requests wait for their reply; try again"
             response.current_mode = self._message.mode
             return response
-        return self._answer_mode(self._ask(mode, SET_MODE), response)
+        return self._answer(self._ask(mode, SET_MODE), response)
 
-    async def _answer_mode(self, reply: Future[Reply], response: Any) -> Any:
+    async def _answer(self, reply: Future[Reply], response: Any) -> Any:
         done = await reply
         response.success, response.message = done.ok, self._say(done)
-        response.current_mode = done.mode.value
+        if isinstance(response, SetMode.Response):
+            response.current_mode = done.mode.value
         return response
 
     def _ask(self, mode: int, service: str) -> Future[Reply]:

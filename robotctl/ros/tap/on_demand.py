@@ -12,7 +12,7 @@ from robotctl.messages.installed import installed_type
 from robotctl.ros.executor import ViewSink, announcements
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.discovery import GraphChanges
-from robotctl.ros.tap.subscription import TappedSubscription, TypeLoader
+from robotctl.ros.tap.subscription import TappedSubscription, TypeLoader, offered_types
 
 LATENCY_S: Final = 0.01
 """How long messages are collected before a wake-up, which costs as much as ten messages."""
@@ -98,7 +98,7 @@ class OnDemandTap:
             return False
         if topic in self._known and topic not in self._sinks:
             return False
-        offered = self._offered(topic)
+        offered = offered_types(self._node, topic)
         if topic in self._known:
             if offered.get(self._known[topic]):
                 self._tap(topic, offered)
@@ -137,7 +137,7 @@ class OnDemandTap:
     def _tap(self, topic: str, offered: dict[str, list[QoSProfile]] | None = None) -> None:
         """Subscribe to a wanted topic, or adapt the subscription to the QoS of the publishers."""
         type_name = self._known[topic]
-        profiles = (offered or self._offered(topic)).get(type_name, [])
+        profiles = (offered or offered_types(self._node, topic)).get(type_name, [])
         try:
             if topic in self._tapped:
                 self._tapped[topic].adapt(profiles)
@@ -150,10 +150,3 @@ class OnDemandTap:
             self._tell(topic, f"{topic} is not shown: it cannot be subscribed to ({reason})")
         else:
             self._tell(topic, "")
-
-    def _offered(self, topic: str) -> dict[str, list[QoSProfile]]:
-        """Return type -> the QoS profiles of the topic's publishers with this type."""
-        found: dict[str, list[QoSProfile]] = {}
-        for info in endpoints.publishers(self._node, topic):
-            found.setdefault(info.topic_type, []).append(info.qos_profile)
-        return found

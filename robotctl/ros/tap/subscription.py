@@ -21,6 +21,7 @@ from rclpy.type_support import check_for_type_support
 from robotctl.messages.installed import UnusableType, installed_type, parse_type_name
 from robotctl.ros import qos
 from robotctl.ros.executor import RawTap, SerializedData, ViewSink
+from robotctl.ros.graph import endpoints
 from robotctl.ros.message_types import message_class, subscribe_raw
 
 Span = tuple[int, int]
@@ -82,6 +83,14 @@ def _keep(known: dict[bytes, T], gid: bytes, what: T) -> None:
     if gid not in known and len(known) >= MAX_PUBLISHERS:
         del known[next(iter(known))]
     known[gid] = what
+
+
+def offered_types(node: Node, topic: str) -> dict[str, list[QoSProfile]]:
+    """Return type -> its publishers' QoS profiles, the type with the most publishers first."""
+    found: dict[str, list[QoSProfile]] = {}
+    for info in endpoints.publishers(node, topic):
+        found.setdefault(info.topic_type, []).append(info.qos_profile)
+    return dict(sorted(found.items(), key=lambda entry: (-len(entry[1]), entry[0])))
 
 
 LATENCY_S = 0.05

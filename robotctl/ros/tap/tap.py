@@ -23,7 +23,7 @@ from robotctl.ros.graph.discovery import GraphChanges
 from robotctl.ros.graph.endpoints import Endpoint
 from robotctl.ros.message_types import OwnTopic
 from robotctl.ros.session import Session
-from robotctl.ros.tap.subscription import SLOW_LOAD_S, TappedSubscription, TypeLoader
+from robotctl.ros.tap.subscription import SLOW_LOAD_S, TappedSubscription, TypeLoader, offered_types
 
 _log = logging.getLogger(__name__)
 
@@ -31,21 +31,54 @@ MAX_ENDPOINTS: Final = 20
 """Limit on the publishers, and on the subscriptions, of a topic whose QoS is compared."""
 
 MAX_NAMED: Final = 20
-MAX_LOGGED: Final = 1_000
+
+MAX_SAID: Final = 1_000
+"""Limit on the logged sentences: other processes may create topics without end."""
 
 
-class QosMismatches:
-    """Finds QoS mismatches on the topics for which `look` is called; logs and remembers them.
+class Sentences:
+    """Collects a sentence for each topic that has a problem, and logs each sentence once."""
+
+    def __init__(self, most: int, more: str) -> None:
+        """`warnings` names `most` topics, and then says how many there are that `more`."""
+        self.by_topic: dict[str, str] = {}
+        self._most, self._more = most, more
+        self._said: set[str] = set()
+
+    def note(self, topic: str, sentence: str) -> None:
+        """Set the sentence about a topic, which stays until `clear`."""
+        self.by_topic[topic] = sentence
+        self.say(sentence)
+
+    def clear(self, topics: Iterable[str]) -> None:
+        """Forget the sentences about topics without a problem, or that no longer exist."""
+        for topic in topics:
+            self.by_topic.pop(topic, None)
+
+    def warnings(self) -> Iterator[str]:
+        """Yield the sentences, as far as the limit allows, then how many more topics there are."""
+        yield from islice(self.by_topic.values(), self._most)
+        if len(self.by_topic) > self._most:
+            yield f"{len(self.by_topic) - self._most} more topics {self._more}"
+
+    def say(self, sentence: str) -> None:
+        """Log a sentence, unless it was logged before or MAX_SAID sentences were."""
+        if sentence not in self._said and len(self._said) < MAX_SAID:
+            self._said.add(sentence)
+            _log.warning("%s", sentence)
+
+
+class QosMismatches(Sentences):
+    """Finds QoS mismatches on the topics for which `look` is called.
 
     Hidden nodes are left out: a recorder may subscribe to the latched messages of only a part of
     the publishers.
     """
 
     def __init__(self, node: Node) -> None:
+        super().__init__(MAX_NAMED, "have a QoS mismatch")
         self._node = node
         self._counts: dict[str, tuple[int, int]] = {}
-        self._sentences: dict[str, str] = {}
-        self._logged = 0
 
     def look(self, topic: str, publishers: int) -> None:
         """Compare the QoS on a topic if its count of `publishers` or of subscriptions changed."""
@@ -53,29 +86,16 @@ class QosMismatches:
         if counts == self._counts.get(topic):
             return
         self._counts[topic] = counts
-        sentence = mismatch(
-            topic,
-            endpoints.publishers(self._node, topic),
-            endpoints.subscriptions(self._node, topic),
-        )
-        if sentence and sentence != self._sentences.get(topic) and self._logged < MAX_LOGGED:
-            self._logged += 1
-            _log.warning("%s", sentence)
-        if sentence:
-            self._sentences[topic] = sentence
+        offers = endpoints.publishers(self._node, topic)
+        if sentence := mismatch(topic, offers, endpoints.subscriptions(self._node, topic)):
+            self.note(topic, sentence)
         else:
-            self._sentences.pop(topic, None)
+            self.clear([topic])
 
     def forget(self, topic: str) -> None:
         """Forget a topic that is not recorded any more."""
         self._counts.pop(topic, None)
-        self._sentences.pop(topic, None)
-
-    def warnings(self) -> Iterator[str]:
-        """Yield the sentences of up to MAX_NAMED topics, then how many more have a mismatch."""
-        yield from islice(self._sentences.values(), MAX_NAMED)
-        if len(self._sentences) > MAX_NAMED:
-            yield f"{len(self._sentences) - MAX_NAMED} more topics have a QoS mismatch"
+        self.clear([topic])
 
 
 def mismatch(topic: str, publishers: Sequence[Endpoint], subscriptions: Sequence[Endpoint]) -> str:
@@ -113,51 +133,27 @@ def _name(endpoint: Endpoint) -> str:
 MAX_WARNINGS = 50
 """Limit on the topics that `warnings` names; of the further ones it gives the number."""
 
-MAX_SAID = 1_000
-"""Limit on the logged sentences: other processes may create topics without end."""
 
-
-class Unrecorded:
-    """Collects a sentence for each topic that is not fully recorded, and logs each once."""
+class Unrecorded(Sentences):
+    """Says which topics are not recorded, or not whole, and why."""
 
     def __init__(self) -> None:
-        self.problems: dict[str, str] = {}
-        """Topic -> the sentence that says which part of the topic is not recorded, and why."""
-
-        self._said: set[str] = set()
+        super().__init__(MAX_WARNINGS, "are not recorded, or not whole")
         self._missed = 0
         self._last_missed = ""
-
-    def note(self, topic: str, sentence: str) -> None:
-        """Set the sentence that says what of a topic is not recorded; it stays until `clear`."""
-        self.problems[topic] = sentence
-        self._say(sentence)
-
-    def clear(self, topics: Iterable[str]) -> None:
-        """Forget the sentences of topics that are fully recorded now or no longer exist."""
-        for topic in topics:
-            self.problems.pop(topic, None)
 
     def miss(self, topic: str, type_name: str) -> None:
         """Count a topic that disappeared before its type was loaded."""
         self._missed += 1
         self._last_missed = f"{topic} ({type_name}) came and went before it could be recorded"
-        self._say(self._last_missed)
+        self.say(self._last_missed)
 
     def warnings(self) -> Iterator[str]:
-        """Yield the sentences of up to MAX_WARNINGS topics, then how many more topics there are."""
-        yield from islice(self.problems.values(), MAX_WARNINGS)
-        more = len(self.problems) - MAX_WARNINGS
-        if more > 0:
-            yield f"{more} more topics are not recorded, or not whole"
+        """Yield what the base class yields, then how many topics came and went."""
+        yield from super().warnings()
         if self._missed:
             others = f" (and {self._missed - 1} other topics)" if self._missed > 1 else ""
             yield f"{self._last_missed}{others}"
-
-    def _say(self, sentence: str) -> None:
-        if sentence not in self._said and len(self._said) < MAX_SAID:
-            self._said.add(sentence)
-            _log.warning("%s", sentence)
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,7 +285,7 @@ class Tap:
                 self._give_up(topic, type_names, error)
         for topic in self._awaited.keys() - present.keys():
             self.unrecorded.miss(topic, self._awaited.pop(topic))
-        gone = (self._left_out.keys() | self.unrecorded.problems.keys()) - present.keys()
+        gone = (self._left_out.keys() | self.unrecorded.by_topic.keys()) - present.keys()
         for topic in gone:
             self._left_out.pop(topic, None)
             self._failed.discard(topic)
@@ -298,7 +294,7 @@ class Tap:
     def _look_at(self, topic: str, type_names: list[str], turn: int) -> None:
         tapped = self._tapped.get(topic)
         if tapped is not None:
-            mixed = len(type_names) > 1 or topic in self.unrecorded.problems
+            mixed = len(type_names) > 1 or topic in self.unrecorded.by_topic
             if mixed or turn % LOOKS_PER_COUNT == 0:
                 self._follow(tapped, inspect=mixed or turn == 0)
         elif topic not in self._reserved:
@@ -320,7 +316,7 @@ class Tap:
             return
         if not endpoints.publisher_count(self._node, topic):
             return
-        offered = self._offered(topic)
+        offered = offered_types(self._node, topic)
         problem = ""
         for type_name in offered:
             if not self._wanted(topic, type_name):
@@ -375,7 +371,7 @@ class Tap:
         if publishers == tapped.publishers and not inspect:
             return
         tapped.publishers = publishers
-        offered = self._offered(topic)
+        offered = offered_types(self._node, topic)
         if tapped.type_name in offered:
             tapped.abandoned_since = None
             tapped.adapt(offered[tapped.type_name])
@@ -408,13 +404,6 @@ class Tap:
             raise TooManyTopics(f"more topics than {limit} open files allow (see ulimit -n)")
         sink = self._open_sink(describe(topic, type_name, offered))
         self._tapped[topic] = TappedSubscription(self._node, topic, type_name, sink, offered)
-
-    def _offered(self, topic: str) -> dict[str, list[QoSProfile]]:
-        """Return type -> its publishers' QoS profiles, the type with the most publishers first."""
-        found: dict[str, list[QoSProfile]] = {}
-        for info in endpoints.publishers(self._node, topic):
-            found.setdefault(info.topic_type, []).append(info.qos_profile)
-        return dict(sorted(found.items(), key=lambda entry: (-len(entry[1]), entry[0])))
 
 
 def _is_abandoned(tapped: TappedSubscription) -> bool:
