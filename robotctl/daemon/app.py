@@ -23,7 +23,7 @@ from robotctl.config.ros_settings import MODE_SERVICE, NODES
 from robotctl.config.settings import log_warning
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.driver import Driver
-from robotctl.daemon.host import DaemonKind, Host, Ready
+from robotctl.daemon.host import Host, Ready
 from robotctl.daemon.observer import Observer
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.recording.provenance import DIGEST, provenance, software
@@ -229,7 +229,7 @@ async def serve(
         host.warnings.append(host.decisions.warning)
         if not options.observe:
             await refuse_same_names(host)
-        daemon: DaemonKind = (
+        daemon: Driver | Observer = (
             Observer(host) if options.observe else Driver(host, await choose_command_type(host))
         )
         session.last.enter_context(published_log(session, levels))

@@ -21,7 +21,7 @@ from robotctl.daemon.api.status import (
     recording_methods,
 )
 from robotctl.daemon.api.warnings import Warnings
-from robotctl.daemon.control.control_loop import ControlLoop, Watchdog, urgent_event
+from robotctl.daemon.control.control_loop import ControlLoop, Watchdog
 from robotctl.daemon.control.decisions import Decisions
 from robotctl.daemon.control.dispatcher import Control, Journal, PendingRequests
 from robotctl.daemon.control.effects import Effects
@@ -45,7 +45,16 @@ from robotctl.ipc.server import ControlServer
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.state import Health, State, latched
-from robotctl.kernel.types import Cause, LifecycleState, Odometry, Reply
+from robotctl.kernel.types import (
+    BatteryReceived,
+    Cause,
+    LifecycleState,
+    Odometry,
+    OdometrySourceFound,
+    Reply,
+    SafetyInputReceived,
+    ScanReceived,
+)
 from robotctl.ros.message_types import CommandType
 from robotctl.ros.nodes.drive_action import DriveAction
 from robotctl.ros.nodes.input_subscribers import (
@@ -100,7 +109,7 @@ class Driver:
             Journal(recorder.open_journal(JournalPublisher(session)), lambda: velocity.accounted),
             requests,
             host.supervisor.callback_failed,
-            partial(urgent_event, self._watchdog),
+            self._watchdog.take,
             decisions.asked,
         )
         self._parameters = Parameters(host.config, control, recorder.reconfigure)
@@ -123,16 +132,16 @@ class Driver:
             session,
             params.odometry.topic,
             hear_odometry,
-            inputs.odometry_source,
+            inputs.hears(OdometrySourceFound),
             WANTED[params.odometry.qos],
         )
         if params.battery.topic:
-            report_battery(session, params.battery.topic, inputs.battery)
+            report_battery(session, params.battery.topic, inputs.hears(BatteryReceived))
         if params.scan.use is not Use.OFF:
-            report_scans(session, params.scan.topic, inputs.scan)
+            report_scans(session, params.scan.topic, inputs.hears(ScanReceived))
         if params.guard:
             report_wanted_commands(session, params.guard_topic, command, inputs.guarded_command)
-        report_safety_inputs(session, params.inputs, robot, inputs.safety_input)
+        report_safety_inputs(session, params.inputs, robot, inputs.hears(SafetyInputReceived))
         self._modes = modes = ModeService(session, robot, inputs.service_call, say)
         self._shown = ShownStatus(
             modes, control, CommandLock(modes.node, params.command.lock_topic)
@@ -161,7 +170,7 @@ class Driver:
             truth.errors,
             self._report.drive_ended,
         ).carry_out
-        recorder.on_failure = inputs.recorder_failed
+        recorder.on_failure = partial(host.supervisor.report_state, Cause.RECORDER_FAILED)
         recorder.on_file = self._journal_snapshot
         recorder.sinks.on_news = self._diagnostics.publish
         if host.config.on_topic_trouble == "refuse":

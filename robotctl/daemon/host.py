@@ -1,4 +1,4 @@
-"""What both kinds of daemon share: their input (Host), interface (DaemonKind) and diagnostics."""
+"""What both kinds of daemon share: their input (Host), tasks and diagnostics."""
 
 from __future__ import annotations
 
@@ -6,18 +6,15 @@ import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Final
 
 from robotctl.config import Config
 from robotctl.daemon.api.warnings import PartWarning, Warnings
 from robotctl.daemon.command_line import DaemonOptions
-from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.supervisor import Supervisor, Work
 from robotctl.decisions.log import DecisionLog
 from robotctl.ipc.answers import StartSummary
-from robotctl.ipc.request_handler import Method
-from robotctl.ipc.server import ControlServer
 from robotctl.ros.nodes.publishers import Diagnosis, DiagnosticLevel, DiagnosticsPublisher
 from robotctl.ros.session import Session
 
@@ -46,24 +43,6 @@ class Host:
 
     warnings: list[PartWarning]
     """Functions that return a warning for `status`; each part of the daemon appends its own."""
-
-
-class DaemonKind(Protocol):
-    """A kind of daemon: Driver or Observer. Its recorder starts before anything is published."""
-
-    recorder: FlightRecorder
-
-    def methods(self) -> Mapping[str, Method[Any]]:
-        """Return the methods of the control socket."""
-
-    async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
-        """Run every task until the daemon is stopped."""
-
-    def mode(self) -> str:
-        """Return one word: the mode of the robot, or "observing" if the daemon only observes."""
-
-    async def stop_robot(self) -> None:
-        """Stop the robot at once: the daemon is about to fail."""
 
 
 @asynccontextmanager

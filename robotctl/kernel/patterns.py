@@ -12,108 +12,18 @@ from types import MappingProxyType
 
 from robotctl.kernel.course import MIN_CORNER_M, MIN_LEG_M, PLAIN, Course, Frame, Point
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
-from robotctl.kernel.path import Arc, Circle, Line, Path, Segment, Turn
+from robotctl.kernel.path import (
+    Arc,
+    Circle,
+    Line,
+    Path,
+    Segment,
+    Turn,
+    figure_eight,
+    figure_eight_parts,
+)
 from robotctl.kernel.ranges import Change, bounded, setting
-from robotctl.kernel.trigonometry import atan2, cos, direction, hypot, sin, tan
-
-EIGHT_SWING_RAD = 2.404825557695773
-"""First zero of the Bessel function J0: with this swing a sine-generated curve closes."""
-
-_PIECES = 720
-_PARTS = 8
-
-
-@dataclass(frozen=True, slots=True)
-class FigureEight:
-    """A figure eight of `length` m that begins at its crossing, with evenly spaced `points`.
-
-    Its heading is a cosine of the length: the sine-generated curve of Langbein and Leopold (1966).
-    So the curvature has no step, and it is 0 at the crossing.
-    """
-
-    length: float
-    points: tuple[tuple[float, float], ...]
-
-    @property
-    def top_curvature(self) -> float:
-        """The largest curvature, at the ends of the two loops [1/m]."""
-        return EIGHT_SWING_RAD * tau / self.length
-
-    def pose_at(self, length: float) -> Pose:
-        """Return the pose at `length` m along the figure eight."""
-        at = length / self.length * _PIECES
-        index = min(int(at), _PIECES - 1)
-        share = at - index
-        (x0, y0), (x1, y1) = self.points[index], self.points[index + 1]
-        return Pose(x0 + share * (x1 - x0), y0 + share * (y1 - y0), self._heading(length))
-
-    def curvature_at(self, length: float) -> float:
-        """Return the signed curvature [1/m]."""
-        return self.top_curvature * sin(tau * length / self.length)
-
-    def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance [m] from `point` to the curve, searched near length `guess`."""
-        near = self.pose_at(guess % self.length).express(point)
-        nearest = self.pose_at((guess + near.x) % self.length)
-        return abs(nearest.express(point).y)
-
-    def _heading(self, length: float) -> float:
-        return EIGHT_SWING_RAD * (1.0 - cos(tau * length / self.length))
-
-
-@dataclass(frozen=True, slots=True)
-class FigureEightPart:
-    """A part of the figure eight `whole`; it begins at `begin` m along the figure."""
-
-    whole: FigureEight
-    begin: float
-    length: float
-    top_curvature: float
-    turns: bool = False
-
-    def pose_at(self, length: float) -> Pose:
-        """Return the pose at `length` m along the part."""
-        return self.whole.pose_at(self.begin + length)
-
-    def curvature_at(self, length: float) -> float:
-        """Return the signed curvature [1/m]."""
-        return self.whole.curvature_at(self.begin + length)
-
-    def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance [m] from `point` to the whole curve, searched near length `guess`."""
-        return self.whole.distance_to(point, self.begin + guess)
-
-
-def figure_eight(length: float) -> FigureEight:
-    """Return a figure eight of `length` m."""
-    step = length / _PIECES
-    x = y = 0.0
-    points = [(x, y)]
-    for piece in range(_PIECES):
-        heading = EIGHT_SWING_RAD * (1.0 - cos(tau * (piece + 0.5) / _PIECES))
-        c, s = direction(heading)
-        x, y = x + step * c, y + step * s
-        points.append((x, y))
-    return FigureEight(length, tuple(points))
-
-
-def figure_eight_parts(whole: FigureEight) -> tuple[FigureEightPart, ...]:
-    """Return the figure eight in parts, so that only its bends are driven slowly.
-
-    The curvature rises or falls throughout a part, so it is largest at one of its ends.
-    """
-    step = whole.length / _PARTS
-    begins = [step * number for number in range(_PARTS)]
-    return tuple(
-        FigureEightPart(
-            whole,
-            begin,
-            step,
-            max(abs(whole.curvature_at(begin)), abs(whole.curvature_at(begin + step))),
-        )
-        for begin in begins
-    )
-
+from robotctl.kernel.trigonometry import atan2, hypot, tan
 
 START_M, START_RAD = 0.02, 0.02
 """A path that would begin nearer to the robot begins at the robot: tracking corrects the rest."""
@@ -285,26 +195,13 @@ def _rounded_square_lap(side_m: float, course: Course) -> Path:
     return Path(tuple(segments), 0.7 * side_m)
 
 
-def _circle_lap(radius_m: float, course: Course) -> Path:
-    return Path((Circle(radius_m),), radius_m)
-
-
 def _figure_eight_lap(radius_m: float, course: Course) -> Path:
     return Path(figure_eight_parts(figure_eight(2.0 * tau * radius_m)), radius_m)
-
-
-def _line_lap(length_m: float, course: Course) -> Path:
-    return _open(Line(ORIGIN, length_m), length_m)
 
 
 def _arc_lap(radius_m: float, course: Course) -> Path:
     side = 1.0 if course.angle_rad > 0.0 else -1.0
     return _open(Arc(ORIGIN, radius_m, radius_m * abs(course.angle_rad), side), radius_m)
-
-
-def _turn_lap(size_m: float, course: Course) -> Path:
-    side = 1.0 if course.angle_rad > 0.0 else -1.0
-    return _open(Turn(ORIGIN, abs(course.angle_rad), side), MIN_SIZE_M)
 
 
 def _open(segment: Segment, reach_m: float) -> Path:
@@ -330,12 +227,25 @@ class Shape:
 SHAPES: Mapping[PatternKind, Shape] = MappingProxyType(
     {
         PatternKind.SQUARE: Shape(SizeName.SIDE, 1.0, _square_lap),
-        PatternKind.CIRCLE: Shape(SizeName.RADIUS, 0.5, _circle_lap),
+        PatternKind.CIRCLE: Shape(
+            SizeName.RADIUS, 0.5, lambda radius_m, course: Path((Circle(radius_m),), radius_m)
+        ),
         PatternKind.FIGURE_EIGHT: Shape(SizeName.RADIUS, 0.5, _figure_eight_lap),
         PatternKind.ROUNDED_SQUARE: Shape(SizeName.SIDE, 1.0, _rounded_square_lap, has_corner=True),
-        PatternKind.LINE: Shape(SizeName.LENGTH, 1.0, _line_lap, closed=False),
+        PatternKind.LINE: Shape(
+            *(
+                SizeName.LENGTH,
+                1.0,
+                lambda size_m, course: _open(Line(ORIGIN, size_m), size_m),
+            ),
+            closed=False,
+        ),
         PatternKind.ARC: Shape(SizeName.RADIUS, 0.5, _arc_lap, closed=False, has_angle=True),
-        PatternKind.TURN: Shape(None, 1.0, _turn_lap, closed=False, has_angle=True),
+        PatternKind.TURN: Shape(
+            *(None, 1.0, lambda _, course: _open(_turn(ORIGIN, course.angle_rad), MIN_SIZE_M)),
+            closed=False,
+            has_angle=True,
+        ),
     }
 )
 """The shape of every kind of pattern; the command line and the socket use it as well."""

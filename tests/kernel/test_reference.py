@@ -12,8 +12,8 @@ from robotctl.kernel.course import PLAIN
 from robotctl.kernel.drive import Drive, Progress, advanced, begun
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.params import KernelParams, VelocityLimits
-from robotctl.kernel.path import Arc, Circle, Line, Path, Turn
-from robotctl.kernel.patterns import FigureEight, Pattern, PatternKind, figure_eight
+from robotctl.kernel.path import Arc, Circle, FigureEight, Line, Path, Turn, figure_eight
+from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.speed_plan import Leg, legs_for, path_for, speed_plan
 from robotctl.kernel.tracking import Reference, track
 from tests.kernel.fed_kernel import lap_of

@@ -60,9 +60,9 @@ async def test_strange_types_are_named_and_nothing_is_imported(
     before = set(sys.modules)
     for number, type_name in enumerate(STRANGE_TYPES):
         await hostile("offer", topic=f"{topic}_{number}", type_name=type_name)
-    await until(lambda: len(taken.tap.unrecorded.problems) == len(STRANGE_TYPES))
+    await until(lambda: len(taken.tap.unrecorded.by_topic) == len(STRANGE_TYPES))
     for number, type_name in enumerate(STRANGE_TYPES[:-1]):
-        assert taken.tap.unrecorded.problems[f"{topic}_{number}"] == (
+        assert taken.tap.unrecorded.by_topic[f"{topic}_{number}"] == (
             f"{topic}_{number} is not recorded: it has type {type_name}, "
             "which is not the name of a ROS type"
         )
@@ -77,7 +77,7 @@ async def test_strange_topic_names_are_named_and_the_others_are_recorded(
 ) -> None:
     for name in STRANGE_TOPICS:
         await hostile("offer", topic=name)
-    await until(lambda: len(taken.tap.unrecorded.problems) == len(STRANGE_TOPICS) - 1)
+    await until(lambda: len(taken.tap.unrecorded.by_topic) == len(STRANGE_TOPICS) - 1)
     for sentence in taken.tap.unrecorded.warnings():
         assert sentence.endswith(" is not recorded: ROS does not allow its name")
         assert sentence.isprintable()
@@ -152,14 +152,14 @@ async def test_a_type_that_takes_long_to_load_delays_neither_the_others_nor_the_
     monkeypatch.setattr(subscription, "load_type", slow)
     monkeypatch.setattr(subscription, "SLOW_LOAD_S", 0.1)
     node.create_publisher(String, f"{topic}_slow", 10)
-    await until(lambda: f"{topic}_slow" in taken.tap.unrecorded.problems)
+    await until(lambda: f"{topic}_slow" in taken.tap.unrecorded.by_topic)
     assert (
         "is not recorded yet: its type std_msgs/msg/String is not loaded after"
-        in (taken.tap.unrecorded.problems[f"{topic}_slow"])
+        in (taken.tap.unrecorded.by_topic[f"{topic}_slow"])
     )
     await is_still_recorded(taken, node, topic)
     stuck.clear()
-    await until(lambda: f"{topic}_slow" in taken.topics and not taken.tap.unrecorded.problems)
+    await until(lambda: f"{topic}_slow" in taken.topics and not taken.tap.unrecorded.by_topic)
 
 
 async def test_a_topic_that_goes_before_its_type_is_loaded_is_named_once(

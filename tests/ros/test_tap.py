@@ -103,7 +103,7 @@ async def test_a_type_that_is_not_installed_is_named_and_the_others_go_on(
         return "is not installed" if type_name == "std_msgs/msg/String" else load(type_name)
 
     monkeypatch.setattr(subscription_module, "load_type", missing)
-    problems = taken.tap.unrecorded.problems
+    problems = taken.tap.unrecorded.by_topic
     told = (
         f"{topic}_foreign is not recorded: it has type std_msgs/msg/String, which is not installed"
     )
@@ -124,7 +124,7 @@ async def test_a_topic_that_cannot_be_followed_for_a_while_is_named_until_it_can
     await until(reliable.get_subscription_count)
     no_subscription.set()
     weaker = publisher(node, topic, qos.SENSOR)
-    problems = taken.tap.unrecorded.problems
+    problems = taken.tap.unrecorded.by_topic
     await until(lambda: problems)
     assert "cannot be subscribed to (RuntimeError: no descriptor is free)" in problems[topic]
     no_subscription.clear()

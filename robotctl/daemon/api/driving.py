@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from robotctl.base.errors import Refused, UsageError
@@ -52,7 +53,7 @@ from robotctl.kernel.types import (
     ResetRequested,
     Twist,
 )
-from robotctl.ros.nodes.drive_action import DriveProgress, Goal
+from robotctl.ros.nodes.drive_action import DriveProgress, Goal, GoalDrive
 
 
 def default_laps(kind: PatternKind, *, wait: bool) -> int:
@@ -298,7 +299,7 @@ class DrivingMethods:
             "hold": params.hold if goes_on else 0,
         }
 
-    def begin_goal(self, goal: Goal, source: str, *, remote: bool) -> RequestedDrive:
+    def begin_goal(self, goal: Goal, source: str, *, remote: bool) -> GoalDrive:
         """Request the drive of a goal at once; `remote`: the goal may come from another host.
 
         Raises:
@@ -310,18 +311,24 @@ class DrivingMethods:
             pattern = self.pattern(_kind(goal.pattern), goal.size_m or None, goal.speed_mps or None)
         except UsageError as error:
             raise ValueError(str(error)) from None
-        return RequestedDrive(
-            self._control,
-            self,
-            DriveRequested(
-                *self._control.stamp(),
-                pattern,
-                goal.laps,
-                goal.replace,
-                source,
-                remote=remote,
-            ),
+        event = DriveRequested(
+            *(*self._control.stamp(), pattern, goal.laps, goal.replace, source), remote=remote
         )
+        ended = self._control.expect_end(event.request_id)
+        return GoalDrive(
+            self._control.begin(event),
+            ended,
+            partial(self._progress, event.request_id),
+            partial(self.ramp_down, event.request_id, f"{source}, which was cancelled"),
+        )
+
+    def _progress(self, request_id: int) -> DriveProgress | None:
+        state = self._control.state
+        drive, odometry = state.drive, state.health.odometry
+        if drive is None or drive.request_id != request_id or odometry is None:
+            return None
+        laps = min(drive.progress.laps, drive.laps - 1) if drive.laps else drive.progress.laps
+        return DriveProgress(drive.score.distance_m, laps, drive.cross_track_m(odometry.pose))
 
     def ramp_down(self, request_id: int, source: str) -> bool:
         """Ramp down the drive that `request_id` began; return whether it was still running."""
@@ -373,32 +380,6 @@ def _drive_answer(ended: DriveEnded, mode: Mode, truth: GroundTruth) -> DriveAns
 
 MAX_SHOWN = 40
 """How many characters of an unknown pattern's name a refusal shows."""
-
-
-class RequestedDrive:
-    """A drive that a goal has requested: its reply, its progress and its end."""
-
-    def __init__(self, control: Control, driving: DrivingMethods, event: DriveRequested) -> None:
-        self._control = control
-        self._driving = driving
-        self._event = event
-        self.ended = control.expect_end(event.request_id)
-        self.reply = control.begin(event)
-
-    def progress(self) -> DriveProgress | None:
-        """Return the progress of the drive, or None if it is not running."""
-        state = self._control.state
-        drive, odometry = state.drive, state.health.odometry
-        if drive is None or drive.request_id != self._event.request_id or odometry is None:
-            return None
-        laps = min(drive.progress.laps, drive.laps - 1) if drive.laps else drive.progress.laps
-        return DriveProgress(drive.score.distance_m, laps, drive.cross_track_m(odometry.pose))
-
-    def ramp_down(self) -> bool:
-        """End the drive with a ramp; return whether it was still running."""
-        return self._driving.ramp_down(
-            self._event.request_id, f"{self._event.source}, which was cancelled"
-        )
 
 
 def _kind(name: str) -> PatternKind | None:

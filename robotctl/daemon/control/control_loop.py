@@ -20,6 +20,8 @@ from robotctl.ros.executor import Tick as LoopTick
 from robotctl.ros.executor import Ticker
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 
+_log = logging.getLogger(__name__)
+
 LINE_BYTES: Final = 128
 """How many bytes of `schedstat` are read: its one line of three numbers is shorter."""
 
@@ -179,6 +181,7 @@ class Watchdog:
         if self._unsent:
             detail = f"{detail}; {self._unsent} zeros could not be sent"
             self._unsent = 0
+        _log.warning("the loop stalled for %.2f s: %s", stalled_s, detail)
         return LoopStalled(now_ns, stalled_s, zeros, withheld, detail)
 
     # In the watchdog's thread
@@ -234,8 +237,6 @@ def where(frame: FrameType | None) -> str:
     return ", called by ".join(calls)
 
 
-_log = logging.getLogger(__name__)
-
 LOOKS_ENOUGH_HZ: Final = 50.0
 """From this control rate on, it is enough to handle foreign commands once in each tick."""
 
@@ -273,11 +274,3 @@ class ControlLoop:
             self._watchdog.ping()
 
         await Ticker(self._rate_hz).run(decide)
-
-
-def urgent_event(watchdog: Watchdog) -> LoopStalled | FaultReported | None:
-    """Return what `Watchdog.take` returns; log it if it is a stall."""
-    event = watchdog.take()
-    if isinstance(event, LoopStalled):
-        _log.warning("the loop stalled for %.2f s: %s", event.stalled_s, event.detail)
-    return event

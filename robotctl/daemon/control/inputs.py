@@ -12,25 +12,18 @@ from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.daemon.supervisor import until
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types import (
-    BatteryReceived,
-    Cause,
     CommandListenersSeen,
     CommandPublishersSeen,
     Event,
-    FaultReported,
     ForeignCommandHeard,
     GuardedCommandReceived,
     LifecycleChanged,
     LifecycleState,
     ModeRequested,
     Odometry,
-    OdometrySourceFound,
     OdomReceived,
     Reply,
-    SafetyInputReceived,
-    ScanReceived,
     Twist,
 )
 from robotctl.ros.executor import requester
@@ -151,24 +144,9 @@ class Inputs:
         if state.drive is not None and state.health.odometry is odometry:  # it was not dropped
             self._robot_report.drove_to(odometry.pose)
 
-    def odometry_source(self, source: int, gid: str, name: str, frame: str) -> None:
-        """Handle a new publisher of odometry, or a known publisher with a new `name` or `frame`."""
-        self._control.dispatch(OdometrySourceFound(time.monotonic_ns(), source, gid, name, frame))
-
-    def battery(self, level: float, publisher: str, sequence: int) -> None:
-        """Handle a battery level as the gauge reports it, NaN for an unreadable message."""
-        self._control.dispatch(BatteryReceived(time.monotonic_ns(), level, publisher, sequence))
-
-    def safety_input(
-        self, kind: SafetyInput, value: float, detail: str, publisher: str, sequence: int
-    ) -> None:
-        """Handle a message of a safety input."""
-        now = time.monotonic_ns()
-        self._control.dispatch(SafetyInputReceived(now, kind, value, detail, publisher, sequence))
-
-    def scan(self, sectors: tuple[float, ...], publisher: str, sequence: int) -> None:
-        """Handle a laser scan: the nearest range [m] in each sector, () if it is unreadable."""
-        self._control.dispatch(ScanReceived(time.monotonic_ns(), sectors, publisher, sequence))
+    def hears(self, kind: Callable[..., Event]) -> Callable[..., None]:
+        """Return the handler of an input; its arguments are the fields of `kind` after the time."""
+        return lambda *values: self._control.dispatch(kind(time.monotonic_ns(), *values))
 
     def guarded_command(self, twist: Twist, publisher: str, sequence: int) -> None:
         """Handle a velocity command on the guard topic; ignore it unless a guarded motion runs."""
@@ -190,10 +168,6 @@ class Inputs:
         return self._control.begin(
             ModeRequested(*self._control.stamp(), requested, source, remote=self._is_remote())
         )
-
-    def recorder_failed(self, detail: str) -> None:
-        """Report to the kernel that the recorder failed and that the robot must not drive."""
-        self._control.dispatch(FaultReported(time.monotonic_ns(), Cause.RECORDER_FAILED, detail))
 
 
 HOST = slice(4)

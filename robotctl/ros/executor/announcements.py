@@ -15,7 +15,7 @@ import sys
 from contextlib import ExitStack
 from enum import Enum
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 from builtin_interfaces.msg import Time
 from rclpy.context import Context
@@ -25,7 +25,7 @@ from rclpy.type_support import check_for_type_support
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from robotctl.ros.executor import rcutils
-from robotctl.ros.executor.raw_tap import SerializedTaker, TakenMessage
+from robotctl.ros.executor.raw_tap import SerializedTaker, Taken
 from robotctl.ros.executor.rcutils import RclCallFailed, UnsupportedPlatform
 
 _RET_OK = 0
@@ -214,13 +214,9 @@ def _check_take(subscription: _rclpy.Subscription) -> None:
         taker.free()
     if taken is None:
         raise UnsupportedPlatform("a message was announced, but there was none to take")
-    message = TakenMessage(bytes(taken[0]), *taken[1:])
-    if (
-        message.data != _CDR
-        or message.sequence != 1
-        or not any(message.gid)
-        or not 0 < message.source_ns <= message.received_ns
-    ):
+    data, received_ns, source_ns, sequence, gid = cast(Taken, taken)
+    is_right = bytes(data) == _CDR and sequence == 1 and any(gid)
+    if not is_right or not 0 < source_ns <= received_ns:
         raise UnsupportedPlatform(
-            f"the middleware's structures are not those of ROS 2 Jazzy (got {message})"
+            f"the middleware's structures are not those of ROS 2 Jazzy (got {taken!r})"
         )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from math import nan
 from operator import attrgetter
-from typing import Any, Protocol
+from typing import Any
 
 from action_msgs.msg import GoalStatus
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
@@ -56,22 +56,21 @@ class DriveProgress:
     """The present distance from the path."""
 
 
-class GoalDrive(Protocol):
+@dataclass(frozen=True, slots=True)
+class GoalDrive:
     """The drive that a goal asks for."""
 
-    @property
-    def reply(self) -> asyncio.Future[Reply]:
-        """Future of the kernel's reply to the request for the drive."""
+    reply: asyncio.Future[Reply]
+    """Future of the kernel's reply to the request for the drive."""
 
-    @property
-    def ended(self) -> asyncio.Future[DriveEnded]:
-        """Future that is set when the drive ends; it stays pending if the drive is refused."""
+    ended: asyncio.Future[DriveEnded]
+    """Future that is set when the drive ends; it stays pending if the drive is refused."""
 
-    def progress(self) -> DriveProgress | None:
-        """Return how far the drive has come, or None if it has not begun or has ended."""
+    progress: Callable[[], DriveProgress | None]
+    """Returns how far the drive has come, or None if it has not begun or has ended."""
 
-    def ramp_down(self) -> bool:
-        """Ramp down and end the drive; return False if the drive was not going on any more."""
+    ramp_down: Callable[[], bool]
+    """Ramps down and ends the drive; returns False if the drive was not going on any more."""
 
 
 class DriveAction:
