@@ -162,7 +162,7 @@ def test_no_folder_has_more_modules_than_one_sees_at_once() -> None:
         assert count <= LARGE_ROOMS.get(folder, MOST_MODULES), f"{folder} has {count} modules"
 
 
-CEILINGS = {"robotctl": (325, 68_709), "tests": (224, 59_348)}
+CEILINGS = {"robotctl": (321, 68_473), "tests": (224, 57_545)}
 """How many files and lines there may be."""
 
 

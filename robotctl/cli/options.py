@@ -66,6 +66,13 @@ def new_app(group: type[TyperGroup] = TyperGroup) -> typer.Typer:
     )
 
 
+def new_group(app: typer.Typer, name: str) -> typer.Typer:
+    """Return a new group of commands, which is the command `name` of `app`."""
+    group = new_app()
+    app.add_typer(group, name=name)
+    return group
+
+
 _NAMES = ", ".join(profile.value for profile in Profile)
 
 ProfileName = Annotated[

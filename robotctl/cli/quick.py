@@ -69,30 +69,18 @@ def estop(robot: str, as_json: bool, reason: str = "", every: bool = False) -> N
     answer, problem = _stopped("estop", robot, reason)
     if not as_json:
         _show(answer, as_json, hint=f"release it with: {command_for(robot, 'reset')}")
-    others = _others_than(robot)
-    if as_json:
-        print(json_text({**answer, **others}))
-    else:
-        _show_others(others)
-    if problem is not None:
-        raise problem
-
-
-def _others_than(robot: str) -> dict[str, list[str]]:
-    """Return two lists of other robots: those that move, and those that report no status."""
     from robotctl.cli.targets.robots import others_than
 
     found = others_than(robot)
-    return {
-        "others_moving": [each.robot for each in found if each.moves],
-        "others_silent": [each.robot for each in found if not each.moves],
-    }
-
-
-def _show_others(others: dict[str, list[str]]) -> None:
-    for verb, names in (("still MOVING", "others_moving"), ("no answer from", "others_silent")):
-        if others[names]:
-            print(f"{verb}: {', '.join(others[names])} (all robots: robotctl estop --all)")
+    moving = [each.robot for each in found if each.moves]
+    silent = [each.robot for each in found if not each.moves]
+    if as_json:
+        print(json_text({**answer, "others_moving": moving, "others_silent": silent}))
+    for verb, names in (("still MOVING", moving), ("no answer from", silent)):
+        if names and not as_json:
+            print(f"{verb}: {', '.join(names)} (all robots: robotctl estop --all)")
+    if problem is not None:
+        raise problem
 
 
 def _estop_all(as_json: bool, reason: str) -> None:

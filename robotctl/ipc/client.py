@@ -120,7 +120,7 @@ class Client:
         except (FileNotFoundError, NotADirectoryError, ConnectionRefusedError):
             raise no_daemon(self._robot) from None
         except BlockingIOError:
-            raise self._silent(CALL_DEADLINE_S) from None
+            raise self._no_answer(f"did not answer within {CALL_DEADLINE_S:g} s") from None
         except PermissionError:
             raise Refused(f"{self._path} belongs to another user") from None
         if not is_trusted:
@@ -185,9 +185,11 @@ class Client:
                     raise refusal
             return self._result(self._last_id, until)
         except TimeoutError:
-            raise self._silent(deadline_s or LIVENESS_S) from None
+            within_s = deadline_s or LIVENESS_S
+            raise self._no_answer(f"did not answer within {within_s:g} s") from None
         except ConnectionError:
-            raise refusal or self._closed() from None
+            closed = self._no_answer("closed the connection before it answered")
+            raise refusal or closed from None
         except ProtocolError as error:
             raise RobotctlError(f"the daemon of robot {self._robot!r} answered: {error}") from error
 
@@ -258,16 +260,9 @@ class Client:
         value = _TIMEVAL.pack(*divmod(microseconds, 1_000_000))
         self._sock.setsockopt(socket.SOL_SOCKET, option, value)
 
-    def _silent(self, seconds: float) -> NoAnswer:
+    def _no_answer(self, what: str) -> NoAnswer:
         return NoAnswer(
-            f"the daemon of robot {self._robot!r} did not answer within {seconds:g} s",
-            f"see: {command_for(self._robot, 'logs')}",
-            sentence=IN_PARENTHESES,
-        )
-
-    def _closed(self) -> NoAnswer:
-        return NoAnswer(
-            f"the daemon of robot {self._robot!r} closed the connection before it answered",
+            f"the daemon of robot {self._robot!r} {what}",
             f"see: {command_for(self._robot, 'logs')}",
             sentence=IN_PARENTHESES,
         )

@@ -46,7 +46,10 @@ def socket_group(name: str) -> SocketGroup | None:
             f"socket.group: there is no group {name!r}", f"make it: sudo groupadd {name}"
         ) from None
     if os.geteuid() != ROOT_UID and gid not in (os.getegid(), *os.getgroups()):
-        user = _user_name()
+        try:
+            user = pwd.getpwuid(os.geteuid()).pw_name
+        except KeyError:
+            user = str(os.geteuid())
         raise UsageError(
             f"socket.group: user {user!r} is not in group {name!r}",
             f"sudo usermod -aG {name} {user}, then log in again or restart the unit",
@@ -84,12 +87,6 @@ def open_folder(path: Path, group: SocketGroup | None) -> None:
         os.close(descriptor)
 
 
-def open_socket(path: Path, group: SocketGroup) -> None:
-    """Allow the members of the group to connect to the socket at `path`."""
-    os.chown(path, -1, group.gid)
-    path.chmod(SOCKET_MODE)
-
-
 def _check_reachable(base: Path, group: SocketGroup) -> None:
     found = base.stat()
     by_group = found.st_gid == group.gid and found.st_mode & stat.S_IXGRP
@@ -98,13 +95,6 @@ def _check_reachable(base: Path, group: SocketGroup) -> None:
             f"socket.group: {base} is closed to group {group.name!r}",
             "start the daemon by a unit: sudo robotctl boot install --system",
         )
-
-
-def _user_name() -> str:
-    try:
-        return pwd.getpwuid(os.geteuid()).pw_name
-    except KeyError:
-        return str(os.geteuid())
 
 
 async def until_readable(sock: socket.socket) -> None:
@@ -122,25 +112,19 @@ async def until_readable(sock: socket.socket) -> None:
         loop.remove_reader(sock)
 
 
-def is_readable(sock: socket.socket) -> bool:
-    """Return whether the socket has data, or the client has closed its sending side."""
-    return _has(sock, select.POLLIN)
+def has_event(sock: socket.socket, events: int) -> bool:
+    """Return whether one of `events` of `select.poll` is there, or the connection is closed.
 
-
-def is_hung_up(sock: socket.socket) -> bool:
-    """Return whether the connection is closed in both directions."""
-    return _has(sock, 0)
+    With 0, only a connection that is closed in both directions counts.
+    """
+    poll = select.poll()
+    poll.register(sock, events)
+    return bool(poll.poll(0))
 
 
 def _wake(waiting: asyncio.Future[None]) -> None:
     if not waiting.done():
         waiting.set_result(None)
-
-
-def _has(sock: socket.socket, events: int) -> bool:
-    poll = select.poll()
-    poll.register(sock, events)
-    return bool(poll.poll(0))
 
 
 _log = logging.getLogger(__name__)
@@ -189,7 +173,8 @@ class Listener:
                 os.umask(previous)
             self._id = _id_of(self._path)
             if self._group is not None:
-                open_socket(self._path, self._group)
+                os.chown(self._path, -1, self._group.gid)
+                self._path.chmod(SOCKET_MODE)
             self._sock.listen(BACKLOG)
             self._sock.setblocking(False)
             self._keep_spare()

@@ -15,7 +15,7 @@ import msgspec
 
 from robotctl.base.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.answers import Hello
-from robotctl.ipc.listener import is_hung_up
+from robotctl.ipc.listener import has_event
 from robotctl.ipc.method_params import HelloParams, decode
 from robotctl.ipc.protocol import (
     MAX_RESPONSE_BYTES,
@@ -206,7 +206,7 @@ class RequestHandler:
 
         def look() -> None:
             nonlocal timer
-            if is_hung_up(self._sock):
+            if has_event(self._sock, 0):
                 deadline.reschedule(loop.time())
             else:
                 timer = loop.call_later(period_s, look)

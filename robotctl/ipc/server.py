@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
+import select
 import socket
 import time
 from collections.abc import Callable, Mapping
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from robotctl.base.errors import NoDaemon, Refused, RobotctlError
-from robotctl.ipc.listener import Listener, SocketGroup, is_readable, until_readable
+from robotctl.ipc.listener import Listener, SocketGroup, has_event, until_readable
 from robotctl.ipc.protocol import (
     MAX_REQUEST_BYTES,
     Code,
@@ -58,7 +59,7 @@ class Connection:
 
     def is_idle(self) -> bool:
         """Return whether everything that the client has sent is read and answered."""
-        return self._is_listening and not is_readable(self._sock)
+        return self._is_listening and not has_event(self._sock, select.POLLIN)
 
     def dismiss(self) -> None:
         """Send the error "busy", without waiting; the caller then closes the connection."""

@@ -92,8 +92,7 @@ class HearingKernel(Kernel):
         self.heard: Event | None = None
         self.messages: dict[tuple[str, int], bytes] = {}
         self._odometry_encoder = OdometryEncoder("odom", "base_link")
-        self._odometry_count = self._battery_count = self._scan_count = self._wanted_count = 0
-        self._safety_counts = Counter[SafetyInput]()
+        self._counts = Counter[str]()
 
     def step(self, event: Event) -> tuple[Effect, ...]:
         """Serialize and number the message of an input, then decide.
@@ -101,32 +100,28 @@ class HearingKernel(Kernel):
         Odometry, battery and scans are read back from the message; other events are used as given.
         """
         if isinstance(event, OdomReceived):
-            self._odometry_count += 1
             sample = event.odometry
             data = self._odometry_encoder.encode(sample.pose, sample.velocity, sample.stamp_ns)
-            self.messages[ODOMETRY, self._odometry_count] = data
-            event = replace(
-                event, odometry=read_odometry(data), source=1, sequence=self._odometry_count
-            )
+            number = self._keep(ODOMETRY, data)
+            event = replace(event, odometry=read_odometry(data), source=1, sequence=number)
         elif isinstance(event, BatteryReceived):
-            self._battery_count += 1
             data = _BATTERY.pack(ENCAPSULATION, 0, 0, 1, b"\0", *[0.0] * 6, event.level)
-            self.messages[BATTERY, self._battery_count] = data
             level = read_battery_level(data)
-            event = BatteryReceived(event.t_ns, level, "ba77e7", self._battery_count)
+            event = BatteryReceived(event.t_ns, level, "ba77e7", self._keep(BATTERY, data))
         elif isinstance(event, ScanReceived):
-            self._scan_count += 1
-            data = self.messages[SCAN, self._scan_count] = _scan(event.sectors)
-            event = ScanReceived(event.t_ns, read_sectors(data), "5ca7", self._scan_count)
+            data = _scan(event.sectors)
+            event = ScanReceived(event.t_ns, read_sectors(data), "5ca7", self._keep(SCAN, data))
         elif isinstance(event, GuardedCommandReceived):
-            self._wanted_count += 1
-            self.messages[WANTED, self._wanted_count] = encode_twist(event.twist)
-            event = replace(event, publisher="9a7d", sequence=self._wanted_count)
+            number = self._keep(WANTED, encode_twist(event.twist))
+            event = replace(event, publisher="9a7d", sequence=number)
         elif isinstance(event, SafetyInputReceived):
             data = safety_message(event.kind, event.value, event.detail)
-            self._safety_counts[event.kind] += 1
-            number = self._safety_counts[event.kind]
-            self.messages[TOPICS[event.kind], number] = data
-            event = replace(event, publisher="5afe", sequence=number)
+            event = replace(event, publisher="5afe", sequence=self._keep(TOPICS[event.kind], data))
         self.heard = event
         return super().step(event)
+
+    def _keep(self, topic: str, data: bytes) -> int:
+        """Keep a message, and return its number in its topic."""
+        self._counts[topic] += 1
+        self.messages[topic, self._counts[topic]] = data
+        return self._counts[topic]

@@ -366,10 +366,6 @@ class ViewServer:
             case _:
                 raise WrongRequest("this view is read-only, or does not take that")
 
-    def wrong(self, viewer: Viewer, problem: str) -> None:
-        """Tell a viewer, in the words of `problem`, what is wrong with its message."""
-        viewer.tell(status(StatusLevel.WARNING, problem))
-
     def _unsubscribe(self, viewer: Viewer, subscription: int) -> None:
         unwatched = self._offered.unsubscribe(viewer, subscription)
         if unwatched is not None:

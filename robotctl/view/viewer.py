@@ -29,9 +29,11 @@ from websockets.typing import Subprotocol
 
 from robotctl.view.foxglove import (
     SUBPROTOCOLS,
+    StatusLevel,
     ViewRequest,
     WrongRequest,
     binary_request,
+    status,
     text_request,
 )
 
@@ -250,9 +252,6 @@ class ViewerHost(Protocol):
             WrongRequest: The request cannot be carried out.
         """
 
-    def wrong(self, viewer: Viewer, problem: str) -> None:
-        """Tell a viewer what is wrong with its message."""
-
     def leave(self, viewer: Viewer) -> None:
         """Forget a connection that has ended, admitted or not."""
 
@@ -417,7 +416,7 @@ class Viewer(asyncio.Protocol):
         try:
             self._host.request(self, decode(whole))
         except WrongRequest as error:
-            self._host.wrong(self, str(error))
+            self.tell(status(StatusLevel.WARNING, str(error)))
 
     def _send_protocol_bytes(self) -> None:
         """Send the bytes that the handshake, a ping or a close frame requires."""

@@ -45,7 +45,7 @@ def test_the_demo_shows_what_was_recorded_and_touches_no_running_daemon(
     assert (after["pid"], after["mode"]) == (before["pid"], "IDLE")
     assert read_info(folder).missing == ()
     (log,) = home.glob("state/robotctl/demo_*/daemon.log")
-    assert f"'--config={sim.CONFIG}'" in log.read_text()
+    assert f"'--config', '{sim.CONFIG}'" in log.read_text()
 
 
 def test_the_last_screen_of_80_by_24_shows_every_number_and_commands_to_paste(

@@ -11,20 +11,17 @@ from math import log
 import pytest
 
 from robotctl.base.errors import Refused
-from robotctl.commission.measure import (
+from robotctl.commission import (
     NEAR_S,
+    STOP_WITHIN_M,
+    STOP_WITHIN_RAD,
     Measured,
     Trial,
     TrialCommand,
     TrialSample,
     Turned,
-    measured,
-)
-from robotctl.commission.propose import (
-    STOP_WITHIN_M,
-    STOP_WITHIN_RAD,
-    configuration,
     file_lines,
+    measured,
     measured_lines,
     proposals,
     warnings,
@@ -301,4 +298,3 @@ def test_the_file_keeps_the_other_settings_and_tells_what_was_measured() -> None
     assert "guard: true" in lines
     assert sum(line.startswith("tracking.lag_s:") for line in lines) == 1
     assert any("0.50 s after the last command" in line for line in lines)
-    assert configuration(settings, proposals(BASE, KernelParams()))["tracking.lag_s"] == 0.1

@@ -9,7 +9,7 @@ import pytest
 
 from robotctl.base.paths import runtime_folder
 from robotctl.cli.commands import doctor as diagnosis
-from robotctl.doctor.machine import Finding, Level
+from robotctl.doctor import Finding, Level
 
 
 @pytest.fixture(autouse=True)

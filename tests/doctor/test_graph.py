@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from robotctl.doctor.graph_checks import MAX_NAMED, check_command, check_definitions, check_odometry
-from robotctl.doctor.machine import Level
+from robotctl.doctor import MAX_NAMED, Level, check_command, check_definitions, check_odometry
 from robotctl.ipc.answers import GraphEndpoint, GraphTopic, NameAndTypes
 
 TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"

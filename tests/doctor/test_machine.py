@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 
+from robotctl import doctor as machine
 from robotctl.base.environment import RMW
 from robotctl.base.paths import runtime_folder, state_folder
-from robotctl.doctor import machine
-from robotctl.doctor.machine import (
+from robotctl.doctor import (
     Finding,
     Level,
     check_middleware,
@@ -118,7 +118,7 @@ def test_another_ros_in_the_shell_and_a_second_rclpy_are_named(tmp_path: Path) -
 def test_a_python_path_in_the_home_of_another_user_ends_no_check(tmp_path: Path) -> None:
     tmp_path.chmod(0o700)
     hidden = str(tmp_path / "site-packages")
-    imports = "from pathlib import Path\nfrom robotctl.doctor import machine as checks"
+    imports = "from pathlib import Path\nfrom robotctl import doctor as checks"
     code = f"""
 for variable in ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):
     print(*checks.check_shell({{variable: {hidden!r}}}, Path("/venv")))

@@ -254,7 +254,7 @@ import robotctl.base.trust
 from pathlib import Path
 from robotctl.cli.commands.doctor import dead_robots
 from robotctl.cli.targets.robots import names
-from robotctl.doctor.machine import check_folders
+from robotctl.doctor import check_folders
 from robotctl.base.errors import Refused
 from robotctl.base.paths import runtime_folder
 robotctl.base.trust.SYSTEM_RUNTIME = Path(os.environ["UNITS"])

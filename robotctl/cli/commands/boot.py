@@ -23,15 +23,13 @@ from robotctl.base.paths import (
     state_folder,
     unit_runtime_base,
 )
-from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.options import Json, Robot, new_app, new_group
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import printable
 
 app = new_app()
-boot = new_app()
-sync = new_app()
-app.add_typer(boot, name="boot")
-boot.add_typer(sync, name="sync")
+boot = new_group(app, "boot")
+sync = new_group(boot, "sync")
 
 System = Annotated[
     bool, typer.Option("--system", help="A unit of the machine, not of the user; needs root.")
@@ -382,7 +380,12 @@ def _command_words(command: str, app: typer.Typer, words: list[str]) -> list[str
         for each in parser.params
         if each.type.name == "path" or each.param_type_name == "argument"
     }
-    values = [str(each) for name in has_path for each in _as_list(given[name])]
+    listed = (
+        value if isinstance(value, list | tuple) else [value]
+        for name, value in given.items()
+        if name in has_path
+    )
+    values = [str(each) for several in listed for each in several]
     paths = {value for value in values if not is_url(value)}
 
     def absolute(word: str) -> str:
@@ -390,10 +393,6 @@ def _command_words(command: str, app: typer.Typer, words: list[str]) -> list[str
         return f"{name}{sign}{Path(value).absolute()}" if value in paths else word
 
     return [absolute(word) for word in words]
-
-
-def _as_list(value: Any) -> list[Any]:
-    return list(value) if isinstance(value, list | tuple) else [value]
 
 
 def _install(units: list[Unit], *, now: bool) -> tuple[str, list[str]]:

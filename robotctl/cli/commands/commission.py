@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
-from math import degrees
+from math import degrees, inf
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -95,9 +95,7 @@ def drive_motions(robot: str, speed_mps: float, rate_rps: float) -> Path:
         _stop_by_zero(robot, straight, "stopping distance")
         time.sleep(STANDING_S)
         silence = {"for_s": DRIVEN_S, "quiet_s": QUIET_S}
-        driving = _begin(robot, straight | silence | {"reason": "command timeout of the base"})
-        _wait(robot, driving)
-        driving.result()
+        _drive(robot, straight | silence | {"reason": "command timeout of the base"})
         time.sleep(STANDING_S)
         _stop_by_zero(robot, turn, "stopping angle")
         time.sleep(STANDING_S)
@@ -110,31 +108,31 @@ def drive_motions(robot: str, speed_mps: float, rate_rps: float) -> Path:
 
 def _stop_by_zero(robot: str, params: dict[str, Any], reason: str) -> None:
     """Drive for DRIVEN_S; request ERROR, so that the kernel commands zero at once; then reset."""
-    driving = _begin(robot, params | {"for_s": _LATEST_S, "reason": reason})
-    _wait(robot, driving, DRIVEN_S)
-    if driving.is_done:
-        driving.result()
+    _drive(robot, params | {"for_s": _LATEST_S, "reason": reason}, DRIVEN_S)
     stop = asked_by(COMMAND, reason)
     call(robot, SET_MODE, {"mode": Mode.ERROR.value, **stop})
     time.sleep(STANDING_S)
     call(robot, RESET, stop)
 
 
-def _begin(robot: str, params: dict[str, Any]) -> Background[DriveAnswer]:
+def _drive(robot: str, params: dict[str, Any], at_most_s: float = inf) -> None:
+    """Begin a motion, and wait until it ends, at most `at_most_s`.
+
+    Raises:
+        Interrupted: Ctrl-C ended the motion.
+        RobotctlError: It was refused, or ended by a fault.
+    """
     driving: Background[DriveAnswer] = Background(
         partial(call, robot, DRIVE_VELOCITY, params, deadline_s=None)
     )
     driving.start()
-    return driving
-
-
-def _wait(robot: str, driving: Background[DriveAnswer], at_most_s: float | None = None) -> None:
-    """Wait until a motion ends, at most `at_most_s`; on Ctrl-C, stop it and raise Interrupted."""
     try:
-        wait_while_stdout_open(driving, at_most_s) if at_most_s else wait_while_stdout_open(driving)
+        wait_while_stdout_open(driving, at_most_s)
     except KeyboardInterrupt:
         error: RobotctlError = stop_drive(robot, driving)
         raise error from None
+    if driving.is_done:
+        driving.result()
 
 
 app = new_app()
@@ -174,7 +172,9 @@ def commission(
         raise UsageError(f"{out} exists already", "choose another name")
     if out is not None and not os.access(out.parent, os.W_OK):
         raise UsageError(f"{out.parent} cannot be written to", "choose another folder")
-    _check_start_conditions(robot)
+    for condition in call(robot, PREFLIGHT)["conditions"]:  # before the question
+        if condition["problem"]:
+            raise Refused(condition["problem"], condition["cure"])
     settings = {
         each["key"]: each["value"]
         for each in call(robot, PARAM_LIST)["parameters"]
@@ -198,17 +198,6 @@ def _present(settings: Mapping[str, Any]) -> KernelParams:
     return config.kernel
 
 
-def _check_start_conditions(robot: str) -> None:
-    """Check, before the question, that the robot could move.
-
-    Raises:
-        Refused: A start condition does not hold.
-    """
-    for each in call(robot, PREFLIGHT)["conditions"]:
-        if each["problem"]:
-            raise Refused(each["problem"], each["cure"])
-
-
 def _confirm(speed_mps: float, rate_rps: float) -> None:
     if sys.stdin is None or not sys.stdin.isatty():
         raise UsageError("the robot would move, and there is no terminal to ask on", "give --yes")
@@ -228,8 +217,14 @@ def _report(
 
     Return the report as an object and as lines, and the error if `out` could not be written.
     """
-    from robotctl.commission.measure import measured, read_trial
-    from robotctl.commission.propose import file_lines, measured_lines, proposals, warnings
+    from robotctl.commission import (
+        file_lines,
+        measured,
+        measured_lines,
+        proposals,
+        read_trial,
+        warnings,
+    )
 
     base = measured(read_trial(file))
     proposed = proposals(base, present)

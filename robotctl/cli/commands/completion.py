@@ -13,13 +13,12 @@ import typer
 from robotctl.base.errors import Refused
 from robotctl.base.text import MODES
 from robotctl.cli.commands.drive import MOTIONS
-from robotctl.cli.options import Json, new_app
+from robotctl.cli.options import Json, new_app, new_group
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import short_path
 
 app = new_app()
-group = new_app()
-app.add_typer(group, name="completion")
+group = new_group(app, "completion")
 
 
 class Shell(StrEnum):

@@ -13,6 +13,7 @@ from typing import Annotated
 
 import typer
 
+from robotctl import doctor as checks
 from robotctl.base.domains import discovery_range, requested_domain, wider_discovery
 from robotctl.base.environment import RANGE, limit_discovery
 from robotctl.base.errors import AlreadyRunning, Refused, RobotctlError, UsageError
@@ -32,8 +33,7 @@ from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import printable
 from robotctl.config import Config, load
 from robotctl.daemon.lock import is_owned, owned
-from robotctl.doctor import machine
-from robotctl.doctor.machine import Finding, Level, fault, ok, warning
+from robotctl.doctor import Finding, Level, fault, ok, warning
 from robotctl.ipc.answers import GraphTopic, Status
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import STATUS
@@ -95,9 +95,9 @@ def diagnose(
     """
     check_robot_name(robot)
     chosen = Config() if config is None else load(config)
-    sockets = (*_check_socket(robot), *machine.check_folders(runtime_folder()))
+    sockets = (*_check_socket(robot), *checks.check_folders(runtime_folder()))
     usable = all(each.level is not Level.FAULT for each in sockets)
-    removed = machine.clean() if clean else []
+    removed = checks.clean() if clean else []
     if clean and usable:
         removed += _remove_sockets()
     daemons = _daemons() if usable else []
@@ -140,9 +140,9 @@ def _disk(status: Status | None) -> Iterator[Finding]:
     """Check the disk of the folder in which the daemon records, or in which it would record."""
     file = status["recorder"]["file"] if status else ""
     if file:
-        yield from machine.check_disk(Path(file).parent.parent, is_used=True)
+        yield from checks.check_disk(Path(file).parent.parent, is_used=True)
     else:
-        yield from machine.check_disk(Path("recordings").absolute())
+        yield from checks.check_disk(Path("recordings").absolute())
 
 
 def _killed() -> Iterator[Finding]:
@@ -176,24 +176,22 @@ def _remove_sockets() -> list[Path]:
 
 def _computer(robot: str, config: Config) -> Iterator[Finding]:
     prefix, base = Path(sys.prefix), Path(sys.base_prefix)
-    yield from machine.check_wheels()
-    yield from machine.check_shell(os.environ, prefix)
-    yield from machine.check_two_rclpys(sys.path)
-    yield from machine.check_middleware(os.environ)
-    yield from machine.check_range(os.environ)
-    yield from machine.check_profiles(os.environ)
-    yield from machine.check_pip(prefix, base, Path(sysconfig.get_path("stdlib")))
-    yield from machine.check_memory()
-    yield from machine.check_clock(time.time(), state_folder())
+    yield from checks.check_wheels()
+    yield from checks.check_shell(os.environ, prefix)
+    yield from checks.check_two_rclpys(sys.path)
+    yield from checks.check_middleware(os.environ)
+    yield from checks.check_range(os.environ)
+    yield from checks.check_profiles(os.environ)
+    yield from checks.check_pip(prefix, base, Path(sysconfig.get_path("stdlib")))
+    yield from checks.check_memory()
+    yield from checks.check_clock(time.time(), state_folder())
     yield from _check_socket(robot)
-    yield from machine.check_folders(runtime_folder(), state_folder())
-    yield from machine.check_descriptors()
-    yield from machine.check_priority(config.fifo_priority)
+    yield from checks.check_folders(runtime_folder(), state_folder())
+    yield from checks.check_descriptors()
+    yield from checks.check_priority(config.fifo_priority)
 
 
 def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]:
-    from robotctl.doctor import graph_checks
-
     try:
         view = ros_view(robot, domain_id)
         limit_discovery()  # as a start does
@@ -219,9 +217,9 @@ def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]
         odometry = _topic(view, kernel.odometry.topic, used)
         has_odometry = bool(odometry["publishers"])
         command = _topic(view, kernel.command.topic, used)
-        yield from graph_checks.check_command(command, has_odometry=has_odometry)
-        yield from graph_checks.check_odometry(odometry)
-        yield from graph_checks.check_definitions(names["topics"])
+        yield from checks.check_command(command, has_odometry=has_odometry)
+        yield from checks.check_odometry(odometry)
+        yield from checks.check_definitions(names["topics"])
     except UsageError:
         raise
     except RobotctlError as error:

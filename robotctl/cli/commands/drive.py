@@ -228,12 +228,6 @@ def options_of(pattern: PatternKind) -> frozenset[str]:
     return FOLLOWED | size | corner | ({"angle"} if shape.has_angle else set())
 
 
-def cure_of(pattern: PatternKind) -> str:
-    """Return the advice to use the pattern's size option, such as --side; "" if it has none."""
-    name = SHAPES[pattern].size_name
-    return f"use --{name.value}" if name else ""
-
-
 def refuse_options(
     what: str, options: Mapping[str, object], *, allowed: Collection[str], cure: str = ""
 ) -> None:
@@ -251,32 +245,6 @@ def refuse_options(
             elif name in FOLLOWED:
                 cure = ""
             raise UsageError(f"{what} has no --{name}", cure)
-
-
-def path_params(robot: str, values: Sequence[str], frame: Frame) -> dict[str, Any]:
-    """Return the parameters of the request for a path from a file or a recording.
-
-    Raises:
-        UsageError: There is no such file.
-        Refused: The name is `last`, and the robot has no recording.
-        UnreadableFile: The file holds no path.
-    """
-    from robotctl.cli.commands.drive_paths import read_waypoints
-
-    return {"points": read_waypoints(values[0], frame, robot), "frame": frame.value}
-
-
-def topic_params(robot: str, topic: str, reason: str) -> dict[str, Any]:
-    """Wait for a path on a topic, and return the parameters of the request for it.
-
-    Raises:
-        Refused: The message holds no path that can be driven.
-    """
-    from robotctl.cli.commands.drive_paths import heard_path
-
-    name, points, frame = heard_path(robot, topic)
-    reason = reason or f"the path of {name}"[:MAX_REASON]
-    return {"points": points, "frame": frame.value, "reason": reason}
 
 
 def velocity_params(values: Sequence[str], duration: str | None) -> dict[str, Any]:
@@ -452,11 +420,20 @@ def drive(
         what = "a path of a topic" if topic else "a path"
         refuse_options(what, options, allowed=FOLLOWED | own)
         _check("--corner", corner, 0.0, MAX_CORNER_M, " m")
-        path = topic_params(robot, topic, reason) if topic else path_params(robot, values, frame)
-        method, params = DRIVE_PATH, params | followed | path
+        from robotctl.cli.commands.drive_paths import heard_path, read_waypoints
+
+        if topic:
+            full_name, points, frame = heard_path(robot, topic)
+            params["reason"] = reason or f"the path of {full_name}"[:MAX_REASON]
+        else:
+            points = read_waypoints(values[0], frame, robot)
+        method = DRIVE_PATH
+        params |= followed | {"points": points, "frame": frame.value}
     else:
         pattern = PatternKind(motion)
-        refuse_options(f"a {motion}", options, allowed=options_of(pattern), cure=cure_of(pattern))
+        size_name = SHAPES[pattern].size_name
+        cure = f"use --{size_name.value}" if size_name else ""
+        refuse_options(f"a {motion}", options, allowed=options_of(pattern), cure=cure)
         for name, size in sizes.items():
             _check(f"--{name.value}", size, MIN_SIZE_M, MAX_SIZE_M, " m")
         _check("--corner", corner, MIN_CORNER_M, MAX_CORNER_M, " m")

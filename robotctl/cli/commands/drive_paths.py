@@ -69,7 +69,9 @@ def read_waypoints(name: str, frame: Frame, robot: str) -> list[list[float]]:
         path = find_recording(name, robot)
         data = _content(name, path)
         if data is None or data.startswith(MCAP):
-            points = recorded_path(path, frame)
+            points = driven_path(path, frame, partial(_note, path))
+            if not points:
+                raise UnreadableFile(f"{path} holds no path: its robot did not drive")
         else:
             points = _points_in(printable(name), data)
     return [[round(x, 4), round(y, 4)] for x, y in points]
@@ -173,18 +175,6 @@ def last_path(robot: str, frame: Frame) -> tuple[Point, ...]:
             return points
     before = f" and {len(paths) - 1} before it" if len(paths) > 1 else ""
     raise UnreadableFile(f"{newest}{before}: the robot did not drive")
-
-
-def recorded_path(recording: Path, frame: Frame) -> tuple[Point, ...]:
-    """Return the path that the robot of a recording drove in its last motion [m].
-
-    Raises:
-        UnreadableFile: The robot did not drive, or a part of its last motion cannot be read.
-    """
-    points = driven_path(recording, frame, partial(_note, recording))
-    if not points:
-        raise UnreadableFile(f"{recording} holds no path: its robot did not drive")
-    return points
 
 
 def _note(path: Path, sentence: str) -> None:

@@ -14,7 +14,7 @@ import typer
 
 from robotctl.base.errors import UsageError
 from robotctl.base.paths import DEFAULT_ROBOT, LEASE_VARIABLE
-from robotctl.cli.options import Json, Reason, Robot, new_app
+from robotctl.cli.options import Json, Reason, Robot, new_app, new_group
 from robotctl.cli.targets.driving import (
     CLOSING_SIGNALS,
     POLL_S,
@@ -30,8 +30,7 @@ from robotctl.ipc.client import call
 from robotctl.ipc.method_names import LEASE_RELEASE, LEASE_STATUS
 
 app = new_app()
-group = new_app()
-app.add_typer(group, name="lease")
+group = new_group(app, "lease")
 
 
 @group.callback()

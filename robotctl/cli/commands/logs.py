@@ -7,8 +7,7 @@ import os
 import re
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from datetime import datetime
 from io import TextIOWrapper
 from pathlib import Path
@@ -30,29 +29,6 @@ app = new_app()
 _FOLLOW_POLL_S = 0.2
 
 _LINE = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}) ([A-Z]+) ([^ :]+): (.*)")
-
-
-@dataclass(frozen=True, slots=True)
-class LogLine:
-    """A line of the log; `time_ns` is since the epoch, None where no time is known.
-
-    If a line continues the line before, both have the same time, and `level` and `logger` are None.
-    """
-
-    line: str
-    time_ns: int | None
-    level: str | None
-    logger: str | None
-    text: str
-
-    def as_object(self) -> dict[str, object]:
-        """Return the line as the object that `--json` prints."""
-        return {
-            "t_ns": self.time_ns,
-            "level": self.level,
-            "logger": self.logger,
-            "text": self.text,
-        }
 
 
 @app.command()
@@ -92,23 +68,16 @@ def logs(
             f"no log of robot {robot!r}: no daemon was started in the background ({path})"
         )
     begin = 0 if last is None else _begin_of_last(path, last)
-    for line in _parsed(_lines(path, follow=follow, begin=begin)):
-        if since is None or (line.time_ns or 0) >= since_ns:
-            shown = json.dumps(line.as_object()) if as_json else printable(line.line)
-            print(shown, flush=follow)
-
-
-def _parsed(lines: Iterable[str]) -> Iterator[LogLine]:
     time_ns: int | None = None
-    for coloured in lines:
-        line = without_colours(coloured)
-        match = _LINE.fullmatch(line)
-        if match is None:
-            yield LogLine(line, time_ns, None, None, line)
-            continue
-        when, level, logger, text = match.groups()
-        time_ns = _time_ns(when)
-        yield LogLine(line, time_ns, level, logger, text)
+    for coloured in _lines(path, follow=follow, begin=begin):
+        text = line = without_colours(coloured)
+        level = logger = None  # and the time of the line before: this one may continue it
+        if match := _LINE.fullmatch(line):
+            when, level, logger, text = match.groups()
+            time_ns = _time_ns(when)
+        if since is None or (time_ns or 0) >= since_ns:
+            about = {"t_ns": time_ns, "level": level, "logger": logger, "text": text}
+            print(json.dumps(about) if as_json else printable(line), flush=follow)
 
 
 def _time_ns(when: str) -> int | None:

@@ -11,7 +11,7 @@ import typer
 
 from robotctl.base.errors import UsageError
 from robotctl.base.paths import DEFAULT_ROBOT
-from robotctl.cli.options import All, DomainId, Json, Robot, Types, new_app
+from robotctl.cli.options import All, DomainId, Json, Robot, Types, new_app, new_group
 from robotctl.cli.targets.ros_view import ros_view
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.ros_text import (
@@ -26,8 +26,7 @@ from robotctl.cli.ui.text import printable
 from robotctl.ipc.answers import GraphNode
 
 app = new_app()
-node_group = new_app()
-app.add_typer(node_group, name="node")
+node_group = new_group(app, "node")
 
 _SECTIONS = {
     "subscriptions": "Subscribers",
@@ -105,8 +104,7 @@ def _lines(found: GraphNode, *, every: bool) -> Iterator[str]:
                 yield f"    {printable(action)}: {printable(types)}"
 
 
-service_group = new_app()
-app.add_typer(service_group, name="service")
+service_group = new_group(app, "service")
 
 
 @service_group.callback()

@@ -10,7 +10,7 @@ import typer
 
 from robotctl.base.errors import UsageError
 from robotctl.base.paths import DEFAULT_ROBOT
-from robotctl.cli.options import ConfigFile, Json, ProfileName, Robot, new_app
+from robotctl.cli.options import ConfigFile, Json, ProfileName, Robot, new_app, new_group
 from robotctl.cli.targets.requests import request_source
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import column_width, json_text, printable, short_path
@@ -19,8 +19,7 @@ from robotctl.ipc.client import call
 from robotctl.ipc.method_names import PARAM_LIST, PARAM_SET
 
 app = new_app()
-config_group = new_app()
-app.add_typer(config_group, name="config")
+config_group = new_group(app, "config")
 
 
 @config_group.callback()
@@ -81,8 +80,7 @@ def validate(
     print_answer({"file": str(file), "changed": changed}, [line], as_json=as_json)
 
 
-param_group = new_app()
-app.add_typer(param_group, name="param")
+param_group = new_group(app, "param")
 
 
 @param_group.callback()

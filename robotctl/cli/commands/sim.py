@@ -21,7 +21,7 @@ from robotctl.base.errors import NoDaemon, RobotctlError, UsageError
 from robotctl.base.paths import DEFAULT_ROBOT, check_namespace, check_robot_name, namespace_of
 from robotctl.cli.commands.drive import tracking_lines, write_picture
 from robotctl.cli.commands.status import POLL_S, polled_until, show
-from robotctl.cli.options import ConfigFile, DomainId, Json, Namespace, Robot, new_app
+from robotctl.cli.options import ConfigFile, DomainId, Json, Namespace, Robot, new_app, new_group
 from robotctl.cli.quick import stop_daemon
 from robotctl.cli.targets.driving import Background, ignoring, interrupted_by
 from robotctl.cli.targets.launch import INTERRUPTIONS, daemon_command, launch
@@ -45,8 +45,7 @@ from robotctl.show.terminal import ground_lines
 from robotctl.sim import MAX_FAULT_S, SimFault
 
 app = new_app()
-group = new_app()
-app.add_typer(group, name="sim")
+group = new_group(app, "sim")
 
 
 @group.callback(invoke_without_command=True)

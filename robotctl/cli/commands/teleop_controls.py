@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from math import isfinite
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 from robotctl.base.errors import Refused, UsageError
 from robotctl.cli.targets.ros_view import MessageListener
@@ -69,18 +69,6 @@ def typed(keys: list[Key], *, tells_releases: bool) -> list[Key]:
     if not tells_releases and len(keys) <= MAX_AT_ONCE:
         return keys
     return [key for key in keys if not key.is_text or key.name in STOPPING]
-
-
-class Hands(Protocol):
-    """The held keys of a terminal; `problem` says why keys were let go, or is ""."""
-
-    problem: str
-
-    def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Process the keys read at `now_s` [s]; return the wish to send, None to send nothing."""
-
-    def forget(self) -> None:
-        """Let go of every key: each must be pressed again."""
 
 
 class HandsWithReleases:
@@ -163,6 +151,9 @@ class HandsWithoutReleases:
         """Let go: no key counts until all steering keys have been silent for REPEAT_S."""
         self._is_forgotten = True
 
+
+Hands = HandsWithReleases | HandsWithoutReleases
+"""The held keys of a terminal; `problem` says why keys were let go, or is ""."""
 
 JOY: Final = "sensor_msgs/msg/Joy"
 

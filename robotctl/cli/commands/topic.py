@@ -15,7 +15,7 @@ import typer
 
 from robotctl.base.errors import Refused, UnreadableFile, UsageError
 from robotctl.base.paths import DEFAULT_ROBOT
-from robotctl.cli.options import All, DomainId, Json, Robot, Types, new_app
+from robotctl.cli.options import All, DomainId, Json, Robot, Types, new_app, new_group
 from robotctl.cli.targets.recordings import find_recording
 from robotctl.cli.targets.ros_view import ros_view
 from robotctl.cli.ui.output import print_answer
@@ -38,8 +38,7 @@ if TYPE_CHECKING:
 
 
 app = new_app()
-group = new_app()
-app.add_typer(group, name="topic")
+group = new_group(app, "topic")
 
 
 @group.callback()

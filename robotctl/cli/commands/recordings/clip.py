@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,10 +34,8 @@ from robotctl.kernel.constants import DAY_S, NS_PER_S
 from robotctl.recording.format.names import CLIP_KINDS, Compression, EventKind
 
 if TYPE_CHECKING:
-    from robotctl.recording.convert import Converted
     from robotctl.recording.keep.clip import Clip, Moment
     from robotctl.recording.keep.listing import ListedRecording
-    from robotctl.recording.keep.recover import RecoveryReport
 
 
 app = new_app()
@@ -121,12 +119,13 @@ def clip(
         print(f"robotctl: waiting {wait_s:.0f} s for the end of the clip", file=sys.stderr)
     with progress_bar("cutting", quiet=as_json) as on_progress:
         made = make_clip(job, on_progress)
-    error = None
-    if made.lost:
-        error = RecoveredWithLoss(
-            f"the recording could not be read completely: {'; '.join(made.lost)}"
-        )
-    print_answer(_as_object(source.path, made), _lines(made), as_json=as_json, error=error)
+    lost = _loss("the recording could not be read completely", made.lost)
+    print_answer(_as_object(source.path, made), _lines(made), as_json=as_json, error=lost)
+
+
+def _loss(text: str, lost: Sequence[str]) -> RecoveredWithLoss | None:
+    """Return the error for what was lost, None if nothing was."""
+    return RecoveredWithLoss(f"{text}: {'; '.join(lost)}") if lost else None
 
 
 def _find(
@@ -240,14 +239,20 @@ def recover(
     with progress_bar("recovering", quiet=as_json) as on_progress:
         work = recover_folder if source.is_dir() else recover_file
         salvage = work(source, target, on_progress=on_progress)
-    error = None
-    if salvage.lost:
-        error = RecoveredWithLoss(
-            f"{source} could not be saved completely: {'; '.join(salvage.lost)}"
-        )
-    print_answer(
-        _recovered_object(source, salvage), _recovered_lines(salvage), as_json=as_json, error=error
-    )
+    answer = {
+        "source": str(source),
+        "target": str(salvage.target),
+        "messages": salvage.message_count,
+        "attachments": salvage.attachment_count,
+        "lost": list(salvage.lost),
+    }
+    what = f"{salvage.message_count} messages"
+    if salvage.attachment_count:
+        what += f" and {salvage.attachment_count} attachments"
+    rest = "" if salvage.lost else ", nothing lost"
+    line = f"{short_path(salvage.target)}: {what} saved{rest}"
+    lost = _loss(f"{source} could not be saved completely", salvage.lost)
+    print_answer(answer, [line], as_json=as_json, error=lost)
 
 
 def _beside(source: Path) -> Path:
@@ -260,24 +265,6 @@ def _beside(source: Path) -> Path:
         folder = folder.parent
     plain = Path(source.name.removesuffix(".zstd"))  # the copy is no .zstd file
     return folder / f"{plain.stem}_recovered{plain.suffix}"
-
-
-def _recovered_object(source: Path, salvage: RecoveryReport) -> dict[str, Any]:
-    return {
-        "source": str(source),
-        "target": str(salvage.target),
-        "messages": salvage.message_count,
-        "attachments": salvage.attachment_count,
-        "lost": list(salvage.lost),
-    }
-
-
-def _recovered_lines(salvage: RecoveryReport) -> Iterator[str]:
-    what = f"{salvage.message_count} messages"
-    if salvage.attachment_count:
-        what += f" and {salvage.attachment_count} attachments"
-    rest = "" if salvage.lost else ", nothing lost"
-    yield f"{short_path(salvage.target)}: {what} saved{rest}"
 
 
 @app.command()
@@ -330,22 +317,8 @@ def convert(
     if done.is_live:
         note = f"{path} is still being recorded: the copy ends here"
         print(f"robotctl: {printable(note)}", file=sys.stderr)
-    error = None
-    if done.lost:
-        error = RecoveredWithLoss(
-            f"{path} could not be converted completely: {'; '.join(done.lost)}"
-        )
-    print_answer(
-        _converted_object(path, target, done),
-        _converted_lines(target, done),
-        as_json=as_json,
-        error=error,
-    )
-
-
-def _converted_object(source: Path, target: Path, done: Converted) -> dict[str, Any]:
-    return {
-        "source": str(source),
+    answer = {
+        "source": str(path),
         "target": str(target),
         "files": [file.name for file in done.files],
         "messages": done.message_count,
@@ -353,8 +326,7 @@ def _converted_object(source: Path, target: Path, done: Converted) -> dict[str, 
         "live": done.is_live,
         "lost": list(done.lost),
     }
-
-
-def _converted_lines(target: Path, done: Converted) -> Iterator[str]:
     files = "1 file" if len(done.files) == 1 else f"{len(done.files)} files"
-    yield f"{short_path(target)}: {done.message_count} messages in {files}"
+    line = f"{short_path(target)}: {done.message_count} messages in {files}"
+    lost = _loss(f"{path} could not be converted completely", done.lost)
+    print_answer(answer, [line], as_json=as_json, error=lost)

@@ -120,9 +120,8 @@ def export(
             else:
                 with interrupted_by((signal.SIGTERM, signal.SIGHUP)):
                     count = _write(form, table, rows, output, source)
-    error = None
-    if missing:
-        error = RecoveredWithLoss(f"{source} could not be read completely: {'; '.join(missing)}")
+    loss = f"{source} could not be read completely: {'; '.join(missing)}"
+    error = RecoveredWithLoss(loss) if missing else None
     if output is not None:
         columns = len(table.columns)
         answer = {"target": str(output), "rows": count, "columns": columns, "lost": missing}

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -50,17 +49,6 @@ class OpenAs(StrEnum):
 
     REPORT = "report"
     CLIP = "clip"
-
-
-@dataclass(frozen=True, slots=True)
-class ShownPage:
-    """The place that `--open` opens: the recording of a row, and the row's time in it."""
-
-    path: Path
-    at_s: float | None
-    """When the row begins [s into the recording], None if it concerns all of the recording."""
-    drive_s: float | None
-    """The duration of the drive [s], None if the row is not a drive."""
 
 
 @app.command()
@@ -152,7 +140,7 @@ def find(
         for sentence in left_out:
             print(f"robotctl: {sentence}", file=sys.stderr)
     if open_row is not None:
-        _open_as(_shown_row(found.as_objects(), open_row, place), open_kind, as_json=as_json)
+        _open(found.as_objects(), open_row, place, open_kind, as_json=as_json)
         return
     shown = found.columns if sql is not None else SHOWN[table]
     answer = {"rows": found.as_objects(), "left_out": left_out}
@@ -192,12 +180,17 @@ def _text(column: str, value: Any) -> str:
     return printable(str(value))
 
 
-def _shown_row(rows: list[dict[str, Any]], number: int, folder: Path) -> ShownPage:
-    """Return the recording and the time of row `number`; the first row is 1.
+def _open(
+    rows: list[dict[str, Any]], number: int, folder: Path, kind: OpenAs, *, as_json: bool
+) -> None:
+    """Run `report` or `clip` on the recording of row `number`, at the row's time.
+
+    The first row is 1. The page opens in a browser if stdout is a terminal with a display.
 
     Raises:
         Refused: There is no such row, or its recording does not exist any more.
-        UsageError: The row names no recording.
+        UsageError: The row names no recording, or has no time and so cannot be clipped.
+        RobotctlError: The command failed.
     """
     if not 1 <= number <= len(rows):
         raise Refused(f"there is no row {number}: the answer has {len(rows) or 'none'}")
@@ -207,42 +200,24 @@ def _shown_row(rows: list[dict[str, Any]], number: int, folder: Path) -> ShownPa
     path = folder / Path(about["recording"]).name
     if not path.exists():
         raise Refused(f"{path} does not exist any more")
-    drive_s = (about.get("duration_s") or 0.0) if "drive" in about else None
-    return ShownPage(path, _offset_s(path, about), drive_s)
-
-
-def _open_as(shown: ShownPage, kind: OpenAs, *, as_json: bool) -> None:
-    """Run `report` or `clip` on the recording, at the time of the row.
-
-    Raises:
-        UsageError: The row has no time, so it cannot be clipped.
-        RobotctlError: The command failed.
-    """
-    file = str(shown.path)
-    at = None if shown.at_s is None else f"{shown.at_s:.3f}"
+    at_s = _offset_s(path, about)
     if kind is OpenAs.CLIP:
         from robotctl.cli.commands.recordings.clip import clip
 
-        if at is None:
+        if at_s is None:
             raise UsageError("the row has no moment to clip", "ask for drives, or for --events")
-        before_s, after_s = AROUND_EVENT_S if shown.drive_s is None else AROUND_DRIVE_S
-        clip(file, at=at, before=before_s, after=after_s + (shown.drive_s or 0.0), as_json=as_json)
-    else:
-        from robotctl.cli.commands.recordings.report import report
-
-        report(file, as_json=as_json)
-        _show_page(shown)
-
-
-def _show_page(shown: ShownPage) -> None:
-    """Open the page at the row's time in a browser, if stdout is a terminal with a display."""
-    if not sys.stdout.isatty() or not any(map(os.environ.get, DISPLAYS)):
+        is_drive = "drive" in about
+        before_s, after_s = AROUND_DRIVE_S if is_drive else AROUND_EVENT_S
+        after_s += (about.get("duration_s") or 0.0) if is_drive else 0.0
+        clip(str(path), at=f"{at_s:.3f}", before=before_s, after=after_s, as_json=as_json)
         return
-    import webbrowser
+    from robotctl.cli.commands.recordings.report import page_of, report
 
-    from robotctl.cli.commands.recordings.report import page_of
+    report(str(path), as_json=as_json)
+    if sys.stdout.isatty() and any(map(os.environ.get, DISPLAYS)):
+        import webbrowser
 
-    webbrowser.open(f"{page_of(shown.path).absolute().as_uri()}#t={shown.at_s or 0.0:.3f}")
+        webbrowser.open(f"{page_of(path).absolute().as_uri()}#t={at_s or 0.0:.3f}")
 
 
 def _offset_s(path: Path, about: Mapping[str, Any]) -> float | None:

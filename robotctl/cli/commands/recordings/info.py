@@ -12,7 +12,7 @@ import typer
 
 from robotctl.base.errors import IN_PARENTHESES, Interrupted, Refused, UnreadableFile, UsageError
 from robotctl.base.paths import DEFAULT_ROBOT
-from robotctl.cli.options import Json, given_options, new_app
+from robotctl.cli.options import Json, given_options, new_app, new_group
 from robotctl.cli.targets.recordings import (
     RecordedBy,
     RecordingsFolder,
@@ -86,12 +86,8 @@ def info(
 
     path = find_recording(file, robot, folder, also_url=True)
     found = read_info(path)
-    error = None
-    if found.missing:
-        error = UnreadableFile(
-            f"{path} is incomplete: {'; '.join(found.missing)}",
-            cure_of_damage(path),
-        )
+    why = f"{path} is incomplete: {'; '.join(found.missing)}"
+    error = UnreadableFile(why, cure_of_damage(path)) if found.missing else None
     print_answer(as_object(found), info_lines(found), as_json=as_json, error=error)
 
 
@@ -239,8 +235,7 @@ def _ask(question: str) -> None:
         raise Interrupted("nothing was removed")
 
 
-group = new_app()
-app.add_typer(group, name="recordings")
+group = new_group(app, "recordings")
 
 Name = Annotated[
     str, typer.Argument(metavar="RECORDING", help="A recording's name or folder, or `last`.")
@@ -271,7 +266,10 @@ def recordings(
       robotctl recordings unkeep robot_20260101_120000
     """
     if context.invoked_subcommand is not None:
-        _refuse_options_before(context, context.invoked_subcommand)
+        for option in given_options(context).values():
+            command = context.invoked_subcommand
+            cure = f"give it after: robotctl recordings {command} NAME {option} ..."
+            raise UsageError(f"{option} is given before {command}", cure)
         return
     from robotctl.recording.keep.listing import list_recordings
 
@@ -301,9 +299,7 @@ def keep(
     Examples:
       robotctl recordings keep last
     """
-    path = _set_kept(name, folder, robot, kept=True)
-    told = f"{printable(path.name)} is kept at any age"
-    print_answer({"path": str(path), "kept": True}, [told], as_json=as_json)
+    _set_kept(name, folder, robot, "is kept at any age", kept=True, as_json=as_json)
 
 
 @group.command()
@@ -316,9 +312,8 @@ def unkeep(
     Examples:
       robotctl recordings unkeep robot_20260101_120000
     """
-    path = _set_kept(name, folder, robot, kept=False)
-    told = f"{printable(path.name)} may be removed again when it is old"
-    print_answer({"path": str(path), "kept": False}, [told], as_json=as_json)
+    told = "may be removed again when it is old"
+    _set_kept(name, folder, robot, told, kept=False, as_json=as_json)
 
 
 @group.command()
@@ -345,20 +340,9 @@ def rm(
     print_answer(answer, [told], as_json=as_json)
 
 
-def _refuse_options_before(context: typer.Context, command: str) -> None:
-    """Check that no option of the list was given before `command`.
-
-    Raises:
-        UsageError: An option was given before `command`.
-    """
-    for option in given_options(context).values():
-        raise UsageError(
-            f"{option} is given before {command}",
-            f"give it after: robotctl recordings {command} NAME {option} ...",
-        )
-
-
-def _set_kept(name: str, folder: Path | None, robot: str | None, *, kept: bool) -> Path:
+def _set_kept(
+    name: str, folder: Path | None, robot: str | None, told: str, *, kept: bool, as_json: bool
+) -> None:
     from robotctl.recording.keep.listing import set_kept
 
     path = find_recording(name, robot, folder)
@@ -372,7 +356,8 @@ def _set_kept(name: str, folder: Path | None, robot: str | None, *, kept: bool) 
         set_kept(path, kept)
     except OSError as error:
         raise Refused(f"{path} cannot be changed: {error.strerror}") from error
-    return path
+    answer = {"path": str(path), "kept": kept}
+    print_answer(answer, [f"{printable(path.name)} {told}"], as_json=as_json)
 
 
 def _as_object(each: ListedRecording) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import typer
 
 from robotctl.base.errors import UsageError
 from robotctl.base.paths import DEFAULT_ROBOT
-from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.options import Json, Robot, new_app, new_group
 from robotctl.cli.targets.requests import request_source
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import column_width, columns, elided, moment, printable, short_path, size
@@ -19,8 +19,7 @@ from robotctl.ipc.method_names import MARK, RECORD_SPLIT, RECORD_STATUS
 from robotctl.ipc.protocol import MAX_MARK_LENGTH
 
 app = new_app()
-group = new_app()
-app.add_typer(group, name="record")
+group = new_group(app, "record")
 
 SPLIT_DEADLINE_S = 15.0
 

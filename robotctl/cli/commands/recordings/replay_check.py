@@ -159,12 +159,9 @@ def compare_command(
             print("\n".join(lines), flush=True)
     if skipped and not as_json:
         print("\n".join(skipped_lines(skipped)), flush=True)
-    incomplete = [each for each in found if each["missing"]]
-    error = None
-    if incomplete:
-        error = UnreadableFile(
-            f"{len(incomplete)} of {len(found)} recordings could not be read completely"
-        )
+    incomplete = sum(bool(each["missing"]) for each in found)
+    why = f"{incomplete} of {len(found)} recordings could not be read completely"
+    error = UnreadableFile(why) if incomplete else None
     if as_json:
         answer = {"recordings": found, "skipped": list(map(str, skipped))}
         print_answer(answer, (), as_json=True, error=error)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import IO, TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -78,25 +79,31 @@ def report(
     if output is not None and output.suffix != SUFFIX:
         raise UsageError(f"-o {output}", f"give a name that ends in {SUFFIX}")
     from robotctl.show.page import report_page
+    from robotctl.show.traces import figures_of, read_recorded
 
     path = find_recording(file, robot, folder)
-    recorded = _read(path, quiet=as_json)
+    with progress_bar("reading", quiet=as_json) as on_progress:
+        recorded = read_recorded(path, on_progress)
     judged = judge(path, recorded, quiet=as_json)
     target = output or page_of(path)
     data = report_page(recorded, judged).encode()
-    _write(target, data)
-    about = _as_object(path, recorded, {one.command: one.verdict for one in judged.judgements})
+    with _replaced(target, "choose another file: -o FILE") as stream:
+        stream.write(data)
+    about = {
+        "path": str(path),
+        "figures": {figure.key: figure.value for figure in figures_of(recorded)},
+        "verdicts": {one.command: one.verdict for one in judged.judgements},
+        "is_live": recorded.is_live,
+        "missing": list(recorded.missing),
+    }
     answer = {"report": str(target), "bytes": len(data), "recordings": [about]}
-    lines = [f"{short_path(target)} ({size(len(data))})", *_lines(about)]
+    verdicts = ", ".join(f"{one.command}: {one.verdict}" for one in judged.judgements)
+    live = ", still being written" if recorded.is_live else ""
+    lines = [f"{short_path(target)} ({size(len(data))})"]
+    lines += row("  ", f"{short_path(path)}{live}: {verdicts}")
+    lines += [line for sentence in recorded.missing for line in row("  not read: ", sentence)]
     damaged = UnreadableFile(f"{path} could not be read completely", cure_of_damage(path))
     print_answer(answer, lines, as_json=as_json, error=damaged if recorded.missing else None)
-
-
-def _read(path: Path, *, quiet: bool) -> Recorded:
-    from robotctl.show.traces import read_recorded
-
-    with progress_bar("reading", quiet=quiet) as on_progress:
-        return read_recorded(path, on_progress)
 
 
 def page_of(path: Path) -> Path:
@@ -104,38 +111,16 @@ def page_of(path: Path) -> Path:
     return path / PAGE_FILE if path.is_dir() else path.with_name(f"{path.stem}.{PAGE_FILE}")
 
 
-def _write(target: Path, data: bytes) -> None:
+@contextmanager
+def _replaced(target: Path, cure: str = "") -> Iterator[IO[bytes]]:
+    """Yield a stream to a new content of a file; raise Refused if it cannot be written."""
     from robotctl.recording.disk import replaced_file
 
     try:
         with replaced_file(target) as stream:
-            stream.write(data)
+            yield stream
     except OSError as error:
-        raise Refused(
-            f"cannot write {target}: {error.strerror or error}", "choose another file: -o FILE"
-        ) from error
-
-
-def _as_object(path: Path, recorded: Recorded, verdicts: dict[str, str]) -> dict[str, Any]:
-    from robotctl.show.traces import figures_of
-
-    figures = figures_of(recorded)
-    return {
-        "path": str(path),
-        "figures": {figure.key: figure.value for figure in figures},
-        "verdicts": verdicts,
-        "is_live": recorded.is_live,
-        "missing": list(recorded.missing),
-    }
-
-
-def _lines(about: dict[str, Any]) -> list[str]:
-    verdicts = ", ".join(f"{name}: {word}" for name, word in about["verdicts"].items())
-    live = ", still being written" if about["is_live"] else ""
-    lines = [*row("  ", f"{short_path(about['path'])}{live}: {verdicts}")]
-    for sentence in about["missing"]:
-        lines += row("  not read: ", sentence)
-    return lines
+        raise Refused(f"cannot write {target}: {error.strerror or error}", cure) from error
 
 
 MAX_EXPLAINED: Final = 5
@@ -327,21 +312,16 @@ def _range(field: FieldSeries) -> str:
 
 
 def _write_plot(target: Path, found: Sequence[FieldSeries], duration_s: float) -> None:
-    from robotctl.recording.disk import replaced_file
-
     figures = [each.figure(duration_s) for each in found]
-    try:
-        with replaced_file(target) as stream:
-            if target.suffix == PNG:
-                from robotctl.show.png import write_png
+    with _replaced(target) as stream:
+        if target.suffix == PNG:
+            from robotctl.show.png import write_png
 
-                write_png(stream, figures)
-            else:
-                from robotctl.show.svg import figures_svg
+            write_png(stream, figures)
+        else:
+            from robotctl.show.svg import figures_svg
 
-                stream.write(figures_svg(figures).encode())
-    except OSError as error:
-        raise Refused(f"cannot write {target}: {error.strerror or error}") from error
+            stream.write(figures_svg(figures).encode())
 
 
 def _left_out(found: Sequence[FieldSeries]) -> Iterator[str]:

@@ -17,7 +17,7 @@ from robotctl.base.errors import (
     UsageError,
 )
 from robotctl.base.paths import DEFAULT_ROBOT, chain_to, seal_folder
-from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.options import Json, Robot, new_app, new_group
 from robotctl.cli.targets.recordings import RecordedBy, file_path, select_recordings
 from robotctl.cli.ui.output import print_answer, progress_bar
 from robotctl.cli.ui.text import moment, printable, row, short_path, size
@@ -352,8 +352,7 @@ def _seal_object(seal: SealOfRead) -> dict[str, Any]:
     }
 
 
-group = new_app()
-app.add_typer(group, name="key")
+group = new_group(app, "key")
 
 
 @group.callback()

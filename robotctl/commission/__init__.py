@@ -1,1 +1,0 @@
-"""Commissioning: properties of a base, measured from the recording of three short motions."""
