@@ -14,7 +14,6 @@ import tempfile
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 
-import psutil
 from distributed import Scheduler, Worker
 
 import robotctl.collection.gate  # noqa: F401 - what workers import for their first job
@@ -124,11 +123,6 @@ class DaskProcesses:
         self._workers = [
             self._told("worker", scheduler=self.address)[0] for _ in range(self._count)
         ]
-
-    def cpu_s(self) -> float:
-        """Return the CPU time that the scheduler and the workers have taken."""
-        times = [psutil.Process(pid).cpu_times() for pid in (self._scheduler, *self._workers)]
-        return float(sum(each.user + each.system for each in times))
 
 
 @contextmanager
