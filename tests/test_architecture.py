@@ -15,10 +15,9 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-import pytest
-
 import robotctl
 from robotctl.base import errors
+from tests.support.cases import for_each
 
 ROOT = Path(robotctl.__file__).parent
 
@@ -166,7 +165,7 @@ CEILINGS = {"robotctl": (321, 68_473), "tests": (224, 57_545)}
 """How many files and lines there may be."""
 
 
-@pytest.mark.parametrize("folder", CEILINGS)
+@for_each("folder", CEILINGS)
 def test_the_house_does_not_grow_beyond_its_ceilings(folder: str) -> None:
     """What grows here makes room first: the ceilings are lowered, never raised."""
     paths = sorted((ROOT.parent / folder).rglob("*.py"))
@@ -222,9 +221,7 @@ def test_only_the_ros_package_imports_ros() -> None:
         assert not {name for name in foreign_imports(path) if is_ros(name)}, path.relative_to(ROOT)
 
 
-@pytest.mark.parametrize(
-    "module", ["ipc.protocol", "ipc.answers", "ipc.method_names", "ipc.client"]
-)
+@for_each("module", ["ipc.protocol", "ipc.answers", "ipc.method_names", "ipc.client"])
 def test_the_client_needs_only_the_standard_library(module: str) -> None:
     path = ROOT.joinpath(*module.split(".")).with_suffix(".py")
     assert foreign_imports(path) <= set(sys.stdlib_module_names)

@@ -27,12 +27,13 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety import RULES
 from robotctl.show.figure import path_figure
 from robotctl.show.png import write_path_png
+from tests.support.cases import for_each
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@for_each("page", PAGES)
 def test_every_command_that_a_page_names_exists(page: Path) -> None:
     blocks = re.split(r"^```", page.read_text(), flags=re.MULTILINE)
     prose, code = "".join(blocks[::2]), "".join(blocks[1::2])
@@ -43,14 +44,14 @@ def test_every_command_that_a_page_names_exists(page: Path) -> None:
     assert named <= set(COMMANDS), named - set(COMMANDS)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@for_each("page", PAGES)
 def test_every_page_that_a_page_links_to_exists(page: Path) -> None:
     links = re.findall(r"\]\((?!http)([^)#]+)\)", page.read_text())
     missing = [link for link in links if not (page.parent / link).exists()]
     assert not missing
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@for_each("page", PAGES)
 def test_every_file_that_a_page_names_exists(page: Path) -> None:
     """A path is meant from the root, from robotctl/, or from the page's own folder."""
     named = re.findall(r"`([a-z_]+/[a-z_/]+\.(?:py|msg|toml|xml|yml))\b", page.read_text())
@@ -58,7 +59,7 @@ def test_every_file_that_a_page_names_exists(page: Path) -> None:
     assert [name for name in named if not any((place / name).exists() for place in places)] == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@for_each("page", PAGES)
 def test_every_test_that_a_page_names_exists(page: Path) -> None:
     named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page.read_text())
     missing = [test for file, test in named if f"def {test}(" not in (ROOT / file).read_text()]
@@ -197,7 +198,7 @@ def command_lines(page: Path) -> Iterator[str]:
             yield match[1]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@for_each("page", PAGES)
 def test_every_command_line_of_a_page_can_be_typed(page: Path) -> None:
     wrong = []
     for line in command_lines(page):
@@ -210,7 +211,7 @@ def test_every_command_line_of_a_page_can_be_typed(page: Path) -> None:
     assert wrong == []
 
 
-@pytest.mark.parametrize(
+@for_each(
     "line", [" status --bogus", " statuss", " topic echoo /odom", " export last", " recordings rm"]
 )
 def test_a_line_that_cannot_be_typed_is_found(line: str) -> None:
@@ -225,7 +226,7 @@ def anchors_of(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", each.lower()).replace(" ", "-") for each in headings}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@for_each("page", PAGES)
 def test_every_anchor_that_a_page_links_to_exists(page: Path) -> None:
     links = re.findall(r"\]\((?!http)([^)#]*)#([^)]+)\)", page.read_text())
     dead = [

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.base.environment import prepare, without_foreign_ros
+from tests.support.cases import for_each
 
 REPOSITORY = Path(__file__).parents[1]
 SOURCED = ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH")
@@ -184,9 +185,7 @@ def test_discovery_ends_at_this_machine_unless_the_user_chose_otherwise(
     assert {key: os.environ[name] for key, name in names.items() if name in os.environ} == found
 
 
-@pytest.mark.parametrize(
-    "variable", ["", "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"]
-)
+@for_each("variable", ["", "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"])
 def test_fast_dds_announces_more_often_unless_the_user_configured_it(variable: str) -> None:
     known = {"FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"}
     environment = {name: value for name, value in os.environ.items() if name not in known}

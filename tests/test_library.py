@@ -17,6 +17,7 @@ import pytest
 
 from robotctl.kernel import Effect, Event
 from robotctl.testing.drives import drive, record
+from tests.support.cases import for_each
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "library.md").read_text()
@@ -73,7 +74,7 @@ def functions_of(value: Any) -> Iterator[Any]:
                 yield plain
 
 
-@pytest.mark.parametrize("face", FACES)
+@for_each("face", FACES)
 def test_a_face_names_all_that_it_offers_and_no_more(face: str) -> None:
     module = import_module(face)
     tree = ast.parse(Path(module.__file__ or "").read_text())
@@ -100,7 +101,7 @@ def test_every_event_and_effect_is_public() -> None:
     assert values <= set(import_module("robotctl.kernel").__all__)
 
 
-@pytest.mark.parametrize(("face", "name"), PUBLIC)
+@for_each(("face", "name"), PUBLIC)
 def test_each_public_name_is_documented(face: str, name: str) -> None:
     value = getattr(import_module(face), name)
     if not (inspect.isclass(value) or inspect.isfunction(value)):
@@ -117,7 +118,7 @@ def test_each_public_name_is_documented(face: str, name: str) -> None:
         assert generated or function.__doc__, f"{name}.{function.__name__}"
 
 
-@pytest.mark.parametrize(("face", "name"), PUBLIC)
+@for_each(("face", "name"), PUBLIC)
 def test_no_signature_of_a_face_names_what_is_private(face: str, name: str) -> None:
     for function in functions_of(getattr(import_module(face), name)):
         for parameter, kind in inspect.get_annotations(function).items():
@@ -126,7 +127,7 @@ def test_no_signature_of_a_face_names_what_is_private(face: str, name: str) -> N
             assert not re.match(r"_[a-z]", parameter), f"{name}.{function.__name__}: {parameter}"
 
 
-@pytest.mark.parametrize("face", ABSENT)
+@for_each("face", ABSENT)
 def test_a_face_loads_no_more_than_it_needs(face: str) -> None:
     program = (
         f"import sys, {face} as face\n"

@@ -21,7 +21,6 @@ from importlib.metadata import (
 from pathlib import Path
 from typing import Any
 
-import pytest
 import yaml
 from robot_controller.action import DrivePattern
 from robot_controller.msg import JournalEntry, RobotStatus
@@ -29,6 +28,7 @@ from robot_controller.srv import SetMode
 
 from robotctl import __version__
 from robotctl.kernel.modes import Mode
+from tests.support.cases import for_each
 
 ROOT = Path(__file__).parents[1]
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -124,7 +124,7 @@ def test_a_mode_has_the_same_number_in_the_kernel_and_on_the_wire() -> None:
     assert on_the_wire == {mode: mode.value for mode in Mode}
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("interface", "fields"),
     [
         (
@@ -177,7 +177,7 @@ def test_an_interface_keeps_its_fields_since_recordings_hold_them(
     assert interface.get_fields_and_field_types() == fields
 
 
-@pytest.mark.parametrize(
+@for_each(
     "source",
     [
         "action/DrivePattern.action",
@@ -196,7 +196,7 @@ def test_the_build_is_not_older_than_the_interface_files(source: str) -> None:
     assert [file.read_text() for file in installed] == [(ROOT / source).read_text()]
 
 
-@pytest.mark.parametrize("kind", ["c", "cpp", "fastrtps_c", "fastrtps_cpp"])
+@for_each("kind", ["c", "cpp", "fastrtps_c", "fastrtps_cpp"])
 def test_programs_in_c_and_cpp_find_the_type_support(kind: str) -> None:
     """rosbag2 loads it for every type whose package is in the ament index."""
     ctypes.CDLL(f"librobot_controller__rosidl_typesupport_{kind}.so")

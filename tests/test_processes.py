@@ -29,6 +29,7 @@ from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.testing.drives import drive, record
 from tests.support.bags import talk, write_bag
+from tests.support.cases import for_each
 from tests.support.waiting import DEADLINE_S
 
 ROBOTCTL = (sys.executable, "-c", "from robotctl.cli.app import main; main()")
@@ -154,13 +155,13 @@ def test_silence_is_given_up_at_the_deadline() -> None:
         assert process.wait(0.0) is None
 
 
-@pytest.mark.parametrize("line", ["not json", "[1]", '"text"'])
+@for_each("line", ["not json", "[1]", '"text"'])
 def test_what_is_no_object_is_an_error(line: str) -> None:
     with child(f"os.write(fd, {line!r}.encode() + b'\\n')") as process, pytest.raises(ValueError):  # noqa: PT011
         process.receive_one(DEADLINE_S)
 
 
-@pytest.mark.parametrize("position", [0, 1])
+@for_each("position", [0, 1])
 def test_the_end_of_one_child_is_seen_while_another_runs(position: int) -> None:
     wait = "send_report(fd, {})\nsys.stdin.read()"
     with child(wait, with_stdin=True) as first, child(wait, with_stdin=True) as second:

@@ -15,6 +15,7 @@ from robotctl.base.ros_arguments import LogLevel, Remap, level_name, read_log_le
 from robotctl.config import Config, flat
 from robotctl.config.ros_settings import RosSettings, apply_arguments, check_parameter_files
 from robotctl.daemon.command_line import parse
+from tests.support.cases import for_each
 
 
 def applied(*words: str, namespace: str = "") -> RosSettings:
@@ -94,9 +95,7 @@ def test_the_topics_of_safety_inputs_are_remapped_too() -> None:
     assert flat(settings.config)["inputs.estop.topic"] == "/base/estop"
 
 
-@pytest.mark.parametrize(
-    ("namespace", "meant"), [("/r2", "/r2"), ("r2", "/r2"), ("/a/b/", "/a/b"), ("/", "")]
-)
+@for_each(("namespace", "meant"), [("/r2", "/r2"), ("r2", "/r2"), ("/a/b/", "/a/b"), ("/", "")])
 def test_a_namespace_replaces_that_of_the_robot(namespace: str, meant: str) -> None:
     options = parse(["--robot", "left", "--ros-args", "-r", f"__ns:={namespace}"])
     assert (options.namespace, options.robot) == (meant, "left")
@@ -138,7 +137,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize(("words", "said"), WRONG.values(), ids=WRONG.keys())
+@for_each(("words", "said"), WRONG.values())
 def test_a_wrong_argument_is_named(words: list[str], said: str) -> None:
     with pytest.raises((UsageError, ConfigError)) as refused:
         applied(*words)
@@ -185,7 +184,7 @@ def test_a_file_of_an_executable_names_its_node(tmp_path: Path) -> None:
     check_parameter_files([*words[:1], "--params-file", "/nowhere"], "/velocity_publisher")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("text", "level"),
     [
         ("debug", LogLevel("", 10)),
@@ -197,7 +196,7 @@ def test_a_level_is_for_all_loggers_or_for_a_named_one(text: str, level: LogLeve
     assert read_log_level(text) == level
 
 
-@pytest.mark.parametrize("text", ["", "loud", "warning", "10", ":=debug", "rcl:=", "rcl=debug"])
+@for_each("text", ["", "loud", "warning", "10", ":=debug", "rcl:=", "rcl=debug"])
 def test_another_level_is_named_with_those_that_are_allowed(text: str) -> None:
     with pytest.raises(UsageError, match="use debug, info, warn, error, fatal, or LOGGER:=LEVEL"):
         read_log_level(text)

@@ -19,6 +19,7 @@ from robotctl.kernel.types import ForeignCommandHeard, LoopStalled, ModeRequeste
 from robotctl.messages.inputs import encode_twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested
+from tests.support.cases import for_each
 from tests.support.checked_drives import altered, checked, rechained
 from tests.support.edited_recordings import Contents, edit, recorded, write_contents
 
@@ -192,7 +193,7 @@ def test_a_big_endian_command_is_read() -> None:
     assert numbers_of(b"\x00\x00\x00\x00" + values) == numbers_of(little)
 
 
-@pytest.mark.parametrize(("later_ns", "extra"), [(NS_PER_S, 0), (3 * NS_PER_S, 1)])
+@for_each(("later_ns", "extra"), [(NS_PER_S, 0), (3 * NS_PER_S, 1)])
 def test_a_number_of_before_the_first_snapshot_is_old_only_for_a_while(
     later_ns: int, extra: int
 ) -> None:

@@ -28,6 +28,7 @@ from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
 from robotctl.recording.read.messages import Message
 from robotctl.testing.drives import BEGIN_NS, START_NS, Written, drive_requested, record
+from tests.support.cases import for_each
 from tests.support.edited_recordings import Contents, Stored, contents_of, edit, write_contents
 from tests.support.heard_drives import SET_MODE, STATUS, heard_drive, received, sent
 from tests.tampering.edits import journal
@@ -188,12 +189,12 @@ def missing(ticks: Iterable[Tick]) -> list[MissingTicks]:
     return schedule.missing
 
 
-@pytest.mark.parametrize("busy_s", [(0.0, 0.0), (0.0, 2.0), (4.0, 8.0)])
+@for_each("busy_s", [(0.0, 0.0), (0.0, 2.0), (4.0, 8.0)])
 def test_a_busy_loop_lacks_no_tick(busy_s: tuple[float, float]) -> None:
     assert missing(honest(12.0, busy_s)) == []
 
 
-@pytest.mark.parametrize("count", [1, 10])
+@for_each("count", [1, 10])
 def test_removed_ticks_are_missing_and_counted(count: int) -> None:
     ticks = honest(6.0)
     del ticks[100 : 100 + count]
@@ -244,7 +245,7 @@ def test_each_setting_of_the_clock_is_counted(tmp_path: Path, drive_of_3_s: list
     assert note.startswith("the clock was set 3 times")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("times", "set_by"),
     [
         (((0, 0), (20, 420), (421, 421), (440, 440)), []),
@@ -254,7 +255,6 @@ def test_each_setting_of_the_clock_is_counted(tmp_path: Path, drive_of_3_s: list
         (((0, 0), (20, 420), (40, 40)), [400, -400]),
         (((0, 0), (20, 420), (40, 440)), [400]),
     ],
-    ids=["stall", "stall at first", "stall that drains", "back at first", "both", "forward"],
 )
 def test_a_stall_sets_no_clock(times: Sequence[tuple[int, int]], set_by: list[int]) -> None:
     """Steady and wall times [ms]; a stalled entry is recorded later than its event was stamped."""

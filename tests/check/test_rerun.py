@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from itertools import pairwise
 from math import inf, nan
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -33,6 +32,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.testing.drives import drive
+from tests.support.cases import for_each
 
 
 def a_journal() -> list[JournalEntry]:
@@ -148,22 +148,20 @@ def test_what_keeps_every_promise_is_clean() -> None:
     assert broken(IDLE, steps) == []
 
 
-@pytest.mark.parametrize("mode", [IDLE, Mode.ERROR, STOP])
+@for_each("mode", [IDLE, Mode.ERROR, STOP])
 def test_a_motion_in_any_other_mode_than_moving_is_found(mode: Mode) -> None:
     assert broken(mode, [tick(1, command(0.001))]) == [
         f"a command of 0.001 m/s, 0 rad/s in {mode.name}"
     ]
 
 
-@pytest.mark.parametrize(
-    "twist", [Twist(0.61, 0.0), Twist(0.0, -1.6), Twist(nan, 0.0), Twist(0.0, inf)]
-)
+@for_each("twist", [Twist(0.61, 0.0), Twist(0.0, -1.6), Twist(nan, 0.0), Twist(0.0, inf)])
 def test_a_command_beyond_its_limits_is_found(twist: Twist) -> None:
     (found,) = broken(MOVING, [tick(1, PublishTwist(twist))])
     assert found.endswith("beyond 0.6 m/s, 1.5 rad/s")
 
 
-@pytest.mark.parametrize("second", [command(0.0601), command(0.02, 0.2), command(-0.01)])
+@for_each("second", [command(0.0601), command(0.02, 0.2), command(-0.01)])
 def test_a_command_that_changes_too_fast_is_found(second: PublishTwist) -> None:
     (found,) = broken(MOVING, [tick(1, command(0.02)), tick(2, second)])
     assert "within 0.020 s, beyond 1 m/s^2, 4 rad/s^2" in found
@@ -174,7 +172,7 @@ def test_a_step_to_zero_may_be_as_fast_as_it_can() -> None:
     assert broken(MOVING, [*steps, tick(20, command(0.0))]) == []
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("effects", "message"),
     [
         ([], "request 7 has no reply"),

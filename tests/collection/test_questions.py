@@ -32,6 +32,7 @@ from robotctl.recording import Recorder, Recording
 from robotctl.recording.disk import replaced_file
 from robotctl.recording.format.names import derived_files
 from robotctl.testing.drives import BEGIN_NS, TWIST, drive, drive_requested, record
+from tests.support.cases import for_each
 
 pytest.importorskip("duckdb", reason="indexes are an extra: robotctl[parquet]")
 
@@ -73,7 +74,7 @@ def indexed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return done
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def catalogue(made: Path) -> Iterator[Catalogue]:
     with catalogue_of(made) as opened:
         yield opened
@@ -104,7 +105,7 @@ def test_rows_are_sorted_and_limited(catalogue: Catalogue) -> None:
         find(catalogue, "drives", "", "lap")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("condition", "says"),
     [
         ("lapz > 1", "no column 'lapz': did you mean laps?"),
@@ -147,25 +148,24 @@ def test_a_query_reads_the_indexes_and_nothing_else(catalogue: Catalogue, query:
         ask(catalogue, query)
 
 
-@pytest.mark.parametrize(
-    "query",
-    [
-        "COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)",
-        "WITH a AS (COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)) SELECT * FROM a",
-        "SELECT 1; COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)",
-        "SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)",
-        "PREPARE p AS COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false); EXECUTE p",
-        "EXPLAIN ANALYZE COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)",
-    ],
+WRITING = (
+    "COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)",
+    "WITH a AS (COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)) SELECT * FROM a",
+    "SELECT 1; COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)",
+    "SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)",
+    "PREPARE p AS COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false); EXECUTE p",
+    "EXPLAIN ANALYZE COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)",
 )
-@pytest.mark.parametrize("file", ["index", "catalogue"])
-def test_a_query_writes_into_no_index(folder: Path, query: str, file: str) -> None:
+
+
+def test_a_query_writes_into_no_index(folder: Path) -> None:
     with catalogue_of(folder) as opened:
-        target = Path(opened.indexes[0]) if file == "index" else opened.path
-        before = target.read_bytes()
-        with pytest.raises(UsageError, match="cannot be answered"):
-            ask(opened, query.replace("INDEX", str(target)))
-        assert target.read_bytes() == before
+        for target in (Path(opened.indexes[0]), opened.path):
+            before = target.read_bytes()
+            for query in WRITING:
+                with pytest.raises(UsageError, match="cannot be answered"):
+                    ask(opened, query.replace("INDEX", str(target)))
+                assert target.read_bytes() == before, query
 
 
 @pytest.mark.parametrize(
@@ -273,7 +273,7 @@ def test_an_empty_folder_has_no_rows(tmp_path: Path) -> None:
             ask(opened, "SELECT * FROM samples")
 
 
-@pytest.mark.parametrize(("seconds", "fixed_bytes"), [(1.0, 14_000), (10.0, 14_000), (120.0, 0)])
+@pytest.mark.parametrize(("seconds", "fixed_bytes"), [(1.0, 14_000), (60.0, 5_000)])
 def test_an_index_has_a_fiftieth_of_the_size_and_that_of_a_short_drive_some_kilobytes_more(
     tmp_path: Path, seconds: float, fixed_bytes: int
 ) -> None:
@@ -360,7 +360,7 @@ ODD_NAMES = ('it\'s "one"', "new\nline \x1b[31m", "büro 机器人", "run[1]", "
 
 def test_recordings_and_folders_may_have_any_name(folder: Path) -> None:
     for name in ODD_NAMES:
-        shutil.copytree(folder / LAP, folder / name, copy_function=shutil.copy2)
+        shutil.copytree(folder / STOPPED, folder / name, copy_function=shutil.copy2)
     renamed = folder.rename(folder.with_name("".join(ODD_NAMES)))
     assert recordings_found(renamed) == sorted([*ODD_NAMES, LAP, STOPPED])
 

@@ -30,6 +30,7 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.testing.kernels import moving, ready, start, stopping
+from tests.support.cases import for_each
 
 NOW_NS = 100_000_000_000
 PARAMS = KernelParams()
@@ -46,7 +47,7 @@ def hindered(cause: Cause, health: Health) -> bool:
     return uncleared(cause, health, PARAMS, NOW_NS) is not None
 
 
-@pytest.mark.parametrize("way", [1, -1])
+@for_each("way", [1, -1])
 def test_odometry_is_lost_after_half_a_second(way: int) -> None:
     for age_ns, is_lost in ((500_000_000, False), (500_000_001, True)):
         health = replace(HEALTHY, odometry_t_ns=NOW_NS - way * age_ns)
@@ -67,14 +68,12 @@ def test_a_level_from_empty_to_a_gauge_that_overshoots_by_5_percent_is_known() -
         assert is_known is (0.0 <= level <= 1.05), level
 
 
-@pytest.mark.parametrize(("level", "is_cleared"), [(0.19, False), (0.2, True), (0.9, True)])
+@for_each(("level", "is_cleared"), [(0.19, False), (0.2, True), (0.9, True)])
 def test_a_battery_has_cleared_at_20_percent_and_above(level: float, is_cleared: bool) -> None:
     assert hindered(Cause.BATTERY_LOW, replace(HEALTHY, battery_level=level)) is not is_cleared
 
 
-@pytest.mark.parametrize(
-    ("raw", "level"), [(1.05, 1.05), (1.06, 0.0106), (105.0, 1.05), (105.1, 105.1)]
-)
+@for_each(("raw", "level"), [(1.05, 1.05), (1.06, 0.0106), (105.0, 1.05), (105.1, 105.1)])
 def test_a_gauge_counts_in_percent_where_it_reports_more_than_full_and_up_to_105(
     raw: float, level: float
 ) -> None:
@@ -96,7 +95,7 @@ def test_a_foreign_command_hinders_motion_for_1_s() -> None:
         assert bool(start(bench)) is hinders
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("pose", "fault"),
     [
         (Pose(0.5, 0.0, 0.0), ""),
@@ -115,13 +114,13 @@ def test_a_stamp_may_stand_still_and_not_go_back() -> None:
     assert odometry_fault(health, odometry(stamp_ns=6), OdometryParams())
 
 
-@pytest.mark.parametrize(("stamp_ns", "is_known"), [(-1, True), (0, False), (1, True)])
+@for_each(("stamp_ns", "is_known"), [(-1, True), (0, False), (1, True)])
 def test_a_sample_without_a_stamp_is_never_a_repeated_one(stamp_ns: int, is_known: bool) -> None:
     sample = odometry(stamp_ns=stamp_ns)
     assert is_repeated(replace(HEALTHY, odometry=sample), sample) is is_known
 
 
-@pytest.mark.parametrize("number", range(5))
+@for_each("number", range(5))
 def test_each_number_of_odometry_must_be_finite(number: int) -> None:
     x, y, theta, linear, angular = (nan if each == number else 0.0 for each in range(5))
     sample = Odometry(Pose(x, y, theta), Twist(linear, angular), NOW_NS)
@@ -129,7 +128,7 @@ def test_each_number_of_odometry_must_be_finite(number: int) -> None:
     assert said in odometry_fault(HEALTHY, sample, OdometryParams())
 
 
-@pytest.mark.parametrize("way", [1, -1])
+@for_each("way", [1, -1])
 def test_another_publisher_is_followed_after_half_a_second_of_silence(way: int) -> None:
     event = OdomReceived(NOW_NS, odometry(), source=2)
     for age_ns, follows in ((500_000_000, False), (500_000_001, True)):
@@ -153,7 +152,7 @@ def test_a_second_publisher_hinders_a_start_for_half_a_second() -> None:
         assert hindered(Cause.ODOMETRY_CONTRADICTED, health) is hinders
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("distance_m", "angle_rad", "contradicts"),
     [(0.5, 1.0, False), (0.51, 0.0, True), (0.0, 1.01, True), (nan, 0.0, True), (0.0, nan, True)],
 )
@@ -181,7 +180,7 @@ def test_a_robot_that_ramps_down_has_no_error_to_a_reference_that_stands() -> No
     assert bench.state.health.path_error_m == 0.0
 
 
-@pytest.mark.parametrize("way", [1, -1])
+@for_each("way", [1, -1])
 def test_a_tick_may_be_300_ms_late(way: int) -> None:
     for gap_ns, stops in ((300_000_000, False), (300_000_001, True)):
         bench = moving()
@@ -197,9 +196,7 @@ def test_a_late_tick_changes_the_command_by_what_two_periods_allow() -> None:
     assert effect.twist.linear == pytest.approx(1.0 * 2 / 50)
 
 
-@pytest.mark.parametrize(
-    ("held", "passed_s"), [(None, 2 / 50), (Held(0.3, 0.0, 5.0), 0.2)], ids=["line", "held"]
-)
+@for_each(("held", "passed_s"), [(None, 2 / 50), (Held(0.3, 0.0, 5.0), 0.2)])
 def test_a_late_tick_moves_the_reference_by_two_periods_and_a_held_velocity_by_the_clock(
     held: Held | None, passed_s: float
 ) -> None:
@@ -215,7 +212,7 @@ def test_a_late_tick_moves_the_reference_by_two_periods_and_a_held_velocity_by_t
     assert progress.length - before.progress.length == pytest.approx(per_s * passed_s)
 
 
-@pytest.mark.parametrize("back_ns", [0, 100_000_000])
+@for_each("back_ns", [0, 100_000_000])
 def test_a_tick_that_is_not_later_than_the_one_before_leaves_the_command(back_ns: int) -> None:
     bench = moving()
     command = bench.state.command
@@ -234,16 +231,14 @@ def test_64_requests_wait_for_a_ramp_and_one_more_is_refused() -> None:
     assert not reply.ok
 
 
-@pytest.mark.parametrize(
-    ("laps", "is_allowed"), [(-1, False), (0, True), (100_000, True), (100_001, False)]
-)
+@for_each(("laps", "is_allowed"), [(-1, False), (0, True), (100_000, True), (100_001, False)])
 def test_a_drive_has_up_to_100_000_laps(laps: int, is_allowed: bool) -> None:
     bench = ready()
     bench.drive(laps=laps)
     assert bench.replies[-1].ok is is_allowed
 
 
-@pytest.mark.parametrize(("laps", "said"), [(1, "1 lap"), (2, "2 laps")])
+@for_each(("laps", "said"), [(1, "1 lap"), (2, "2 laps")])
 def test_a_drive_that_ends_tells_its_laps(laps: int, said: str) -> None:
     bench = moving(ticks=0)
     drive = bench.state.drive
@@ -256,7 +251,7 @@ def test_a_drive_that_ends_tells_its_laps(laps: int, said: str) -> None:
     assert effect.reason == f"drive finished: {said}"
 
 
-@pytest.mark.parametrize("kind", PatternKind)
+@for_each("kind", PatternKind)
 def test_a_request_for_moving_drives_until_it_is_stopped_or_to_the_end_of_a_line(
     kind: PatternKind,
 ) -> None:
@@ -268,7 +263,7 @@ def test_a_request_for_moving_drives_until_it_is_stopped_or_to_the_end_of_a_line
     assert drive.pattern == pattern
 
 
-@pytest.mark.parametrize("reverse", [False, True])
+@for_each("reverse", [False, True])
 def test_a_drive_that_replaces_another_one_begins_at_the_speed_in_its_direction(
     reverse: bool,
 ) -> None:
@@ -299,7 +294,7 @@ def test_a_drive_begins_without_speed_and_never_backwards() -> None:
     assert bench.state.drive.progress.speed == 0.0
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("rise_s", "rate_hz", "ticks"),
     [(0.0, 50.0, 1), (0.01, 50.0, 1), (0.08, 50.0, 4), (0.08, 100, 8)],
 )

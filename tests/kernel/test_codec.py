@@ -61,6 +61,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.testing.kernels import moving
 from tests.kernel import strategies
+from tests.support.cases import for_each
 
 EVENTS = strategies.event(strategies.INT64, strategies.INT64)
 FLOAT = strategies.ANY_FLOAT
@@ -133,7 +134,7 @@ def test_the_json_is_strict() -> None:
     }
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("kind", "text"),
     [
         (Tick, ""),
@@ -168,13 +169,13 @@ class Tuples:
     any_number: tuple[int, ...] = ()
 
 
-@pytest.mark.parametrize("values", [(), (1,), (1, 2), (1, 2, 3)])
+@for_each("values", [(), (1,), (1, 2), (1, 2, 3)])
 def test_a_tuple_keeps_its_length_and_types(values: tuple[int, ...]) -> None:
     tuples = Tuples((0.5,), (1, "a", 2.0), values)
     assert bits(from_json(Tuples, to_json(tuples))) == bits(tuples)
 
 
-@pytest.mark.parametrize(
+@for_each(
     "text",
     [
         '{"one":[],"three":[1,"a",2.0]}',
@@ -255,7 +256,7 @@ WITHOUT = {
 """The values of the fields that were added after the first version, in events without them."""
 
 
-@pytest.mark.parametrize("kind", get_args(Event), ids=lambda kind: kind.__name__)
+@for_each("kind", get_args(Event))
 def test_an_event_of_an_older_version_has_the_default_of_each_field_that_it_lacks(
     kind: type,
 ) -> None:
@@ -308,7 +309,7 @@ def test_every_value_is_found() -> None:
     assert names > {"State", "Health", "KernelParams", "Tick", "Reply", "Drive", "Line", "Rule"}
 
 
-@pytest.mark.parametrize("kind", values(), ids=lambda kind: kind.__name__)
+@for_each("kind", values())
 def test_a_value_cannot_be_changed(kind: type) -> None:
     assert vars(kind)["__dataclass_params__"].frozen
     value: object = object.__new__(kind)
@@ -317,7 +318,7 @@ def test_a_value_cannot_be_changed(kind: type) -> None:
             setattr(value, field.name, 0)
 
 
-@pytest.mark.parametrize("kind", values(), ids=lambda kind: kind.__name__)
+@for_each("kind", values())
 def test_a_value_has_its_fields_and_no_more(kind: type) -> None:
     if kind in (State, Health, Drive):  # copied by `changed`, through their dictionaries
         value = object.__new__(kind)

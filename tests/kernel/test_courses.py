@@ -32,6 +32,7 @@ from robotctl.kernel.tracking import Reference, limit
 from robotctl.kernel.types import Twist
 from robotctl.sim import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated, ready
+from tests.support.cases import for_each
 
 BASE = SimParams(
     lag_s=0.04,
@@ -51,7 +52,7 @@ def driven(pattern: Pattern, course: Course = Course(), *, laps: int = 1) -> Dri
     return result
 
 
-@pytest.mark.parametrize("kind", PatternKind)
+@for_each("kind", PatternKind)
 def test_a_pattern_tells_what_shapes_it(kind: PatternKind) -> None:
     pattern, shape = Pattern(kind, 1.0), SHAPES[kind]
     plain = path_of(pattern, PLAIN)
@@ -84,7 +85,7 @@ def test_laps_of_waypoints_return_to_the_start() -> None:
     assert driven(Pattern(), Course(waypoints=ZIGZAG), laps=2).pose.distance(ORIGIN) <= 0.03
 
 
-@pytest.mark.parametrize("reverse", [False, True])
+@for_each("reverse", [False, True])
 def test_waypoints_in_the_frame_of_odometry_are_driven_there(reverse: bool) -> None:
     bench = ready()
     bench.odometry(Pose(3.0, 1.0, 1.0))
@@ -97,7 +98,7 @@ def test_waypoints_in_the_frame_of_odometry_are_driven_there(reverse: bool) -> N
     assert end.distance(Pose(4.0, 1.5)) <= 1e-9
 
 
-@pytest.mark.parametrize("frame", Frame)
+@for_each("frame", Frame)
 def test_a_path_behind_the_robot_is_driven_in_reverse_without_a_turn(frame: Frame) -> None:
     course = Course(waypoints=((0.0, 0.0), (-1.0, 0.0)), frame=frame, reverse=True)
     result = driven(Pattern(), course)
@@ -138,7 +139,7 @@ def test_a_path_through_any_waypoints_has_no_gap_and_no_kink(
             assert leg.top_speed * segment.top_curvature <= LIMITS.angular_rps
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("y", "turned_rad"),
     [(0.5, 0.4636), (-0.5, -0.4636), (0.021, 0.021), (0.0, 0.0), (tan(0.02), 0.0)],
 )
@@ -204,8 +205,8 @@ def test_the_plan_turns_no_faster_into_a_bend_than_the_turning_rate_may_grow() -
     assert isclose(max(growth_rps2), 0.7 * 0.1)
 
 
-@pytest.mark.parametrize("ticks", [1, 2, 4, 8])
-@pytest.mark.parametrize("size_m", [0.1, 0.7, 2.0])
+@for_each("ticks", [1, 2, 4, 8])
+@for_each("size_m", [0.1, 0.7, 2.0])
 def test_the_acceleration_of_the_reference_builds_up_over_the_ticks(
     ticks: int, size_m: float
 ) -> None:
@@ -242,7 +243,7 @@ def test_a_rounded_square_without_room_for_sides_is_a_circle() -> None:
     assert [segment.length for segment in segments] == [pytest.approx(0.5 * pi * 0.075)] * 4
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("pattern", "course", "said"),
     [
         (Pattern(), Course(waypoints=((1.0, 1.0),)), "1 points"),
@@ -280,7 +281,7 @@ def test_what_cannot_be_driven_is_refused_by_name(
     assert bench.state.mode is Mode.IDLE
 
 
-@pytest.mark.parametrize(
+@for_each(
     "course",
     [
         *(Course(angle_rad=side * angle) for side in (-1.0, 1.0) for angle in (0.01, 100.0)),
@@ -337,7 +338,7 @@ def test_a_leg_that_its_corners_take_up_has_no_straight_part() -> None:
     ]
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("bend_rad", "corner_m", "turns"),
     [(0.5, 0.0052, 0), (0.5, 0.005, 1), (pi / 2, 0.02 * tan(pi / 4), 0), (pi / 2, 0.0199, 1)],
 )
@@ -356,7 +357,7 @@ def test_a_gentle_bend_of_short_legs_is_driven_and_a_sharp_one_turned() -> None:
         assert sum(segment.turns for segment in path.segments) == turns
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("kind", "size_m", "reach_m"),
     [
         (PatternKind.SQUARE, 1.0, 2.0),
@@ -391,7 +392,7 @@ def test_a_motion_has_a_name() -> None:
     )
 
 
-@pytest.mark.parametrize("reverse", [False, True])
+@for_each("reverse", [False, True])
 def test_local_points_are_seen_from_the_origin_of_the_drive(reverse: bool) -> None:
     course = Course(waypoints=((1.0, 3.0),), frame=Frame.ODOM, reverse=reverse)
     ((x, y),) = local_points(course, Pose(1.0, 1.0, pi / 2))
@@ -405,7 +406,7 @@ def test_a_circle_as_waypoints_is_as_fast_as_a_circle_nearly() -> None:
     assert result.duration_s <= 1.5 * driven(Pattern(PatternKind.CIRCLE, 0.5)).duration_s
 
 
-@pytest.mark.parametrize("velocity", [Twist(0.3, 0.0), Twist(-0.2, 0.5), Twist(0.0, -1.0)])
+@for_each("velocity", [Twist(0.3, 0.0), Twist(-0.2, 0.5), Twist(0.0, -1.0)])
 def test_a_velocity_is_held_for_its_time_within_the_limits_and_ramps_down(velocity: Twist) -> None:
     result = driven(Pattern(), Course(held=Held(velocity.linear, velocity.angular, 2.0)))
     assert result.ended.reason == "drive finished: 2 s"

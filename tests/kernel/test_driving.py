@@ -28,6 +28,7 @@ from robotctl.kernel.types import DriveRequested, ModeChanged, ModeRequested, Tw
 from robotctl.sim import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated
 from tests.kernel.fed_kernel import lap_of
+from tests.support.cases import for_each
 
 CLOSED = [kind for kind in PatternKind if SHAPES[kind].closed]
 SIZES = {kind: shape.default_size_m for kind, shape in SHAPES.items()}
@@ -38,8 +39,8 @@ def drive(kind: PatternKind, laps: int = 1, rate_hz: float = 50.0, seed: int = 1
     return drive_simulated(pattern, laps=laps, rate_hz=rate_hz, sim=SimParams(seed=seed))
 
 
-@pytest.mark.parametrize("kind", PatternKind)
-@pytest.mark.parametrize(("rate_hz", "seed"), [(50.0, 1), (100.0, 2)])
+@for_each("kind", PatternKind)
+@for_each(("rate_hz", "seed"), [(50.0, 1), (100.0, 2)])
 def test_a_lap_closes_and_stays_near_its_path(kind: PatternKind, rate_hz: float, seed: int) -> None:
     driven = drive(kind, 1, rate_hz, seed)
     report = driven.ended.report
@@ -84,8 +85,8 @@ def shortest_rounded_square_s() -> float:
     return rest_s + 4.0 * 0.5 * pi / LIMITS.angular_rps + stop_s
 
 
-@pytest.mark.parametrize(("rate_hz", "seed"), [(50.0, 1), (100.0, 2)])
-@pytest.mark.parametrize(
+@for_each(("rate_hz", "seed"), [(50.0, 1), (100.0, 2)])
+@for_each(
     ("kind", "shortest_s", "share"),
     [
         (PatternKind.SQUARE, shortest_square_s(), 1.10),
@@ -102,7 +103,7 @@ def test_a_lap_takes_little_more_than_the_shortest_possible_time(
     assert shortest_s < driven.duration_s <= share * shortest_s
 
 
-@pytest.mark.parametrize("kind", [PatternKind.SQUARE, PatternKind.FIGURE_EIGHT])
+@for_each("kind", [PatternKind.SQUARE, PatternKind.FIGURE_EIGHT])
 def test_errors_do_not_add_up_over_laps(kind: PatternKind) -> None:
     one, report = drive(kind).ended.report, drive(kind, laps=4).ended.report
     assert report.laps == 4
@@ -111,8 +112,8 @@ def test_errors_do_not_add_up_over_laps(kind: PatternKind) -> None:
     assert report.cross_track_max_m <= 0.030
 
 
-@pytest.mark.parametrize("lag_s", [0.0, 0.2])
-@pytest.mark.parametrize("kind", [PatternKind.SQUARE, PatternKind.ROUNDED_SQUARE])
+@for_each("lag_s", [0.0, 0.2])
+@for_each("kind", [PatternKind.SQUARE, PatternKind.ROUNDED_SQUARE])
 def test_a_slower_or_a_quicker_robot_closes_its_lap_if_its_lag_is_told(
     kind: PatternKind, lag_s: float
 ) -> None:
@@ -124,7 +125,7 @@ def test_a_slower_or_a_quicker_robot_closes_its_lap_if_its_lag_is_told(
     assert driven.ended.report.cross_track_max_m <= (0.075 if SHAPES[kind].has_corner else 0.06)
 
 
-@pytest.mark.parametrize("ahead_m", [0.01, 5.0])
+@for_each("ahead_m", [0.01, 5.0])
 def test_the_tracking_law_is_samsons_with_the_curvature_of_the_speed_that_is_commanded(
     ahead_m: float,
 ) -> None:
@@ -137,14 +138,14 @@ def test_the_tracking_law_is_samsons_with_the_curvature_of_the_speed_that_is_com
     assert isclose(command.angular, 0.5 * linear + sideways + gains.k_theta * 1.2)
 
 
-@pytest.mark.parametrize("kind", PatternKind)
-@pytest.mark.parametrize("lag_s", [0.08, 0.3])
+@for_each("kind", PatternKind)
+@for_each("lag_s", [0.08, 0.3])
 def test_the_smallest_pattern_can_be_driven(kind: PatternKind, lag_s: float) -> None:
     driven = drive_simulated(Pattern(kind, MIN_SIZE_M), laps=2, sim=SimParams(lag_s=lag_s))
     assert driven.ended.completed
 
 
-@pytest.mark.parametrize("kind", [PatternKind.CIRCLE, PatternKind.FIGURE_EIGHT])
+@for_each("kind", [PatternKind.CIRCLE, PatternKind.FIGURE_EIGHT])
 def test_the_reference_loses_nothing_from_lap_to_lap(kind: PatternKind) -> None:
     drive = Drive(1, Pattern(kind, 0.2), 0, ORIGIN, Progress(speed=0.1))
     length = sum(segment.length for segment in drive.path.segments)
@@ -157,8 +158,8 @@ def test_the_reference_loses_nothing_from_lap_to_lap(kind: PatternKind) -> None:
     assert isclose(driven_m, at.laps * length + begun_m + at.length, rel_tol=1e-9)
 
 
-@pytest.mark.parametrize("kind", CLOSED)
-@pytest.mark.parametrize("size_m", [0.1, 1.0, 100.0])
+@for_each("kind", CLOSED)
+@for_each("size_m", [0.1, 1.0, 100.0])
 def test_every_path_ends_where_it_begins(kind: PatternKind, size_m: float) -> None:
     path = lap_of(kind, size_m)
     first, last = path.segments[0], path.segments[-1]
@@ -168,7 +169,7 @@ def test_every_path_ends_where_it_begins(kind: PatternKind, size_m: float) -> No
     assert isclose(wrap_angle(end.theta), 0.0, abs_tol=1e-9)
 
 
-@pytest.mark.parametrize("kind", PatternKind)
+@for_each("kind", PatternKind)
 def test_curvature_is_the_change_of_heading_and_heading_that_of_position(kind: PatternKind) -> None:
     step = 1e-5
     for segment in lap_of(kind, 1.0).segments:
@@ -204,7 +205,7 @@ def test_past_a_corner_the_overshoot_counts() -> None:
     assert isclose(path.distance_to(Pose(1.04, 0.0, 0.5), 1, 0.5), 0.04)
 
 
-@pytest.mark.parametrize("turn", [1, 3, 5, 7])
+@for_each("turn", [1, 3, 5, 7])
 def test_a_robot_that_turns_may_stand_on_the_side_before_or_after_the_corner(turn: int) -> None:
     path = lap_of(PatternKind.SQUARE, 1.0)
     before, after = path.segments[turn - 1], path.segments[(turn + 1) % 8]
@@ -232,7 +233,7 @@ def test_a_step_longer_than_a_whole_lap_ends_the_drive() -> None:
     assert drive.progress.laps == 2
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("reference", "command"),
     [
         (Reference(ORIGIN, 0.4, 0.5, 0.0), Twist(0.4, 0.2)),
@@ -268,7 +269,7 @@ BENDS: tuple[Point, ...] = ((0.0, 0.0), (0.8, 0.0), (1.2, 0.6), (0.4, 1.0))
 TURNED = Pose(0.0, 0.0, pi)
 
 
-@pytest.mark.parametrize("kind", [*PatternKind, None])
+@for_each("kind", [*PatternKind, None])
 def test_every_pattern_is_driven_near_its_path_within_the_limits_to_its_end_in_time(
     kind: PatternKind | None,
 ) -> None:

@@ -10,8 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 from math import inf, nan
 
-import pytest
-
 from robotctl.kernel.constants import NS_PER_S, TWIST, TWIST_STAMPED
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.modes import Mode
@@ -53,6 +51,7 @@ from robotctl.testing.kernels import (
     stopped_by,
     stopping,
 )
+from tests.support.cases import for_each
 
 NOW_NS = 100_000_000_000
 PARAMS = KernelParams()
@@ -192,9 +191,7 @@ FINDINGS: list[tuple[Cause, Health, str]] = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("cause", "health", "said"), FINDINGS, ids=lambda value: getattr(value, "name", "")
-)
+@for_each(("cause", "health", "said"), FINDINGS)
 def test_a_finding_names_what_is_wrong(cause: Cause, health: Health, said: str) -> None:
     finding = uncleared(cause, health, PARAMS, NOW_NS)
     assert finding is not None
@@ -202,13 +199,13 @@ def test_a_finding_names_what_is_wrong(cause: Cause, health: Health, said: str) 
     assert finding.rule is RULE_OF[cause]
 
 
-@pytest.mark.parametrize("cause", Cause, ids=lambda cause: cause.name)
+@for_each("cause", Cause)
 def test_nothing_is_found_in_a_healthy_robot(cause: Cause) -> None:
     for health in (HEALTHY, listeners(None), listeners(1), listeners(2, "a/msg/A")):
         assert uncleared(cause, health, PARAMS, NOW_NS) is None
 
 
-@pytest.mark.parametrize("cause", [Cause.BATTERY_LOW, Cause.BATTERY_UNKNOWN])
+@for_each("cause", [Cause.BATTERY_LOW, Cause.BATTERY_UNKNOWN])
 def test_a_robot_without_a_battery_topic_has_no_trouble_with_it(cause: Cause) -> None:
     params = replace(PARAMS, battery=BatteryParams(topic=""))
     for level in (None, 0.0, 9.0):
@@ -289,7 +286,7 @@ def test_a_moving_robot_must_be_stopped_first() -> None:
     assert bench.replies[-1].remedies == (Remedy.STOP_FIRST,)
 
 
-@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.cause.value)
+@for_each("rule", RULES)
 def test_the_last_remedy_before_a_robot_moves_again_is_a_reset(rule: Rule) -> None:
     remedies = remedies_to_move(rule.cause)
     assert remedies_for(rule.cause) == remedies[:1]
@@ -325,7 +322,7 @@ def test_after_a_short_stall_the_command_ramps_up_from_zero() -> None:
     assert speed > 0.05
 
 
-@pytest.mark.parametrize("seconds", [LIMIT_S + 0.01, 3.0, float("nan")])
+@for_each("seconds", [LIMIT_S + 0.01, 3.0, float("nan")])
 def test_a_stall_beyond_the_tick_gap_stops_a_moving_robot_and_names_the_culprit(
     seconds: float,
 ) -> None:
@@ -342,8 +339,8 @@ def test_a_stall_as_long_as_the_tick_gap_is_still_short() -> None:
     assert bench.state.mode is Mode.MOVING
 
 
-@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP])
-@pytest.mark.parametrize("seconds", [0.2, 3.0])
+@for_each("mode", [Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP])
+@for_each("seconds", [0.2, 3.0])
 def test_a_stall_of_a_robot_that_stands_is_counted_and_no_more(mode: Mode, seconds: float) -> None:
     bench = in_mode(mode)
     bench.effects.clear()
@@ -390,7 +387,7 @@ def test_a_robot_that_wants_another_type_is_refused_with_that_type() -> None:
     assert f"takes {TWIST_STAMPED} on cmd_vel" in start(bench)
 
 
-@pytest.mark.parametrize(("ours", "other"), [(TWIST, TWIST_STAMPED), (TWIST_STAMPED, TWIST)])
+@for_each(("ours", "other"), [(TWIST, TWIST_STAMPED), (TWIST_STAMPED, TWIST)])
 def test_no_start_where_both_types_are_taken_and_none_is_configured(ours: str, other: str) -> None:
     bench = ready()
     bench.give(CommandListenersSeen(bench.t_ns, 1, (other,), ours))
@@ -399,7 +396,7 @@ def test_no_start_where_both_types_are_taken_and_none_is_configured(ours: str, o
     assert not start(bench)
 
 
-@pytest.mark.parametrize("stamped", [Stamping.TRUE, Stamping.FALSE])
+@for_each("stamped", [Stamping.TRUE, Stamping.FALSE])
 def test_a_configured_type_is_sent_also_where_both_are_taken(stamped: Stamping) -> None:
     bench = ready(KernelParams(command=CommandParams(stamped=stamped)))
     bench.give(CommandListenersSeen(bench.t_ns, 1, (TWIST_STAMPED,)))

@@ -27,6 +27,7 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.testing.kernels import Bench, ready
+from tests.support.cases import for_each
 
 MS = 1_000_000
 FORWARD = Twist(0.3, 0.0)
@@ -124,7 +125,7 @@ def test_silence_cuts_a_ramp() -> None:
     assert bench.state.reason == "requested by test"
 
 
-@pytest.mark.parametrize("other", [6, 8])
+@for_each("other", [6, 8])
 def test_nobody_steers_a_hold_but_the_client_that_has_the_lease(other: int) -> None:
     bench = ready()
     bench.give(LeaseRequested(bench.t_ns, bench.new_request_id(), True, 7, "holder"))
@@ -141,7 +142,7 @@ def test_nobody_steers_a_hold_but_the_client_that_has_the_lease(other: int) -> N
     assert (bench.state.mode, bench.state.command) == (Mode.IDLE, ZERO), "it is silence"
 
 
-@pytest.mark.parametrize("other", [-1, 1])
+@for_each("other", [-1, 1])
 def test_another_number_does_not_hold_this_motion(other: int) -> None:
     bench, number = held()
     hold(bench, number + other, 10)
@@ -163,7 +164,7 @@ def test_a_motion_that_is_not_held_to_run_takes_no_other_velocity() -> None:
     assert bench.state == before
 
 
-@pytest.mark.parametrize("twist", [Twist(nan, 0.0), Twist(0.1, inf), Twist(-inf, nan)])
+@for_each("twist", [Twist(nan, 0.0), Twist(0.1, inf), Twist(-inf, nan)])
 def test_a_velocity_that_is_no_number_is_silence(twist: Twist) -> None:
     bench, number = held()
     hold(bench, number, 6, twist)
@@ -199,7 +200,7 @@ def test_another_motion_is_not_interrupted_by_a_hold() -> None:
     assert not bench.replies[-1].ok
 
 
-@pytest.mark.parametrize(("rate_hz", "zero_after_ms"), [(10.0, 100), (20.0, 100), (100.0, 120)])
+@for_each(("rate_hz", "zero_after_ms"), [(10.0, 100), (20.0, 100), (100.0, 120)])
 def test_at_every_rate_silence_is_zero_within_its_time(rate_hz: float, zero_after_ms: int) -> None:
     period_ms = round(1000 / rate_hz)
     bench = ready(replace(KernelParams(), rate_hz=rate_hz))
@@ -275,7 +276,7 @@ def test_the_limits_of_a_held_velocity_are_allowed_themselves() -> None:
     assert Held(0.1, 0.0, 0.126).refusal() == "", "it is not held to run"
 
 
-@pytest.mark.parametrize("period_s", [0.0625, 0.1, 1.0])
+@for_each("period_s", [0.0625, 0.1, 1.0])
 def test_a_silence_is_too_long_if_it_would_be_at_the_next_tick_or_half_of_it_is_over(
     period_s: float,
 ) -> None:

@@ -11,8 +11,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf, nan
 
-import pytest
-
 from robotctl.ipc.advice import cure_of
 from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.geometry import Pose
@@ -38,6 +36,7 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.testing.kernels import Bench, moving, ready, start, stopped_by
+from tests.support.cases import for_each
 
 HOLDER, OTHER, ROS = 1, 2, 0
 """The numbers of clients: one is greater than that of the holder, one is less."""
@@ -72,8 +71,8 @@ def drive(bench: Bench, client: int, *, replacing: bool = False) -> str:
     return "" if bench.replies[-1].ok else bench.replies[-1].message
 
 
-@pytest.mark.parametrize("client", [OTHER, ROS])
-@pytest.mark.parametrize("start", [move, drive])
+@for_each("client", [OTHER, ROS])
+@for_each("start", [move, drive])
 def test_a_motion_of_another_is_refused_with_who_holds_and_who_asked(
     client: int, start: Callable[[Bench, int], str]
 ) -> None:
@@ -85,7 +84,7 @@ def test_a_motion_of_another_is_refused_with_who_holds_and_who_asked(
     assert bench.state.mode is Mode.IDLE
 
 
-@pytest.mark.parametrize("client", [OTHER, ROS])
+@for_each("client", [OTHER, ROS])
 def test_the_holder_alone_starts_and_steers(client: int) -> None:
     bench = held()
     assert drive(bench, HOLDER) == ""
@@ -94,7 +93,7 @@ def test_the_holder_alone_starts_and_steers(client: int) -> None:
     assert bench.state.reason == f"requested by client {HOLDER}: a reason"
 
 
-@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP])
+@for_each("mode", [Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP])
 def test_anybody_stops_and_resets(mode: Mode) -> None:
     bench = held()
     drive(bench, HOLDER)
@@ -109,7 +108,7 @@ def test_anybody_stops_and_resets(mode: Mode) -> None:
     assert "holds the lease" in move(bench, OTHER)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("lost", "why"),
     [
         (LeaseLost(0, HOLDER), "client 1 lost the lease: its connection closed"),
@@ -171,7 +170,7 @@ def drive_of_remote_motion(bench: Bench, *, remote: bool) -> None:
     bench.give(event)
 
 
-@pytest.mark.parametrize("ask", [move_of_remote_motion, drive_of_remote_motion])
+@for_each("ask", [move_of_remote_motion, drive_of_remote_motion])
 def test_a_motion_that_another_host_asks_for_is_refused_and_the_robot_stands(
     ask: Callable[..., None],
 ) -> None:
@@ -185,8 +184,8 @@ def test_a_motion_that_another_host_asks_for_is_refused_and_the_robot_stands(
     assert bench.state.mode is Mode.IDLE
 
 
-@pytest.mark.parametrize("ask", [move_of_remote_motion, drive_of_remote_motion])
-@pytest.mark.parametrize(("remote", "params"), [(True, REMOTE_MOTION), (False, KernelParams())])
+@for_each("ask", [move_of_remote_motion, drive_of_remote_motion])
+@for_each(("remote", "params"), [(True, REMOTE_MOTION), (False, KernelParams())])
 def test_a_motion_is_granted_to_this_host_and_to_another_one_where_that_is_configured(
     ask: Callable[..., None], remote: bool, params: KernelParams
 ) -> None:
@@ -196,7 +195,7 @@ def test_a_motion_is_granted_to_this_host_and_to_another_one_where_that_is_confi
     assert bench.state.mode is Mode.MOVING
 
 
-@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP])
+@for_each("mode", [Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP])
 def test_another_host_stops_the_robot(mode: Mode) -> None:
     bench = moving()
     bench.give(ModeRequested(bench.t_ns, 7, mode, "the ROS service", remote=True))
@@ -251,7 +250,7 @@ def test_a_silence_of_a_quarter_of_a_second_is_zero_at_once() -> None:
     assert 0.0 < bench.state.command.linear <= 0.02 + 1e-9
 
 
-@pytest.mark.parametrize("number", [nan, inf, -inf])
+@for_each("number", [nan, inf, -inf])
 def test_a_velocity_that_is_no_number_is_zero(number: float) -> None:
     bench = guarding()
     wanted(bench, Twist(0.3, 0.1), ticks=30)
@@ -272,9 +271,7 @@ def test_the_rules_of_the_safety_table_stop_a_guarded_motion() -> None:
     assert bench.state.guarded is None
 
 
-@pytest.mark.parametrize(
-    ("field", "value"), [("battery", 0.1), ("odometry", Pose(nan, 0.0, 0.0)), ("stall", 1.0)]
-)
+@for_each(("field", "value"), [("battery", 0.1), ("odometry", Pose(nan, 0.0, 0.0)), ("stall", 1.0)])
 def test_a_guarded_motion_ends_as_any_other(field: str, value: object) -> None:
     bench = guarding()
     wanted(bench, Twist(0.3, 0.0), ticks=30)
@@ -316,7 +313,7 @@ def test_outside_of_a_guarded_motion_nothing_that_others_want_is_commanded() -> 
 STOPPED = [state for state in LifecycleState if state is not LifecycleState.ACTIVE]
 
 
-@pytest.mark.parametrize("state", STOPPED)
+@for_each("state", STOPPED)
 def test_motion_starts_only_while_the_node_is_active(state: LifecycleState) -> None:
     bench = ready()
     bench.give(LifecycleChanged(bench.t_ns, state, "a test"))

@@ -38,6 +38,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.sim import Robot, SimParams
 from robotctl.testing.kernels import ready
+from tests.support.cases import for_each
 
 BEGIN_NS = NS_PER_S
 
@@ -233,8 +234,8 @@ def ends_in_time(course: PatternKind | str, gaps: str, seed: int) -> None:
         assert abs(run.seconds - held_s) <= slower * ramp_s(limits) + 8.0 / rate_hz
 
 
-@pytest.mark.parametrize("gaps", GAPS)
-@pytest.mark.parametrize("course", COURSES)
+@for_each("gaps", GAPS)
+@for_each("course", COURSES)
 def test_every_motion_ends_in_time(course: PatternKind | str, gaps: str) -> None:
     ends_in_time(course, gaps, 1)
 
@@ -247,7 +248,7 @@ def test_thousands_of_motions_end_in_time(course: PatternKind | str, gaps: str) 
         ends_in_time(course, gaps, seed)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("length", "top_speed", "accel", "rate_hz", "ticks"),
     [
         (3.71117264922738e-05, 0.23639442231581798, 22.85717825363269, 20.0, 9),
@@ -268,7 +269,7 @@ def test_a_lead_that_rounding_leaves_just_before_a_stop_is_there(
     assert stands
 
 
-@pytest.mark.parametrize(("frame", "x", "y"), [(Frame.START, 0.0, 0.0), (Frame.ODOM, 2.0, 1.0)])
+@for_each(("frame", "x", "y"), [(Frame.START, 0.0, 0.0), (Frame.ODOM, 2.0, 1.0)])
 def test_a_path_whose_points_are_all_where_the_robot_is_is_refused(
     frame: Frame, x: float, y: float
 ) -> None:

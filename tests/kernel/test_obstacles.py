@@ -26,6 +26,7 @@ from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.state import Health, Scan
 from robotctl.kernel.types import Cause, ScanReceived, Twist
 from robotctl.testing.kernels import Bench, moving, ready, reset, start, stopped_by
+from tests.support.cases import for_each
 
 SECTORS = 64
 PARAMS = ScanParams(use=Use.OPTIONAL)
@@ -46,7 +47,7 @@ def ahead(x: float, y: float, command: Twist, params: ScanParams = PARAMS) -> fl
 FORWARD, LEFT, RIGHT = Twist(0.5, 0.0), Twist(0.5, 0.5), Twist(0.5, -0.5)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("x", "y", "command", "is_hit"),
     [
         (1.0, 0.0, FORWARD, True),
@@ -79,7 +80,7 @@ def test_the_distance_is_that_of_the_front() -> None:
     assert _along_path(1.0, -1.0, RIGHT, PARAMS) == pytest.approx(pi / 2.0 - 0.25)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("x", "y", "command", "distance_m"),
     [
         (0.0, 0.0, FORWARD, 0.0),
@@ -269,7 +270,7 @@ def test_an_obstacle_ahead_stops_and_refuses_until_it_is_gone() -> None:
     assert reset(bench)
 
 
-@pytest.mark.parametrize("accel_mps2", [1.0, 0.4])
+@for_each("accel_mps2", [1.0, 0.4])
 def test_a_tick_looks_ahead_with_the_command_of_that_tick(accel_mps2: float) -> None:
     bench = driving(accel_mps2=accel_mps2)
     bench.give(ScanReceived(bench.t_ns, seen(0.25 + 0.3 + 0.1, 0.0)))
@@ -283,9 +284,7 @@ def test_a_tick_looks_ahead_with_the_command_of_that_tick(accel_mps2: float) -> 
     )
 
 
-@pytest.mark.parametrize(
-    ("x", "is_near"), [(0.54, True), (0.8, False), (0.81, False), (1.3, False)]
-)
+@for_each(("x", "is_near"), [(0.54, True), (0.8, False), (0.81, False), (1.3, False)])
 def test_what_stopped_a_fast_robot_is_looked_at_again_when_it_stands(
     x: float, is_near: bool
 ) -> None:
@@ -315,14 +314,14 @@ def test_an_unreadable_scan_stops() -> None:
     assert stopped_by(bench, Cause.OBSTACLE_NEAR, Mode.ERROR)
 
 
-@pytest.mark.parametrize("use", [Use.REQUIRED, Use.OPTIONAL])
+@for_each("use", [Use.REQUIRED, Use.OPTIONAL])
 def test_a_required_scan_that_falls_silent_stops(use: Use) -> None:
     bench = driving(use)
     bench.run(21)
     assert stopped_by(bench, Cause.SCAN_LOST, Mode.ERROR) is (use is Use.REQUIRED)
 
 
-@pytest.mark.parametrize("way", [1, -1])
+@for_each("way", [1, -1])
 def test_a_scan_is_lost_after_half_a_second_whatever_the_clock_shows(way: int) -> None:
     params, t_ns = KernelParams(scan=ScanParams(use=Use.REQUIRED)), NS_PER_S
     for age_ns, said in ((500_000_000, ""), (700_000_000, "no scan on scan for 0.70 s")):

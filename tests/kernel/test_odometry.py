@@ -29,6 +29,7 @@ from robotctl.testing.kernels import (
     stopped_by,
     while_moving,
 )
+from tests.support.cases import for_each
 
 
 def test_lost_odometry_means_zero_within_its_timeout_and_one_tick() -> None:
@@ -58,7 +59,7 @@ def _odometry(bench: Bench, pose: Pose, stamp_ns: int | None = None) -> None:
     bench.odometry(pose, stamp_ns)
 
 
-@pytest.mark.parametrize("lie", LIES)
+@for_each("lie", LIES)
 def test_odometry_that_cannot_be_true_means_zero_within_its_timeout_and_one_tick(lie: str) -> None:
     bench = moving()
     last_ns = bench.t_ns - TICK_NS
@@ -72,7 +73,7 @@ def test_odometry_that_cannot_be_true_means_zero_within_its_timeout_and_one_tick
     assert remedies_for(bench.state.cause) == (Remedy.CHECK_ODOMETRY_SOURCE,)
 
 
-@pytest.mark.parametrize("lie", LIES)
+@for_each("lie", LIES)
 def test_one_sample_that_cannot_be_true_is_dropped(lie: str) -> None:
     bench = moving()
     before = bench.state.health.odometry
@@ -84,7 +85,7 @@ def test_one_sample_that_cannot_be_true_is_dropped(lie: str) -> None:
     assert not bench.state.health.odometry_fault
 
 
-@pytest.mark.parametrize("hours", [-1, 1])
+@for_each("hours", [-1, 1])
 def test_a_jump_of_the_wall_clock_changes_nothing(hours: int) -> None:
     shift_ns, steady, jumped = hours * 3_600_000_000_000, moving(), moving()
     for number in range(40):
@@ -97,7 +98,7 @@ def test_a_jump_of_the_wall_clock_changes_nothing(hours: int) -> None:
     assert jumped.commands == steady.commands
 
 
-@pytest.mark.parametrize("lie", LIES)
+@for_each("lie", LIES)
 def test_no_start_on_odometry_that_is_never_true(lie: str) -> None:
     bench = ready()
     for number in range(60):
@@ -130,7 +131,7 @@ def test_after_a_jump_the_robot_starts_from_where_it_is_now() -> None:
     assert bench.state.drive.origin == elsewhere
 
 
-@pytest.mark.parametrize("stamp_ns", [1, 10**18])
+@for_each("stamp_ns", [1, 10**18])
 def test_odometry_that_is_only_repeated_means_zero_within_its_timeout_and_one_tick(
     stamp_ns: int,
 ) -> None:
@@ -146,7 +147,7 @@ def test_odometry_that_is_only_repeated_means_zero_within_its_timeout_and_one_ti
     assert bench.t_ns - last_ns <= 500_000_000 + TICK_NS
 
 
-@pytest.mark.parametrize("moves", [True, False])
+@for_each("moves", [True, False])
 def test_odometry_without_stamps_and_with_coarse_ones_is_news(moves: bool) -> None:
     bench = moving()
     for number in range(40):
@@ -165,7 +166,7 @@ def test_a_robot_that_does_not_follow_is_stopped_and_may_start_from_where_it_is(
     assert not start(bench)
 
 
-@pytest.mark.parametrize("kind", PatternKind)
+@for_each("kind", PatternKind)
 def test_a_robot_that_stands_still_is_stopped_on_the_smallest_pattern_too(
     kind: PatternKind,
 ) -> None:
@@ -202,7 +203,7 @@ def go_on(bench: Bench, ticks: int = 1) -> None:
         bench.tick()
 
 
-@pytest.mark.parametrize("pose", [FAR, NEAR])
+@for_each("pose", [FAR, NEAR])
 def test_a_second_publisher_of_odometry_is_a_failed_start_condition(pose: Pose) -> None:
     bench = bench_of_two()
     sample(bench, 2, pose)
@@ -211,7 +212,7 @@ def test_a_second_publisher_of_odometry_is_a_failed_start_condition(pose: Pose) 
     assert bench.state.health.odometry.pose == ORIGIN  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("pose", [FAR, TURNED, Pose(float("nan"), 0.0, 0.0)])
+@for_each("pose", [FAR, TURNED, Pose(float("nan"), 0.0, 0.0)])
 def test_in_moving_a_second_publisher_that_contradicts_the_first_stops_the_robot(
     pose: Pose,
 ) -> None:
@@ -286,7 +287,7 @@ def in_frame(frame: str, wanted: str) -> Bench:
     return bench
 
 
-@pytest.mark.parametrize("frame", ["map", "world"])
+@for_each("frame", ["map", "world"])
 def test_odometry_of_another_frame_than_the_configured_one_stops_the_robot(frame: str) -> None:
     bench = in_frame(frame, "odom")
     assert stopped_by(bench, Cause.ODOMETRY_WRONG, Mode.ERROR)
@@ -298,12 +299,12 @@ def test_odometry_of_another_frame_than_the_configured_one_stops_the_robot(frame
     assert reset(bench)
 
 
-@pytest.mark.parametrize(("frame", "wanted"), [("odom", "odom"), ("r2/odom", ""), ("", "odom")])
+@for_each(("frame", "wanted"), [("odom", "odom"), ("r2/odom", ""), ("", "odom")])
 def test_the_configured_frame_and_one_that_is_unknown_stop_nothing(frame: str, wanted: str) -> None:
     assert in_frame(frame, wanted).state.mode is Mode.MOVING
 
 
-@pytest.mark.parametrize("other", [0, 2])
+@for_each("other", [0, 2])
 def test_only_the_frame_of_the_followed_publisher_counts(other: int) -> None:
     odometry = replace(KernelParams().odometry, frame_id="odom")
     bench = bench_of_two(params=replace(KernelParams(), odometry=odometry))

@@ -30,6 +30,7 @@ from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.safety_inputs import SafetyInput, Use
 from robotctl.kernel.types import Cause, Effect, ParameterChanged, ParameterRequested, Remedy, Reply
 from robotctl.testing.kernels import Bench, in_mode, moving, ready, start, stopped_by
+from tests.support.cases import for_each
 
 PAGE = (Path(__file__).parents[2] / "docs" / "ros.md").read_text()
 DOCUMENTED = dict(re.findall(r"^\| `([\w.]+)` \| (\S* \| [^|]*?) \|", PAGE, re.MULTILINE))
@@ -56,7 +57,7 @@ def parameters(values: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
 PARAMETERS = dict(parameters(KernelParams()))
 
 
-@pytest.mark.parametrize("key", PARAMETERS)
+@for_each("key", PARAMETERS)
 def test_a_parameter_is_as_the_page_says(key: str) -> None:
     assert DOCUMENTED[key] == PARAMETERS[key]
 
@@ -70,7 +71,7 @@ def test_every_parameter_is_on_the_page_or_is_a_choice_or_corners() -> None:
         assert isinstance(value_at(params, leaf.path), (Enum, bool)), key
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("pattern", "is_allowed"),
     [
         (Pattern(size_m=0.1), True),
@@ -107,7 +108,7 @@ def kind_of(bench: Bench) -> PatternKind:
     return bench.state.drive.pattern.kind
 
 
-@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP])
+@for_each("mode", [Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP])
 def test_a_limit_changes_in_every_mode_but_moving(mode: Mode) -> None:
     bench = in_mode(mode)
     changed, reply = change(bench, "limits.linear_mps", "0.6", "0.4")
@@ -144,7 +145,7 @@ def test_the_pattern_of_the_next_drive_changes_while_the_robot_moves() -> None:
     assert kind_of(bench) is PatternKind.CIRCLE
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("key", "old", "new", "why"),
     [
         ("rate_hz", "50.0", "100.0", "rate_hz changes at a start only"),
@@ -171,7 +172,7 @@ def test_what_is_not_allowed_is_refused_and_changes_nothing(
     assert bench.kernel.params is before
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("key", "old", "new"),
     [
         ("limits.linear_mps", "0.6", "0.01"),
@@ -205,7 +206,7 @@ def test_a_parameter_of_the_daemon_is_decided_too_but_not_kept() -> None:
     assert not reply_of(change(moving(), *asked)).ok
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("first", "second"), [("command", "odometry"), ("command", "battery"), ("odometry", "battery")]
 )
 def test_two_parts_on_one_topic_are_a_conflict(first: str, second: str) -> None:
@@ -217,7 +218,7 @@ def test_two_parts_on_one_topic_are_a_conflict(first: str, second: str) -> None:
     assert found.key == f"{second}.topic"
 
 
-@pytest.mark.parametrize("kind", SafetyInput)
+@for_each("kind", SafetyInput)
 def test_an_input_on_the_topic_of_another_part_is_a_conflict_if_it_is_used(
     kind: SafetyInput,
 ) -> None:
@@ -237,7 +238,7 @@ SCANNED = ScanParams(use=Use.OPTIONAL, topic="odom")
 LOCKED = CommandParams(lock_topic="/odom")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("params", "key"),
     [
         (KernelParams(scan=SCANNED), "scan.topic"),
@@ -256,8 +257,8 @@ def test_a_scan_a_guard_and_a_lock_have_a_topic_of_their_own_if_they_are_used(
     )
 
 
-@pytest.mark.parametrize("when_idle", WhenIdle)
-@pytest.mark.parametrize("foreign", Foreign)
+@for_each("when_idle", WhenIdle)
+@for_each("foreign", Foreign)
 def test_only_who_is_silent_in_idle_yields_to_others(foreign: Foreign, when_idle: WhenIdle) -> None:
     found = conflict(KernelParams(command=CommandParams(foreign=foreign, when_idle=when_idle)))
     is_refused = foreign is Foreign.YIELD and when_idle is not WhenIdle.SILENT
@@ -277,7 +278,7 @@ def test_a_level_beyond_the_scale_is_refused_as_it_came_with_its_remedy() -> Non
     assert bench.replies[-1].remedies == (Remedy.CHECK_BATTERY_TOPIC,)
 
 
-@pytest.mark.parametrize("scale", [BatteryScale.PERCENT, BatteryScale.AUTO])
+@for_each("scale", [BatteryScale.PERCENT, BatteryScale.AUTO])
 def test_a_gauge_that_counts_in_percent_is_understood(scale: BatteryScale) -> None:
     bench = bench_of(scale)
     bench.battery(87.4)
@@ -294,7 +295,7 @@ def test_auto_stays_with_percent_once_it_has_seen_it() -> None:
     assert bench.state.health.battery_level == 0.01
 
 
-@pytest.mark.parametrize("broken", [float("inf"), float("nan"), 1e9, -5.0])
+@for_each("broken", [float("inf"), float("nan"), 1e9, -5.0])
 def test_one_broken_sample_does_not_change_the_scale(broken: float) -> None:
     bench = bench_of(BatteryScale.AUTO)
     bench.battery(broken)

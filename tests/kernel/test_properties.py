@@ -68,6 +68,7 @@ from robotctl.testing.kernels import (
 )
 from tests.kernel import strategies
 from tests.kernel.fed_kernel import LONGEST_TICKS, MOMENTARY, PROVOKED, FedKernel
+from tests.support.cases import for_each
 
 REQUESTS = (ModeRequested, ResetRequested, DriveRequested, ParameterRequested, LeaseRequested)
 RELEASES = (0,)
@@ -408,7 +409,7 @@ def beside_others(bench: Bench) -> Bench:
     return bench
 
 
-@pytest.mark.parametrize("situation", SITUATIONS)
+@for_each("situation", SITUATIONS)
 def test_odometry_changes_what_is_known_of_odometry_alone(situation: str) -> None:
     bench = SITUATIONS[situation]()
     before = bench.state
@@ -422,7 +423,7 @@ def test_odometry_changes_what_is_known_of_odometry_alone(situation: str) -> Non
     )
 
 
-@pytest.mark.parametrize("situation", SITUATIONS)
+@for_each("situation", SITUATIONS)
 def test_a_tick_changes_command_and_drive_alone(situation: str) -> None:
     bench = SITUATIONS[situation]()
     before = bench.state

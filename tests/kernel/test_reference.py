@@ -6,8 +6,6 @@ import random
 from dataclasses import replace
 from math import cos, hypot, inf, isclose, isnan, pi, sin, sqrt
 
-import pytest
-
 from robotctl.kernel.course import PLAIN
 from robotctl.kernel.drive import Drive, Progress, advanced, begun
 from robotctl.kernel.geometry import ORIGIN, Pose
@@ -17,6 +15,7 @@ from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.speed_plan import Leg, legs_for, path_for, speed_plan
 from robotctl.kernel.tracking import Reference, track
 from tests.kernel.fed_kernel import lap_of
+from tests.support.cases import for_each
 
 LIMITS = VelocityLimits(1.0, 2.0, 0.5, 4.0)
 FAR = Pose(50.0, 50.0, 0.0)
@@ -61,7 +60,7 @@ def test_the_reference_speeds_up_with_90_percent_of_the_limit_and_with_70_in_cur
     assert isclose(after(drive(CIRCLE), 0.1).speed, 0.7 * 0.5 * 0.1)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("pattern", "segment", "top_speed"),
     [
         (SQUARE, 0, 0.5),
@@ -86,7 +85,7 @@ def test_the_reference_brakes_so_that_it_stands_at_the_stop() -> None:
         assert isclose(at.length, length + 0.01 * at.speed)
 
 
-@pytest.mark.parametrize(("early_m", "brakes"), [(1e-6, False), (-1e-6, True)])
+@for_each(("early_m", "brakes"), [(1e-6, False), (-1e-6, True)])
 def test_the_reference_brakes_no_tick_earlier_than_it_must(early_m: float, brakes: bool) -> None:
     left_m = 0.4545 * (0.4545 + 0.45 * 0.01) / (2.0 * 0.45) + early_m
     at = after(drive(SQUARE, going(0.45, length=1.0 - left_m)), 0.01)
@@ -99,7 +98,7 @@ def test_the_reference_does_not_exceed_its_top_speed_where_it_begins_to_brake() 
     assert at.lead_speed == 0.5
 
 
-@pytest.mark.parametrize(("ahead_m", "stands"), [(2e-9, False), (1.99e-9, True)])
+@for_each(("ahead_m", "stands"), [(2e-9, False), (1.99e-9, True)])
 def test_less_than_a_nanometre_before_a_stop_is_rounding(ahead_m: float, stands: bool) -> None:
     """The reference does a nanometre in this tick: one or less is left."""
     at = Progress(ahead=ahead_m, rates=(2e-9,))
@@ -128,14 +127,14 @@ def test_what_a_step_has_left_at_a_flowing_end_is_driven_on_the_next_lap() -> No
     assert isclose(at.closure_m, 0.05)
 
 
-@pytest.mark.parametrize("at", [LINE_END, TURN_END])
+@for_each("at", [LINE_END, TURN_END])
 def test_the_reference_waits_at_a_stop_and_counts_the_time(at: Progress) -> None:
     waiting = after(drive(SQUARE, replace(at, settling_s=0.1)), 0.02)
     assert (waiting.segment, waiting.length, waiting.speed) == (at.segment, at.length, 0.0)
     assert waiting.settling_s == 0.1 + 0.02
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("pose", "arrived"),
     [
         (Pose(1.0, 0.0, 0.0), True),
@@ -160,7 +159,7 @@ def test_a_robot_has_arrived_within_2_cm_and_3_hundredths_of_a_radian(
         assert (at.segment, at.settling_s) == ((1, 0.0) if arrived else (0, 0.02))
 
 
-@pytest.mark.parametrize(("behind_m", "arrived"), [(0.02, False), (0.0199, True)])
+@for_each(("behind_m", "arrived"), [(0.02, False), (0.0199, True)])
 def test_2_cm_before_a_stop_is_too_far(behind_m: float, arrived: bool) -> None:
     waiting = replace(drive(SQUARE, LINE_END), origin=Pose(-1.0, 0.0, 0.0))
     assert after(waiting, 0.02, Pose(-behind_m, 0.0, 0.0)).segment == int(arrived)
@@ -181,14 +180,14 @@ def test_a_lap_of_the_square_has_eight_segments_and_ends_where_the_robot_is() ->
     assert isnan(Progress().closure_m)
 
 
-@pytest.mark.parametrize("laps", [0, 2, 3])
+@for_each("laps", [0, 2, 3])
 def test_a_square_begins_again_until_its_laps_are_driven(laps: int) -> None:
     at = Progress(segment=7, length=pi / 2, settling_s=9.0)
     later = after(drive(SQUARE, at, laps=laps), 0.02)
     assert (later.laps, later.segment, later.length, later.settling_s) == (1, 0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("laps", "driven", "finished"),
     [(0, 9, False), (2, 1, False), (2, 2, True), (1, 0, False), (1, 2, True)],
 )
@@ -244,7 +243,7 @@ def test_the_score_sums_up_the_distances_from_the_path() -> None:
     assert isnan(report.closure_m)
 
 
-@pytest.mark.parametrize(("away_m", "told_m"), [(0.5, 0.5), (0.75, inf)])
+@for_each(("away_m", "told_m"), [(0.5, 0.5), (0.75, inf)])
 def test_a_robot_further_away_than_the_pattern_is_large_is_infinitely_far(
     away_m: float, told_m: float
 ) -> None:
@@ -288,14 +287,14 @@ def test_the_distance_to_a_turn_is_that_to_its_corner() -> None:
     assert turn.top_curvature == turn.curvature_at(0.5) == 1.0
 
 
-@pytest.mark.parametrize("from_centre_m", [0.0, 1.5, 2.0, 2.5])
+@for_each("from_centre_m", [0.0, 1.5, 2.0, 2.5])
 def test_the_distance_to_a_circle_is_that_along_its_radius(from_centre_m: float) -> None:
     for angle in (0.0, 1.0, 4.0):
         point = Pose(from_centre_m * cos(angle), 2.0 + from_centre_m * sin(angle), 0.0)
         assert isclose(Circle(2.0).distance_to(point, 0.0), abs(from_centre_m - 2.0), abs_tol=1e-12)
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
+@for_each("side", [1.0, -1.0])
 def test_the_distance_to_an_arc_is_that_along_its_radius_or_to_its_nearer_end(side: float) -> None:
     quarter = Arc(Pose(1.0, 0.0, 0.0), 2.0, pi, side)
     for x, y, far_m in (
@@ -440,7 +439,7 @@ def test_a_drive_that_goes_on_begins_within_its_first_segment_or_at_rest() -> No
     assert begun(0.5, 5, 0.25, (replace(long, length=0.25),), turns=False) == Progress()
 
 
-@pytest.mark.parametrize("ticks", [1, 2, 5])
+@for_each("ticks", [1, 2, 5])
 def test_a_drive_that_goes_on_moves_as_if_it_had_come_from_before(ticks: int) -> None:
     leg = Leg(1.0, 0.5, 1.0, 0.0, 0.0)
     at = begun(0.5, ticks, 0.125, (leg,), turns=False)
@@ -464,7 +463,7 @@ def test_the_end_of_a_segment_is_the_beginning_of_the_next_one() -> None:
     assert (at.laps, at.segment, at.length, at.speed) == (1, 0, 0.1875, 0.75)
 
 
-@pytest.mark.parametrize("ahead_m", [0.25, 2.0])
+@for_each("ahead_m", [0.25, 2.0])
 def test_a_lead_beyond_a_stop_comes_back_to_it(ahead_m: float) -> None:
     stop, beyond = Leg(1.0, 1.0, 1.0, 0.0, 0.0), Progress(length=0.875, ahead=ahead_m)
     at, stands = advanced(replace(beyond, rates=(1.0,) * 3), (stop, stop), 1, 0.25, 4)
@@ -472,13 +471,13 @@ def test_a_lead_beyond_a_stop_comes_back_to_it(ahead_m: float) -> None:
     assert (at.segment, at.length) == (0, 1.0)
 
 
-@pytest.mark.parametrize(("left_m", "stands"), [(2e-9, True), (2.1e-9, False)])
+@for_each(("left_m", "stands"), [(2e-9, True), (2.1e-9, False)])
 def test_a_lead_within_a_nanometre_of_a_stop_is_there(left_m: float, stands: bool) -> None:
     leg = Leg(left_m, 1e-9, 1.0, 0.0, 0.0)  # the lead moves by a nanometre
     assert advanced(Progress(), (leg,), 1, 1.0, 1)[1] is stands
 
 
-@pytest.mark.parametrize("open_loop", [True, False])
+@for_each("open_loop", [True, False])
 def test_only_in_open_loop_a_corner_is_left_before_the_robot_arrives(open_loop: bool) -> None:
     course = replace(PLAIN, open_loop=open_loop)
     waiting = replace(drive(SQUARE, LINE_END), course=course)
@@ -504,7 +503,7 @@ def test_the_figure_eight_is_as_long_as_two_circles_and_turns_most_at_a_quarter(
     assert isclose(eight.curvature_at(eight.length / 4), eight.top_curvature)
 
 
-@pytest.mark.parametrize("lap", [0, 1])
+@for_each("lap", [0, 1])
 def test_the_distance_to_the_figure_eight_is_exact_for_a_robot_beside_its_reference(
     lap: int,
 ) -> None:
@@ -520,7 +519,7 @@ def test_the_distance_to_the_figure_eight_is_exact_for_a_robot_beside_its_refere
 # The law
 
 
-@pytest.mark.parametrize("theta", [0.0, 1e-7, 1e-3, -0.5])
+@for_each("theta", [0.0, 1e-7, 1e-3, -0.5])
 def test_the_correction_sideways_is_smooth_around_a_heading_without_error(theta: float) -> None:
     gains, limits = KernelParams().tracking, VelocityLimits()
     command = track(Reference(Pose(0.0, 0.02, theta), 0.4, 0.0, 0.1), ORIGIN, gains, limits)
@@ -537,7 +536,7 @@ def test_a_path_is_planned_for_the_present_speed_and_limits() -> None:
     assert legs_for(circle, 0.2, slow) == speed_plan(circle, 0.2, slow)
 
 
-@pytest.mark.parametrize("seed", [4, 7, 64, 79, 149])
+@for_each("seed", [4, 7, 64, 79, 149])
 def test_no_corner_holds_a_reference_whose_ticks_come_early_and_late(seed: int) -> None:
     """Rounding once left it with a speed of 1e-14 rad/s at a corner, for minutes."""
     path = path_for(Pattern(), PLAIN, 1)

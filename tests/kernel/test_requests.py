@@ -51,6 +51,7 @@ from robotctl.testing.kernels import (
     stopping,
     while_moving,
 )
+from tests.support.cases import for_each
 
 CIRCLE = Pattern(PatternKind.CIRCLE, 0.5, 0.3)
 
@@ -63,7 +64,7 @@ def reset(bench: Bench) -> tuple[Effect, ...]:
     return bench.give(ResetRequested(bench.t_ns, bench.new_request_id(), "test"))
 
 
-@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.MOVING, Mode.ERROR])
+@for_each("mode", [Mode.IDLE, Mode.MOVING, Mode.ERROR])
 def test_an_emergency_stop_is_zero_first_then_latched_then_answered(mode: Mode) -> None:
     bench = in_mode(mode)
     effects = bench.request(Mode.EMERGENCY_STOP)
@@ -151,7 +152,7 @@ def test_the_first_who_asks_names_the_stop() -> None:
     assert bench.state.reason == "requested by the first"
 
 
-@pytest.mark.parametrize("stopped_in", [Mode.ERROR, Mode.EMERGENCY_STOP])
+@for_each("stopped_in", [Mode.ERROR, Mode.EMERGENCY_STOP])
 def test_a_drive_whose_last_ramp_is_cut_is_not_completed(stopped_in: Mode) -> None:
     bench = stopping()
     assert bench.state.drive is not None
@@ -189,7 +190,7 @@ def test_a_drive_that_cannot_begin_does_not_end_the_one_it_would_replace() -> No
     assert replace(bench.state, health=before.health) == before
 
 
-@pytest.mark.parametrize("mode", [Mode.ERROR, Mode.EMERGENCY_STOP])
+@for_each("mode", [Mode.ERROR, Mode.EMERGENCY_STOP])
 def test_no_drive_leads_out_of_a_stop(mode: Mode) -> None:
     bench = in_mode(mode)
     bench.drive(CIRCLE, replacing=True)
@@ -198,7 +199,7 @@ def test_no_drive_leads_out_of_a_stop(mode: Mode) -> None:
     assert bench.state.mode is mode
 
 
-@pytest.mark.parametrize("number", [-1, len(Mode), 255, 2**63])
+@for_each("number", [-1, len(Mode), 255, 2**63])
 def test_an_unknown_mode_is_refused_with_the_valid_ones(number: int) -> None:
     bench = moving()
     before = bench.state
@@ -222,7 +223,7 @@ def test_a_reset_is_refused_while_the_cause_or_another_one_would_stop_again() ->
     assert bench.state.mode is Mode.IDLE
 
 
-@pytest.mark.parametrize(("ticks", "duration_s"), [(0, 0.0), (25, 0.5)])
+@for_each(("ticks", "duration_s"), [(0, 0.0), (25, 0.5)])
 def test_the_report_of_a_drive_tells_the_time_from_its_request_to_its_last_tick(
     ticks: int, duration_s: float
 ) -> None:
@@ -263,7 +264,7 @@ def test_in_idle_zeros_are_sent_for_a_second_and_nothing_then() -> None:
     assert not sent(bench)
 
 
-@pytest.mark.parametrize("mode", [Mode.ERROR, Mode.EMERGENCY_STOP])
+@for_each("mode", [Mode.ERROR, Mode.EMERGENCY_STOP])
 def test_error_and_emergency_stop_always_send_zeros(mode: Mode) -> None:
     bench = ready(QUIET)
     bench.run(60)
@@ -362,7 +363,7 @@ def loses_odometry(bench: Bench) -> None:
             return
 
 
-@pytest.mark.parametrize("ends", [is_asked_to_stand, is_stopped, loses_odometry])
+@for_each("ends", [is_asked_to_stand, is_stopped, loses_odometry])
 def test_what_ends_the_silence_sends_zero_at_once_and_no_ramp(
     ends: Callable[[Bench], None],
 ) -> None:
@@ -381,7 +382,7 @@ def test_the_silence_begins_when_the_time_is_over() -> None:
     assert not replace(drive, progress=Progress(length=0.99)).is_quiet
 
 
-@pytest.mark.parametrize(("held_s", "is_over"), [(1.25, True), (1.24, False)])
+@for_each(("held_s", "is_over"), [(1.25, True), (1.24, False)])
 def test_a_drive_ends_when_the_silence_is_over(held_s: float, is_over: bool) -> None:
     drive = Drive(1, Pattern(), 1, ORIGIN, Progress(length=held_s), course=Course(held=HELD))
     assert drive.advance(0.25, ORIGIN, VelocityLimits(), 4).finished is is_over
@@ -398,7 +399,7 @@ def test_a_drive_that_replaces_the_silence_begins_at_zero() -> None:
     assert 0.0 < bench.state.command.linear < 0.05
 
 
-@pytest.mark.parametrize("quiet_s", [-0.1, MAX_QUIET_S + 0.1, nan])
+@for_each("quiet_s", [-0.1, MAX_QUIET_S + 0.1, nan])
 def test_a_silence_that_is_not_allowed_is_refused_by_its_limits(quiet_s: float) -> None:
     assert Held(0.1, 0.0, 1.0, quiet_s=quiet_s).refusal().endswith("use 0 to 5 s")
     assert Held(0.1, 0.0, 1.0, quiet_s=MAX_QUIET_S).refusal() == ""

@@ -29,6 +29,7 @@ from robotctl.kernel.types import (
     Tick,
 )
 from robotctl.testing.kernels import Bench, in_mode, moving, ready, reset, start, stopped_by
+from tests.support.cases import for_each
 
 DAEMON_CAUSES = (Cause.TASK_DIED, Cause.RECORDER_FAILED, Cause.UNREACHABLE)
 
@@ -52,16 +53,14 @@ def with_battery(level: float) -> Bench:
     return bench
 
 
-@pytest.mark.parametrize(
-    ("level", "stops"), [(0.16, False), (0.15, True), (0.1, True), (0.0, True)]
-)
+@for_each(("level", "stops"), [(0.16, False), (0.15, True), (0.1, True), (0.0, True)])
 def test_a_low_battery_latches_while_moving(level: float, stops: bool) -> None:
     bench = moving()
     bench.battery(level)
     assert stopped_by(bench, Cause.BATTERY_LOW, Mode.EMERGENCY_STOP) is stops
 
 
-@pytest.mark.parametrize("level", [0.15, 0.1, nan, inf, -inf, -1.0, 87.0, 1.06])
+@for_each("level", [0.15, 0.1, nan, inf, -inf, -1.0, 87.0, 1.06])
 def test_a_low_or_unknown_battery_refuses_the_start_and_no_more(level: float) -> None:
     bench = with_battery(level)
     bench.tick()
@@ -69,7 +68,7 @@ def test_a_low_or_unknown_battery_refuses_the_start_and_no_more(level: float) ->
     assert "battery" in start(bench)
 
 
-@pytest.mark.parametrize("level", [nan, inf, -1.0, 87.0])
+@for_each("level", [nan, inf, -1.0, 87.0])
 def test_an_unknown_battery_stops_a_moving_robot(level: float) -> None:
     bench = moving()
     bench.battery(level)
@@ -88,7 +87,7 @@ def test_a_robot_without_a_battery_is_not_asked_for_one() -> None:
 # Time
 
 
-@pytest.mark.parametrize("first", [Bench.tick, Bench.odometry, lambda bench: bench.battery(1.0)])
+@for_each("first", [Bench.tick, Bench.odometry, lambda bench: bench.battery(1.0)])
 def test_a_gap_between_ticks_is_the_cause_and_not_the_stale_odometry_it_leaves(
     first: Callable[[Bench], object],
 ) -> None:
@@ -121,7 +120,7 @@ def test_no_start_in_a_gap_between_ticks() -> None:
     assert not start(bench)
 
 
-@pytest.mark.parametrize("jump_ns", [-(10**18), -1_000_000_000, 10**18])
+@for_each("jump_ns", [-(10**18), -1_000_000_000, 10**18])
 def test_steady_time_that_jumps_stops_a_moving_robot_and_no_more(jump_ns: int) -> None:
     bench = moving()
     effects = bench.give(Tick(bench.t_ns + jump_ns))
@@ -129,7 +128,7 @@ def test_steady_time_that_jumps_stops_a_moving_robot_and_no_more(jump_ns: int) -
     assert effects[0] == PublishTwist(ZERO)
 
 
-@pytest.mark.parametrize("begin_ns", [0, 86_400_000_000_000, 2**53, 2**62])
+@for_each("begin_ns", [0, 86_400_000_000_000, 2**53, 2**62])
 def test_a_drive_is_the_same_at_any_steady_time(begin_ns: int) -> None:
     commands = []
     for offset_ns in (0, begin_ns):
@@ -145,9 +144,9 @@ def test_a_drive_is_the_same_at_any_steady_time(begin_ns: int) -> None:
 # The daemon
 
 
-@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.MOVING])
-@pytest.mark.parametrize("cause", DAEMON_CAUSES)
-@pytest.mark.parametrize("detail", ["it broke", ""])
+@for_each("mode", [Mode.IDLE, Mode.MOVING])
+@for_each("cause", DAEMON_CAUSES)
+@for_each("detail", ["it broke", ""])
 def test_a_failing_daemon_stops_the_robot_in_the_same_step(
     mode: Mode, cause: Cause, detail: str
 ) -> None:
@@ -222,8 +221,8 @@ def driving(kind: SafetyInput, use: Use) -> Bench:
     return bench
 
 
-@pytest.mark.parametrize("use", [Use.OPTIONAL, Use.REQUIRED])
-@pytest.mark.parametrize(("kind", "value"), STOPS)
+@for_each("use", [Use.OPTIONAL, Use.REQUIRED])
+@for_each(("kind", "value"), STOPS)
 def test_a_reading_that_says_stop_stops_in_the_same_step(
     kind: SafetyInput, value: float, use: Use
 ) -> None:
@@ -236,21 +235,21 @@ def test_a_reading_that_says_stop_stops_in_the_same_step(
     assert reset(bench)
 
 
-@pytest.mark.parametrize(("kind", "value"), PASSES)
+@for_each(("kind", "value"), PASSES)
 def test_other_readings_stop_nothing(kind: SafetyInput, value: float) -> None:
     bench = driving(kind, Use.REQUIRED)
     read(bench, kind, value)
     assert bench.state.mode is Mode.MOVING
 
 
-@pytest.mark.parametrize(("kind", "value"), STOPS)
+@for_each(("kind", "value"), STOPS)
 def test_an_input_that_is_off_is_ignored(kind: SafetyInput, value: float) -> None:
     bench = moving()
     read(bench, kind, value)
     assert bench.state.mode is Mode.MOVING
 
 
-@pytest.mark.parametrize(("kind", "value"), STOPS)
+@for_each(("kind", "value"), STOPS)
 def test_an_idle_robot_is_latched_by_a_button_and_refused_by_the_others(
     kind: SafetyInput, value: float
 ) -> None:
@@ -260,7 +259,7 @@ def test_an_idle_robot_is_latched_by_a_button_and_refused_by_the_others(
     assert start(bench)
 
 
-@pytest.mark.parametrize("kind", SafetyInput)
+@for_each("kind", SafetyInput)
 def test_a_required_input_that_is_silent_stops_and_an_optional_one_does_not(
     kind: SafetyInput,
 ) -> None:
@@ -277,7 +276,7 @@ def test_a_required_input_that_is_silent_stops_and_an_optional_one_does_not(
             assert stopped_by(bench, Cause.INPUT_LOST, Mode.ERROR)
 
 
-@pytest.mark.parametrize("kind", SafetyInput)
+@for_each("kind", SafetyInput)
 def test_a_required_input_that_was_never_heard_refuses_the_start_and_no_more(
     kind: SafetyInput,
 ) -> None:
@@ -289,8 +288,8 @@ def test_a_required_input_that_was_never_heard_refuses_the_start_and_no_more(
     assert not start(bench)
 
 
-@pytest.mark.parametrize("use", Use)
-@pytest.mark.parametrize("kind", SafetyInput)
+@for_each("use", Use)
+@for_each("kind", SafetyInput)
 def test_one_required_input_is_enough_for_the_rules_about_silence(
     kind: SafetyInput, use: Use
 ) -> None:
@@ -307,7 +306,7 @@ def test_a_reading_of_the_future_is_as_old_as_one_of_the_past() -> None:
     assert "for 1000.00 s" in estop_silent(health, params(SafetyInput.ESTOP, Use.REQUIRED), 0)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("kind", "value", "detail", "reason"),
     [
         (SafetyInput.ESTOP, 1.0, "", "the emergency stop on estop_pressed is pressed"),

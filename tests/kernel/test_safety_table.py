@@ -14,6 +14,7 @@ from robotctl.kernel.safety import RULES, Rule, failed_start_condition
 from robotctl.kernel.types import ZERO, Cause
 from robotctl.testing.kernels import reset
 from tests.kernel.fed_kernel import LONGEST_TICKS, MOMENTARY, PROVOKED, FedKernel, in_mode
+from tests.support.cases import for_each
 
 IDLE, MOVING = Mode.IDLE, Mode.MOVING
 STOP, ERROR = Mode.EMERGENCY_STOP, Mode.ERROR
@@ -86,12 +87,12 @@ def problems(cause: Cause) -> Iterator[str]:
                 yield f"a reset was refused although all is well: {fed.replies[-1].message}"
 
 
-@pytest.mark.parametrize("cause", PROVOKED)
+@for_each("cause", PROVOKED)
 def test_each_cause_does_in_each_mode_what_the_table_says(cause: Cause) -> None:
     assert list(problems(cause)) == []
 
 
-@pytest.mark.parametrize("cause", MOMENTARY)
+@for_each("cause", MOMENTARY)
 def test_what_lasts_a_moment_stops_a_motion_and_is_over(cause: Cause) -> None:
     for mode in Mode:
         fed = in_mode(mode)

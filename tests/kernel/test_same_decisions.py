@@ -14,13 +14,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-import pytest
-
 from robotctl.kernel.course import PLAIN, Course, Point
 from robotctl.kernel.params import KernelParams, TrackingParams, VelocityLimits
 from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.sim import SimParams
 from robotctl.testing.kernels import drive_simulated
+from tests.support.cases import for_each
 
 FILE = Path(__file__).with_name("decisions.txt")
 
@@ -92,7 +91,7 @@ def test_every_line_belongs_to_a_drive() -> None:
     assert list(_written()) == list(CASES)
 
 
-@pytest.mark.parametrize("name", CASES)
+@for_each("name", CASES)
 def test_a_drive_gets_the_same_commands_as_in_the_last_version(name: str) -> None:
     assert decisions(CASES[name]) == _written()[name]
 

@@ -54,6 +54,7 @@ from robotctl.messages.inputs import MAX_STATUSES, MAX_VALUES, reader_of
 from robotctl.messages.installed import InstalledType, installed_type
 from robotctl.messages.values import Decoder, encode, filled, zero
 from robotctl.testing.hearing import safety_message
+from tests.support.cases import for_each
 
 messages = pytest.importorskip("test_msgs.msg", reason="test_msgs is not installed")
 fixtures = pytest.importorskip("test_msgs.message_fixtures")
@@ -302,7 +303,7 @@ DOUBLED = LINE.join(
 """A text with 2^60 messages in each other."""
 
 
-@pytest.mark.parametrize("name", LIMITS)
+@for_each("name", LIMITS)
 def test_what_is_at_a_limit_is_read_and_one_more_is_refused_at_once(name: str) -> None:
     limit, text_with = LIMITS[name]
     read = parse_definition("a/msg/T0", text_with(limit))
@@ -311,7 +312,7 @@ def test_what_is_at_a_limit_is_read_and_one_more_is_refused_at_once(name: str) -
     assert str(limit) in refusal(text_with(limit + 1))
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("text", "said"),
     [
         ("int32", "a line that is no field"),
@@ -358,7 +359,7 @@ def described(**kind: Any) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("description", "said"),
     [
         ({}, "not in the form of ROS"),
@@ -398,7 +399,7 @@ def definition(type_name: str) -> Definition:
     return parse_definition(type_name, installed_type(type_name).text)
 
 
-@pytest.mark.parametrize("name", TYPES)
+@for_each("name", TYPES)
 def test_values_are_those_of_rclpy_in_both_directions(name: str) -> None:
     kind, described = getattr(messages, name), definition(f"test_msgs/msg/{name}")
     for message in fixtures.get_test_msg(name):
@@ -423,15 +424,15 @@ def assert_same(value: Any, message: Any) -> None:
         assert value == message
 
 
-@pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0\xff\xff\xff\xff", b"\0\7\0\0abcd"])
-@pytest.mark.parametrize("field", ["int64 x", "float64[] x", "string x", "uint8[] x", "E[] x"])
+@for_each("data", [b"", b"\0\1\0\0", b"\0\1\0\0\xff\xff\xff\xff", b"\0\7\0\0abcd"])
+@for_each("field", ["int64 x", "float64[] x", "string x", "uint8[] x", "E[] x"])
 def test_a_message_that_is_cut_short_is_refused(field: str, data: bytes) -> None:
     described = parse_definition("a/msg/T", f"{field}\n{'=' * 80}\nMSG: a/E\n")
     with pytest.raises(struct.error):
         Decoder(described).values(data)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("path", "said"),
     [
         ("pose.pose.positon.x", "geometry_msgs/Pose has no field 'positon': did you mean position"),
@@ -463,7 +464,7 @@ def test_given_values_replace_the_defaults() -> None:
     assert before["pose"]["pose"]["position"]["x"] == 0.0
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("field", "value", "said"),
     [
         ("uint8 x", 256, "256 is not in 0 to 255 .uint8."),
@@ -555,14 +556,14 @@ def test_any_bytes_are_a_value_or_unreadable(kind: SafetyInput, data: bytes) -> 
         assert isinstance(value_of(kind, each), float)
 
 
-@pytest.mark.parametrize("kind", SafetyInput)
+@for_each("kind", SafetyInput)
 def test_a_message_that_is_cut_short_is_unreadable(kind: SafetyInput) -> None:
     data = safety_message(kind, 1.0, "motor: warm" if kind is SafetyInput.DIAGNOSTICS else "")
     assert value_of(kind, data) == 1.0
     assert isnan(value_of(kind, data[:4]))
 
 
-@pytest.mark.parametrize(
+@for_each(
     "data",
     [
         HEADER + struct.pack("<I", MAX_STATUSES + 1) + bytes(40 * MAX_STATUSES),

@@ -62,6 +62,7 @@ from robotctl.testing.drives import (
     record,
 )
 from tests.support.bags import LATCHED, STRING, VOLATILE, Line, text, write_bag
+from tests.support.cases import for_each
 from tests.support.edited_recordings import Contents, contents_of, write_contents
 from tests.support.recordings import numbered, read_strictly, write_numbered
 from tests.support.waiting import until, until_longer
@@ -188,7 +189,7 @@ def test_a_clip_says_of_what_it_is_one(driven_recording: Path, tmp_path: Path) -
         assert bag.message_count == info.message_count
 
 
-@pytest.mark.parametrize(("mode", "kept"), [("MOVING", {}), ("observing", {"mode": "observing"})])
+@for_each(("mode", "kept"), [("MOVING", {}), ("observing", {"mode": "observing"})])
 def test_of_the_modes_a_clip_keeps_that_of_an_observer(mode: str, kept: dict[str, str]) -> None:
     (copied,) = records_of_clip([Metadata("robotctl", {"mode": mode})], (0, 1))
     assert copied == ("robotctl", kept)

@@ -26,6 +26,7 @@ from robotctl.recording.read.messages import ALWAYS
 from robotctl.recording.read.read_limits import Damaged
 from robotctl.recording.read.records import parse
 from robotctl.testing.faults import PAGE, chunks_of, mutated, record_boundaries, zero
+from tests.support.cases import for_each
 from tests.support.recordings import (
     first_numbers,
     foreign,
@@ -91,7 +92,7 @@ def test_our_own_files_hold_no_messages_outside_chunks(tmp_path: Path) -> None:
     assert missing
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("kind", "content"),
     [
         (

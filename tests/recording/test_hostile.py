@@ -66,6 +66,7 @@ from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
 from robotctl.testing.drives import BEGIN_NS, drive, record
 from tests.recording.mcap_files import CHANNEL, RECORD_HEAD, chunk, finished, stored_chunk
+from tests.support.cases import for_each
 from tests.support.recordings import numbered, salvaged
 
 SIZE: Final = 1_000_000
@@ -403,10 +404,9 @@ def test_what_robots_record_that_is_all_zeros_passes(tmp_path: Path, count: int,
     assert info.missing == ("its end is damaged: the last messages may be lost",)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("count", "size"),
     [(1941, 1280 * 720 * 3), (863, 1920 * 1080 * 3), (335, 16_000_000)],
-    ids=["720p", "1080p", "map"],
 )
 def test_of_large_messages_of_zeros_as_many_pass_as_the_manual_says(count: int, size: int) -> None:
     budget = UnpackBudget(ReadLimits.of(1_000_000))

@@ -42,6 +42,7 @@ from robotctl.recording.write.channel_state import (
 )
 from robotctl.testing.drives import START_NS, TWIST, drive, record
 from robotctl.testing.faults import FailingFile, chunks_of
+from tests.support.cases import for_each
 from tests.support.recordings import read_strictly, recorded, salvaged, write_numbered
 from tests.support.waiting import until
 
@@ -299,7 +300,7 @@ def test_events_without_end_go_on_in_another_file(
     assert list(read_info(tmp_path / "run").events) == events
 
 
-@pytest.mark.parametrize(
+@for_each(
     "damage",
     [
         {"kind": "holiday"},

@@ -42,6 +42,7 @@ from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.journal_reader import journal_topic, read_journal
 from robotctl.recording.read.records import InputFile
 from robotctl.testing.drives import GID, JOURNAL, ODOMETRY, START_NS, TWIST, drive, record
+from tests.support.cases import for_each
 from tests.support.recordings import (
     first_numbers,
     foreign,
@@ -362,7 +363,7 @@ def test_entries_come_as_they_were_written_though_the_clock_was_set_back(tmp_pat
     assert [each.log_ns - START_NS for each in read] == times
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("at", "byte", "says"),
     [
         (24, 0, "it has no name or kind"),

@@ -341,7 +341,7 @@ def test_closing_while_the_loop_still_writes_loses_no_message_uncounted(
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)  # the threads meet between any two bytecodes
     try:
-        closer = threading.Timer(0.3, recorder.close)
+        closer = threading.Timer(0.1, recorder.close)
         closer.start()
         number = 0
         while closer.is_alive():
@@ -356,7 +356,7 @@ def test_closing_while_the_loop_still_writes_loses_no_message_uncounted(
     assert stats.queued == 0
     assert_accounted(stats)
     messages = read_strictly(stats.file)
-    assert len(messages) == stats.written > 1000
+    assert len(messages) == stats.written > 100
     assert [(m.sequence, m.data) for m in messages] == [
         (number, numbered(number)) for number in range(1, len(messages) + 1)
     ]

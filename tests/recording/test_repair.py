@@ -149,7 +149,7 @@ def test_what_recovery_makes_is_what_the_reader_gives(tmp_path: Path) -> None:
     ]
     broken, target = tmp_path / "broken.mcap", tmp_path / "out.mcap"
     salvaged = 0
-    for _ in range(200):
+    for _ in range(60):
         broken.write_bytes(mutated(dice.choice(sources), dice))
         missing: list[str] = []
         try:
@@ -165,7 +165,7 @@ def test_what_recovery_makes_is_what_the_reader_gives(tmp_path: Path) -> None:
         assert sorted(read_strictly(target)) == sorted(read)
         assert bool(missing) <= bool(salvage.lost)
         target.unlink()
-    assert salvaged > 100
+    assert salvaged > 30
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from robotctl.recording.read.whole_data import FileState
 from robotctl.recording.read.whole_file import find_flip, read_whole_file
 from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.testing.drives import ODOMETRY, TWIST
+from tests.support.cases import for_each
 from tests.support.recordings import write_numbered
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -100,7 +101,7 @@ def test_a_flip_is_located_by_the_checksum_alone() -> None:
     assert find_flip(told, crc32(data), len(data)) is None
 
 
-@pytest.mark.parametrize("name", ["stopped", "killed", "foreign"])
+@for_each("name", ["stopped", "killed", "foreign"])
 def test_recordings_of_the_version_before_are_whole(name: str) -> None:
     found = verify_recording(GOLDEN / name)
     assert (found.wrong, found.unreadable) == ((), ())

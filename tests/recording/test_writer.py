@@ -37,6 +37,7 @@ from robotctl.recording.write.recorder import MessageGate
 from robotctl.recording.write.recorder_options import RateByTopic, TopicFilter
 from robotctl.recording.write.writer_thread import EvidenceChunks
 from robotctl.testing.drives import GID, ODOMETRY, START_NS, TWIST
+from tests.support.cases import for_each
 from tests.support.recordings import number_of, numbered, read_strictly
 
 
@@ -165,7 +166,7 @@ def mixed(seed: int, count: int) -> list[PlainMessage]:
     return made
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_each("seed", range(20))
 def test_each_part_holds_its_messages_in_the_order_of_their_arrival(seed: int) -> None:
     messages = mixed(seed, 40)
     chunks = EvidenceChunks(EVIDENCE, channels())
@@ -177,9 +178,7 @@ def test_each_part_holds_its_messages_in_the_order_of_their_arrival(seed: int) -
         assert (part.start_ns, part.end_ns) == (min(times), max(times))
 
 
-@pytest.mark.parametrize(
-    "chosen", [(0,), (1,), (0, 2)], ids=["evidence alone", "heavy alone", "nothing heavy"]
-)
+@for_each("chosen", [(0,), (1,), (0, 2)])
 def test_what_needs_no_separation_stays_as_it_is(chosen: tuple[int, ...]) -> None:
     packed = joined([each for each in mixed(1, 40) if each[0] in chosen])
     assert EvidenceChunks(EVIDENCE, channels()).separate(packed) == (packed,)
@@ -344,7 +343,7 @@ def test_what_is_left_out_is_counted_and_not_lost(plain_recorder: Recorder) -> N
     assert max(gaps) <= 2 * min(gaps)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("topic", "type_name", "rate_hz"),
     [
         ("/camera/left", "sensor_msgs/msg/Image", 5.0),
@@ -370,7 +369,7 @@ PATTERNS = st.one_of(
 LISTS = st.lists(PATTERNS, max_size=4)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("pattern", "topic", "matches"),
     [
         ("/scan", "/scan", True),

@@ -264,7 +264,7 @@ PUBLISHERS = st.builds(publisher, TYPES, st.sampled_from([qos.COMMAND, qos.LATCH
 SNAPSHOTS = st.dictionaries(NAMES, st.lists(PUBLISHERS, max_size=3), max_size=6)
 
 
-@settings(max_examples=150)
+@settings(max_examples=50)
 @given(snapshots=st.lists(SNAPSHOTS, max_size=5))
 def test_no_graph_fails_the_look(snapshots: list[dict[str, list[Endpoint]]]) -> None:
     async def look() -> None:

@@ -57,6 +57,7 @@ from robotctl.ros.executor import decoder
 from robotctl.ros.executor.decoder import decoder_of
 from robotctl.ros.message_types import message_class, type_name_of
 from robotctl.ros.playback import serialized_type
+from tests.support.cases import for_each
 
 PACKAGES = (
     "actionlib_msgs",
@@ -161,7 +162,7 @@ def test_most_messages_have_a_function_of_their_own() -> None:
     assert written > 0.9 * len(everyday)
 
 
-@pytest.mark.parametrize("kind", TYPES, ids=lambda kind: kind.__name__)
+@for_each("kind", TYPES)
 def test_a_message_is_made_as_rclpy_makes_it(kind: Any) -> None:
     decode = decoder_of(kind)
     dice = random.Random(kind.__name__)
@@ -180,7 +181,7 @@ def test_a_message_can_be_changed_without_changing_the_bytes() -> None:
     assert decoder_of(Odometry)(data) == Odometry()
 
 
-@pytest.mark.parametrize("kind", [Odometry, JointState])
+@for_each("kind", [Odometry, JointState])
 def test_a_message_that_is_cut_short_is_refused_where_rclpy_refuses_it(kind: Any) -> None:
     data = serialize_message(some_message(kind, random.Random(1)))
     refused = 0
@@ -350,14 +351,14 @@ def test_big_endian_odometry_reads_as_rclpy_reads_it(
     assert odometry_bits(read_odometry(data)) == odometry_bits(rclpys)
 
 
-@pytest.mark.parametrize("head", [b"\0\2\0\0", b"\0\7\0\0", b"\1\1\0\0"])
+@for_each("head", [b"\0\2\0\0", b"\0\7\0\0", b"\1\1\0\0"])
 def test_what_is_not_plain_cdr_is_unreadable(head: bytes) -> None:
     assert read_odometry(head + bytes(800)) is UNREADABLE
     with pytest.raises(struct.error, match="not plain CDR"):
         decode_twist(head + bytes(800))
 
 
-@pytest.mark.parametrize("size", [2, 10, 20, 40, 200, 400])
+@for_each("size", [2, 10, 20, 40, 200, 400])
 def test_a_message_cut_short_is_unreadable(size: int) -> None:
     whole = OdometryEncoder("odom", "base_link").encode(Pose(0.0, 0.0, 0.0), Twist(), 0)
     assert read_odometry(whole[:size]) is UNREADABLE
@@ -393,7 +394,7 @@ UNLISTED = (
 )
 
 
-@pytest.mark.parametrize("name", HOSTILE + UNLISTED)
+@for_each("name", HOSTILE + UNLISTED)
 def test_no_other_name_is_imported(name: str) -> None:
     before = set(sys.modules)
     expected = "not installed" if name in UNLISTED else "not the name of a ROS type"
@@ -445,7 +446,7 @@ OF_RCLPY = (
 )
 
 
-@pytest.mark.parametrize("package", ["std_msgs", "geometry_msgs", "robot_controller"])
+@for_each("package", ["std_msgs", "geometry_msgs", "robot_controller"])
 def test_every_message_has_the_type_support_of_its_class(package: str) -> None:
     content, _ = get_resource("rosidl_interfaces", package)
     names = {line.partition(".")[0] for line in content.splitlines() if line.startswith("msg/")}
@@ -473,7 +474,7 @@ def test_an_event_of_a_service_has_its_class() -> None:
     assert serialized_type(name) is message_class(name)
 
 
-@pytest.mark.parametrize("name", ["std_msgs/msg/Strings", "os/msg/Path", "std_msgs/String"])
+@for_each("name", ["std_msgs/msg/Strings", "os/msg/Path", "std_msgs/String"])
 def test_a_type_that_is_not_installed_is_refused(name: str) -> None:
     with pytest.raises(UnusableType):
         serialized_type(name)

@@ -23,6 +23,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.sim import Robot, SimFault, SimParams
 from robotctl.testing.kernels import TICK_NS, Bench, moving
+from tests.support.cases import for_each
 
 PERFECT = SimParams(
     lag_s=0.0,
@@ -77,7 +78,7 @@ def test_it_stops_by_itself_when_commands_cease() -> None:
     assert robot.measured == ZERO
 
 
-@pytest.mark.parametrize("value", [nan, inf, -inf])
+@for_each("value", [nan, inf, -inf])
 def test_a_command_that_is_not_finite_stops_it(value: float) -> None:
     robot = Robot(SimParams())
     run(robot, Twist(0.5, 0.0), 1.0)
@@ -174,7 +175,7 @@ def test_every_fault_has_its_cause() -> None:
     assert set(CAUSES) == set(SimFault)
 
 
-@pytest.mark.parametrize("fault", SimFault)
+@for_each("fault", SimFault)
 def test_a_fault_stops_the_drive_for_its_cause_and_can_be_reset_after_it(fault: SimFault) -> None:
     bench, robot = moving(ticks=0), Robot(SimParams())
     for _ in range(50):

@@ -35,6 +35,7 @@ from robotctl.base.store.objects import (
     StoreFailed,
     is_url,
 )
+from tests.support.cases import for_each
 from tests.support.stores import FaultyBucket, Moved, content
 from tests.support.waiting import loop_until, until
 
@@ -212,7 +213,7 @@ def reader_of(served: Served) -> RangeReader:
     return RangeReader(served.size, served.fetch)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_each("seed", range(20))
 def test_any_reads_return_what_is_there(seed: int) -> None:
     chance = random.Random(seed)
     served = Served(chance.randrange(1, 2 * MIB))
@@ -280,9 +281,9 @@ def test_failures_of_five_percent_and_short_answers_are_not_noticed(bucket: Faul
     bucket.failing_share = bucket.short_share = 0.05
     store = open_store(ROBOTS)
     found = store.head("run.mcap")
-    for begin in range(60):
+    for begin in range(25):
         assert store.get_range(found, begin, begin + 50) == data[begin : begin + 50]
-    assert bucket.requests > 61
+    assert bucket.requests > 26
 
 
 def test_a_store_that_only_fails_is_an_error_after_some_tries(
@@ -370,7 +371,7 @@ def test_a_server_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> 
         open_store("http://127.0.0.1:9").head("run.mcap")
 
 
-@pytest.mark.parametrize(
+@for_each(
     "url",
     ["ftp://host/x", "s3://", "https://user:very-secret@host/x", "https://host/x?very-secret"],
 )
