@@ -36,10 +36,6 @@ _DECODERS: Mapping[Any, msgspec.json.Decoder[Any]] = MappingProxyType(
     }
 )
 
-_QUICK_EVENTS, _QUICK_EFFECTS = (
-    {name: _DECODERS[kind].decode for name, kind in kinds.items()} for kinds in (_EVENTS, _EFFECTS)
-)
-
 _NOT_QUICK = (msgspec.DecodeError, RecursionError)
 """What a fast decoder raises; also for nan and inf, which are strings in the journal."""
 
@@ -59,10 +55,7 @@ def read_event(entry: JournalEntry) -> Event:
     Raises:
         UnreadableFile: It is not an event of this version.
     """
-    try:
-        event: Event = _QUICK_EVENTS[entry.name](entry.data)
-    except (KeyError, *_NOT_QUICK):
-        event = _read(_EVENTS, "event", entry)
+    event: Event = _read(_EVENTS, "event", entry)
     return event
 
 
@@ -72,10 +65,7 @@ def read_effect(entry: JournalEntry) -> Effect:
     Raises:
         UnreadableFile: It is not an effect of this version.
     """
-    try:
-        effect: Effect = _QUICK_EFFECTS[entry.name](entry.data)
-    except (KeyError, *_NOT_QUICK):
-        effect = _read(_EFFECTS, "effect", entry)
+    effect: Effect = _read(_EFFECTS, "effect", entry)
     return effect
 
 
@@ -151,56 +141,40 @@ class Gap:
     text: str
 
 
-class EntryOrder:
-    """Orders entries by `seq`: while a lower number is missing, holds back up to MAX_DISORDER."""
+def in_sequence(entries: Iterable[JournalEntry]) -> Iterator[JournalEntry | Gap]:
+    """Yield the entries ordered by `seq`, and the gaps and repetitions among them.
 
-    __slots__ = ("_accepted", "_first", "_following", "_held")
+    While a lower number is missing, up to MAX_DISORDER entries are held back.
+    """
+    held: list[tuple[int, int, JournalEntry]] = []
+    first: int | None = None
+    following = 0
 
-    def __init__(self) -> None:
-        self._following = 0
-        self._first: int | None = None
-        self._held: list[tuple[int, int, JournalEntry]] = []
-        self._accepted = 0
-
-    def accept(self, entry: JournalEntry) -> Iterator[JournalEntry | Gap]:
-        """Accept the next entry of the file; yield the entries that are now in order."""
-        if self._first is None:
-            self._first = self._following = entry.seq
-        elif entry.seq < self._first:
-            yield Gap(f"the journal is not in order: entry {entry.seq} follows {self._first}")
-            self._first = entry.seq
-            return
-        if entry.seq == self._following and not self._held:
-            self._following += 1
-            yield entry
-            return
-        self._accepted += 1
-        heappush(self._held, (entry.seq, self._accepted, entry))
-        yield from self._released(MAX_DISORDER)
-
-    def rest(self) -> Iterator[JournalEntry | Gap]:
-        """Yield the entries that are held back, at the end of the file."""
-        yield from self._released(0)
-
-    def _released(self, at_most: int) -> Iterator[JournalEntry | Gap]:
-        held = self._held
-        while held and (held[0][0] <= self._following or len(held) > at_most):
+    def released(at_most: int) -> Iterator[JournalEntry | Gap]:
+        nonlocal following
+        while held and (held[0][0] <= following or len(held) > at_most):
             seq, _, entry = heappop(held)
-            if seq < self._following:
+            if seq < following:
                 yield Gap(f"the journal repeats entry {seq}")
                 continue
-            if seq > self._following:
-                yield _missing(self._following, seq - 1)
+            if seq > following:
+                yield _missing(following, seq - 1)
             yield entry
-            self._following = seq + 1
+            following = seq + 1
 
-
-def in_sequence(entries: Iterable[JournalEntry]) -> Iterator[JournalEntry | Gap]:
-    """Yield the entries ordered by `seq`, and the gaps and repetitions among them."""
-    order = EntryOrder()
-    for entry in entries:
-        yield from order.accept(entry)
-    yield from order.rest()
+    for number, entry in enumerate(entries):
+        if first is None:
+            first = following = entry.seq
+        if entry.seq < first:
+            yield Gap(f"the journal is not in order: entry {entry.seq} follows {first}")
+            first = entry.seq
+        elif entry.seq == following and not held:
+            following += 1
+            yield entry
+        else:
+            heappush(held, (entry.seq, number, entry))
+            yield from released(MAX_DISORDER)
+    yield from released(0)
 
 
 def _missing(first: int, last: int) -> Gap:

@@ -6,8 +6,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from robotctl.base.errors import UnreadableFile
 from robotctl.base.store import RemoteFile, path_of
@@ -51,14 +52,7 @@ from robotctl.recording.read.whole_file import SealState
 from robotctl.recording.read.whole_recording import VerifiedRecording, verify_recording
 
 
-class FileGroup(NamedTuple):
-    """The files of one recording in order, and the name of its robot ("" if not recorded)."""
-
-    robot: str
-    files: list[Path]
-
-
-def file_groups(path: Path) -> list[FileGroup]:
+def file_groups(path: Path) -> list[list[Path]]:
     """Return the files of `path` grouped by recording; the group named like `path` comes first.
 
     A file joins a group of the same robot if it has no journal, or if its first journal entry has a
@@ -69,31 +63,29 @@ def file_groups(path: Path) -> list[FileGroup]:
         UnreadableFile: `path` is not a recording.
     """
     files = recording_files(path)
-    if len(files) < 2:
-        return [FileGroup("", files)]
-    groups: list[FileGroup] = []
-    newest: list[int] = []
+    groups: list[list[Path]] = []
+    known: list[tuple[str, int]] = []
+    """The robot of each group, and the highest of its first entries."""
+
     loose: list[Path] = []
-    for file in files:
+    for file in files if len(files) > 1 else ():
         try:
             robot, first = _identity(file)
         except UnreadableFile:
             loose.append(file)
             continue
-        for number, group in enumerate(groups):
-            if group.robot == robot and (first is None or first > newest[number]):
-                group.files.append(file)
-                newest[number] = newest[number] if first is None else first
-                break
-        else:
-            groups.append(FileGroup(robot, [file]))
-            newest.append(-1 if first is None else first)
-    groups.sort(key=lambda group: not any(each.name.startswith(path.name) for each in group.files))
+        fits = (name == robot and (first is None or first > seq) for name, seq in known)
+        at = next((number for number, fit in enumerate(fits) if fit), len(groups))
+        if at == len(groups):
+            groups.append([])
+            known.append((robot, -1))
+        groups[at].append(file)
+        known[at] = robot, known[at][1] if first is None else first
+    groups.sort(key=lambda group: not any(each.name.startswith(path.name) for each in group))
     if not groups:
-        return [FileGroup("", files)]
-    first_group = groups[0]
-    together = [file for file in files if file in first_group.files or file in loose]
-    return [FileGroup(first_group.robot, together), *groups[1:]]
+        return [files]
+    groups[0] = [file for file in files if file in groups[0] or file in loose]
+    return groups
 
 
 def _identity(file: Path) -> tuple[str, int | None]:
@@ -257,22 +249,21 @@ def check_recording(
     """
     report = Report(path)
     began = time.perf_counter()
-    others: list[FileGroup] = []
+    others: list[list[Path]] = []
     try:
         files: list[Path] = []
         if source is None:
-            (_, files), *others = file_groups(path)
+            files, *others = file_groups(path)
         with Recording(path, source=source, files=files if others else ()) as recording:
             _Check(recording, report, on_progress).run()
     except UnreadableFile as error:
         report.miss(str(error))
-    for group in others:
-        for file in group.files:
-            other = check_recording(file)
-            report.miss(
-                f"{file.name} is of another recording, of robot {other.robot or '(unknown)'}: "
-                f"checked on its own, it is {other.verdict}"
-            )
+    for file in chain.from_iterable(others):
+        other = check_recording(file)
+        report.miss(
+            f"{file.name} is of another recording, of robot {other.robot or '(unknown)'}: "
+            f"checked on its own, it is {other.verdict}"
+        )
     if source is None and not (isinstance(path, RemoteFile) and not all_bytes):
         check_bytes(path, report, all_bytes=all_bytes)
     else:

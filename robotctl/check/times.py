@@ -165,18 +165,12 @@ class ClockChanges:
         return bool(self._changed_ns)
 
     @property
-    def set_by_ns(self) -> list[int]:
-        """By how much the clock was set, each time [ns]; negative if it was set back."""
-        return [change.by_ns for change in self._set]
-
-    @property
     def note(self) -> str:
         """A sentence about how often the clock was set, "" if it was not."""
-        changes = self.set_by_ns
-        if not changes:
+        if not self._set:
             return ""
-        often = "once" if len(changes) == 1 else f"{len(changes)} times"
-        by_s = changes[0] / NS_PER_S
+        often = "once" if len(self._set) == 1 else f"{len(self._set)} times"
+        by_s = self._set[0].by_ns / NS_PER_S
         return (
             f"the clock was set {often}, first by {by_s:+.2f} s: times around it are not compared"
         )
@@ -194,12 +188,12 @@ class ClockChanges:
             if by_ns > 0 or went_back:
                 self._set.append(_Step(by_ns, before_ns))
                 return
-        while self._set and self._set[-1].by_ns > 0 and self._is_level(offset_ns):
+        while (
+            self._set
+            and self._set[-1].by_ns > 0
+            and offset_ns <= self._set[-1].level_ns + CLOCK_NS  # as before the last rise
+        ):
             self._set.pop()  # it was a stall
-
-    def _is_level(self, offset_ns: int) -> bool:
-        """Return whether the offset is what it was before its last rise."""
-        return offset_ns <= self._set[-1].level_ns + CLOCK_NS
 
     def is_near(self, steady_ns: int) -> bool:
         """Return whether the offset between the clocks changed within EXCUSES_NS of this time."""

@@ -141,44 +141,6 @@ class DriveCommands:
         }
 
 
-class DrivesOfKernel:
-    """Collects the drives of one kernel, by the id of the request that began each."""
-
-    def __init__(self) -> None:
-        self.drives: dict[int, DriveCommands] = {}
-
-    def add(
-        self, before: State, after: State, effects: Iterable[Effect], t_ns: int, elapsed_ns: int
-    ) -> None:
-        """Add a step from `before` to `after` at `t_ns`, `elapsed_ns` after the previous step."""
-        drive, following = before.drive, after.drive
-        if drive is not None:
-            self._add_time(self._of(drive.request_id, t_ns - elapsed_ns), before, elapsed_ns)
-        if following is not None:
-            if drive is not None and drive.request_id == following.request_id:
-                return
-            self._of(following.request_id, t_ns)
-        for effect in effects:
-            if isinstance(effect, DriveEnded):
-                ended = self._of(effect.request_id, t_ns)
-                ended.end, ended.end_mode = effect, after.mode
-                ended.has_path = drive is None or bool(drive.path.segments)
-
-    def _of(self, request_id: int, begin_ns: int) -> DriveCommands:
-        found = self.drives.get(request_id)
-        if found is None:
-            found = self.drives[request_id] = DriveCommands(begin_ns)
-        return found
-
-    @staticmethod
-    def _add_time(drive: DriveCommands, state: State, elapsed_ns: int) -> None:
-        linear, angular = abs(state.command.linear), abs(state.command.angular)
-        drive.in_mode_ns[state.mode] = drive.in_mode_ns.get(state.mode, 0) + elapsed_ns
-        drive.commanded_m += linear * elapsed_ns / NS_PER_S
-        drive.largest_mps = max(drive.largest_mps, linear)
-        drive.largest_rps = max(drive.largest_rps, angular)
-
-
 def drives_of_both(
     recorded: Mapping[int, DriveCommands], other: Mapping[int, DriveCommands], begin_ns: int
 ) -> list[dict[str, Any]]:
@@ -278,7 +240,9 @@ class _Side:
     kernel: Kernel | None = None
     in_mode_ns: dict[Mode, int] = field(default_factory=lambda: dict.fromkeys(Mode, 0))
     answers: dict[int, Reply] = field(default_factory=dict)
-    drives: DrivesOfKernel = field(default_factory=DrivesOfKernel)
+    drives: dict[int, DriveCommands] = field(default_factory=dict)
+    """The drives by the id of the request that began each."""
+
     refusal: str = ""
     """The text of the last answer that refused a request."""
 
@@ -293,13 +257,39 @@ class _Side:
         before = kernel.state
         self.in_mode_ns[before.mode] += elapsed_ns
         effects = decide(kernel, event)
-        self.drives.add(before, kernel.state, effects, event.t_ns, elapsed_ns)
+        self._note_drive(before, kernel.state, effects, event.t_ns, elapsed_ns)
         for effect in effects:
             if isinstance(effect, Reply):
                 self.answers[effect.request_id] = effect
                 if not effect.ok:
                     self.refusal = effect.message
         return effects
+
+    def _note_drive(
+        self, before: State, after: State, effects: Iterable[Effect], t_ns: int, elapsed_ns: int
+    ) -> None:
+        """Note a step from `before` to `after` at `t_ns`, `elapsed_ns` after the previous step."""
+        drive, following = before.drive, after.drive
+        if drive is not None:
+            present = self._drive(drive.request_id, t_ns - elapsed_ns)
+            linear, angular = abs(before.command.linear), abs(before.command.angular)
+            in_mode_ns = present.in_mode_ns
+            in_mode_ns[before.mode] = in_mode_ns.get(before.mode, 0) + elapsed_ns
+            present.commanded_m += linear * elapsed_ns / NS_PER_S
+            present.largest_mps = max(present.largest_mps, linear)
+            present.largest_rps = max(present.largest_rps, angular)
+        if following is not None:
+            if drive is not None and drive.request_id == following.request_id:
+                return
+            self._drive(following.request_id, t_ns)
+        for effect in effects:
+            if isinstance(effect, DriveEnded):
+                ended = self._drive(effect.request_id, t_ns)
+                ended.end, ended.end_mode = effect, after.mode
+                ended.has_path = drive is None or bool(drive.path.segments)
+
+    def _drive(self, request_id: int, begin_ns: int) -> DriveCommands:
+        return self.drives.setdefault(request_id, DriveCommands(begin_ns))
 
 
 class _TwoKernels:
@@ -391,9 +381,7 @@ class _TwoKernels:
             "mode_differs_s": self._apart_ns / NS_PER_S,
             "first_difference": self._first,
             "failure": self._failure,
-            "drives": drives_of_both(
-                self._recorded.drives.drives, self._other.drives.drives, self._begin_ns
-            ),
+            "drives": drives_of_both(self._recorded.drives, self._other.drives, self._begin_ns),
             "no_drive": {"recorded": self._recorded.no_drive, "what_if": self._other.no_drive},
             "answers": self._answers,
             "answer_count": self._answer_count,

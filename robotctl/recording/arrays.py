@@ -8,7 +8,7 @@ from __future__ import annotations
 import errno
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,7 +21,7 @@ from robotctl.messages.definition import NUMBERS
 from robotctl.messages.fields import FieldPath, ValueKind, WrongValue, parse_path
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.reader import Recording
-from robotctl.recording.table import TIME_COLUMNS, Row, TopicTable, choose_topic, json_of
+from robotctl.recording.table import TIME_COLUMNS, Row, TopicTable, choose_topic, json_lines
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -149,37 +149,32 @@ _SQL_TYPES: Final = {
 
 _INTERRUPTED: Final = "Query interrupted"
 _ERRNO = re.compile(r'"errno":"(\d+)"')
-_FLOATS: Final = ("float32", "float64")
-
-MAX_VALUES: Final = 1_000_000
-"""Number of values in memory before a batch is written; a list or bytes count as their length."""
-
 _MEMORY_LIMIT: Final = "1GB"
 _GROUP_BYTES: Final = "64MB"
+_LEAST_LINE: Final = 1 << 24
+"""The maximum length of a line of JSON, unless one is longer [bytes]; duckdb reserves it."""
 
 
 def write_parquet(columns: Sequence[FieldPath], rows: Iterable[Row], target: Path) -> int:
     """Write the rows into the new file `target`; return their number.
 
-    Lists of numbers or texts become lists, lists of messages JSON, and bytes a BLOB. Temporary
-    files in the folder of `target` need as much space as `target`.
+    Lists of numbers or texts become lists, lists of messages JSON, and bytes a BLOB. Duckdb reads
+    the rows from a temporary file of JSON in the folder of `target`.
 
     Raises:
         UsageError, RobotctlError: duckdb is not installed, or fails.
-        UnreadableFile: A number does not fit into its column.
         OSError: The disk is full or fails.
     """
     duckdb = _duckdb()
-    parts: list[Path] = []
-    written = 0
+    written, longest = 0, _LEAST_LINE
     try:
         with duckdb.connect() as database, TemporaryDirectory(dir=target.parent) as folder:
-            database.execute(f"SET threads=1; SET memory_limit='{_MEMORY_LIMIT}'")
-            for batch in _batches(columns, rows):
-                parts.append(Path(folder) / str(len(parts)))
-                _write_part(database, columns, batch, parts[-1])
-                written += len(batch)
-            _join(database, parts, target)
+            path = Path(folder, "rows.jsonl")
+            with path.open("w", encoding="ascii") as lines:
+                for line in json_lines(columns, rows):
+                    lines.write(line)
+                    written, longest = written + 1, max(longest, len(line))
+            _copy(database, columns, path, longest, target)
     except duckdb.IOException as error:
         told = _ERRNO.search(str(error))
         code = int(told[1]) if told else errno.EIO
@@ -189,7 +184,8 @@ def write_parquet(columns: Sequence[FieldPath], rows: Iterable[Row], target: Pat
             raise KeyboardInterrupt from None
         raise
     except duckdb.Error as error:
-        raise RobotctlError(f"duckdb cannot write {target.name}: {_first_line(error)}") from error
+        reason = str(error).partition("\n")[0]
+        raise RobotctlError(f"duckdb cannot write {target.name}: {reason}") from error
     return written
 
 
@@ -203,92 +199,41 @@ def _duckdb() -> Any:
     return duckdb
 
 
-def _batches(columns: Sequence[FieldPath], rows: Iterable[Row]) -> Iterator[list[Row]]:
-    """Yield the rows in batches that fit into memory; without rows, yield one empty batch."""
-    long = [place for place, column in enumerate(columns) if column.kind is not ValueKind.NUMBER]
-    batch: list[Row] = []
-    values = 0
-    any_batch = False
-    for row in rows:
-        batch.append(row)
-        values += len(row) + sum(len(row[place]) for place in long)
-        if values >= MAX_VALUES:
-            yield batch
-            batch, values, any_batch = [], 0, True
-    if batch or not any_batch:
-        yield batch
-
-
-def _write_part(
-    database: DuckDBPyConnection, columns: Sequence[FieldPath], batch: Sequence[Row], path: Path
+def _copy(
+    database: DuckDBPyConnection,
+    columns: Sequence[FieldPath],
+    lines: Path,
+    longest: int,
+    target: Path,
 ) -> None:
-    """Write a batch into the new Parquet file `path`."""
-    values = zip(*batch, strict=True) if batch else ((),) * len(columns)
-    try:
-        arrays = {
-            f"c{place}": _column(column, cells)
-            for place, (column, cells) in enumerate(zip(columns, values, strict=True))
-        }
-    except OverflowError:
-        raise UnreadableFile("a time of a message is beyond the year 2262") from None
+    """Copy the `lines` of JSON, each of at most `longest` bytes, into the Parquet file `target`."""
+    types = ", ".join(f"{_text(column.name)}: {_text(_sql_type(column))}" for column in columns)
     selected = ", ".join(
-        f"{_restored(column, f'c{place}')} AS {_quoted(column.name)}"
-        for place, column in enumerate(columns)
+        f"from_base64({name}) AS {name}" if column.kind is ValueKind.BYTES else name
+        for column in columns
+        for name in [_quoted(column.name)]
     )
-    # duckdb finds the type of a list only by looking at all values of the batch.
-    database.execute(f"SET pandas_analyze_sample={len(batch) + 1}")
-    database.register("batch", arrays)
-    database.execute(f"COPY (SELECT {selected} FROM batch) TO {_text(path)} (FORMAT parquet)")
-    database.unregister("batch")
-
-
-def _column(column: FieldPath, cells: Sequence[Any]) -> np.ndarray[Any, Any]:
-    if column.kind is ValueKind.NUMBER:
-        return np.array(cells, dtype=NUMBERS[column.field.type_name])
-    array = np.empty(len(cells), dtype=object)
-    nested = column.kind is ValueKind.NESTED
-    for place, value in enumerate(cells):
-        array[place] = json_of(value) if nested else value
-    return array
-
-
-def _restored(column: FieldPath, name: str) -> str:
-    """Return SQL that casts a column to its type, and NULL to NaN, which duckdb reads as NULL."""
-    if column.kind is ValueKind.BYTES:
-        return f"CAST({name} AS BLOB)"
-    if column.kind is ValueKind.NESTED:
-        return f"CAST({name} AS VARCHAR)"
-    kind = _SQL_TYPES.get(NUMBERS.get(column.field.type_name, ""), "VARCHAR")
-    if column.kind is ValueKind.LIST:
-        cast = f"CAST({name} AS {kind}[])"
-        nan = f"list_transform({cast}, lambda x: coalesce(x, CAST('nan' AS {kind})))"
-        return nan if column.field.type_name in _FLOATS else cast
-    if column.field.type_name in _FLOATS:
-        return f"coalesce({name}, CAST('nan' AS {kind}))"
-    return f"CAST({name} AS {kind})"
-
-
-def _join(database: DuckDBPyConnection, parts: Sequence[Path], target: Path) -> None:
-    if len(parts) == 1:
-        parts[0].rename(target)
-        return
-    listed = ", ".join(map(_text, parts))
     # With one thread the rows keep their order anyway. duckdb limits the bytes of row groups only
     # if it does not have to preserve the order.
+    database.execute(f"SET threads=1; SET memory_limit='{_MEMORY_LIMIT}'")
     database.execute("SET preserve_insertion_order=false")
     database.execute(
-        f"COPY (SELECT * FROM read_parquet([{listed}])) TO {_text(target)} "
+        f"COPY (SELECT {selected} FROM read_json({_text(lines)}, format='newline_delimited', "
+        f"columns={{{types}}}, maximum_object_size={longest})) TO {_text(target)} "
         f"(FORMAT parquet, ROW_GROUP_SIZE_BYTES '{_GROUP_BYTES}')"
     )
+
+
+def _sql_type(column: FieldPath) -> str:
+    number = _SQL_TYPES.get(NUMBERS.get(column.field.type_name, ""), "VARCHAR")
+    if column.kind is ValueKind.LIST:
+        return f"{number}[]"
+    return number if column.kind is ValueKind.NUMBER else "VARCHAR"
 
 
 def _quoted(name: str) -> str:
     return '"' + name.replace('"', '""') + '"'
 
 
-def _text(path: Path) -> str:
-    return "'" + str(path).replace("'", "''") + "'"
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).partition("\n")[0]
+def _text(value: object) -> str:
+    return "'" + str(value).replace("'", "''") + "'"

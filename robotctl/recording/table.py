@@ -148,20 +148,22 @@ def write_csv(columns: Sequence[FieldPath], rows: Iterable[Row], stream: TextIO)
     """
     writer = csv.writer(_LineFeeds(stream), lineterminator=_BOTH)
     writer.writerow([column.name for column in columns])
-    counted = _Counted(_changed(columns, rows, json_of))
-    writer.writerows(counted)
-    return counted.count
+    return sum(bool(writer.writerow(row)) for row in _changed(columns, rows, json_of))
 
 
 def write_json_lines(columns: Sequence[FieldPath], rows: Iterable[Row], stream: TextIO) -> int:
-    """Write a JSON object for each row, with the column names as keys; return the number of rows.
+    """Write the `json_lines` of the rows; return the number of rows."""
+    return sum(bool(stream.write(line)) for line in json_lines(columns, rows))
+
+
+def json_lines(columns: Sequence[FieldPath], rows: Iterable[Row]) -> Iterator[str]:
+    """Yield a JSON object for each row, with the column names as keys, as a line of ASCII.
 
     Bytes become base64. NaN and infinity become the texts `NaN`, `Infinity` and `-Infinity`.
     """
     names = [column.name for column in columns]
-    counted = _Counted(_changed(columns, rows, lambda value: value))
-    stream.writelines(json_of(dict(zip(names, row, strict=True))) + "\n" for row in counted)
-    return counted.count
+    for row in _changed(columns, rows, lambda value: value):
+        yield json_of(dict(zip(names, row, strict=True))) + "\n"
 
 
 def json_of(value: Any) -> str:
@@ -180,19 +182,6 @@ class _LineFeeds:
 
     def write(self, row: str) -> int:
         return self._stream.write(f"{row.removesuffix(_BOTH)}\n")
-
-
-class _Counted:
-    """Yields rows, and counts them."""
-
-    def __init__(self, rows: Iterable[Row]) -> None:
-        self._rows = rows
-        self.count = 0
-
-    def __iter__(self) -> Iterator[Row]:
-        for row in self._rows:
-            self.count += 1
-            yield row
 
 
 def _changed(columns: Sequence[FieldPath], rows: Iterable[Row], of_list: _Change) -> Iterable[Row]:

@@ -261,7 +261,7 @@ def test_a_stall_sets_no_clock(times: Sequence[tuple[int, int]], set_by: list[in
     clock = ClockChanges()
     for steady, wall in times:
         clock.look(steady * MS, wall * MS)
-    assert clock.set_by_ns == [each * MS for each in set_by]
+    assert [each.by_ns for each in clock._set] == [each * MS for each in set_by]
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ import pytest
 from robotctl.base.errors import UsageError
 from robotctl.base.store import MAX_READ_BYTES, RangeReader, RemoteFile, open_store, path_of
 from robotctl.base.store.bucket import RequestLoop, profile_keys
-from robotctl.base.store.folder_store import unfinished_file
+from robotctl.base.store.folder_store import PREFIX, FolderStore
 from robotctl.base.store.objects import (
     AccessDenied,
     NoSuchObject,
@@ -121,67 +121,62 @@ def test_a_name_that_leads_elsewhere_is_no_name(store: ObjectStore, key: str) ->
 
 WRITER = """
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from robotctl.base.store.folder_store import unfinished_file
-with unfinished_file(Path(sys.argv[1])) as file:
-    file.write(bytes(100_000))
+from robotctl.base.store.folder_store import PREFIX, FolderStore
+def parts() -> Iterator[bytes]:
+    yield bytes(100_000)
     print("written", flush=True)
     sys.stdin.read()
+FolderStore(Path(sys.argv[1])).put("a", parts())
 """
 
 
 @pytest.fixture(params=["with links", "as on FAT"])
 def target(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     if request.param == "as on FAT":
-        opened = os.open
-
-        def no_unnamed_files(path: Any, flags: int, *rest: Any, **others: Any) -> int:
-            if flags & os.O_TMPFILE == os.O_TMPFILE:
-                raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
-            return opened(path, flags, *rest, **others)
 
         def no_links(*_: Any, **__: Any) -> None:
             raise OSError(errno.EPERM, os.strerror(errno.EPERM))
 
-        monkeypatch.setattr(os, "open", no_unnamed_files)
         monkeypatch.setattr(os, "link", no_links)
     return tmp_path
 
 
 def test_it_appears_under_a_free_name_only(target: Path) -> None:
-    with unfinished_file(target) as file:
-        file.write(b"first")
-        assert not (target / "a").exists()
-        file.name_if_free(target / "a")
-    with unfinished_file(target) as file:
-        file.write(b"second")
-        with pytest.raises(FileExistsError):
-            file.name_if_free(target / "a")
+    def parts(data: bytes) -> Iterator[bytes]:
+        yield data
+        assert (target / "a").exists() is (data == b"second")
+
+    assert FolderStore(target).put_if_absent("a", parts(b"first"))
+    assert not FolderStore(target).put_if_absent("a", parts(b"second"))
     assert [(path.name, path.read_bytes()) for path in target.iterdir()] == [("a", b"first")]
 
 
 def test_it_takes_the_place_of_another(target: Path) -> None:
     for data in (b"first", b"second"):
-        with unfinished_file(target) as file:
-            file.write(data)
-            file.name_over(target / "a")
+        FolderStore(target).put("a", [data])
     assert [(path.name, path.read_bytes()) for path in target.iterdir()] == [("a", b"second")]
 
 
 def test_an_error_leaves_nothing(target: Path) -> None:
-    with suppress(ZeroDivisionError), unfinished_file(target) as file:
-        file.write(b"half")
+    def parts() -> Iterator[bytes]:
+        yield b"half"
         raise ZeroDivisionError
+
+    with suppress(ZeroDivisionError):
+        FolderStore(target).put("a", parts())
     assert list(target.iterdir()) == []
 
 
-def test_a_writer_that_is_killed_leaves_nothing(tmp_path: Path) -> None:
+def test_a_writer_that_is_killed_leaves_a_hidden_file(tmp_path: Path) -> None:
     command = [sys.executable, "-c", WRITER, str(tmp_path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
         assert writer.stdout is not None
         assert writer.stdout.readline() == b"written\n"
         writer.send_signal(signal.SIGKILL)
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name.startswith(PREFIX) for path in tmp_path.iterdir()] == [True]
+    assert list(FolderStore(tmp_path).list()) == []
 
 
 KIB = 1 << 10

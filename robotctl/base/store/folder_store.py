@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import IO, Final
+from typing import Final
 
 from robotctl.base.files import open_folder
 from robotctl.base.store.objects import (
@@ -28,9 +28,6 @@ from robotctl.base.store.objects import (
 from robotctl.base.text import printable
 
 PREFIX: Final = ".unfinished-"
-
-_NOT_OFFERED: Final = (errno.EPERM, errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL, errno.ENOSYS)
-"""Errors of file systems without O_TMPFILE: FAT, exFAT (USB sticks) and some network ones."""
 
 _AT_FDCWD: Final = -100
 _RENAME_NOREPLACE: Final = 1
@@ -87,17 +84,19 @@ class FolderStore:
 
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
         """Store a file unless the name is in use; return whether it was stored."""
-        with self._told(key), self._filled(key, parts, stamp) as file:
+        with self._told(key), self._filled(key, parts, stamp) as path:
             try:
-                file.name_if_free(self._path(key))
+                _name_if_free(path, self._path(key))
             except FileExistsError:
                 return False
+            _sync_folder(path.parent)
             return True
 
     def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
         """Store a file from parts of any length; replace a file with that name."""
-        with self._told(key), self._filled(key, parts, stamp) as file:
-            file.name_over(self._path(key))
+        with self._told(key), self._filled(key, parts, stamp) as path:
+            os.replace(path, self._path(key))
+            _sync_folder(path.parent)
 
     @contextmanager
     def _opened(self, key: str) -> Iterator[int]:
@@ -114,14 +113,25 @@ class FolderStore:
             os.close(descriptor)
 
     @contextmanager
-    def _filled(self, key: str, parts: Iterable[bytes], stamp: Stamp) -> Iterator[UnfinishedFile]:
+    def _filled(self, key: str, parts: Iterable[bytes], stamp: Stamp) -> Iterator[Path]:
+        """Yield the path of a new file with the content, on the disk (fsync).
+
+        The path is removed after the block. A process that is killed leaves a hidden file, whose
+        name begins with PREFIX.
+        """
         folder = self._path(key).parent
         folder.mkdir(parents=True, exist_ok=True)
-        with unfinished_file(folder) as file:
-            for part in parts:
-                file.write(part)
-            file.modified_ns = stamp.modified_ns
-            yield file
+        with NamedTemporaryFile(dir=folder, prefix=PREFIX, delete=False) as file:
+            try:
+                file.writelines(parts)
+                file.flush()
+                if stamp.modified_ns:
+                    os.utime(file.fileno(), ns=(stamp.modified_ns, stamp.modified_ns))
+                os.fsync(file.fileno())
+                yield Path(file.name)
+            finally:
+                with suppress(FileNotFoundError):  # it was renamed to its final name
+                    os.unlink(file.name)
 
     @contextmanager
     def _told(self, key: str) -> Iterator[None]:
@@ -151,97 +161,23 @@ def _described(key: str, status: os.stat_result) -> StoredObject:
     return StoredObject(key, status.st_size, etag, status.st_mtime_ns)
 
 
-class UnfinishedFile:
-    """A file that is written first and gets its name afterwards."""
-
-    def __init__(self, file: IO[bytes], path: Path | None) -> None:
-        """Use an open file; `path` is its temporary name, or None if it has no name."""
-        self._file = file
-        self._path = path
-        self.modified_ns = 0
-        """The modification time to set when the file gets its name [ns]; 0: do not set it."""
-
-    def write(self, data: bytes) -> None:
-        """Append `data` to the file.
-
-        Raises:
-            OSError: The disk is full or fails.
-        """
-        self._file.write(data)
-
-    def name_if_free(self, target: Path) -> None:
-        """Give the file the name `target`; return when file and name are on the disk (fsync).
-
-        Raises:
-            FileExistsError: `target` exists.
-            OSError: The disk is full or fails.
-        """
-        self._sync()
-        if self._path is None:
-            self._link(target)
-        else:
-            _rename_if_free(self._path, target)
-        _sync_folder(target.parent)
-
-    def name_over(self, target: Path) -> None:
-        """Give the file the name `target`, in place of an existing file; return after the fsync.
-
-        Raises:
-            OSError: The disk is full or fails.
-        """
-        self._sync()
-        path = self._path
-        if path is None:
-            path = target.with_name(f"{PREFIX}{os.getpid()}-{self._file.fileno()}")
-            self._link(path)
-        os.replace(path, target)
-        _sync_folder(target.parent)
-
-    def _sync(self) -> None:
-        self._file.flush()
-        if self.modified_ns:
-            os.utime(self._file.fileno(), ns=(self.modified_ns, self.modified_ns))
-        os.fsync(self._file.fileno())
-
-    def _link(self, target: Path) -> None:
-        # A descriptor makes Python follow the link in /proc.
-        with open_folder(target.parent) as folder:
-            os.link(f"/proc/self/fd/{self._file.fileno()}", target, src_dir_fd=folder)
-
-
-@contextmanager
-def unfinished_file(folder: Path) -> Iterator[UnfinishedFile]:
-    """Yield a new file in `folder`; it is removed after the block unless it got a name.
-
-    A process that is killed leaves at most a hidden file, whose name begins with PREFIX.
+def _name_if_free(path: Path, target: Path) -> None:
+    """Give a file the name `target` as well, or instead where there are no links, as on FAT.
 
     Raises:
-        OSError: The file cannot be created.
+        FileExistsError: `target` exists.
+        OSError: The file system offers neither links nor renames of this kind.
     """
     try:
-        descriptor = os.open(folder, os.O_TMPFILE | os.O_WRONLY | os.O_CLOEXEC, 0o600)
-    except OSError as error:
-        if error.errno not in _NOT_OFFERED:
-            raise
-    else:
-        with os.fdopen(descriptor, "wb") as file:
-            yield UnfinishedFile(file, None)
-        return
-    named = NamedTemporaryFile(dir=folder, prefix=PREFIX, delete=False)  # noqa: SIM115
-    try:
-        with named:
-            yield UnfinishedFile(named, Path(named.name))
-    finally:
-        with suppress(FileNotFoundError):  # it was renamed to its final name
-            os.unlink(named.name)
-
-
-def _rename_if_free(path: Path, target: Path) -> None:
-    library = ctypes.CDLL(None, use_errno=True)
-    source, name = os.fsencode(path), os.fsencode(target)
-    if library.renameat2(_AT_FDCWD, source, _AT_FDCWD, name, _RENAME_NOREPLACE):
-        number = ctypes.get_errno()
-        raise OSError(number, os.strerror(number), str(target))
+        os.link(path, target)
+    except FileExistsError:
+        raise
+    except OSError:
+        library = ctypes.CDLL(None, use_errno=True)
+        names = _AT_FDCWD, os.fsencode(path), _AT_FDCWD, os.fsencode(target)
+        if library.renameat2(*names, _RENAME_NOREPLACE):
+            number = ctypes.get_errno()
+            raise OSError(number, os.strerror(number), str(target)) from None
 
 
 def _sync_folder(folder: Path) -> None:

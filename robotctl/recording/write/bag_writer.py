@@ -234,9 +234,7 @@ def repeats(
         left -= len(latched[position][1])
         fits[position] = left >= 0
         if left < 0:
-            state = channels[latched[position][0]]
-            state.not_repeated += 1
-            state.mark()
+            channels[latched[position][0]].not_repeated += 1
     return [message for message, fit in zip(latched, fits, strict=True) if fit]
 
 
@@ -317,9 +315,7 @@ class BagWriter:
         self._file.write(packed)
         self._newest_ns = packed.end_ns
         for channel, index in packed.indexes.items():
-            state = self._channels[channel]
-            state.written += len(index) // 2
-            state.mark()
+            self._channels[channel].written += len(index) // 2
 
     def begin_seal(self) -> None:
         """Begin to seal the first file; each later file is sealed from its beginning."""
@@ -357,9 +353,7 @@ class BagWriter:
                 self._file.write(pack(messages))
         except OutOfMemory:
             for channel, *_ in messages:
-                state = self._channels[channel]
-                state.not_repeated += 1
-                state.mark()
+                self._channels[channel].not_repeated += 1
         self._write_metadata()
         self.path = successor.path
         with suppress(Exception):  # a failing listener must not stop the recording

@@ -126,12 +126,6 @@ class ChannelState:
     dropped_by_writer: int = 0
     """Changed by the writer thread: taken from the queue, but not written."""
 
-    marks: bytearray = field(default_factory=lambda: bytearray(b"\1"))
-    """A byte for each channel of the recording, 1 where a count has changed: see CountsOfTopics."""
-
-    number: int = 0
-    """The index of this channel's byte in `marks`."""
-
     def __post_init__(self) -> None:
         """Set `expected`, and `latched` if the topic is latched."""
         self.expected = self.gaps.expected
@@ -168,10 +162,6 @@ class ChannelState:
     def latched_messages(self) -> list[LatchedMessage]:
         """Return a list of the latched messages, for the writer thread."""
         return list(self.latched.values()) if self.latched else []
-
-    def mark(self) -> None:
-        """Mark the channel as changed. Call it after a count has changed."""
-        self.marks[self.number] = 1
 
     @property
     def arrived(self) -> int:

@@ -8,7 +8,7 @@ written + queued + dropped at any time, and queued is 0 after `close`.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from math import inf
@@ -27,7 +27,7 @@ from robotctl.recording.format.records import (
     MESSAGE_FIELDS_BYTES,
     MESSAGE_HEAD,
 )
-from robotctl.recording.format.topics import COUNTERS, MessageCounts, Topic, TopicStats, total
+from robotctl.recording.format.topics import MessageCounts, Topic, TopicStats, total
 from robotctl.recording.write.bag_writer import begin_bag
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer
 from robotctl.recording.write.channel_state import MAX_PACKERS, ChannelState, Packer
@@ -59,43 +59,6 @@ class RecorderStats(MessageCounts):
     failure: str
     warning: str
     topics: tuple[TopicStats, ...]
-
-
-class CountsOfTopics:
-    """Copies of the counts of all channels of a recording. Channels are never removed."""
-
-    def __init__(self, channels: Sequence[ChannelState], marks: bytearray) -> None:
-        """`marks` has one byte per channel: 1 if the channel is new or its counts have changed."""
-        self._channels = channels
-        self._marks = marks
-        self.topics: tuple[TopicStats, ...] = ()
-        """The counts of each channel; an item stays the same object until its counts change."""
-
-        self.sums = dict.fromkeys(COUNTERS, 0)
-        """The sum of each counter, by name."""
-
-    def update(self) -> None:
-        """Copy the counts that have changed. Call it in the loop's thread."""
-        channels, marks = self._channels, self._marks
-        place = marks.find(1)
-        if place < 0:
-            return
-        counts, gone, come = list(self.topics), list[TopicStats](), list[TopicStats]()
-        counts += [TopicStats()] * (len(channels) - len(counts))
-        try:
-            while place >= 0:
-                marks[place] = 0  # before the copy: a later change marks it again
-                gone.append(counts[place])
-                counts[place] = new = channels[place].stats()
-                come.append(new)
-                place = marks.find(1, place + 1)
-            before, after = total(gone), total(come)
-            sums = {name: self.sums[name] - before[name] + after[name] for name in COUNTERS}
-            self.topics, self.sums = tuple(counts), sums
-        except MemoryError:
-            for state in channels:
-                state.mark()
-            raise
 
 
 MAX_TOPICS: Final = 1 << 16
@@ -136,8 +99,6 @@ class Recorder:
         options = options or RecorderOptions()
         self._channels: list[ChannelState] = []
         self._channel_of: dict[Topic, int] = {}
-        self._marks = bytearray()
-        self._counts = CountsOfTopics(self._channels, self._marks)
         self._closed = False
         self._chunk_bytes = options.chunk_bytes
         self._memory_bytes = options.memory_bytes
@@ -163,10 +124,7 @@ class Recorder:
         if channel >= MAX_TOPICS:
             raise Refused(f"a recording holds at most {MAX_TOPICS} topics: exclude some")
         self._buffer.make_indexes(channel + 1)
-        if len(self._marks) == channel:  # the last attempt may have added it, and then failed
-            self._marks.append(0)
-        self._channels.append(ChannelState(topic, marks=self._marks, number=channel))
-        self._marks[channel] = 1
+        self._channels.append(ChannelState(topic))
         self._channel_of[topic] = channel
         return channel
 
@@ -180,7 +138,6 @@ class Recorder:
         """
         state = self._channels[channel]
         state.received += 1
-        self._marks[channel] = 1
         try:
             size = len(data)
             state.size += size
@@ -219,7 +176,6 @@ class Recorder:
         """Count a message as throttled: it is not recorded, and it does not count as lost."""
         state = self._channels[channel]
         state.throttled += 1
-        self._marks[channel] = 1
         state.newest_ns = log_ns
         state.gaps.note(gid, sequence)
 
@@ -243,19 +199,13 @@ class Recorder:
         self._thread.put(event)
 
     def stats(self) -> RecorderStats:
-        """Return the current counts. Call it in the loop's thread.
-
-        The list `topics` and each item in it are new objects only if their counts have changed.
-        """
-        self._counts.update()
-        return self._stats(self._counts.topics, self._counts.sums)
-
-    def _stats(self, topics: tuple[TopicStats, ...], sums: Mapping[str, int]) -> RecorderStats:
+        """Return the current counts. Call it in the loop's thread, or after `close`."""
+        topics = tuple([state.stats() for state in self._channels])
         return RecorderStats(
             state=self._state(),
             file=self._writer.path,
             bytes=self._writer.size,
-            **sums,
+            **total(topics),
             no_memory=self._no_memory + self._thread.no_memory,
             failure=self._thread.failure,
             warning=self._writer.warning,
@@ -269,8 +219,7 @@ class Recorder:
         """
         self._closed = True
         self._thread.stop()
-        topics = tuple([state.stats() for state in self._channels])
-        return self._stats(topics, total(topics))
+        return self.stats()
 
     def _state(self) -> RecorderState:
         if self._thread.failure:

@@ -306,8 +306,7 @@ class WriterThread:
                 self._stopping = True
             return
         if isinstance(item, RecordedEvent):
-            event = item
-            self._attempt(lambda: self._writer.write_event(event))
+            self._attempt(partial(self._writer.write_event, item))
             return
         try:
             packed = item.take()
@@ -335,9 +334,7 @@ class WriterThread:
     def _drop(self, counts: Mapping[int, int]) -> None:
         """Count dropped messages by channel, and in `no_memory` unless the file has failed."""
         for channel, count in counts.items():
-            state = self._channels[channel]
-            state.dropped_by_writer += count
-            state.mark()
+            self._channels[channel].dropped_by_writer += count
             if not self.failure:
                 self.no_memory += count
 
