@@ -358,3 +358,18 @@ def test_the_clip_process_has_the_lowest_priority(tmp_path: Path) -> None:
         recorder.close()
         cutter.close()
     assert said["target"].startswith(str(tmp_path / "run" / "clips"))
+
+
+async def test_without_duckdb_that_is_said_once_and_nothing_is_started(
+    indexed: Callable[[str], Indexer],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    indexer = indexed("")
+    monkeypatch.setattr(module, "find_spec", lambda name: None)
+    monkeypatch.setattr(module, "start", lambda *_, **__: pytest.fail("a process was started"))
+    caplog.set_level("INFO")
+    for _ in range(2):
+        await indexer.finish()
+    assert caplog.messages == [module.NOT_INSTALLED]
+    assert indexer.problem == ""

@@ -369,3 +369,7 @@ def test_the_notes_of_a_start_name_the_robot_in_a_cure(recorder: FlightRecorder)
     note = "moving is refused: no odometry: (robotctl status lists the topics)"
     (told,) = source.summary([note])["notes"]
     assert "(robotctl status --robot r2 lists the topics)" in told
+
+
+def test_diagnostics_on_ros_name_the_robot_in_a_cure(recorder: FlightRecorder) -> None:
+    assert recorder.report.diagnosis(FAILED, []).message == FAILURE_OF_R2

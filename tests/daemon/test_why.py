@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -11,11 +12,13 @@ import pytest
 from robotctl import __version__
 from robotctl.cli import app
 from robotctl.config import Config, flat
+from robotctl.daemon.api import status
 from robotctl.daemon.control.decisions import Decisions, Request
 from robotctl.daemon.recording.provenance import DIGEST, software
 from robotctl.decisions.journal import DecisionKind, Entry, log_folder, read_log
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import RECORD_COMMIT
+from robotctl.ipc.method_params import NoParams
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern
@@ -63,6 +66,36 @@ def test_why_knows_everything_that_the_daemon_has_answered_so_far(
     process = here.spawn("why", "--json", cwd=elsewhere)
     assert json.loads(process.communicate()[0])["path"] == str(live), "the running daemon's"
     here.ok("stop")
+
+
+class SlowDisk:
+    """A recorder whose disk writes one message at each check, up to a limit."""
+
+    def __init__(self, takes: int, failure: str = "") -> None:
+        self.failure = failure
+        self._written, self._takes = 0, takes
+
+    def stats(self) -> Any:
+        self._written = min(self._written + 1, self._takes)
+        return SimpleNamespace(
+            received=100 + self._written, written=self._written, dropped=95, file="/a/run_0.mcap"
+        )
+
+
+@pytest.mark.parametrize(
+    ("recorder", "uncommitted"),
+    [(SlowDisk(6), 0), (SlowDisk(2), 4), (SlowDisk(2, "recording stopped: disk full"), 4)],
+    ids=["in time", "too slow", "failed"],
+)
+async def test_what_the_disk_did_not_take_is_counted(
+    recorder: SlowDisk, uncommitted: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(status, "COMMIT_DEADLINE_S", 0.2)
+    given: Any = recorder
+    commit = status.recording_methods(given, "robot")["record_commit"].handler
+    answer: Any = await commit(NoParams())
+    assert answer["uncommitted"] == uncommitted
+    assert answer["failure"] == recorder.failure
 
 
 class KeptLog:
