@@ -35,8 +35,7 @@ from robotctl.decisions.journal import YEAR_S, DecisionKind, log_folder
 from robotctl.decisions.log import DecisionLog
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.listener import remove_stale, socket_group
-from robotctl.ipc.request_handler import Identity
-from robotctl.ipc.server import ControlServer
+from robotctl.ipc.server import ControlServer, Identity
 from robotctl.kernel.constants import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.kernel.params import CommandParams, Stamping
 from robotctl.kernel.types import Cause

@@ -40,8 +40,7 @@ from robotctl.daemon.shutdown import last_zero_arrived, send_zero, stand_still
 from robotctl.daemon.simulator import recorded_robot
 from robotctl.daemon.supervisor import Work, until
 from robotctl.ipc.advice import advice
-from robotctl.ipc.request_handler import Method
-from robotctl.ipc.server import ControlServer
+from robotctl.ipc.server import ControlServer, Method
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.state import Health, State, latched

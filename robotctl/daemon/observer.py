@@ -20,8 +20,7 @@ from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.ipc.answers import RobotFacts
 from robotctl.ipc.method_names import OF_A_ROBOT
 from robotctl.ipc.method_params import AnyParams
-from robotctl.ipc.request_handler import Method
-from robotctl.ipc.server import ControlServer
+from robotctl.ipc.server import ControlServer, Method
 from robotctl.kernel.types import Event, FaultReported, Remedy
 from robotctl.recording.format.names import OBSERVING
 

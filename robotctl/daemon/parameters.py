@@ -14,7 +14,7 @@ from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import ParameterAnswer, ParameterList, ParameterSet
 from robotctl.ipc.method_names import PARAM_LIST, PARAM_SET
 from robotctl.ipc.method_params import NoParams, ParamSetParams
-from robotctl.ipc.request_handler import Method
+from robotctl.ipc.server import Method
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.parameter_keys import kernel_leaves
 from robotctl.kernel.ranges import Change

@@ -8,7 +8,7 @@ import os
 import secrets
 import socket
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -113,68 +113,6 @@ MAX_SUBSCRIPTIONS: Final = 10_000
 """Limit on the subscriptions of one viewer."""
 
 
-class OfferedChannels:
-    """Keeps the offered channels by id, with their subscriptions; channel ids are never reused."""
-
-    def __init__(self) -> None:
-        self._channels: dict[int, ViewChannel] = {}
-        self._last_id = 0
-        self._subscribers: dict[int, dict[Viewer, int]] = {}
-        """Channel id -> viewer -> the viewer's subscription id."""
-
-    @property
-    def channels(self) -> Collection[ViewChannel]:
-        """The channels that are offered."""
-        return self._channels.values()
-
-    def offer(self, topic: str, type_name: str, definition: str) -> ViewChannel:
-        """Add a channel for a topic, and return it."""
-        self._last_id += 1
-        channel = ViewChannel(self._last_id, topic, type_name, definition)
-        self._channels[channel.id] = channel
-        return channel
-
-    def withdraw(self, channel_id: int) -> None:
-        """Remove a channel, and end its subscriptions."""
-        del self._channels[channel_id]
-        for viewer, subscription in self._subscribers.pop(channel_id, {}).items():
-            del viewer.subscriptions[subscription]
-
-    def subscribers(self, channel_id: int) -> Mapping[Viewer, int] | None:
-        """Return viewer -> its subscription id for a channel; None if the channel has no viewer."""
-        return self._subscribers.get(channel_id)
-
-    def subscribe(self, viewer: Viewer, subscription: int, channel_id: int) -> bool:
-        """Begin a subscription and return True; False if the channel is not offered any more.
-
-        Raises:
-            WrongRequest: The viewer already uses the subscription id, already watches the channel,
-                or already has MAX_SUBSCRIPTIONS subscriptions.
-        """
-        if channel_id not in self._channels:
-            return False
-        watching = self._subscribers.get(channel_id, {})
-        taken = subscription in viewer.subscriptions or viewer in watching
-        if taken or len(viewer.subscriptions) >= MAX_SUBSCRIPTIONS:
-            raise WrongRequest(f"subscription {subscription}: one a channel, each with its own id")
-        viewer.subscriptions[subscription] = channel_id
-        watching[viewer] = subscription
-        self._subscribers[channel_id] = watching
-        return True
-
-    def unsubscribe(self, viewer: Viewer, subscription: int) -> int | None:
-        """End a subscription; return the channel's id if it has no viewer left, otherwise None."""
-        channel_id = viewer.subscriptions.pop(subscription, None)
-        if channel_id is None:
-            return None
-        watching = self._subscribers[channel_id]
-        del watching[viewer]
-        if watching:
-            return None
-        del self._subscribers[channel_id]
-        return channel_id
-
-
 MAX_VIEWERS: Final = 128
 """Limit on viewers; the connections of further ones are closed with the code TRY_LATER."""
 
@@ -213,7 +151,13 @@ class ViewServer:
         self._admission = admission
         self._services = services
         self._greeting = server_info(name, secrets.token_hex(8), capabilities)
-        self._offered = OfferedChannels()
+        self._channels: dict[int, ViewChannel] = {}
+        self._last_id = 0
+        """Ids of channels are never reused."""
+
+        self._subscribers: dict[int, dict[Viewer, int]] = {}
+        """Channel id -> viewer -> the viewer's subscription id."""
+
         self._notes: dict[str, tuple[StatusLevel, str]] = {}
         self._connections: set[Viewer] = set()
         self._viewers: set[Viewer] = set()
@@ -272,18 +216,22 @@ class ViewServer:
 
     def offer(self, topic: str, type_name: str, definition: str) -> int:
         """Offer a topic to all viewers, and return the id of its channel."""
-        channel = self._offered.offer(topic, type_name, definition)
+        self._last_id += 1
+        channel = ViewChannel(self._last_id, topic, type_name, definition)
+        self._channels[channel.id] = channel
         self._tell_all(advertise([channel]))
         return channel.id
 
     def withdraw(self, channel_id: int) -> None:
         """Withdraw a channel from all viewers, and end its subscriptions."""
-        self._offered.withdraw(channel_id)
+        del self._channels[channel_id]
+        for viewer, subscription in self._subscribers.pop(channel_id, {}).items():
+            del viewer.subscriptions[subscription]
         self._tell_all(unadvertise([channel_id]))
 
     def publish(self, channel_id: int, log_ns: int, data: bytes | memoryview) -> None:
         """Queue a message for the viewers of a channel; the loop's next iteration sends it."""
-        subscribers = self._offered.subscribers(channel_id)
+        subscribers = self._subscribers.get(channel_id)
         if not subscribers:
             return
         kept = bytes(data)
@@ -320,8 +268,8 @@ class ViewServer:
             return
         self._viewers.add(viewer)
         viewer.tell(self._greeting)
-        if self._offered.channels:
-            viewer.tell(advertise(self._offered.channels))
+        if self._channels:
+            viewer.tell(advertise(self._channels.values()))
         if self._services:
             viewer.tell(advertise_services(self._services))
         for id_, (level, message) in self._notes.items():
@@ -346,8 +294,7 @@ class ViewServer:
         match request:
             case Subscribe():
                 for subscription, channel_id in request.channels.items():
-                    if self._offered.subscribe(viewer, subscription, channel_id):
-                        self.on_subscribed(channel_id)
+                    self._subscribe(viewer, subscription, channel_id)
             case Unsubscribe():
                 for subscription in request.subscriptions:
                     self._unsubscribe(viewer, subscription)
@@ -366,10 +313,31 @@ class ViewServer:
             case _:
                 raise WrongRequest("this view is read-only, or does not take that")
 
+    def _subscribe(self, viewer: Viewer, subscription: int, channel_id: int) -> None:
+        """Begin a subscription, unless the channel is not offered any more.
+
+        Raises:
+            WrongRequest: The viewer already uses the subscription id, already watches the channel,
+                or already has MAX_SUBSCRIPTIONS subscriptions.
+        """
+        if channel_id not in self._channels:
+            return
+        watching = self._subscribers.get(channel_id, {})
+        taken = subscription in viewer.subscriptions or viewer in watching
+        if taken or len(viewer.subscriptions) >= MAX_SUBSCRIPTIONS:
+            raise WrongRequest(f"subscription {subscription}: one a channel, each with its own id")
+        viewer.subscriptions[subscription] = channel_id
+        self._subscribers[channel_id] = watching | {viewer: subscription}
+        self.on_subscribed(channel_id)
+
     def _unsubscribe(self, viewer: Viewer, subscription: int) -> None:
-        unwatched = self._offered.unsubscribe(viewer, subscription)
-        if unwatched is not None:
-            self.on_unwatched(unwatched)
+        channel_id = viewer.subscriptions.pop(subscription, None)
+        if channel_id is None:
+            return
+        del self._subscribers[channel_id][viewer]
+        if not self._subscribers[channel_id]:
+            del self._subscribers[channel_id]
+            self.on_unwatched(channel_id)
 
     def _flush(self) -> None:
         unflushed, self._unflushed = self._unflushed, set()

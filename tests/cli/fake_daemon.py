@@ -28,8 +28,7 @@ from robotctl.ipc.method_params import (
     ResetParams,
     SetModeParams,
 )
-from robotctl.ipc.request_handler import Identity, Method
-from robotctl.ipc.server import ControlServer
+from robotctl.ipc.server import ControlServer, Identity, Method
 
 MODES = ["IDLE", "MOVING", "ERROR", "EMERGENCY_STOP"]
 DRIVE_S = 0.3

@@ -21,7 +21,7 @@ from robotctl.daemon.api.status import common_methods, graph_methods, recording_
 from robotctl.daemon.parameters import parameter_methods
 from robotctl.ipc.method_params import HelloParams
 from robotctl.ipc.protocol import PROTOCOL_VERSION
-from robotctl.ipc.request_handler import Method
+from robotctl.ipc.server import Method
 from robotctl.kernel.codec import to_json
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 

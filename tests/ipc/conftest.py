@@ -16,8 +16,7 @@ from robotctl.base.errors import Refused
 from robotctl.base.paths import socket_path
 from robotctl.ipc.method_params import DriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.ipc.protocol import encode_request
-from robotctl.ipc.request_handler import ClientLimits, Identity, Method
-from robotctl.ipc.server import ControlServer
+from robotctl.ipc.server import ClientLimits, ControlServer, Identity, Method
 from tests.support.waiting import DEADLINE_S
 
 

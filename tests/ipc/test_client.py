@@ -19,7 +19,7 @@ import pytest
 from robotctl.base.errors import NoDaemon, Refused, RobotctlError
 from robotctl.ipc import client as client_module
 from robotctl.ipc.client import NoAnswer, call
-from robotctl.ipc.request_handler import ClientLimits
+from robotctl.ipc.server import ClientLimits
 
 NO_DAEMON = "no daemon for robot 'robot' (start one with: robotctl start)"
 HELLO_REPLY = {"jsonrpc": "2.0", "id": 0, "result": {"protocol": 1}}

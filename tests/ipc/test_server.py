@@ -19,10 +19,10 @@ from typing import Any
 import pytest
 
 from robotctl.base.errors import AlreadyRunning, UsageError
-from robotctl.ipc import listener, request_handler
+from robotctl.ipc import listener
+from robotctl.ipc import server as request_handler
 from robotctl.ipc.protocol import Code, encode_request
-from robotctl.ipc.request_handler import Identity
-from robotctl.ipc.server import ControlServer
+from robotctl.ipc.server import ControlServer, Identity
 from tests.support.waiting import DEADLINE_S, loop_until
 
 

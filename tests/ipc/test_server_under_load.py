@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from robotctl.ipc.protocol import Code, encode_request
-from robotctl.ipc.request_handler import ClientLimits
+from robotctl.ipc.server import ClientLimits
 from tests.support.waiting import DEADLINE_S, loop_until
 
 

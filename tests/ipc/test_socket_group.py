@@ -14,8 +14,7 @@ import pytest
 
 from robotctl.base.errors import UsageError
 from robotctl.ipc.listener import SocketGroup, socket_group
-from robotctl.ipc.request_handler import Identity
-from robotctl.ipc.server import ControlServer
+from robotctl.ipc.server import ControlServer, Identity
 from tests.support.users import as_root, process_of
 from tests.support.waiting import DEADLINE_S, until
 
@@ -27,9 +26,9 @@ OTHERS = SocketGroup("others", 65511)
 
 SERVER_IMPORTS = """
 import asyncio
-from robotctl.ipc.request_handler import Method
+from robotctl.ipc.server import Method
 from robotctl.ipc.method_params import ResetParams
-from robotctl.ipc.request_handler import Identity
+from robotctl.ipc.server import Identity
 from robotctl.ipc.server import ControlServer
 from robotctl.ipc.listener import SocketGroup
 from robotctl.base.paths import socket_path

@@ -19,8 +19,7 @@ import pytest
 import tests.support.rosidl_parser  # noqa: F401
 from robotctl.base.paths import make_private, runtime_folder, socket_path
 from robotctl.ipc.method_params import NoParams
-from robotctl.ipc.request_handler import Identity, Method
-from robotctl.ipc.server import ControlServer
+from robotctl.ipc.server import ControlServer, Identity, Method
 from robotctl.ros import AsyncioExecutor, RawTap
 from tests.support.waiting import DEADLINE_S
 

@@ -29,7 +29,7 @@ from robotctl.cli.targets.driving import (
 )
 from robotctl.cli.targets.requests import asked_by, lease_of_shell
 from robotctl.cli.ui.output import print_answer
-from robotctl.cli.ui.text import is_terminal, number, printable, short_path
+from robotctl.cli.ui.text import is_float, is_terminal, number, printable, short_path
 from robotctl.ipc.answers import DriveAnswer
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import DRIVE, DRIVE_PATH, DRIVE_VELOCITY, PATH, STATUS, MethodName
@@ -200,7 +200,7 @@ def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") ->
     """
     values = list(given or ())
     for value in (motion, *values):
-        if value.startswith("-") and not _is_float(value):
+        if value.startswith("-") and not is_float(value):
             raise UsageError(f"No such option: {printable(value)}")
     if motion not in MOTIONS:
         shown = f"{printable(motion)!r} is not one of"
@@ -263,15 +263,7 @@ def velocity_params(values: Sequence[str], duration: str | None) -> dict[str, An
 
 
 def _is_number(text: str) -> bool:
-    return _is_float(text) and isfinite(float(text))
-
-
-def _is_float(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    return is_float(text) and isfinite(float(text))
 
 
 app = new_app()

@@ -9,10 +9,9 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -31,18 +30,20 @@ from robotctl.cli.ui.status import TopicLines
 from robotctl.cli.ui.text import (
     can_show_braille,
     is_terminal,
-    json_text,
     printable,
     short_path,
     size,
     terminal_lines,
 )
-from robotctl.ipc.answers import DriveAnswer, Status
+from robotctl.ipc.answers import DriveAnswer, DrivenPath
 from robotctl.ipc.client import call, command_for
 from robotctl.ipc.method_names import DRIVE, PATH, SIM_FAULT, SIM_SET, STATUS
-from robotctl.show.figure import Path2D, path_figure
+from robotctl.show.figure import path_figure
 from robotctl.show.terminal import ground_lines
 from robotctl.sim import MAX_FAULT_S, SimFault
+
+if TYPE_CHECKING:
+    from robotctl.recording import RecordingInfo
 
 app = new_app()
 group = new_group(app, "sim")
@@ -196,27 +197,6 @@ LINES_AROUND_MAP = 10
 """How many lines the last screen has for captions, commands and the next prompt."""
 
 
-@dataclass(frozen=True, slots=True)
-class DemoResult:
-    """The answer about the drive, the status afterwards, and the reference and driven path."""
-
-    drive: DriveAnswer
-    status: Status
-    reference: Path2D
-    driven: Path2D
-
-    @property
-    def folder(self) -> Path:
-        """The folder of the recording."""
-        return Path(self.status["recorder"]["file"]).parent
-
-    @property
-    def missing_messages(self) -> int:
-        """The number of messages that were sent but not recorded."""
-        recorder = self.status["recorder"]
-        return int(recorder["lost"]) + int(recorder["dropped"])
-
-
 @app.command()
 def demo(
     recordings: Annotated[
@@ -237,18 +217,36 @@ def demo(
       robotctl demo
       robotctl demo --keep --recordings /tmp/demo
     """
+    from robotctl.recording import read_info
+
     robot = f"demo_{os.getpid()}"
     with reserved_domain() as domain_id:
         options = {"config": CONFIG, "recordings": recordings, "domain-id": domain_id, "sim": True}
         if not as_json:
             print(f"starting a simulated robot: {robot}, ROS domain {domain_id}", flush=True)
         with _daemon(robot, daemon_command(robot, options, ()), keep=keep):
-            result = _drive_one_lap(robot, quiet=as_json)
-    png = write_picture(result.folder, robot, result.reference, result.driven, result.drive)
-    if as_json:
-        print(json_text(_as_object(robot, result, png)))
-    else:
-        print("\n".join(_report(robot, result, png, keep=keep)))
+            drive = _drive_one_lap(robot, quiet=as_json)
+            path, recorder = call(robot, PATH), call(robot, STATUS)["recorder"]
+    folder, missing = Path(recorder["file"]).parent, recorder["lost"] + recorder["dropped"]
+    png = write_picture(folder, robot, path["reference"], path["driven"], drive)
+    found = read_info(folder)
+    answer = {
+        "robot": robot,
+        "recording": str(folder),
+        "picture": str(png),
+        "messages": {topic.name: topic.message_count for topic in found.topics},
+        "lost": missing,
+        **drive,
+    }
+    figures = [
+        f"  recording   {short_path(folder)} ({size(found.size_bytes)})",
+        f"  picture     {short_path(png)}",
+        f"  messages    {found.message_count}, {missing} lost",
+        *tracking_lines(drive),
+    ]
+    next_commands = _next_commands(robot, short_path(folder), keep=keep)
+    lines = [*_topic_lines(found), *_map_lines(path, len(figures)), "", *figures, *next_commands]
+    print_answer(answer, lines, as_json=as_json)
 
 
 @contextmanager
@@ -271,7 +269,7 @@ def _daemon(robot: str, command: Sequence[str], *, keep: bool) -> Iterator[None]
             raise
 
 
-def _drive_one_lap(robot: str, *, quiet: bool) -> DemoResult:
+def _drive_one_lap(robot: str, *, quiet: bool) -> DriveAnswer:
     params = {
         "pattern": "square",
         "side_m": SIDE_M,
@@ -286,9 +284,7 @@ def _drive_one_lap(robot: str, *, quiet: bool) -> DemoResult:
     drive.start()
     if not quiet:
         show(polled_until(drive, robot))
-    result = drive.result()
-    path = call(robot, PATH)
-    return DemoResult(result, call(robot, STATUS), path["reference"], path["driven"])
+    return drive.result()
 
 
 def _wait_for_sensors(robot: str) -> None:
@@ -322,25 +318,7 @@ def _stop_if_running(robot: str) -> None:
         stop_daemon(robot)
 
 
-def _as_object(robot: str, result: DemoResult, png: Path) -> dict[str, Any]:
-    from robotctl.recording import read_info
-
-    topics = read_info(result.folder).topics
-    return {
-        "robot": robot,
-        "recording": str(result.folder),
-        "picture": str(png),
-        "messages": {topic.name: topic.message_count for topic in topics},
-        "lost": result.missing_messages,
-        **result.drive,
-    }
-
-
-def _report(robot: str, result: DemoResult, png: Path, *, keep: bool) -> Iterator[str]:
-    from robotctl.recording import read_info
-
-    found = read_info(result.folder)
-    folder = short_path(result.folder)
+def _topic_lines(found: RecordingInfo) -> Iterator[str]:
     heard = [topic for topic in found.topics if topic.message_count]
     table = TopicLines((topic.name, topic.type_name) for topic in heard)
     yield f"\n{table.header}"
@@ -348,32 +326,24 @@ def _report(robot: str, result: DemoResult, png: Path, *, keep: bool) -> Iterato
         yield table.row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
     if len(heard) < len(found.topics):
         yield f"  and {len(found.topics) - len(heard)} more without messages"
-    figures = [
-        f"  recording   {folder} ({size(found.size_bytes)})",
-        f"  picture     {short_path(png)}",
-        f"  messages    {found.message_count}, {result.missing_messages} lost",
-        *tracking_lines(result.drive),
-    ]
+
+
+def _map_lines(path: DrivenPath, others: int) -> Iterator[str]:
+    """Yield the map of a drive, as high as the terminal allows below `others` lines."""
     if can_show_braille():
         colour = is_terminal() and not os.environ.get("NO_COLOR")
-        rows = terminal_lines() - len(figures) - LINES_AROUND_MAP
+        rows = terminal_lines() - others - LINES_AROUND_MAP
         rows = min(max(rows, min(MAP_ROWS)), max(MAP_ROWS))
         yield "\n  driven path (line) and reference path (dots)"
-        figure = path_figure(result.reference, result.driven)
+        figure = path_figure(path["reference"], path["driven"])
         yield from ground_lines(figure, rows=rows, colour=colour)
-    yield ""
-    yield from figures
-    yield "\nnext:"
-    yield from (f"  {command}" for command in _next_commands(robot, folder, keep=keep))
 
 
 def _next_commands(robot: str, folder: str, *, keep: bool) -> list[str]:
     """Return three commands to continue with, ready to paste."""
     recording = shlex.quote(folder)
+    commands = [f"robotctl report {recording}", f"robotctl replay {recording}", "robotctl start"]
     if keep:
-        return [
-            command_for(robot, "watch"),
-            f"robotctl info {recording}",
-            command_for(robot, "stop"),
-        ]
-    return [f"robotctl report {recording}", f"robotctl replay {recording}", "robotctl start"]
+        info = f"robotctl info {recording}"
+        commands = [command_for(robot, "watch"), info, command_for(robot, "stop")]
+    return ["\nnext:", *(f"  {command}" for command in commands)]

@@ -56,10 +56,9 @@ def daemon_command(robot: str, options: Mapping[str, object], words: Sequence[st
     for name, value in options.items():
         if value is True:
             command.append(f"--{name}")
-        elif isinstance(value, list):
-            command += [f"--{name}={each}" for each in value]
         elif value is not None and value is not False:
-            command += [f"--{name}", str(value)]
+            values = value if isinstance(value, list) else [value]
+            command += [f"--{name}={each}" for each in values]
     return [*command, *words]
 
 

@@ -24,7 +24,7 @@ from robotctl.base.paths import (
     state_folder,
 )
 from robotctl.cli.ui.output import progress_bar
-from robotctl.cli.ui.text import short_path
+from robotctl.cli.ui.text import is_float, short_path
 from robotctl.ipc.answers import Committed
 from robotctl.ipc.client import Client, command_for
 from robotctl.ipc.method_names import RECORD_COMMIT
@@ -311,15 +311,6 @@ def open_catalogue(given: str | None, *, quiet: bool) -> Iterator[tuple[Path, Ca
 MAX_SECONDS = 366 * DAY_S
 
 
-def is_offset(text: str) -> bool:
-    """Return whether the text is a number: a time given in seconds into a recording."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def parse_moment(text: str, start_ns: int, end_ns: int, option: str = "--at") -> int:
     """Return a time in a recording from `start_ns` to `end_ns`, as nanoseconds since the epoch.
 
@@ -329,7 +320,7 @@ def parse_moment(text: str, start_ns: int, end_ns: int, option: str = "--at") ->
     Raises:
         UsageError: The text is not a time.
     """
-    if is_offset(text):
+    if is_float(text):
         seconds = float(text)
         if math.isfinite(seconds) and 0 <= seconds <= MAX_SECONDS:
             return start_ns + round(seconds * NS_PER_S)
@@ -362,11 +353,11 @@ def parse_since(text: str, now_ns: int) -> int:
         UsageError: The text is neither a time span such as 30d, 12h or 15m, nor a date.
     """
     units_s = {"d": DAY_S, "h": 3_600.0, "m": 60.0, "s": 1.0}
-    if text[-1:] in units_s and is_offset(text[:-1]):
+    if text[-1:] in units_s and is_float(text[:-1]):
         span_s = float(text[:-1]) * units_s[text[-1]]
         if math.isfinite(span_s) and span_s >= 0:
             return max(now_ns - round(span_s * NS_PER_S), 0)
-    date_ns = None if is_offset(text) else _date_ns(text)
+    date_ns = None if is_float(text) else _date_ns(text)
     if date_ns is None:
         raise UsageError(
             f"--since {text} is not a time", "give a span such as 30d, 12h or 15m, or 2026-01-31"

@@ -129,3 +129,12 @@ def moment(time_ns: int) -> str:
 def number(value: Any, form: str) -> str:
     """Return `value` in the format `form`, or "unknown" if it is not a number."""
     return format(value, form) if isinstance(value, int | float) else "unknown"
+
+
+def is_float(text: str) -> bool:
+    """Return whether Python reads the text as a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

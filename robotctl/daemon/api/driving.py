@@ -36,7 +36,7 @@ from robotctl.ipc.method_params import (
     ResetParams,
     SetModeParams,
 )
-from robotctl.ipc.request_handler import Method
+from robotctl.ipc.server import Method
 from robotctl.kernel.codec import finite_or_none
 from robotctl.kernel.course import MAX_SILENCE_S, PLAIN, Course, Held
 from robotctl.kernel.drive import MAX_LAPS

@@ -18,7 +18,7 @@ from robotctl.ipc.method_params import (
     LeaseStatusParams,
     LeaseTakeParams,
 )
-from robotctl.ipc.request_handler import Method
+from robotctl.ipc.server import Method
 from robotctl.kernel.types import LeaseLost, LeaseRequested
 
 NOBODY = 0

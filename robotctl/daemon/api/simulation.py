@@ -12,7 +12,7 @@ from robotctl.daemon.control.dispatcher import Control
 from robotctl.ipc.answers import MessageAnswer, SimFaulted
 from robotctl.ipc.method_names import SIM_FAULT, SIM_SET
 from robotctl.ipc.method_params import SimFaultParams, SimSetParams
-from robotctl.ipc.request_handler import Method
+from robotctl.ipc.server import Method
 from robotctl.kernel.modes import Mode
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.sim import SimFault

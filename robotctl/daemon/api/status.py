@@ -42,7 +42,7 @@ from robotctl.ipc.method_names import (
     STOP,
 )
 from robotctl.ipc.method_params import GraphNameParams, MarkParams, NoParams
-from robotctl.ipc.request_handler import Method
+from robotctl.ipc.server import Method
 from robotctl.kernel.types import Remedy
 from robotctl.recording import RecorderStats
 from robotctl.ros.graph.endpoints import node_facts, overview, topic_facts

@@ -19,14 +19,13 @@ from robotctl.cli.targets.recordings import (
     RecordingsFolder,
     committed_recording,
     find_recording,
-    is_offset,
     parse_moment,
     recording_path,
     robot_of,
     with_earlier,
 )
 from robotctl.cli.ui.output import Progress, print_answer, progress_bar
-from robotctl.cli.ui.text import row, short_path
+from robotctl.cli.ui.text import is_float, row, short_path
 from robotctl.ipc.advice import advice, cure_of, for_robot
 from robotctl.kernel.constants import NS_PER_S
 
@@ -144,7 +143,7 @@ def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
             missing.append(str(error))
             continue
         at_ns = parse_moment(at, info.start_ns, info.end_ns)
-        if is_offset(at) or info.start_ns <= at_ns <= info.end_ns:
+        if is_float(at) or info.start_ns <= at_ns <= info.end_ns:
             return path, at_ns
         readable.append((path, at_ns))
         if info.message_count and info.start_ns <= at_ns:
