@@ -348,7 +348,8 @@ class ServiceCheck:
         if ending.ledger is not None and ending.is_whole:
             unheard += recent  # it was closed: they were recorded
         if ending.is_clip or not ending.is_whole:
-            unheard = [each for each in unheard if not self._is_first(each)]
+            early_ns = (self._begin_ns or 0) + LATE_NS  # an earlier file may have the call
+            unheard = [each for each in unheard if each.moments[1] > early_ns]
         if not unheard:
             return
         text = (
@@ -364,10 +365,6 @@ class ServiceCheck:
             )
         else:
             ending.lack(len(unheard), text)
-
-    def _is_first(self, asked: Asked) -> bool:
-        """Return whether a request came so early that its call may be in an earlier file."""
-        return asked.moments[1] <= (self._begin_ns or 0) + LATE_NS
 
     def _tell_answers(self, pairs: list[tuple[Asked, Call]], ending: Ending, end_ns: int) -> None:
         """Compare each response with the reply; report those that are missing before the end."""

@@ -58,9 +58,8 @@ def numbers_of(data: bytes) -> bytes:
     numbers = data[-_NUMBERS.size :]
     if len(numbers) < _NUMBERS.size:
         raise UnreadableFile("a velocity command is cut short")
-    if data[1:2] == b"\x00":
-        return _NUMBERS.pack(*_BIG_ENDIAN_NUMBERS.unpack(numbers))
-    return numbers
+    is_big = data[1:2] == b"\x00"
+    return _NUMBERS.pack(*_BIG_ENDIAN_NUMBERS.unpack(numbers)) if is_big else numbers
 
 
 def is_zero(numbers: bytes) -> bool:

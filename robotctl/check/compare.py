@@ -83,9 +83,8 @@ class Vocabulary:
         form = (entry.name, entry.data.encode().translate(None, b"0123456789"))
         if form in self._known:
             return ""
-        ours = json.loads(to_json(_READERS[entry.kind](entry)))
         try:
-            differing = _differing("", json.loads(entry.data), ours)
+            differing = _differing_fields(entry)
             unknown = next((f"{entry.name}.{name}" for is_new, name in differing if is_new), "")
         except RecursionError:
             raise UnreadableFile(f"journal entry {entry.seq} is nested too deeply") from None
@@ -135,9 +134,14 @@ def other_field(entry: JournalEntry) -> str:
     Raises:
         UnreadableFile: The entry is not a snapshot of this version.
     """
-    ours = json.loads(to_json(read_snapshot(entry)))
-    differing = _differing("", json.loads(entry.data), ours)
+    differing = _differing_fields(entry)
     return next((f"{'has' if is_new else 'lacks'} {name}" for is_new, name in differing), "")
+
+
+def _differing_fields(entry: JournalEntry) -> Iterator[tuple[bool, str]]:
+    """Return the `_differing` fields of an entry and of what this version reads in it."""
+    ours = to_json(_READERS[entry.kind](entry))
+    return _differing("", json.loads(entry.data), json.loads(ours))
 
 
 def _differing(path: str, theirs: Any, ours: Any) -> Iterator[tuple[bool, str]]:
@@ -282,8 +286,7 @@ class Rerun:
             return snapshot, None  # compared as texts, because nan is not equal to nan
         if not self._same_version and mine.params == snapshot.params:
             return snapshot, None  # parameters change by events alone, in every version
-        before = kernel.state if kernel else None
-        return snapshot, self._divergence(entry, mine, before)
+        return snapshot, self._divergence(entry, mine, kernel.state if kernel else None)
 
     def step(self, step: Step) -> Decided:
         """Decide on the event of a step again, and compare the effects.
@@ -297,7 +300,9 @@ class Rerun:
             return Decided(event)
         self._event = entry
         before = kernel.state
-        if not self._is_untouched(entry, event):
+        if self._same_version and not (
+            entry.t_ns == event.t_ns and self.comparison.same(entry.data, event)
+        ):  # it is not as it was written
             return self._diverged(event, entry, event, before)
         theirs = step.effects
         try:
@@ -317,12 +322,6 @@ class Rerun:
         if len(theirs) < len(mine) and not step.cut:
             return self._diverged(event, None, mine[len(theirs)], before)
         return Decided(event, decided)
-
-    def _is_untouched(self, entry: JournalEntry, event: Event) -> bool:
-        """Return whether an entry is as it was written; always True for another version."""
-        return not self._same_version or (
-            entry.t_ns == event.t_ns and self.comparison.same(entry.data, event)
-        )
 
     def _is_recorded(self, effect: Effect, recorded: JournalEntry, t_ns: int) -> bool:
         return (

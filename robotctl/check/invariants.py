@@ -14,7 +14,7 @@ from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_keys import kernel_leaves, with_text
-from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.params import KernelParams
 from robotctl.kernel.ranges import Change
 from robotctl.kernel.types import (
     ZERO,
@@ -148,7 +148,10 @@ class Invariants:
             self.violate(f"a command of {shown(twist)} in {self.mode.name}")
         linear, angular = abs(twist.linear), abs(twist.angular)
         if not (linear <= limits.linear_mps and angular <= limits.angular_rps):  # also nan
-            self.violate(f"a command of {shown(twist)}, beyond {shown_limits(limits)}")
+            self.violate(
+                f"a command of {shown(twist)}, "
+                f"beyond {limits.linear_mps:g} m/s, {limits.angular_rps:g} rad/s"
+            )
         elif isinstance(event, Tick) and self._tick_t_ns is not None:
             dt_s = (event.t_ns - self._tick_t_ns) / NS_PER_S
             self._check_change(previous, twist, min(max(dt_s, 0.0), 2.0 / self._params.rate_hz))
@@ -216,8 +219,3 @@ def unbalanced(ledger: Mapping[str, Mapping[str, int]], *, finished: bool) -> It
 def shown(twist: Twist) -> str:
     """Return the text of a velocity."""
     return f"{twist.linear:.6g} m/s, {twist.angular:.6g} rad/s"
-
-
-def shown_limits(limits: VelocityLimits) -> str:
-    """Return the text of the velocity limits."""
-    return f"{limits.linear_mps:g} m/s, {limits.angular_rps:g} rad/s"

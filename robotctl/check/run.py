@@ -188,15 +188,6 @@ UNNUMBERED: Final = (
 _KEY_DIGITS = 16
 
 
-def is_small(path: Path) -> bool:
-    """Return whether a recording is so small that a check always reads every byte of it.
-
-    Raises:
-        OSError, UnreadableFile: There is no recording.
-    """
-    return sum(file.stat().st_size for file in recording_files(path)) < ALL_BYTES_BELOW
-
-
 def check_bytes(path: Path, report: Report, *, all_bytes: bool) -> None:
     """Read every byte of the recording `path`, if it is small or `all_bytes` is set.
 
@@ -204,7 +195,8 @@ def check_bytes(path: Path, report: Report, *, all_bytes: bool) -> None:
     a line about the seal, which does not change the verdict.
     """
     try:
-        if not all_bytes and not is_small(path):
+        size = sum(file.stat().st_size for file in recording_files(path))
+        if not all_bytes and size >= ALL_BYTES_BELOW:
             report.notes.append("not every byte was read: --all-bytes reads them all")
             return
         found = verify_recording(path)

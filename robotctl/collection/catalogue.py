@@ -93,16 +93,16 @@ def stamps_of_each(paths: Sequence[Path | str]) -> list[Stamps]:
     Raises:
         UsageError: duckdb is not installed.
     """
-    present = [str(each) for each in paths if isinstance(each, str) or _is_file(each)]
+    present = [
+        str(each)
+        for each in paths
+        if isinstance(each, str) or (each.is_file() and not each.is_symlink())
+    ]
     found: dict[str, Stamps] = {}
     if present:
         with database(present) as connection:
             _collect(connection, present, found)
     return [found.get(str(each), {}) for each in paths]
-
-
-def _is_file(path: Path) -> bool:
-    return path.is_file() and not path.is_symlink()
 
 
 def _collect(
@@ -265,9 +265,7 @@ def _is_text(path: str) -> bool:
 def _opened(path: Path, stack: ExitStack) -> str | None:
     """Open a catalogue; return a path that stays valid if the file is replaced, None on failure."""
     try:
-        if path.is_symlink():
-            return None
-        return file_of(stack.enter_context(open_regular(path)))
+        return None if path.is_symlink() else file_of(stack.enter_context(open_regular(path)))
     except OSError:
         return None
 

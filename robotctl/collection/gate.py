@@ -6,7 +6,6 @@ A baseline lists failures that were accepted: by whom, when and why.
 from __future__ import annotations
 
 import json
-import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -28,6 +27,7 @@ from robotctl.collection.judgement import (
     totals_of,
 )
 from robotctl.collection.judging import Engine, Judging, ResultStore, judge_here
+from robotctl.recording.disk import replaced_file
 
 MAX_BYTES: Final = 64 << 20
 
@@ -93,13 +93,10 @@ class Baseline:
         """
         accepted = sorted(self._accepted.values(), key=lambda each: (each.name, each.says))
         file = {"format": FORMAT, "accepted": [asdict(each) for each in accepted]}
-        beside = path.with_name(f".{path.name}.{os.getpid()}")
         try:
-            with beside.open("x", encoding="utf-8") as opened:
-                opened.write(json.dumps(file, indent=2) + "\n")
-            beside.replace(path)
+            with replaced_file(path) as opened:
+                opened.write(f"{json.dumps(file, indent=2)}\n".encode())
         except OSError as error:
-            beside.unlink(missing_ok=True)
             raise Refused(f"cannot write {path}: {error.strerror or error}") from error
 
 

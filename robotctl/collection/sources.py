@@ -327,11 +327,8 @@ def _is_live(path: Path, file: FileIO, status: os.stat_result, now_ns: int) -> b
             return False
     except OSError:  # a file system without locks
         pass
-    return now_ns - status.st_mtime_ns < YOUNG_NS and not _has_end(file, status.st_size)
-
-
-def _has_end(file: FileIO, size: int) -> bool:
-    return os.pread(file.fileno(), len(MAGIC), max(size - len(MAGIC), 0)) == MAGIC
+    end = os.pread(file.fileno(), len(MAGIC), max(status.st_size - len(MAGIC), 0))
+    return now_ns - status.st_mtime_ns < YOUNG_NS and end != MAGIC
 
 
 def _is_plain(name: str) -> bool:

@@ -121,9 +121,8 @@ class Entry:
 
 
 def _bounded(value: object) -> object:
-    if isinstance(value, str) and len(value) > MAX_TEXT:
-        return f"{value[: MAX_TEXT - 1]}…"
-    return value
+    is_long = isinstance(value, str) and len(value) > MAX_TEXT
+    return f"{str(value)[: MAX_TEXT - 1]}…" if is_long else value
 
 
 def parse(line: bytes) -> Entry:

@@ -201,14 +201,6 @@ def _check_free(target: Path) -> None:
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
 
 
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 Buffer = bytes | bytearray | memoryview
 
 MAX_PARTS = 1024
@@ -274,8 +266,9 @@ def _lock(fd: int) -> None:
             return
 
 
-def _sync_folder(folder: Path) -> None:
-    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+def _sync(path: Path) -> None:
+    """Write a file, or the entries of a folder, to the disk (fsync)."""
+    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(fd)
     except OSError as error:
@@ -303,7 +296,7 @@ class DiskFile:
         self._fd = open_private(path, flags)
         try:
             _lock(self._fd)
-            _sync_folder(path.parent)  # the name must survive a power cut, too
+            _sync(path.parent)  # the name must survive a power cut, too
         except BaseException:
             os.close(self._fd)
             if new:

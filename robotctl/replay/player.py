@@ -13,7 +13,7 @@ from itertools import chain
 from typing import Final, Protocol
 
 from robotctl.kernel.constants import NS_PER_S
-from robotctl.replay.playback_control import PlaybackControl, Schedule
+from robotctl.replay.playback_control import PlaybackControl
 from robotctl.replay.timeline import Entry
 
 SPIN_NS: Final = 40_000
@@ -219,7 +219,9 @@ class Player:
             now_ns = clock.now_ns()
             wake_ns = now_ns + SLICE_NS
             if self._ticks is not None:
-                self._ticks.tick(now_ns, self._clock_position_ns(schedule, now_ns))
+                is_free = schedule.rate is None
+                position_ns = self.position_ns if is_free else schedule.position_ns(now_ns)
+                self._ticks.tick(now_ns, position_ns)
                 wake_ns = min(wake_ns, self._ticks.due_ns)
             if schedule.paused:
                 if control.takes_step(at_ns):
@@ -235,9 +237,6 @@ class Player:
             if control.schedule is schedule:
                 return due_ns if schedule.rate is not None else None
         return None
-
-    def _clock_position_ns(self, schedule: Schedule, now_ns: int) -> int:
-        return self.position_ns if schedule.rate is None else schedule.position_ns(now_ns)
 
     def _send(self, topic: TopicSender, data: bytes, due_ns: int | None) -> None:
         if due_ns is not None:

@@ -226,13 +226,17 @@ class RemoteStore:
         stamp: Stamp,
         mode: Literal["create", "overwrite"] = "overwrite",
     ) -> bool:
+        attributes: Attributes = {}
+        if stamp.sha256:
+            attributes = {_SHA256: stamp.sha256, _WRITTEN: str(stamp.modified_ns)}
+
         async def stored() -> bool:
             try:
                 await self._library.put_async(
                     self._store,
                     self._path(key),
                     content,
-                    attributes=_attributes(stamp),
+                    attributes=attributes,
                     mode=mode,
                     use_multipart=not isinstance(content, bytes),
                     chunk_size=PART_BYTES,
@@ -269,10 +273,6 @@ def _described(meta: ObjectMeta, key: str, attributes: Attributes | None = None)
     if re.fullmatch(r"\d{1,19}", written_ns):
         modified_ns = int(written_ns)
     return StoredObject(key, meta["size"], etag, modified_ns, str(stored_with.get(_SHA256, "")))
-
-
-def _attributes(stamp: Stamp) -> Attributes:
-    return {_SHA256: stamp.sha256, _WRITTEN: str(stamp.modified_ns)} if stamp.sha256 else {}
 
 
 def _beginning(parts: Iterable[bytes]) -> tuple[bytes, Iterator[bytes]]:

@@ -12,10 +12,16 @@ from pathlib import Path
 
 from robotctl.kernel.constants import NS_PER_S
 from robotctl.recording.disk import is_being_written, open_private, share_like
-from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY, EventKind, natural_order
+from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY, EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
-from robotctl.recording.format.rosbag2 import entries_of, metadata_text
-from robotctl.recording.read.files import files_of_bag, is_zstd_file, may_not_be_listed, reason_of
+from robotctl.recording.format.rosbag2 import metadata_text
+from robotctl.recording.read.files import (
+    files_of_bag,
+    is_bag,
+    is_zstd_file,
+    may_not_be_listed,
+    reason_of,
+)
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.messages import OpenFile, find_shortfalls
 from robotctl.recording.read.read_limits import Damaged
@@ -209,32 +215,13 @@ def recordings_in(folder: Path) -> list[Path]:
     Raises:
         OSError: `folder` cannot be listed.
     """
-    return [
-        path for path in sorted(folder.iterdir()) if _mcap_files(path) or _is_closed_to_us(path)
-    ]
+    return [path for path in sorted(folder.iterdir()) if _is_listed(path)]
 
 
-def _is_closed_to_us(path: Path) -> bool:
-    return not (path.is_symlink() or path.name.startswith(".")) and may_not_be_listed(path)
-
-
-def _mcap_files(path: Path) -> list[Path]:
-    if path.is_symlink():
-        return []
-    if path.suffix == ".mcap" and path.is_file():
-        return [path]
-    try:
-        entries = entries_of(path) if path.is_dir() else []
-        return sorted((e for e in entries if e.suffix == ".mcap"), key=natural_order)
-    except OSError:
-        return []
-
-
-def _packed_files(path: Path) -> list[Path]:
-    """Return the files of `path`, including compressed files, which `recordings_in` ignores."""
-    if is_zstd_file(path) and path.is_file():
-        return [path]
-    return files_of_bag(path) if path.is_dir() else []
+def _is_listed(path: Path) -> bool:
+    if path.is_symlink() or not path.is_dir():
+        return path.suffix == ".mcap" and path.is_file() and not path.is_symlink()
+    return is_bag(path) and not (path.name.startswith(".") and may_not_be_listed(path))
 
 
 def list_recording(path: Path) -> ListedRecording:
@@ -244,9 +231,13 @@ def list_recording(path: Path) -> ListedRecording:
         OSError: `path` does not exist or holds no recording.
     """
     text = metadata_text(path)
-    files, damage = _mcap_files(path), []
+    files: list[Path] = []
+    damage: list[str] = []
     try:
-        files = files or _packed_files(path)
+        if path.is_dir():
+            files = files_of_bag(path)
+        elif path.is_file() and (path.suffix == ".mcap" or is_zstd_file(path)):
+            files = [path]
     except PermissionError as error:
         damage.append(reason_of(error))
     if not (files or damage):

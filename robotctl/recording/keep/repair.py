@@ -159,7 +159,8 @@ def _repair_file(path: Path) -> TidyNote | None:
             return _replace(path)
         messages = [] if unfinished is None else messages_of_chunk(file, unfinished)
         data_end = written.data_end if unfinished is None else unfinished
-        written = replace(written, data_end=data_end, data_crc=_checksum(file, data_end))
+        data_crc = reduce(lambda crc, piece: crc32(piece, crc), file.pieces(0, data_end), 0)
+        written = replace(written, data_end=data_end, data_crc=data_crc)
         old_end = file.read(data_end, file.size - data_end)
         if file.failure:  # otherwise an unreadable chunk would be cut off
             raise file.failure
@@ -204,15 +205,6 @@ def _verify(file: InputFile, index: FileIndex) -> None:
     left = file.limits.records
     for place in index.places:
         left -= sum(1 for _ in walk_records(place.read(file), left))
-
-
-def _checksum(file: InputFile, data_end: int) -> int:
-    """Return the CRC of the file up to `data_end`.
-
-    Raises:
-        Damaged: The file cannot be read.
-    """
-    return reduce(lambda crc, piece: crc32(piece, crc), file.pieces(0, data_end), 0)
 
 
 def _replace(path: Path) -> TidyNote:

@@ -71,9 +71,7 @@ def journal_topic(info: RecordingInfo) -> str | None:
     there is no journal, or if there are several, but not that of the robot.
     """
     own, found = own_journal_topic(info), journal_topics(info)
-    if own in found:
-        return own
-    return found.pop() if len(found) == 1 else None
+    return own if own in found else found.pop() if len(found) == 1 else None
 
 
 def journal_topics(info: RecordingInfo) -> set[str]:

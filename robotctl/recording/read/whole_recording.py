@@ -137,9 +137,7 @@ def compare_known(file: WholeFile, heads: KnownHeads) -> KnownFile:
         if name not in heads.signed:
             return KnownFile()
         text = "this machine's list of keys knows a seal of it, which is not there"
-        if file.state in _AS_RECORDED:
-            return KnownFile(wrong=text)
-        return KnownFile(unproved=text)
+        return KnownFile(text) if file.state in _AS_RECORDED else KnownFile(unproved=text)
     for known in (name, opening.file):
         if opening.key not in heads.keys.get(known, {opening.key}):
             return KnownFile(

@@ -33,6 +33,7 @@ from robotctl.recording.format.rosbag2 import (
     write_metadata,
 )
 from robotctl.recording.format.topics import ledger_values
+from robotctl.recording.format.trailer import Summary
 from robotctl.recording.write.buffer import ChunkEncoder, OutOfMemory, PackedMessages, pack
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.mcap_writer import FileSeal, McapFile
@@ -91,14 +92,9 @@ class RecordingFile:
         return self._mcap.size
 
     @property
-    def holds_messages(self) -> bool:
-        """Whether the file has any message."""
-        return bool(self._mcap.summary.counts)
-
-    @property
-    def index_bytes(self) -> int:
-        """Size of the chunk index in the summary [bytes]; it grows with the number of chunks."""
-        return self._mcap.summary.index_bytes
+    def summary(self) -> Summary:
+        """The summary, which grows with the number of chunks."""
+        return self._mcap.summary
 
     @property
     def trailer_bytes(self) -> int:
@@ -408,12 +404,12 @@ class BagWriter:
             self._on_full(self._file.path)
 
     def _is_full(self) -> bool:
-        if self._file.event_count >= MAX_EVENTS or self._file.index_bytes >= MAX_INDEX_BYTES:
+        summary = self._file.summary
+        if self._file.event_count >= MAX_EVENTS or summary.index_bytes >= MAX_INDEX_BYTES:
             return True
-        if not self._file.holds_messages:
-            return False
         age_s = time.monotonic() - self._begun
-        return self._file.size >= self._options.split_bytes or age_s >= self._options.split_s
+        is_due = self._file.size >= self._options.split_bytes or age_s >= self._options.split_s
+        return is_due and bool(summary.counts)
 
     def _new_file(self) -> RecordingFile:
         while True:

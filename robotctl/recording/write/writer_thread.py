@@ -241,7 +241,8 @@ class WriterThread:
         deadline = time.monotonic() + _SETTLE_S
         while True:
             self._survive(self._empty_queue)
-            if self._is_settled() or time.monotonic() > deadline:
+            settled = self._queue.empty() and all(state.settled for state in self._channels)
+            if settled or time.monotonic() > deadline:
                 break
             time.sleep(_BREATH_S)
         self._survive(lambda: self._attempt(self._writer.close))
@@ -273,9 +274,6 @@ class WriterThread:
             self._attempt(self._writer.check_space)
             self._attempt(self._writer.refresh_metadata)
             self._next_sync = time.monotonic() + self._options.sync_s
-
-    def _is_settled(self) -> bool:
-        return self._queue.empty() and all(state.settled for state in self._channels)
 
     def _empty_queue(self) -> None:
         while not self._queue.empty():
