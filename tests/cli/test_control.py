@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import signal
 import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from itertools import count
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import pytest
@@ -15,6 +22,7 @@ from PIL import Image
 from robotctl.base import processes
 from robotctl.base.errors import UsageError
 from robotctl.base.text import MODES
+from robotctl.cli import quick
 from robotctl.cli.commands.drive import tracking_lines
 from robotctl.cli.targets.driving import Background, stop_drive
 from robotctl.ipc.answers import DriveAnswer, Status
@@ -22,7 +30,7 @@ from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
 from tests.cli.conftest import Cli, Spawn
-from tests.support.waiting import until
+from tests.support.waiting import DEADLINE_S, until
 
 DRIVING = "robotctl.cli.targets.driving"
 PICTURE = Path("recordings/robot_20260101_120000/path.png")
@@ -50,6 +58,16 @@ def test_status_is_one_screen_of_80_columns_and_one_line_of_json(daemon: None, c
     assert told.count("\n") == 1
     assert json.loads(told).keys() >= Status.__required_keys__
     assert json.loads(told)["mode"] == "IDLE"
+
+
+def test_a_mode_is_taken_in_any_case_with_dash_or_underscore_or_as_a_number() -> None:
+    for number, texts in (
+        (0, ("idle", "0")),
+        (1, ("MOVING",)),
+        (2, ("Error",)),
+        (3, ("emergency-stop", "EMERGENCY_STOP", "emergency_Stop", "3")),
+    ):
+        assert {quick.mode_number(text) for text in texts} == {number}
 
 
 def test_set_mode_answers_as_the_service_does_and_tells_who_asked(daemon: None, cli: Cli) -> None:
@@ -237,10 +255,89 @@ def test_a_drive_is_stopped_when_the_reader_of_its_output_has_gone(waiting: Spaw
     assert mode() == "IDLE"
 
 
+def test_on_a_terminal_the_live_view_is_shown_while_a_drive_is_waited_for(
+    daemon: None, command: list[str]
+) -> None:
+    controller, terminal = pty.openpty()
+    waiting = subprocess.Popen(
+        [*command, "drive", "square", "--laps", "0", "--wait"],
+        stdin=terminal,
+        stdout=terminal,
+        stderr=terminal,
+        env=os.environ | {"TERM": "xterm"},
+    )
+    os.close(terminal)
+    try:
+        seen = ""
+        while "robot  up" not in seen or "MOVING" not in seen:
+            seen += os.read(controller, 65536).decode(errors="ignore")
+    finally:
+        waiting.send_signal(signal.SIGINT)
+        with suppress(OSError):  # which is how the end of a terminal reads
+            while data := os.read(controller, 65536):
+                seen += data.decode(errors="ignore")
+        assert waiting.wait(30) == 130
+        os.close(controller)
+    assert "stopping the robot (Ctrl-C again: emergency stop)" in seen
+    assert mode() == "IDLE"
+
+
 def test_the_command_line_knows_the_modes_of_the_kernel() -> None:
     names = {mode.name.lower().replace("_", "-"): mode.value for mode in Mode}
     assert names == MODES
     assert Mode.EMERGENCY_STOP == EMERGENCY_STOP_MODE
+
+
+def started(work: Callable[[], dict[str, Any]]) -> Background[dict[str, Any]]:
+    background = Background(work)
+    background.start()
+    return background
+
+
+def test_the_work_ends_even_if_the_waiting_thread_is_interrupted_at_any_step() -> None:
+    for step in count(1):
+        release = threading.Event()
+
+        def work(release: threading.Event = release) -> dict[str, Any]:
+            release.wait()
+            return {}
+
+        working = started(work)
+
+        def is_done(working: Background[dict[str, Any]] = working) -> bool:
+            return working.is_done
+
+        was_interrupted = interrupted_at(step, is_done)
+        release.set()
+        until(is_done)
+        working.join(DEADLINE_S)
+        assert not working.is_alive()
+        if not was_interrupted:
+            assert step > 1, "there was no step to interrupt"
+            return
+
+
+def interrupted_at(step: int, ask: Any) -> bool:
+    """Call `ask` and interrupt it at a line or a return; return False if it has fewer of them."""
+    left = step
+
+    def trace(frame: FrameType, event: str, argument: object) -> Any:
+        nonlocal left
+        left -= event in ("line", "return")
+        if left == 0:
+            left = -1
+            raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        ask()
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+    return False
 
 
 def test_a_reason_that_cannot_be_kept_is_refused_by_name_and_delays_no_stop(

@@ -14,7 +14,7 @@ from robotctl.cli.commands import sim
 from robotctl.cli.ui import text
 from robotctl.ipc.client import call
 from robotctl.recording import read_info
-from tests.cli.conftest import Cli
+from tests.cli.conftest import Cli, Spawn
 
 
 def sockets(home: Path) -> list[str]:
@@ -86,6 +86,27 @@ def test_json_is_one_line_with_every_number(cli: Cli) -> None:
     assert said["cross_track_max_m"] == 0.021
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_an_interruption_stops_the_daemon_and_leaves_a_readable_recording(
+    number: signal.Signals, spawn: Spawn, home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_ENDLESS", "1")
+    process = spawn("demo")
+    assert process.stdout is not None
+    while "MOVING" not in process.stdout.readline():
+        assert process.poll() is None
+    process.send_signal(number)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    folder = next(Path("recordings").glob("demo_*"))
+    assert err == (
+        "note: a sourced ROS (humble) was left out\n"
+        f"stopped; recorded until then: {folder}/{folder.name}_0.mcap\n"
+    )
+    assert sockets(home) == []
+    assert read_info(folder).message_count == 20
+
+
 def test_a_daemon_that_does_not_start_is_reported(
     cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,7 +118,7 @@ def test_a_daemon_that_does_not_start_is_reported(
 
 @pytest.mark.parametrize(
     ("early", "number"),
-    [(True, signal.SIGINT), (False, signal.SIGHUP)],
+    [(True, signal.SIGINT), (True, signal.SIGHUP), (False, signal.SIGTERM), (False, signal.SIGHUP)],
 )
 def test_signals_during_the_clean_up_leave_no_daemon_behind(
     early: bool, number: signal.Signals, cli: Cli, home: Path, monkeypatch: pytest.MonkeyPatch

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from dataclasses import replace
-from math import nan
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -56,12 +56,15 @@ def test_csv_and_yaml_are_read(tmp_path: Path, text: str) -> None:
         ("x,y\n" + "1,2\n" * (MAX_POINTS + 1), f"a path has 2 to {MAX_POINTS}"),
         ("x,y\n" + "1.25,2.25\n" * 1_000_000, "too large"),
         ("x,y\n0,0\nnan,1\n", "point 2 is"),
+        ("x,y\n0,0\n1,inf\n", "point 2 is"),
         ("x,y\n0,0\n1\n", "point 2 is"),
+        ("x,y\n0,0\n1,2,3\n", "point 2 is"),
         ("x,y\n0,0\nhere,there\n", "point 2 is"),
         ("x,y\n0,0\n\x1b[31m,1\n", r"point 2 is"),
         ("- [0, 0]\n- {x: 1}\n", "point 2 is"),
         ("- [0, 0]\n\n- [1, b]\n", r"line 3: point 2 is \[1, b\]: a point is two numbers"),
         ("x,y\n\n0,0\n  \n1,z\n", "line 5: point 2 is 1,z: a point is two numbers"),
+        ("x,y\n0,0\n,\n1,1\n", "point 2 is"),
         ("x,y\n0,0\n10001,0\n", "point 2 is 10001,0: a point is two numbers up to 10000"),
         ("1,2\n3,4\n", "holds no path"),
         ("[" * 500, "holds no path"),
@@ -81,11 +84,17 @@ def test_what_is_no_path_is_named(tmp_path: Path, text: str | bytes, said: str) 
     "text",
     [
         '["00", "01"]',
+        "[{1: a, 2: b}, {0: c, 1: d}]",
         "[[0, 0], [true, false]]",
         "[[0, 0], [1:30, 0]]",
+        "[[0, 0], [0x10, 0]]",
+        "[[0, 0], [1_0, 0]]",
         "[[0, 0], ['1', 0]]",
+        "[[0, 0], [2026-01-01, 0]]",
+        "[[0, 0], !!python/tuple [1, 0]]",
         "[[0, 0], {x: 0, y: [1]}]",
         "x,y\n0,0\n0_3,0\n",
+        "x,y\n0,0\n0x1,0\n",
         "x,y\n0,0\n\u0661,0\n",
     ],
 )
@@ -154,10 +163,13 @@ def test_the_points_are_those_of_the_poses_in_their_frame(frame: str, meant: Fra
     ("data", "said"),
     [
         (message([(0.0, 0.0)]), "has 1 point: a path has 2 to 2000"),
+        (message([]), "has 0 points"),
         (message([(float(n), 0.0) for n in range(MAX_POINTS + 1)]), "has 2001 points"),
         (bytes(1_000_000 * 100), "too large: it has at most 2000 points"),
         (message([(0.0, 0.0), (nan, 1.0)]), "point 2 of the path on /plan is nan, 1.0"),
+        (message([(0.0, 0.0), (1.0, inf)]), "point 2 of"),
         (message([(0.0, 0.0), (1.0, 0.0)], "map"), "in frame 'map': publish it in odom or base_"),
+        (message([(0.0, 0.0), (1.0, 0.0)], ""), "is in frame ''"),
         (message([(0.0, 0.0), (1.0, 0.0)], "odom", "map"), "in frame 'map' and frame 'odom'"),
         (message([(0.0, 0.0), (1.0, 0.0)])[:-9], "cannot be read"),
         (b"", "cannot be read"),

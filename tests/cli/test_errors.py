@@ -45,11 +45,13 @@ def test_without_a_daemon_every_command_says_how_to_start_one(arguments: str, cl
     ("arguments", "text"),
     [
         ("set-mode flying", f"no mode 'flying': use {quick.VALID_MODES}"),
+        ("set-mode 255", f"no mode '255': use {quick.VALID_MODES}"),
         ("status --robot ../etc", "robot name '../etc': use a letter"),
         ("stat", "No such command 'stat'. Did you mean 'start', 'status'?"),
         ("drive", "Missing argument 'PATTERN'. Choose from: square, circle, figure-eight"),
         ("drive star", "'star' is not one of square, circle, figure-eight"),
         ("drive square --radius 2", "a square has no --radius: use --side"),
+        ("drive circle --side 2", "a circle has no --side: use --radius"),
         ("drive square --laps -1", "--laps -1: use 0 to 100000"),
         ("drive path", "a path needs a FILE"),
         ("drive path none.csv", "no file none.csv"),
@@ -58,15 +60,20 @@ def test_without_a_daemon_every_command_says_how_to_start_one(arguments: str, cl
         ("drive path --topic plan --frame odom", "a path of a topic has no --frame"),
         ("drive velocity 0.2", "a velocity is two numbers"),
         ("drive velocity 0.2 -0.5", "a velocity needs --for: use 0.02 to 600 s"),
+        ("drive velocity 0.2 -0.5 --for 2h", "--for 2h: use 0.02 to 600 s"),
         ("drive velocity 0.2 0 --for 2 --laps 2", "a velocity has no --laps"),
+        ("drive turn --side 2", "a turn has no --side"),
         ("drive line --angle 20", "a line has no --angle: it is for an arc or a turn"),
         (
             "drive square --corner 0.1",
             "a square has no --corner: it is for a rounded-square or a path",
         ),
         ("drive turn --angle 0.5", "--angle 0.5: use 0.58 to 5729 degrees"),
+        ("drive line --for 2s", "a line has no --for: it is for a velocity"),
         ("drive --sped 0.3 square", "No such option: --sped"),
         ("drive velocity nan 0 --for 2s", "a velocity is two numbers"),
+        ("drive velocity 0.2 -inf --for 2s", "a velocity is two numbers"),
+        ("drive square --side 0", "--side 0: use 0.1 to 100 m"),
         ("drive circle --radius nan", "--radius nan: use 0.1 to 100 m"),
         ("drive square --speed 11", "--speed 11: use 0.01 to 10 m/s"),
         ("set-mode", "Missing argument 'MODE' (see: robotctl set-mode --help)"),
@@ -220,6 +227,19 @@ def test_a_command_does_its_work_with_its_output_closed(
     assert ran.returncode == exit_code
     assert "unexpected" not in ran.stderr
     assert "robotctl: no daemon" not in ran.stdout
+
+
+@pytest.mark.parametrize(("name", "options"), [("cut", []), ("cut", ["--json"]), ("nothing", [])])
+def test_the_exit_code_is_that_of_the_error_even_if_stdout_is_closed(
+    command: list[str], tmp_path: Path, name: str, options: list[str]
+) -> None:
+    file = str(record_cut_short(tmp_path)) if name == "cut" else name
+    reading, writing = os.pipe()
+    os.close(reading)
+    program = [*command, "info", file, *options]
+    ran = subprocess.run(program, stdout=writing, stderr=writing, check=False)
+    os.close(writing)
+    assert ran.returncode == 6
 
 
 def test_output_to_a_full_disk_is_one_sentence(daemon: None, command: list[str]) -> None:

@@ -165,6 +165,15 @@ def test_a_changed_journal_exits_with_7(journal: Path, cli: Cli) -> None:
     assert "does not sign the lines before it" in " ".join(ran.out.split())
 
 
+def test_recordings_that_were_moved_are_found_by_name(
+    journal: Path, recorded: Path, cli: Cli, tmp_path: Path
+) -> None:
+    moved = tmp_path / "archive" / "robot_20251231_120000"
+    record(moved, drive(1.0))
+    found = report(cli, "--no-check", "--recordings", str(moved.parent))
+    assert [each["state"] for each in found["recordings"]] == ["removed", "there", "there"]
+
+
 def test_a_robot_without_a_journal_is_told_how_to_begin(state: Path, cli: Cli) -> None:
     ran = cli("evidence")
     assert ran.exit_code == 4
@@ -351,6 +360,19 @@ def test_two_copies_of_a_file_break_the_chain_of_both(sealed_runs: Path, cli: Cl
     ran = cli("verify", str(sealed_runs), "--json")
     assert ran.exit_code == 7
     assert "have the same place in the chain" in json.loads(ran.out)["wrong"][0]
+
+
+def test_a_renamed_folder_and_a_copy_elsewhere_stay_sealed(
+    sealed_runs: Path, cli: Cli, tmp_path: Path
+) -> None:
+    shutil.copytree(sealed_runs / FIRST, tmp_path / "copy" / "accident")
+    ran = cli("verify", str(tmp_path / "copy"))
+    assert ran.exit_code == 0
+    assert "it was sealed as" not in ran.out
+    shutil.copy(file_of(sealed_runs), tmp_path / "stop.mcap")
+    ran = cli("verify", str(tmp_path / "stop.mcap"))
+    assert ran.exit_code == 0
+    assert f"stop.mcap: it was sealed as {FIRST}_0.mcap: it was renamed" in ran.out
 
 
 def test_a_repaired_copy_is_no_forgery_but_evidence_misses_its_seal(

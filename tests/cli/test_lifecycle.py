@@ -121,7 +121,7 @@ def test_a_start_that_crashes_leaves_the_log_of_a_running_daemon_in_place(
     assert sorted(log.parent.iterdir()) == [log, failed]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interruption_while_starting_leaves_nothing_running(
     number: signal.Signals, spawn: Spawn, monkeypatch: pytest.MonkeyPatch, home: Path
 ) -> None:
@@ -138,13 +138,14 @@ def test_an_interruption_while_starting_leaves_nothing_running(
     assert list((home / "state").glob("robotctl/robot/*")) == []
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_daemon_that_is_ready_but_was_not_told_of_ends_with_its_start(
-    cli: Cli, monkeypatch: pytest.MonkeyPatch
+    number: signal.Signals, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = children()
 
     def interrupted(ready: dict[str, Any]) -> Iterator[str]:
-        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), number)
         yield "ready"
 
     monkeypatch.setattr(start, "summary", interrupted)
@@ -182,6 +183,18 @@ def test_the_log_of_the_run_before_is_kept(cli: Cli) -> None:
     assert "run1" in log.with_name("daemon.log.1").read_text()
     names = sorted(path.name for path in log.parent.glob("daemon.log*"))
     assert names == ["daemon.log", "daemon.log.1"]
+
+
+def test_a_second_start_leaves_the_running_daemons_log_alone(
+    daemon: None, cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = log_path("robot")
+    before = log.stat().st_ino
+    for failure, exit_code in (("run-already", 5), ("refuse", 2)):
+        monkeypatch.setenv("FAKE_START", failure)
+        assert cli("start").exit_code == exit_code
+        assert log.stat().st_ino == before
+        assert [path.name for path in log.parent.glob("daemon.log*")] == ["daemon.log"]
 
 
 def test_logs_shows_control_characters_escaped_and_no_colours(daemon: None, cli: Cli) -> None:
@@ -280,6 +293,13 @@ def test_logs_for_machines_is_an_object_for_each_line(cli: Cli) -> None:
         "text": "    the second line of it",
     }
     assert odd["t_ns"] is None
+
+
+def test_logs_f_begins_with_the_last_lines(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.write_text(LOG)
+    begin = logs._begin_of_last(log, 1)
+    assert next(logs._lines(log, follow=True, begin=begin)) == LOG.splitlines()[-1]
 
 
 def test_the_daemon_is_not_imported_from_the_working_directory(

@@ -81,6 +81,17 @@ def test_a_list_of_files_that_is_a_fifo_is_told_and_the_files_are_read(
     assert ("not a regular file" in ran.out + ran.err) is (command != "recover")
 
 
+def test_a_fifo_among_the_recordings_hides_no_other(run: Cli) -> None:
+    record(Path("recordings") / "robot_20260101_000000", drive(1.0))
+    os.mkfifo("recordings/robot_20260102_000000")
+    Path("recordings/robot_20260103_000000").mkdir()
+    os.mkfifo("recordings/robot_20260103_000000/robot_20260103_000000_0.mcap")
+    ran = run("recordings")
+    assert ran.exit_code == 0, ran
+    assert "robot_20260101_000000" in ran.out
+    assert "unreadable" in ran.out
+
+
 @pytest.mark.parametrize("path", ["fifo", "/dev/zero", "."])
 def test_a_configuration_is_a_file(path: str) -> None:
     os.mkfifo("fifo")

@@ -27,6 +27,7 @@ from robotctl.testing.drives import START_NS, TWIST
 from tests.cli.conftest import Cli
 from tests.support.recordings import read_strictly, write_numbered
 
+SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 OLDER, NEWER = "robot_20260101_120000", "robot_20260101_120000-2"
 
 
@@ -224,6 +225,24 @@ def test_a_folder_is_recovered_file_by_file(library: Path, cli: Cli) -> None:
     assert (saved / "metadata.yaml").exists()
     assert cli("info", str(saved)).exit_code == 0
     assert cli("recover", OLDER).exit_code == 4
+
+
+@pytest.mark.skipif(not SAMPLES.is_dir(), reason="no sample bags")
+def test_bags_of_rosbag2_are_shown_recovered_and_cut(cli: Cli, tmp_path: Path) -> None:
+    for bag in sorted(SAMPLES.iterdir()):
+        found = json.loads(cli("info", str(bag), "--json").out)
+        assert found["messages"] > 0
+        out = tmp_path / bag.name
+        ran = cli("recover", str(bag), "-o", str(out), "--json")
+        assert (ran.exit_code, json.loads(ran.out)["messages"]) == (0, found["messages"])
+        assert json.loads(cli("info", str(out), "--json").out)["messages"] == found["messages"]
+        clip = tmp_path / f"{bag.name}.mcap"
+        ran = cli("clip", str(bag), "--at", "0", "--before", "0", "--after", "0.5", "-o", str(clip))
+        assert ran.exit_code == 0, ran.err
+        assert read_strictly(clip)
+    listed = json.loads(cli("recordings", "--recordings", str(SAMPLES), "--json").out)
+    assert all(each["readable"] and not each["damage"] for each in listed["recordings"])
+    assert len(listed["recordings"]) == len(list(SAMPLES.iterdir()))
 
 
 NAME = "robot_20260101_120000"

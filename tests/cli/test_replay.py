@@ -206,7 +206,7 @@ def test_keys_pause_step_and_change_the_rate(terminal: Any, long_file: Path) -> 
     assert viewing.is_cooked()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGQUIT])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_a_signal_ends_it_and_the_terminal_is_as_before(
     number: signal.Signals, terminal: Any, long_file: Path
 ) -> None:

@@ -217,6 +217,14 @@ def test_a_daemon_that_does_not_tell_may_have_a_moving_robot(
     assert left == []
 
 
+def test_a_daemon_that_cannot_be_asked_at_all_is_told_at_once(
+    answers: Callable[..., Answers],
+) -> None:
+    answers(Refused("the socket belongs to another user"))
+    with pytest.raises(Refused, match="another user"), SyncPace(None, "robot"):
+        pass
+
+
 SHA = "0123456789abcdef" * 4
 
 

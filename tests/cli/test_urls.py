@@ -99,6 +99,15 @@ def test_a_url_of_nothing_is_an_unreadable_file(cli: Cli, bucket: FaultyBucket) 
     assert (ran.exit_code, ran.err) == (6, "robotctl: s3://robots/elsewhere.mcap does not exist\n")
 
 
+def test_failures_of_five_percent_change_no_check(cli: Cli, bucket: FaultyBucket) -> None:
+    here = cli("replay", "--check", str(FILE))
+    bucket.failing_share = bucket.short_share = 0.05
+    for _ in range(10):
+        there = cli("replay", "--check", URL, "--all-bytes")
+        assert there.out == here.out.replace(str(FILE), URL)
+    assert bucket.requests > 20
+
+
 def test_a_recording_that_is_replaced_during_a_check_is_told(
     cli: Cli, bucket: FaultyBucket
 ) -> None:

@@ -25,6 +25,14 @@ def recording(tmp_path: Path) -> Path:
     return tmp_path / "run"
 
 
+def test_a_whole_recording_without_a_seal_exits_with_4(recording: Path, cli: Cli) -> None:
+    ran = cli("verify", str(recording))
+    assert ran.exit_code == 4
+    assert ran.out.splitlines()[0].split() == ["whole", str(recording)]
+    assert "100 messages, finished" in ran.out
+    assert "not sealed" in ran.err
+
+
 def test_a_file_of_the_mcap_library_is_whole_though_it_names_groups_without_records(
     tmp_path: Path, cli: Cli
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import re
@@ -111,6 +112,13 @@ def test_a_poll_that_fails_does_not_end_the_view_of_a_drive(
         done.set()
         driving.join()
     assert driving.result() == {"waited": True}
+
+
+def test_json_is_the_status_line_by_line(daemon: None, spawn: Spawn) -> None:
+    process = spawn("watch", "--json")
+    assert process.stdout is not None
+    for _ in range(2):
+        assert json.loads(process.stdout.readline())["mode"] == "IDLE"
 
 
 @pytest.mark.parametrize(

@@ -226,6 +226,21 @@ async def test_the_end_does_not_wait_and_what_goes_wrong_then_is_in_the_log(
     await until(lambda: log.read_text() == "not indexed")
 
 
+async def test_a_cancelled_indexer_leaves_no_process(
+    indexed: Callable[[str], Indexer], until: Until, tmp_path: Path
+) -> None:
+    pid = tmp_path / "pid"
+    lasting = f"import os, time; open({str(pid)!r}, 'w').write(str(os.getpid())); time.sleep(600)"
+    indexer = indexed(lasting)
+    running = asyncio.create_task(indexer.run())
+    indexer.file_finished()
+    await until(lambda: pid.exists() and pid.read_text())
+    running.cancel()
+    await asyncio.wait({running})
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(pid.read_text()), 0)
+
+
 SAY = """
 import os, sys
 def say(text):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -288,6 +288,30 @@ async def test_nothing_is_received_any_more_when_the_recording_is_finished(
 
 def count(status: Any, topic: str) -> int:
     return sum(each["count"] for each in status["topics"] if each["name"] == topic)
+
+
+async def test_a_file_that_is_full_at_the_end_is_followed_by_none(
+    in_process: InProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: Closed = []
+
+    class FullAtEnd(Recorder):
+        def __init__(self, *given: Any, on_full: Callable[[Path], None], **options: Any) -> None:
+            super().__init__(*given, on_full=on_full, **options)
+            self.tell_full = on_full
+
+        def close(self) -> RecorderStats:
+            """Report a full file at the close; the loop gets the call after it."""
+            stats = super().close()
+            self.tell_full(stats.file)
+            time.sleep(SLOW_DISK_S)
+            said.append(self.stats())
+            return stats
+
+    monkeypatch.setattr(recordings_folder, "Recorder", FullAtEnd)
+    async with in_process():
+        pass
+    assert [stats.dropped for stats in said] == [0]
 
 
 async def test_the_publisher_stays_until_the_last_zero_is_acknowledged(

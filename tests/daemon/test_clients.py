@@ -54,6 +54,16 @@ def test_the_cures_of_a_named_robot_can_be_pasted_and_its_end_ends_a_waited_driv
     assert "the drive ended after 0 laps: requested by the daemon's end" in err
 
 
+def test_a_drive_while_moving_is_refused_unless_it_replaces(simulated: World) -> None:
+    simulated.ok("drive", "circle", "--laps", "0")
+    refused = simulated.robotctl("drive", "square")
+    assert refused.exit_code == 4
+    assert "--replace" in refused.err
+    simulated.ok("drive", "square", "--replace")
+    assert simulated.status()["mode"] == "MOVING"
+    simulated.ok("set-mode", "idle")
+
+
 GENTLE = f"{PATIENT}limits: {{linear_accel_mps2: 0.1, angular_accel_rps2: 0.3}}\n"
 """A ramp down from 0.3 m/s takes 3 s: there is time for a second Ctrl-C."""
 

@@ -270,6 +270,12 @@ async def test_a_stop_is_confirmed_when_it_is_on_the_disk(
     await recorded.latch.close()
 
 
+async def test_the_latch_remembers_why_the_robot_stopped(recorded: Recorded) -> None:
+    recorded.effects.carry_out(LatchEmergencyStop("empty", Cause.BATTERY_LOW))
+    await recorded.latch.close()
+    assert recorded.latch.read() == LatchedStop("empty", Cause.BATTERY_LOW)
+
+
 async def test_a_stop_that_could_not_be_saved_is_confirmed_with_that(recorded: Recorded) -> None:
     (recorded.latch_path.with_suffix(".new")).mkdir()
     reply = recorded.requests.replies.expect(1)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import signal
 import socket
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,6 +48,39 @@ def test_the_pid_of_an_owner_who_died_is_not_named(
             pytest.raises(AlreadyRunning, match=r"pid unknown .*stop --robot r2"),
             owned(path, "r2"),
         ):
+            pass
+
+
+def test_a_lock_is_free_after_an_owner_failed(tmp_path: Path) -> None:
+    path = tmp_path / "robot.lock"
+
+    def fail() -> Any:
+        with owned(path, "robot"):
+            raise RuntimeError("injected")
+
+    with pytest.raises(RuntimeError):
+        fail()
+    with owned(path, "robot"):
+        pass
+
+
+def test_nothing_is_left_of_a_longer_pid(tmp_path: Path) -> None:
+    path = tmp_path / "robot.lock"
+    path.write_text("4194305 and more\n")
+    with owned(path, "robot"):
+        assert path.read_text() == f"{os.getpid()}\n"
+
+
+def test_an_owner_under_another_uid_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(pid: int, number: int) -> None:
+        raise PermissionError
+
+    path = tmp_path / "robot.lock"
+    with owned(path, "robot"):
+        monkeypatch.setattr(os, "kill", refuse)
+        with pytest.raises(AlreadyRunning, match=f"pid {os.getpid()} "), owned(path, "robot"):
             pass
 
 
@@ -108,6 +143,12 @@ async def test_a_long_fault_is_shortened_for_the_journal_and_logged_whole(
     words = "x" * 10 * MAX_DETAIL
     assert len(await die_once_of(ValueError(words), reported)) == MAX_DETAIL
     assert words in caplog.text
+
+
+async def test_a_fault_before_the_kernel_exists_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.ERROR):
+        Supervisor(lambda: None).callback_failed(ValueError("early"), "/odom")
+    assert "the callback of /odom failed (ValueError: early)" in caplog.text
 
 
 async def test_an_exception_in_the_loop_is_a_fault_and_anything_else_is_only_logged(

@@ -50,6 +50,14 @@ async def test_a_power_cut_leaves_the_old_latch_or_the_new_one(
     assert synced == [written, named, removed]
 
 
+async def test_a_latch_that_is_released_is_gone(tmp_path: Path) -> None:
+    latch = Latch(tmp_path / "emergency-stop")
+    latch.set("reason", BY_OPERATOR)
+    latch.clear()
+    await latch.close()
+    assert latch.read() is None
+
+
 # Failures to save
 
 

@@ -47,6 +47,10 @@ def test_a_name_that_steers_a_terminal_is_escaped() -> None:
     assert formatted("Größe %s", "µ") == "INFO: Größe µ"
 
 
+def test_a_name_cannot_look_like_an_entry() -> None:
+    assert formatted("in %s", "a\nERROR: forged") == "INFO: in a\n    ERROR: forged"
+
+
 def test_a_traceback_stays_readable() -> None:
     lines = formatted("it failed", failed=True).split("\n")
     assert lines[:2] == ["INFO: it failed", "Traceback (most recent call last):"]
@@ -157,6 +161,15 @@ def test_all_is_written_in_order_before_the_end(queued: Run) -> None:
     assert (plain, out) == ("plain", "ended\n")
 
 
+def test_a_reader_that_left_ends_nothing(queued: Run) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    with queued("log.info('one'); time.sleep(0.05); log.info('two')", writing) as process:
+        os.close(writing)
+        assert process.communicate(timeout=DEADLINE_S)[0] == "ended\n"
+    assert process.returncode == 0
+
+
 def test_a_line_that_repeats_itself_is_written_three_times_and_counted(queued: Run) -> None:
     code = """
 for n in range(2000):
@@ -224,6 +237,21 @@ async def test_lines_that_do_not_fit_are_counted_and_told(log: logging.Logger) -
     await loop_until(lambda: len(told) > CAPACITY)
     assert told[CAPACITY - 1] == str(CAPACITY - 1)
     assert told[CAPACITY:] == ["7 log lines are missing here: the log file has them"]
+
+
+async def test_a_line_that_cannot_be_published_is_counted_and_told(log: logging.Logger) -> None:
+    told: list[str] = []
+
+    def publish(record: logging.LogRecord, text: str) -> None:
+        if text == "bad":
+            raise RuntimeError("the middleware failed")
+        told.append(text)
+
+    handler_of(log, publish)
+    log.info("bad")
+    log.info("good")
+    await loop_until(lambda: len(told) == 2)
+    assert told == ["good", "1 log lines are missing here: the log file has them"]
 
 
 async def test_what_publishing_logs_leads_to_no_further_line(log: logging.Logger) -> None:

@@ -97,6 +97,10 @@ def test_a_live_message_is_yaml_and_a_field_a_line(world: World) -> None:
     assert value["value"] == 1.0
 
 
+def test_a_latched_message_reaches_who_comes_late(world: World) -> None:
+    assert world.answer_here("topic", "echo", "/robot_status", *ONCE)["message"]["mode"] == 0
+
+
 def test_a_service_is_called_with_its_type_or_without(world: World) -> None:
     answer = world.answer_here("service", "call", "/set_mode", "{requested_mode: 0}")["response"]
     assert (answer["success"], answer["current_mode"]) == (True, 0)
@@ -110,6 +114,7 @@ def test_a_service_is_called_with_its_type_or_without(world: World) -> None:
     ("arguments", "exit_code", "said"),
     [
         (["topic", "echo", "/odomm"], 2, "no topic /odomm: did you mean /odom?"),
+        (["topic", "echo", "/odom", "pose.pose.positon"], 2, "did you mean position?"),
         (["topic", "echo", "/strange"], 4, "nowhere/msg/Type, which is not installed"),
         (["topic", "echo", "/two"], 2, "has several types: std_msgs/msg/Header, std_msgs/msg/Str"),
         (
@@ -117,7 +122,9 @@ def test_a_service_is_called_with_its_type_or_without(world: World) -> None:
             4,
             "for 0",
         ),
+        (["node", "info", "/mode_servic"], 2, "did you mean /mode_service?"),
         (["service", "call", "/set_mode", "{mode: 1}"], 2, "did you mean requested_mode?"),
+        (["service", "call", "/set_mode", "std_srvs/srv/Trigger"], 2, "leave the type out"),
         (["service", "call", "/set_mod"], 3, "did you mean /set_mode?"),
         pytest.param(
             ["service", "call", "/ghost", "std_srvs/srv/Trigger"],

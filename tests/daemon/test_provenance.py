@@ -105,6 +105,13 @@ def test_the_digest_is_what_sha256sum_makes_of_its_own_list(package: Path) -> No
     assert software.__wrapped__(package)[DIGEST] == hashlib.sha256(listed.stdout).hexdigest()
 
 
+def test_a_module_that_cannot_be_read_fails_no_start(package: Path) -> None:
+    (package / "kernel" / "module.py").unlink()
+    (package / "kernel" / "module.py").symlink_to("nothing")
+    assert "kernel/module.py" not in software.__wrapped__(package)
+    assert software.__wrapped__(package / "nowhere") == {}
+
+
 def test_each_file_names_the_software_and_the_device(tmp_path: Path) -> None:
     def fail(_: object) -> None:
         pytest.fail("the recorder failed")

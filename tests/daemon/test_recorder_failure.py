@@ -83,6 +83,16 @@ async def test_the_robot_goes_on_when_it_is_only_to_warn(
     assert [("No space left on device" in record.message) for record in errors] == [True]
 
 
+async def test_an_observer_that_records_no_more_says_so(
+    in_process: InProcess, disk: list[FailingFile], caplog: pytest.LogCaptureFixture
+) -> None:
+    async with in_process(observe=True, sim=None) as daemon:
+        disk[0].fail_now()
+        status = await daemon.until(has_failed)
+        assert any("No space left on device" in warning for warning in status["warnings"])
+    assert "No space left on device" in caplog.text
+
+
 async def test_a_heavy_topic_is_named_once_with_the_filter_that_leaves_it_out(
     in_process: InProcess, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -165,6 +175,16 @@ def test_where_nothing_can_be_recorded_nothing_is_touched(
         opened(tmp_path / recordings)
     assert (tmp_path / "file").read_text() == "somebody's"
     assert not (tmp_path / "nowhere").exists()
+
+
+def test_where_nothing_can_be_recorded_nothing_is_started(world: World) -> None:
+    (world.folder / "file").write_text("somebody's")
+    ran = world.robotctl("start", "--observe", "--recordings", "file/below")
+    assert ran.exit_code == 4, ran
+    assert ran.err.startswith("robotctl: cannot record into ")
+    assert "Not a directory" in ran.err
+    assert "choose another folder (--recordings)" in ran.err
+    assert world.processes() == {}
 
 
 def test_a_link_with_the_name_of_the_new_recording_is_not_followed(

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from robotctl.check.compare import first_divergence
+from robotctl.ipc.answers import Status
 from robotctl.recording import read_info
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.format.recorded_events import ERRORS
@@ -361,3 +362,32 @@ def _mode(data: bytes) -> int:
     from robot_controller.msg import RobotStatus
 
     return int(deserialize_message(data, RobotStatus).mode)
+
+
+def test_status_has_the_stable_keys(session: Session) -> None:
+    status = session.idle
+    assert set(status) == Status.__required_keys__
+    assert set(status["pose"]) == {"x", "y", "theta"}
+    assert set(status["velocity"]) == {"linear", "angular"}
+    ledger = ("bytes", "written", "queued", "dropped", "lost", "throttled", "unseen")
+    assert {frozenset(topic) for topic in status["topics"]} == {
+        frozenset({"name", "type", "count", "rate", *ledger})
+    }
+    assert set(status["recorder"]) == {
+        "state",
+        "file",
+        "bytes",
+        "received",
+        "written",
+        "queued",
+        "dropped",
+        "lost",
+        "throttled",
+    }
+
+
+def test_the_status_topic_comes_each_second(session: Session) -> None:
+    times = [message.log_time / 1e9 for message in session.topics["/robot_status"]]
+    changes = sum(entry.name == "ModeChanged" for entry in session.journal)
+    periodic = len(times) - changes
+    assert periodic - 1 <= times[-1] - times[0] <= periodic + 1

@@ -143,6 +143,33 @@ def test_what_cannot_be_started_is_one_sentence_and_starts_nothing(world: World)
     assert world.robotctl("status").exit_code == 3
 
 
+def test_a_start_fails_if_the_socket_path_is_not_a_socket(world: World) -> None:
+    (world.folder / "run" / "robotctl").mkdir(mode=0o700)
+    in_the_way = world.folder / "run" / "robotctl" / "robot.sock"
+    in_the_way.write_text("mine")
+    ran = world.robotctl("start", "--sim")
+    assert ran.exit_code == 2
+    assert f"{in_the_way} is not a socket" in ran.err
+    assert not world.recordings.exists()
+    assert in_the_way.read_text() == "mine"
+    in_the_way.unlink()
+
+
+def test_a_start_that_may_open_too_few_files_is_refused(world: World) -> None:
+    command = [ROBOTCTL, "start", "--sim", "--recordings", str(world.recordings)]
+    ran = subprocess.run(
+        ["sh", "-c", 'ulimit -n 64; exec "$@"', "sh", *command],
+        env=world.environment,
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        check=False,
+    )
+    assert ran.returncode == 4
+    assert "this process may open 64 files, and a daemon needs 128: raise the limit" in ran.stderr
+    assert not world.recordings.exists()
+
+
 def test_a_failed_start_in_the_foreground_says_why_in_one_line(world: World) -> None:
     world.recordings.write_text("")
     ran = world.robotctl("start", "--foreground", "--sim")

@@ -23,12 +23,13 @@ from robotctl.daemon.recording.recorder_report import (
     diagnose,
     topic_rows,
 )
-from robotctl.recording import RecorderState, RecorderStats, Topic, TopicStats
+from robotctl.recording import Recorder, RecorderState, RecorderStats, Topic, TopicStats
 from robotctl.recording.format.topics import LATCHED_QOS, total
 from robotctl.recording.write.bag_writer import repeats
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.writer_thread import WriterThread
 from robotctl.ros.nodes.publishers import DiagnosticLevel
+from tests.support.waiting import until
 
 S = 1_000_000_000
 CAMERA, SCAN = ("/camera", "sensor_msgs/msg/Image"), ("/scan", "sensor_msgs/msg/LaserScan")
@@ -184,3 +185,12 @@ def test_what_the_writer_thread_loses_is_seen(count: str) -> None:
     else:
         WriterThread._drop(SimpleNamespace(_channels=[state], failure="full"), {0: 1})  # type: ignore[arg-type]
         assert state.stats().dropped == 1
+
+
+def test_counts_that_the_writer_thread_changes_are_seen(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    channel = recorder.add_topic(Topic("/a", "T"))
+    recorder.write(channel, b"data", 1, 1, 0, GID)
+    assert recorder.stats().topics[channel].queued == 1
+    until(lambda: recorder.stats().topics[channel].written == 1)
+    recorder.close()

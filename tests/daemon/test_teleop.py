@@ -274,7 +274,7 @@ def test_a_frozen_command_moves_nothing_and_goes_on_only_with_a_new_press(
     until_fast(world, lambda: terminal.press(W_AGAIN + W_UP + W_DOWN))
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_command_that_ends_lets_go_and_returns_the_lease(
     number: int, world: World, sit: Sit
 ) -> None:
@@ -374,3 +374,28 @@ def test_a_gamepad_steers_while_its_button_is_held_and_its_end_is_zero(
     until(lambda: not moves(world))
     assert world.status()["mode_reason"] == "not held for 125 ms"
     terminal.until("nothing is heard on /joy")
+
+
+@pytest.mark.parametrize(("limit", "hands"), [(5, ()), (9, ()), (12, ("--joy", "joy"))])
+def test_too_few_open_files_end_it_with_one_sentence(
+    world: World, limit: int, hands: tuple[str, ...]
+) -> None:
+    code = f"import resource as r; r.setrlimit(r.RLIMIT_NOFILE, ({limit}, {limit})); {CODE}"
+    terminal = AnsweringTerminal(
+        *("teleop", *hands), tells_releases=True, program=(code,), environment=world.environment
+    )
+    try:
+        terminal.until(r"robotctl: too many open files: raise the limit \(ulimit -n\)\s")
+        assert terminal.end() == 1
+    finally:
+        terminal.close()
+
+
+def test_a_speed_or_an_axis_that_cannot_be_is_refused(world: World) -> None:
+    for option, value in (
+        ("--speed", "nan"),
+        ("--axes", "1"),
+        ("--axes", "a,b"),
+        ("--button", "64"),
+    ):
+        assert world.here("teleop", "--joy", "joy", option, value).exit_code == 2

@@ -7,8 +7,9 @@ import json
 import os
 import signal
 import subprocess
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AsyncExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,12 @@ from robotctl.ipc.client import call
 from robotctl.messages.definition import parse_definition
 from robotctl.messages.fields import parse_path
 from robotctl.messages.values import Decoder
+from robotctl.recording import JournalEntry
 from robotctl.recording.format.noted_events import DEFINITION, TYPE_NAME, encode_event
 from robotctl.view.remote_control import LET_GO_S
 from tests.support.view_client import ViewClient, view_client
 from tests.support.waiting import DEADLINE_S, until
-from tests.support.world import ROBOTCTL, World, new_world
+from tests.support.world import ROBOTCTL, World, entries_of, new_world
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove-layout.json"
 
@@ -253,6 +255,46 @@ async def driven_for(client: ViewClient, seconds: float) -> None:
     for _ in range(round(seconds * 40)):
         await client.publish_twist(0.2, 0.0)
         await client.receive_for(0.025)
+
+
+CALM_S = 10.0
+
+
+@pytest.mark.slow
+async def test_a_hundred_stalled_viewers_cost_no_tick_and_little_memory(world: World) -> None:
+    """Each has subscribed to every topic, and takes nothing."""
+    started = world.answer("start", "--sim", "--drive", "circle")
+    with view_of(world) as (_, ready):
+        (view,) = (pid for pid, line in world.processes().items() if "robotctl.view" in line)
+        calm_ns = time.monotonic_ns()
+        await asyncio.sleep(CALM_S)
+        stalled_ns = time.monotonic_ns()
+        async with AsyncExitStack() as stack:
+            clients = [
+                await stack.enter_async_context(view_client(ready["url"])) for _ in range(100)
+            ]
+            before = _resident_bytes(view)
+            for client in clients:
+                await client.subscribe("/odom", "/cmd_vel", "/robotctl/journal", "/rosout")
+                client.socket.transport.pause_reading()
+            await asyncio.sleep(2 * CALM_S)
+            grown = _resident_bytes(view) - before
+            end_ns = time.monotonic_ns()
+    assert grown < 64 << 20
+    world.ok("stop")
+    ticks = [each for each in entries_of(Path(started["recording"])) if each.name == "Tick"]
+    if _missed(ticks, calm_ns, stalled_ns):
+        pytest.skip("this machine misses ticks without viewers, too")
+    assert _missed(ticks, stalled_ns, end_ns) == 0
+
+
+def _missed(ticks: list[JournalEntry], begin_ns: int, end_ns: int) -> int:
+    within = (each for each in ticks if begin_ns <= each.t_ns < end_ns)
+    return sum(int(json.loads(each.data)["missed"]) for each in within)
+
+
+def _resident_bytes(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096
 
 
 NS = 1_000_000_000

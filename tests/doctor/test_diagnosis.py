@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.base.errors import UsageError
 from robotctl.base.paths import runtime_folder
 from robotctl.cli.commands import doctor as diagnosis
 from robotctl.doctor import Finding, Level
@@ -72,3 +73,8 @@ def test_a_file_that_is_no_socket_of_a_robot_is_no_daemon_that_hangs() -> None:
     for name in ("bad name.sock", ".sock", "esc\x1b[31m.sock"):
         (runtime_folder() / name).touch()
     assert faults() == []
+
+
+def test_the_name_of_no_robot_is_refused() -> None:
+    with pytest.raises(UsageError, match="use a letter"):
+        diagnosis.diagnose("a b", None, None, clean=False)

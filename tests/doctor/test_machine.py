@@ -93,6 +93,12 @@ def test_memory_of_another_user_is_left(memory: Path) -> None:
     assert not {name for name in stale(memory) if name.startswith(MEMORY)}
 
 
+def test_a_link_in_the_place_of_a_lock_is_not_followed(memory: Path, tmp_path: Path) -> None:
+    (memory / f"{MEMORY}_el").unlink()
+    (memory / f"{MEMORY}_el").symlink_to("/etc/passwd")
+    assert MEMORY not in stale(memory)
+
+
 def test_shared_memory_that_is_not_there_is_a_fault(tmp_path: Path) -> None:
     assert levels(machine.check_memory(tmp_path / "none")) == [("shared memory", Level.FAULT)]
 

@@ -73,11 +73,20 @@ def test_nesting_is_allowed_up_to_the_limit() -> None:
     assert code_of(member("x", "[" * (inner + 1) + "]" * (inner + 1))) is Code.PARSE_ERROR
 
 
+def test_a_line_of_escaped_quotes_takes_no_more_time_than_others() -> None:
+    assert code_of(b"[" * 20 + b'\\"' * 30_000) is Code.PARSE_ERROR
+
+
 @pytest.mark.parametrize(
     "line", [b"", b"\xff\xfe", b"{", b"null nul", b'"\x01"', b"\xef\xbb\xbf{}", b"1" * 5000]
 )
 def test_what_is_not_json_is_a_parse_error(line: bytes) -> None:
     assert code_of(line) is Code.PARSE_ERROR
+
+
+def test_half_a_surrogate_pair_is_a_parse_error() -> None:
+    assert code_of(member("x", '"\\ud800"')) is Code.PARSE_ERROR
+    assert parse_request(member("x", '"\\ud83e\\udd16"')).params == {"x": "\U0001f916"}
 
 
 @pytest.mark.parametrize(

@@ -173,6 +173,13 @@ async def test_a_parameter_outside_its_limits_is_named(
     assert robot.mode_requests == 0
 
 
+async def test_an_unknown_method_is_named(serve: Any, connect: Any) -> None:
+    async with serve():
+        reply = await (await connect()).call("fly")
+    assert reply["error"]["code"] == Code.METHOD_NOT_FOUND
+    assert "'fly'" in reply["error"]["message"]
+
+
 # Malformed input
 
 

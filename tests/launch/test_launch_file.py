@@ -93,6 +93,12 @@ def test_one_process_a_role_is_retired_and_the_daemon_starts() -> None:
     assert daemon.given["respawn"] is True
 
 
+def test_every_process_has_time_for_its_last_zero_before_it_is_killed() -> None:
+    (daemon,) = launched()
+    assert float(daemon.given["sigterm_timeout"]) >= 10.0
+    assert float(daemon.given["sigkill_timeout"]) >= 10.0
+
+
 def test_the_table_is_what_launch_itself_offers() -> None:
     """Not run where launch is missing, as with the wheels."""
     pytest.importorskip("launch.actions")

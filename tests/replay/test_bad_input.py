@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from zstandard import ZstdCompressor
 
 from robotctl.cli import app
 from tests.support.bags import STRING, TWIST, Line, data, in_order, talk, text, twist, write_bag
@@ -33,6 +35,24 @@ async def test_a_damaged_chunk_costs_its_own_messages_and_is_named(
     await until(lambda: len(listener.heard["/alpha"]) == ran.summary["sent"])
     sent = iter(recorded)
     assert all(message in sent for message in listener.heard["/alpha"])
+
+
+async def test_messages_that_rosbag2_compressed_one_by_one_are_sent_as_they_were(
+    tmp_path: Path, listener: Any, replay: Any, until: Until
+) -> None:
+    lines = talk("/alpha", 5, 1.0)
+    stored = [replace(line, data=ZstdCompressor().compress(line.data)) for line in lines]
+    write_bag(tmp_path / "bag_0.mcap", stored)
+    (tmp_path / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n"
+        "  compression_format: zstd\n"
+        "  compression_mode: MESSAGE\n"
+        "  relative_file_paths:\n    - bag_0.mcap\n"
+    )
+    listener.listen("/alpha", STRING)
+    ran = await replay(tmp_path, "--json")
+    assert ran.exit_code == 0, ran.err
+    await until(lambda: listener.heard["/alpha"] == data(lines))
 
 
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason="the sample recordings are not here")
@@ -100,6 +120,23 @@ async def test_what_cannot_be_published_is_named_and_skipped(
     assert len(ran.summary["notes"]) == len(skipped) + 1
     await until(lambda: listener.heard["/late"] == data(strings))
     await until(lambda: listener.heard["/alpha"] == data(alpha))
+
+
+async def test_of_a_truncated_file_what_can_be_read_is_played_and_the_rest_is_told(
+    tmp_path: Path, listener: Any, replay: Any, until: Until
+) -> None:
+    lines = talk("/alpha", 200, 1.0)
+    file = write_bag(tmp_path / "run.mcap", lines, chunk_bytes=1000)
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2])
+    listener.listen("/alpha", STRING)
+    ran = await replay(file, "--json")
+    assert ran.exit_code == 6
+    assert ran.err.startswith(f"robotctl: {file} is incomplete: ")
+    assert ran.err.count("\n") == 1
+    sent = ran.summary["sent"]
+    assert 0 < sent < 200
+    await until(lambda: listener.heard["/alpha"] == data(lines[:sent]))
 
 
 @pytest.mark.parametrize(

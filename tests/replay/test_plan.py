@@ -25,6 +25,7 @@ from service_msgs.msg import ServiceEventInfo
 from std_srvs.srv import SetBool
 
 from robotctl.base.errors import UsageError
+from robotctl.cli import app
 from robotctl.recording import TopicInfo
 from robotctl.replay import plan
 from robotctl.replay.job import Job, parse_remap
@@ -292,6 +293,36 @@ async def test_recorded_requests_are_sent_once_each_to_the_service_that_is_named
     assert ran.summary["sent"] == len(lines)
     await until(lambda: len(listener.heard["/light/_service_event"]) == len(lines))
     assert len(asked) == 4
+
+
+async def test_requests_that_nobody_serves_are_counted_as_not_sent(
+    tmp_path: Path, replay: Any
+) -> None:
+    lines = [event(0, ServiceEventInfo.REQUEST_RECEIVED, 1, value=True)]
+    file = write_bag(tmp_path / "run.mcap", lines)
+    ran = await replay(file, "--publish-service-requests", "--topics", "/light", "--json")
+    assert (ran.summary["sent"], ran.summary["failed"]) == (0, 1)
+
+
+async def test_last_is_the_newest_recording_at_hand_of_any_robot_or_of_the_one_named(
+    tmp_path: Path,
+    replay: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.chdir(tmp_path)
+    counts = {"robot_20260101_000000": 3, "robot_20260102_000000": 4, "r2_20270101_000000": 5}
+    for name, count in counts.items():
+        folder = tmp_path / "recordings" / name
+        folder.mkdir(parents=True)
+        write_bag(folder / f"{name}_0.mcap", talk("/alpha", count))
+    ran = await replay("last", "--json")
+    assert ran.summary["sent"] == 5
+    ran = await replay("last", "--robot", "robot", "--json")
+    assert ran.summary["sent"] == 4
+    assert app.run(["replay", "last", "--robot", "r3"]) == 4
+    assert "no recording of robot 'r3'" in capsys.readouterr().err
 
 
 OLD = """\

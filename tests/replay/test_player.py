@@ -486,3 +486,14 @@ def test_no_message_can_break_the_view(content: bytes) -> None:
         ]
         with seen(Path(folder), lines) as robot:
             robot.advance(START_NS)
+
+
+def test_what_is_due_and_not_sent_is_counted() -> None:
+    timeline = [(number * MS, "/a", b"") for number in range(1000)]
+    with ReadAhead(timeline, ahead=500) as ahead:
+        batches = iter(ahead)
+        first = next(batches)
+        next(batches)
+        begin = len(first) * MS
+        assert ahead.count(begin, begin + 100 * MS) == 100
+        assert ahead.count(begin + 100 * MS, begin) <= 0

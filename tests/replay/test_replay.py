@@ -22,12 +22,14 @@ from robotctl.replay.job import Job
 from robotctl.replay.playback_control import RATES, Command
 from tests.support.bags import (
     LATCHED,
+    OTHER_HASH,
     SENSOR,
     STRING,
     TWIST,
     Line,
     data,
     in_order,
+    padded,
     talk,
     text,
     twist,
@@ -118,6 +120,15 @@ async def test_what_is_no_command_stops_nothing(listener: Any, play: Any, until:
     playing.write(b'nonsense\n\xff\n{}\n\n[]\n{"do": "explode"}\n{"do": {}}\n')
     playing.tell(Command.RESUME)
     await until(lambda: len(listener.heard["/alpha"]) == 5)
+
+
+async def test_what_is_stopped_before_everybody_is_known_opens_nothing(
+    tmp_path: Path, listener: Any, child: Any, domain_id: int
+) -> None:
+    # Before it opens a topic of commands, it waits until nothing changes for a while.
+    file = write_bag(tmp_path / "run.mcap", [Line("/cmd_vel", TWIST, 0.0, twist(1.0))])
+    exit_code, summary = child(Job(file, domain_id, topics=("/cmd_vel",))).end()
+    assert (exit_code, summary["topics"], summary["interrupted"]) == (0, [], True)
 
 
 def may_be_urgent() -> bool:
@@ -239,6 +250,29 @@ async def test_what_was_latched_before_the_offset_is_latched_again(
     assert listener.heard["/map"] == data(latched[-1:])
 
 
+@pytest.mark.parametrize("bag", [pytest.param("talker", marks=pytest.mark.slow), "split_bag"])
+async def test_a_folder_of_rosbag2_is_played_in_order(
+    bag: str, listener: Any, replay: Any, until: Until
+) -> None:
+    from robotctl.recording import read_messages
+
+    folder = next(
+        (each / bag for each in (Path(__file__).parents[3] / "shared" / "samples").glob("rosbag2")),
+        None,
+    )
+    if folder is None:
+        pytest.skip("the sample recordings are not here")
+    recorded: dict[str, list[bytes]] = {}
+    for message in read_messages(folder):
+        if message.type_name == STRING:
+            recorded.setdefault(f"/{message.topic.lstrip('/')}", []).append(padded(message.data))
+    for topic in recorded:
+        listener.listen(topic, STRING)
+    ran = await replay(folder, "--rate", "max")
+    assert ran.exit_code == 0, ran.err
+    await until(lambda: listener.heard == recorded)
+
+
 async def test_with_a_daemon_in_the_domain_everything_goes_below_replay(
     tmp_path: Path, listener: Any, replay: Any, daemon: Any, until: Until
 ) -> None:
@@ -266,6 +300,21 @@ async def test_without_a_domain_of_ones_own_the_replay_goes_where_the_robots_dae
     async with daemon("r2"):
         ran = await replay(file, "--robot", "r2", "--json")
     assert (ran.summary["domain_id"], ran.summary["prefix"]) == (domain_id, "/replay")
+
+
+async def test_the_cure_for_changed_types_moves_no_idle_robot(
+    tmp_path: Path, listener: Any, replay: Any, daemon: Any, until: Until
+) -> None:
+    commands = [Line("/cmd_vel", TWIST, n, twist(1.0)) for n in range(10)]
+    changed = talk("/alpha", 10, type_hash=OTHER_HASH)
+    file = write_bag(tmp_path / "run.mcap", in_order(commands, changed))
+    for topic, type_name in (("/cmd_vel", TWIST), ("/replay/cmd_vel", TWIST)):
+        listener.listen(topic, type_name)
+    async with daemon():
+        ran = await replay(file, "--force-types")
+    assert ran.exit_code == 0, ran.err
+    await until(lambda: listener.heard["/replay/cmd_vel"] == data(commands))
+    assert listener.heard["/cmd_vel"] == []
 
 
 async def test_original_names_beside_a_daemon_take_commands_along_where_they_are_named(

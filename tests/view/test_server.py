@@ -11,7 +11,7 @@ import socket
 from contextlib import suppress
 
 import pytest
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
 from robotctl.base.errors import Refused
 from robotctl.view.foxglove import Offer, StatusLevel
@@ -129,6 +129,13 @@ def handshake_request(host: str, origin: str | None, token: str) -> bytes:
     return "\r\n".join([*lines, "", ""]).encode()
 
 
+async def test_a_client_without_one_of_the_protocols_is_refused() -> None:
+    async with served() as view:
+        with pytest.raises(InvalidHandshake):
+            async with view_client(view.url, subprotocol="chat"):
+                pass
+
+
 async def test_a_stalled_viewer_loses_its_oldest_messages_and_is_told() -> None:
     async with served() as view:
         channel = view.server.offer("/a", *STRING)
@@ -200,6 +207,19 @@ async def test_what_is_no_handshake_is_answered_or_ended(sent: bytes) -> None:
         writer.close()
         async with view_client(view.url) as client:
             await client.until(lambda: client.op("serverInfo"))
+
+
+async def test_a_connection_beyond_the_limit_is_ended_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(f"{SERVER}.MAX_CONNECTIONS", 1)
+    async with served() as view, view_client(view.url) as first:
+        reader, writer = await asyncio.open_connection("127.0.0.1", view.port)
+        async with asyncio.timeout(2.0):  # a handshake may take 5 s
+            with suppress(ConnectionError):
+                assert await reader.read() == b""
+        writer.close()
+        await in_order(first)
 
 
 async def test_a_viewer_that_was_told_to_leave_gets_nothing(

@@ -8,6 +8,7 @@ The bytes of the protocol are those of Foxglove's own SDK; requests are decoded 
 from __future__ import annotations
 
 import asyncio
+import errno
 import gc
 import json
 import logging
@@ -421,3 +422,15 @@ def test_no_bytes_raise_anything_else(data: bytes) -> None:
     for decode in (text_request, binary_request):
         with suppress(WrongRequest):
             decode(data)
+
+
+async def test_a_lack_that_lasts_is_said_once_and_another_failure_as_ever(
+    capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    loop, failures = asyncio.get_running_loop(), loop_failures()
+    for _ in range(3):
+        error = OSError(errno.ENFILE, "Too many open files in system")
+        failures(loop, {"message": "socket.accept()", "exception": error})
+    assert capfd.readouterr().err.count("\n") == 1
+    failures(loop, {"message": "a callback failed", "exception": ValueError("wrong")})
+    assert "a callback failed" in caplog.text
