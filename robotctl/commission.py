@@ -369,11 +369,13 @@ def proposals(base: Measured, present: KernelParams) -> list[Proposal]:
     share, steered = _share(follow_s), _share(steer_s)
     gains, defaults = present.tracking, KernelParams().tracking
     period_s = ODOMETRY_PERIODS / base.odometry_hz
+    limits, reaction_s = present.limits, base.stopping_m / base.reached_mps
+    speed_mps = _stopping_within(STOP_WITHIN_M, reaction_s, limits.linear_accel_mps2)
     timeout_s = max(period_s, LARGEST_GAPS * base.odometry_gap_s, MIN_TIMEOUT_S)
     return [
         Proposal(
             "limits.linear_mps",
-            _rounded(max(min(present.limits.linear_mps, _speed_mps(base, present)), 0.01)),
+            _rounded(max(min(limits.linear_mps, speed_mps), 0.01)),
             f"at most so fast that it stops within {STOP_WITHIN_M:g} m",
         ),
         *_turning(base.turn, present),
@@ -424,11 +426,6 @@ def _allowed_by(delay_s: float) -> str:
     if _share(delay_s) < 1.0:
         return f"{delay_s:.2f} s of delay allow no more"
     return "that of the default"
-
-
-def _speed_mps(base: Measured, present: KernelParams) -> float:
-    reaction_s = base.stopping_m / base.reached_mps
-    return _stopping_within(STOP_WITHIN_M, reaction_s, present.limits.linear_accel_mps2)
 
 
 def _stopping_within(way: float, reaction_s: float, braking: float) -> float:

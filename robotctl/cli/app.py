@@ -23,7 +23,8 @@ def run(arguments: list[str]) -> int:
     """Run one command line, and return the exit code."""
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
-    as_json = _wants_json(arguments)  # now, because a parser consumes the list
+    options = arguments[: arguments.index("--")] if "--" in arguments else arguments
+    as_json = "--json" in options  # even if the rest of the line cannot be parsed
     # Python sets a stream to None if it was closed when the process started.
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
@@ -61,12 +62,6 @@ def _parse_and_run(arguments: list[str]) -> None:
     gc.freeze()
     gc.enable()
     dispatch(arguments)
-
-
-def _wants_json(arguments: list[str]) -> bool:
-    """Return whether --json was given, even if the rest of the line cannot be parsed."""
-    options = arguments[: arguments.index("--")] if "--" in arguments else arguments
-    return "--json" in options
 
 
 ENDS_OF_OPTIONS = ("--", "--ros-args")

@@ -122,7 +122,7 @@ class Config:
     """Whether such a topic, if it is of another node, causes a warning or refuses the start."""
 
 
-_TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_TOPIC = re.compile(r"(?!.*__)(?=.{1,200}\Z)/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _FRAME = re.compile(r"[A-Za-z0-9_/]{1,200}")
 _PATTERN = re.compile(r"(?:type:|(?=[/*?\[]))[A-Za-z0-9_/*?!\[\]-]{1,300}")
 MAX_RATE_HZ = 1e5
@@ -156,13 +156,15 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
         return float(value)
     if "choices" in metadata and value not in metadata["choices"]:
         raise not_allowed(key, value, f"use {', '.join(metadata['choices'])}")
-    if metadata.get("topic") and not _is_topic(value, optional=metadata["optional"]):
+    if metadata.get("topic") and not _matches(_TOPIC, value, optional=metadata["optional"]):
         none = ', or "" for none' if metadata["optional"] else ""
         raise not_allowed(key, value, f"use the name of a ROS topic, such as /a/b{none}")
-    if metadata.get("frame") and not _is_frame(value, optional=metadata["optional"]):
+    if metadata.get("frame") and not _matches(_FRAME, value, optional=metadata["optional"]):
         none = ', or "" for any' if metadata["optional"] else ""
         raise not_allowed(key, value, f"use the name of a frame, such as base_link{none}")
-    if metadata.get("group") and not _is_group(value):
+    if metadata.get("group") and not (
+        isinstance(value, str) and value.isprintable() and len(value) <= MAX_GROUP_NAME
+    ):
         raise not_allowed(key, value, 'use the name of a Unix group, or "" for none')
     if metadata.get("corners") and not _are_corners(value):
         raise not_allowed(key, value, "use 3 to 64 corners, such as 0,0 2,0 2,1")
@@ -174,10 +176,6 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
         if not low <= value <= high:
             raise not_allowed(key, value, f"use {low} to {high}")
     return value
-
-
-def _is_group(value: object) -> bool:
-    return isinstance(value, str) and value.isprintable() and len(value) <= MAX_GROUP_NAME
 
 
 def _are_corners(value: object) -> bool:
@@ -221,21 +219,14 @@ def is_topic_pattern(value: object) -> bool:
     return isinstance(value, str) and _PATTERN.fullmatch(value) is not None
 
 
-def _is_topic(value: object, *, optional: bool) -> bool:
-    if not isinstance(value, str):
-        return False
-    if not value:
-        return optional
-    return _TOPIC.fullmatch(value) is not None and "__" not in value and len(value) <= 200
+def _matches(pattern: re.Pattern[str], value: object, *, optional: bool) -> bool:
+    """Return whether a text matches; `optional` allows the empty text, too."""
+    return isinstance(value, str) and bool(pattern.fullmatch(value) or (optional and not value))
 
 
 def not_allowed(key: str, value: object, allowed: str) -> ConfigError:
     """Return the error for a value that is not allowed; `allowed` says what to use."""
     return ConfigError(f"{key}: {short_repr(value)} is not allowed", allowed)
-
-
-def _is_frame(value: object, *, optional: bool) -> bool:
-    return isinstance(value, str) and bool(_FRAME.fullmatch(value) or (optional and not value))
 
 
 log_warning: Callable[[str], object] = logging.getLogger(__name__).warning

@@ -144,12 +144,6 @@ def _internal_error(request: Request) -> bytes:
     return encode_error(request.id, Code.INTERNAL_ERROR, text)
 
 
-def _being_cancelled() -> bool:
-    """Return whether this task is being cancelled; if not, a handler raised CancelledError."""
-    task = asyncio.current_task()
-    return task is not None and task.cancelling() > 0
-
-
 class Connection:
     """Serves one client until a disconnect, a missed deadline or an overlong line.
 
@@ -274,7 +268,8 @@ class Connection:
         except RobotctlError as error:
             return encode_failure(request.id, Code.ROBOTCTL_ERROR, error)
         except asyncio.CancelledError:
-            if _being_cancelled():
+            task = asyncio.current_task()
+            if task is not None and task.cancelling():  # else a handler raised it
                 raise
             return _internal_error(request)
         except Exception:  # noqa: BLE001 - logged; a bug ends one request, not the daemon

@@ -26,7 +26,6 @@ from robotctl.show.traces import (
     ModeSpan,
     Recorded,
     TracedMoment,
-    Traces,
     figures_of,
 )
 
@@ -233,7 +232,7 @@ def report_page(recorded: Recorded, judged: ReportFindings) -> str:
         _notes(recorded),
         _figures(figures_of(recorded)),
         *_sections(recorded, judged),
-        _footer(),
+        tag("footer", tag("p", f"Made by robotctl {__version__} from the recording alone.")),
     )
     return _document(f"{name}: robotctl report", body, cursor_data(recorded.traces))
 
@@ -274,7 +273,8 @@ def _digest(text: str) -> str:
 
 def _header(recorded: Recorded, judgements: Sequence[CommandVerdict]) -> Markup:
     info = recorded.info
-    began = time.strftime("%Y-%m-%d %H:%M:%S %z", time.localtime(_seconds(info.start_ns)))
+    start_s = min(info.start_ns // NS_PER_S, 253_402_300_799)  # a file may contain any number
+    began = time.strftime("%Y-%m-%d %H:%M:%S %z", time.localtime(start_s))
     badges = [
         tag(
             "a",
@@ -291,11 +291,6 @@ def _header(recorded: Recorded, judgements: Sequence[CommandVerdict]) -> Markup:
         tag("p", f"{began}, {info.duration_s:.1f} s", class_="when") if info.message_count else "",
         tag("p", *badges, class_="badges"),
     )
-
-
-def _seconds(time_ns: int) -> int:
-    """Return a time in seconds, at most the end of 9999: a file may contain any number."""
-    return min(time_ns // NS_PER_S, 253_402_300_799)
 
 
 def _notes(recorded: Recorded) -> Markup | None:
@@ -334,7 +329,9 @@ def _sections(recorded: Recorded, judged: ReportFindings) -> Iterator[Content]:
     path = path_plot(traces)
     if path is not None:
         yield _section("path", "Path", path)
-    yield _section("time", "Over time", *_time_plots(traces))
+    odd = sum(series.odd for series in traces.series())
+    note = tag("p", f"{odd} values are not drawn: no numbers, or impossible.", class_="note")
+    yield _section("time", "Over time", *time_plots(traces), note if odd else None)
     if traces.moments:
         yield _section("moments", "What happened", moments_table(traces.moments))
     if judged.explanations:
@@ -353,13 +350,6 @@ def _sections(recorded: Recorded, judged: ReportFindings) -> Iterator[Content]:
         yield _section("parameters", "Parameters", folded)
 
 
-def _time_plots(traces: Traces) -> Iterator[Content]:
-    yield from time_plots(traces)
-    odd = sum(series.odd for series in traces.series())
-    if odd:
-        yield tag("p", f"{odd} values are not drawn: no numbers, or impossible.", class_="note")
-
-
 def _explanation(why: Explanation) -> Markup:
     rows = [tag("div", tag("dt", label), tag("dd", text)) for label, text in why.rows]
     moment = tag("a", f"{why.t_s:.3f} s", href="#time", data_t=f"{why.t_s:.4f}")
@@ -371,7 +361,3 @@ def _judgement(each: CommandVerdict) -> Markup:
     sentences = tag("ul", *(tag("li", sentence) for sentence in each.sentences))
     head = tag("h3", tag("code", f"robotctl {each.command}"), " ", badge)
     return tag("article", head, sentences if each.sentences else None)
-
-
-def _footer() -> Markup:
-    return tag("footer", tag("p", f"Made by robotctl {__version__} from the recording alone."))

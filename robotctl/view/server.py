@@ -10,7 +10,7 @@ import socket
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 from robotctl.base.errors import Refused
 from robotctl.view.foxglove import (
@@ -39,39 +39,12 @@ from robotctl.view.viewer import BINARY, TRY_LATER, Admission, Viewer, frame_hea
 DEFAULT_PORT: Final = 8765
 """The default port of Foxglove."""
 
-_Address = tuple[socket.AddressFamily, tuple[Any, ...]]
-"""The family and the address of a socket; `_listening` replaces the port in the address."""
-
 
 def listening_socket(host: str, port: int | None) -> socket.socket:
     """Return a socket that listens on `port`; None: DEFAULT_PORT or, if that fails, a free port.
 
     Raises:
-        Refused: The socket cannot listen on the address.
-    """
-    address = _address_of(host)
-    try:
-        try:
-            return _listening(address, DEFAULT_PORT if port is None else port)
-        except OSError:
-            if port is not None:
-                raise
-            return _listening(address, 0)
-    except OSError as error:
-        if error.errno == errno.EADDRNOTAVAIL:
-            raise _no_host(host, os.strerror(error.errno)) from error
-        where = f"{host} port {DEFAULT_PORT if port is None else port}"
-        raise Refused(
-            f"the view cannot listen on {where} ({error.strerror or error})",
-            "choose another --port, or leave it out for a free one",
-        ) from error
-
-
-def _address_of(host: str) -> _Address:
-    """Return family and address of a socket that listens on `host`.
-
-    Raises:
-        Refused: The host has no address.
+        Refused: The host has no address, or the socket cannot listen on it.
     """
     try:
         found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
@@ -79,26 +52,24 @@ def _address_of(host: str) -> _Address:
         raise _no_host(host, error.strerror or str(error)) from error
     except UnicodeError as error:  # a label of the name is empty or too long
         raise _no_host(host, "it cannot be a name") from error
-    family, _, _, _, address = found[0]
-    return family, address
-
-
-def _listening(address: _Address, port: int) -> socket.socket:
-    """Return a socket that listens on a port; no other process can get the port from now on.
-
-    Raises:
-        OSError: The socket cannot listen on it.
-    """
-    family, (host, _, *rest) = address
-    sock = socket.socket(family, socket.SOCK_STREAM)
+    family, *_, (name, _, *rest) = found[0]
+    both = family is socket.AF_INET6
     try:
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        sock.bind((host, port, *rest))
-        sock.listen()
-    except BaseException:
-        sock.close()
-        raise
-    return sock
+        try:
+            address = (name, DEFAULT_PORT if port is None else port, *rest)
+            return socket.create_server(address, family=family, dualstack_ipv6=both)
+        except OSError:
+            if port is not None:
+                raise
+            return socket.create_server((name, 0, *rest), family=family, dualstack_ipv6=both)
+    except OSError as error:
+        if error.errno == errno.EADDRNOTAVAIL:
+            raise _no_host(host, os.strerror(error.errno)) from error
+        where = f"{host} port {DEFAULT_PORT if port is None else port}"
+        raise Refused(
+            f"the view cannot listen on {where} ({os.strerror(error.errno or 0)})",
+            "choose another --port, or leave it out for a free one",
+        ) from error
 
 
 def _no_host(host: str, reason: str) -> Refused:

@@ -251,14 +251,16 @@ def daemon_unit(robot: str, words: list[str], *, system: bool, user: str) -> Uni
     Raises:
         UsageError: There is no such user, or an argument is not allowed in a unit.
     """
-    settings = [_DAEMON, *_environment(("" if system else STATE_VARIABLE), *PASSED_ON)]
+    names = PASSED_ON if system else (STATE_VARIABLE, *PASSED_ON)
+    given = [f"{name}={os.environ[name]}" for name in names if name in os.environ]
+    settings = [_DAEMON, *(f"Environment={quoted(each)}" for each in given)]
     if system:
         runtime = unit_runtime_base(robot)
         settings += [f"RuntimeDirectory={runtime.name}", "RuntimeDirectoryMode=0711"]
     from robotctl.cli.commands.start import app as start
 
-    given = _command_words("start", start, words)
-    command = ["start", "--foreground", "--robot", robot, *given]
+    options = _command_words("start", start, words)
+    command = ["start", "--foreground", "--robot", robot, *options]
     path = unit_path(robot, system=system)
     target = "multi-user.target" if system else "default.target"
     about = f"the daemon of robot {robot}\nAfter=network.target"
@@ -337,12 +339,6 @@ def _service(robot: str, words: list[str], settings: list[str], *, system: bool,
         runtime = unit_runtime_base(robot)
         lines += [f"User={user or me()}", f"Environment={RUNTIME_VARIABLE}={runtime}"]
     return "\n".join(["[Service]", *lines, ""])
-
-
-def _environment(*names: str) -> list[str]:
-    """Return an `Environment=` line for each of these variables that is set in this shell."""
-    given = [f"{name}={os.environ[name]}" for name in names if name in os.environ]
-    return [f"Environment={quoted(each)}" for each in given]
 
 
 def _state_of(user: str, *, system: bool) -> Path:

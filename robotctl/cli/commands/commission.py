@@ -57,20 +57,13 @@ QUIET_S = 2.0
 STANDING_S = 1.5
 """How long the robot stands before and after each motion [s]."""
 
+RESERVE = 1.5
+"""The room that the motions need, as a multiple of what is planned."""
+
 _LATEST_S = DRIVEN_S + 10.0
 """A motion that waits for a zero command ends by itself after this time [s] if none comes."""
 
 _SPLIT_DEADLINE_S = 15.0
-
-
-def way_m(speed_mps: float) -> float:
-    """Return how much room the straight motions need [m]: the planned way plus 50 % reserve."""
-    return 1.5 * speed_mps * (2.0 * DRIVEN_S + QUIET_S)
-
-
-def turn_rad(rate_rps: float) -> float:
-    """Return how far the robot may turn [rad]: the planned turn plus 50 % reserve."""
-    return 1.5 * rate_rps * DRIVEN_S
 
 
 def drive_motions(robot: str, speed_mps: float, rate_rps: float) -> Path:
@@ -201,9 +194,11 @@ def _present(settings: Mapping[str, Any]) -> KernelParams:
 def _confirm(speed_mps: float, rate_rps: float) -> None:
     if sys.stdin is None or not sys.stdin.isatty():
         raise UsageError("the robot would move, and there is no terminal to ask on", "give --yes")
+    way_m = RESERVE * speed_mps * (2.0 * DRIVEN_S + QUIET_S)
+    turn_rad = RESERVE * rate_rps * DRIVEN_S
     question = (
-        f"The robot drives up to {way_m(speed_mps):.1f} m straight ahead at {speed_mps:g} m/s,\n"
-        f"then it turns up to {degrees(turn_rad(rate_rps)):.0f} degrees to the left on its place.\n"
+        f"The robot drives up to {way_m:.1f} m straight ahead at {speed_mps:g} m/s,\n"
+        f"then it turns up to {degrees(turn_rad):.0f} degrees to the left on its place.\n"
         "Is the way free, and your hand on its emergency stop?"
     )
     if not typer.confirm(question, err=True):

@@ -137,11 +137,11 @@ PERIOD_S: Final = ASK_EACH_S
 IDLE_S: Final = 0.1
 """The same period while nothing is held [s]; lease and screen are checked in each period."""
 
-WITH_RELEASES: Final = (
+WITH_RELEASES: Final[tuple[str, ...]] = (
     "hold w a s d or the arrows; a terminal that is silent for 125 ms is zero",
     "a key that stops repeating is let go in 0.8 s, after another key in 3 s",
 )
-WITHOUT_RELEASES: Final = (
+WITHOUT_RELEASES: Final[tuple[str, ...]] = (
     "hold w a s d or the arrows; nothing moves until the key repeats",
     "this terminal does not report key releases: zero 125 ms after the last repeat",
 )
@@ -177,18 +177,16 @@ class TeleopSession:
 
     def lines(self) -> list[str]:
         """Return the lines for the screen: the keys, the speeds, and why a motion ended."""
+        how = WITHOUT_RELEASES if self._answers is None else WITH_RELEASES
+        if self._gamepad is not None:
+            how = (str(self._gamepad),)
         messages = (self._holding.message, self._hands.problem)
         return [
-            *self._how_to_move(),
+            *how,
             KEYS,
             f"speed {self._speeds}",
             *(printable(message) for message in messages if message),
         ]
-
-    def _how_to_move(self) -> tuple[str, ...]:
-        if self._gamepad is not None:
-            return (str(self._gamepad),)
-        return WITHOUT_RELEASES if self._answers is None else WITH_RELEASES
 
     def begin(self, answers: TerminalAnswers | None) -> None:
         """Begin to read keys; `answers` is None if the terminal does not report key releases."""
@@ -253,8 +251,11 @@ class TeleopSession:
         self._holding.message = "this command was stopped or slow: let go, then hold again"
 
     def _press(self, key: Key) -> None:
-        if key.with_control:
-            self._press_control(key.name)
+        if key.with_control:  # a terminal that reports releases sends no signals for these
+            if key.name == "c":
+                raise KeyboardInterrupt
+            if key.name == "z":
+                os.kill(os.getpid(), signal.SIGTSTP)
         elif key.name in _FASTER:
             self._speeds.scale(STEP)
         elif key.name == _SLOWER:
@@ -265,13 +266,6 @@ class TeleopSession:
             raise Quit
         elif key.name == _STOP:
             self._emergency_stop()
-
-    def _press_control(self, name: str) -> None:
-        """Act on Ctrl-C and Ctrl-Z: a terminal that reports releases sends no signals for them."""
-        if name == "c":
-            raise KeyboardInterrupt
-        if name == "z":
-            os.kill(os.getpid(), signal.SIGTSTP)
 
     def _emergency_stop(self) -> None:
         self._forget()

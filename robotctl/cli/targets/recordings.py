@@ -25,7 +25,6 @@ from robotctl.base.paths import (
 )
 from robotctl.cli.ui.output import progress_bar
 from robotctl.cli.ui.text import is_float, short_path
-from robotctl.ipc.answers import Committed
 from robotctl.ipc.client import Client, command_for
 from robotctl.ipc.method_names import RECORD_COMMIT
 from robotctl.kernel.constants import DAY_S, NS_PER_S
@@ -257,10 +256,17 @@ def committed_recording(robot: str, missing: list[str]) -> Path | None:
     """
     try:
         with Client(robot) as client:
-            answer = _commit(client, missing)
+            try:
+                answer = client.call(RECORD_COMMIT, deadline_s=COMMIT_DEADLINE_S)
+            except RobotctlError as error:  # busy, stuck, ending, or of another version
+                missing.append(f"the messages that the daemon has not written yet: {error}")
+                return None
     except (NoDaemon, Refused, UsageError):  # no daemon, or not a valid robot name
         return None
-    return None if answer is None else Path(answer["file"]).parent
+    if answer["uncommitted"]:
+        reason = answer["failure"] or "the disk is too slow"
+        missing.append(f"{answer['uncommitted']} messages that are not written yet: {reason}")
+    return Path(answer["file"]).parent
 
 
 def with_earlier(newest: Path) -> list[Path]:
@@ -272,18 +278,6 @@ def with_earlier(newest: Path) -> list[Path]:
     if newest not in paths:
         return [newest]
     return paths[paths.index(newest) :][:MAX_RECORDINGS]
-
-
-def _commit(client: Client, missing: list[str]) -> Committed | None:
-    try:
-        answer = client.call(RECORD_COMMIT, deadline_s=COMMIT_DEADLINE_S)
-    except RobotctlError as error:  # busy, stuck, ending, or of another version
-        missing.append(f"the messages that the daemon has not written yet: {error}")
-        return None
-    if answer["uncommitted"]:
-        reason = answer["failure"] or "the disk is too slow"
-        missing.append(f"{answer['uncommitted']} messages that are not written yet: {reason}")
-    return answer
 
 
 @contextmanager

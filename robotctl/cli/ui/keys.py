@@ -43,9 +43,9 @@ class Keyboard:
             self._stop_asked = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
             self._previous = {
                 signal.SIGTSTP: signal.signal(signal.SIGTSTP, self._ask_to_stop),
-                signal.SIGCONT: signal.signal(signal.SIGCONT, self._go_on),
+                signal.SIGCONT: signal.signal(signal.SIGCONT, lambda *_: self._take()),
             }
-            self._take()
+            self._take()  # and after Ctrl-Z, as the process may have run in the background
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -117,9 +117,6 @@ class Keyboard:
         signal.signal(signal.SIGTSTP, self._ask_to_stop)
         self._take()
         self._resume()
-
-    def _go_on(self, number: int, frame: FrameType | None) -> None:
-        self._take()  # the process may have run in the background until now
 
 
 MAX_SEQUENCE: Final = 40
@@ -201,14 +198,15 @@ class KeyParser:
             elif _BEGUN.fullmatch(text, at):
                 self._rest = text[at:] if len(text) - at <= MAX_SEQUENCE else ""
                 return
-            elif _STRING_BEGUN.fullmatch(text, at) and self._may_end(len(text) - at, now_s):
+            elif (
+                len(text) - at <= MAX_STRING
+                and now_s - self._rest_s <= MAX_STRING_S
+                and _STRING_BEGUN.fullmatch(text, at)
+            ):
                 self._rest = text[at:]
                 return
             else:
                 at += 1
-
-    def _may_end(self, length: int, now_s: float) -> bool:
-        return length <= MAX_STRING and now_s - self._rest_s <= MAX_STRING_S
 
 
 def _key(private: str, numbers: str, is_single_shift: str, final: str) -> Iterator[Key]:

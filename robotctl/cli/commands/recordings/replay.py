@@ -150,7 +150,10 @@ def replay(
     if check or what_if or resim:
         from robotctl.cli.commands.recordings.replay_check import check_command, compare_command
 
-        _refuse_playing_options(context)
+        for option, spelling in given_options(context).items():
+            if option not in _OPTIONS_OF_RERUNS:
+                wrong = f"{spelling} is only for playing"
+                raise UsageError(f"{wrong}; leave it out with --check, --what-if and --resim")
         if check:
             check_command(files, robot, all_bytes=all_bytes, as_json=as_json)
         else:
@@ -208,19 +211,6 @@ def replay(
             from robotctl.cli.commands.recordings.replay_play import play_command
 
             play_command(job, draw=draw, as_json=as_json)
-
-
-def _refuse_playing_options(context: typer.Context) -> None:
-    """Check that no option is given that only affects playing.
-
-    Raises:
-        UsageError: Such an option is given.
-    """
-    for name, spelling in given_options(context).items():
-        if name not in _OPTIONS_OF_RERUNS:
-            raise UsageError(
-                f"{spelling} is only for playing; leave it out with --check, --what-if and --resim"
-            )
 
 
 def _names(given: list[str] | None) -> tuple[str, ...]:

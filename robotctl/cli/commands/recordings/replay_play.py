@@ -70,15 +70,13 @@ class _Notes(Screen):
         if "note" in report:
             print(printable(report["note"]), flush=True)
         if "progress" in report and self._robot is not None:
-            self._print_robot(self._robot, report["progress"]["position_s"])
+            from robotctl.cli.ui.panels import recorded_line
 
-    def _print_robot(self, robot: RecordedRobot, position_s: float) -> None:
-        from robotctl.cli.ui.panels import recorded_line
-
-        robot.advance(round(position_s * NS_PER_S))
-        if time.monotonic() >= self._line_at:
-            self._line_at = time.monotonic() + LINE_S
-            print(f"{position_s:.1f} s  {recorded_line(robot)}", flush=True)
+            position_s = report["progress"]["position_s"]
+            self._robot.advance(round(position_s * NS_PER_S))
+            if time.monotonic() >= self._line_at:
+                self._line_at = time.monotonic() + LINE_S
+                print(f"{position_s:.1f} s  {recorded_line(self._robot)}", flush=True)
 
 
 class _Bar(Screen):

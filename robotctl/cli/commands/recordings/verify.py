@@ -151,7 +151,15 @@ def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
             + ("" if wrong else ", their types and channels, and the metadata")
             + f" are those of {short_path(str(source))}",
         ),
-        *(line for each in links for line in row("            ", _link_line(each))),
+        *(
+            line
+            for each in links
+            for line in row(
+                "            ",
+                f"sealed by the links {each['first']} to {each['last']} of {each['file']}, "
+                f"the last at {moment(each['to_ns'])}",
+            )
+        ),
         *(line for sentence in wrong for line in row("            ", f"wrong: {sentence}")),
         *(line for each in origin.not_proved for line in row("", f"not proved: {each}")),
     ]
@@ -183,13 +191,6 @@ def _links(file: WholeFile, start_ns: int, end_ns: int) -> dict[str, Any] | None
         "to_ns": links[-1].time_ns,
         "digest": links[-1].digest.hex(),
     }
-
-
-def _link_line(links: dict[str, Any]) -> str:
-    return (
-        f"sealed by the links {links['first']} to {links['last']} of {links['file']}, "
-        f"the last at {moment(links['to_ns'])}"
-    )
 
 
 def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> dict[str, Any]:
