@@ -22,7 +22,6 @@ from robotctl.check.run import check_recording
 from robotctl.check.what_if import what_if
 from robotctl.check.why import explain
 from robotctl.kernel import drive as drive_module
-from robotctl.kernel import kernel as kernel_module
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.params import TrackingParams, VelocityLimits
 from robotctl.kernel.tracking import Reference, track
@@ -73,14 +72,6 @@ def test_a_kernel_with_another_gain_diverges(
     assert "twist.linear: recorded " in report.divergence.differences[0]
 
 
-def test_a_command_that_was_published_and_not_decided_is_found(
-    tmp_path: Path, drive_of_3_s: list[Written]
-) -> None:
-    report = checked(tmp_path, [*drive_of_3_s, Twist(0.3, 0.0)])
-    assert report.verdict is Verdict.BROKEN
-    assert "1 commands without a decision, such as 0.3 m/s" in report.violations[0].text
-
-
 def test_a_recording_without_a_journal_is_not_called_the_same(tmp_path: Path) -> None:
     report = checked(tmp_path, [Twist(), Twist()])
     assert report.verdict is Verdict.INCOMPLETE
@@ -94,15 +85,6 @@ def test_what_a_gap_leaves_is_checked_and_the_gap_is_named(
     report = checked(tmp_path, drive_of_3_s[:position] + drive_of_3_s[position + 3 :])
     assert report.verdict is Verdict.INCOMPLETE
     assert report.missing[0].startswith("the journal lacks")
-
-
-def test_a_kernel_that_fails_in_itself_diverges(
-    tmp_path: Path, drive_of_3_s: list[Written], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(kernel_module, "within", lambda command, limits: command.linear < 0.1)
-    report = checked(tmp_path, drive_of_3_s)
-    assert report.divergence is not None
-    assert report.divergence.decided.startswith("AssertionError")
 
 
 def recording_to(folder: Path, options: RecorderOptions) -> Recorder:

@@ -38,17 +38,6 @@ def is_alive(process: psutil.Process) -> bool:
         return False
 
 
-def test_reports_come_in_the_order_of_the_recordings(recording: Path, tmp_path: Path) -> None:
-    (tmp_path / "empty.mcap").touch()
-    paths = [recording, tmp_path / "empty.mcap", recording, tmp_path / "nowhere"]
-    told: list[tuple[int, int]] = []
-    reports = check_recordings(paths, lambda done, total: told.append((done, total)))
-    assert [report["path"] for report in reports] == [str(path) for path in paths]
-    verdicts = [report["verdict"] for report in reports]
-    assert verdicts == ["same", "incomplete", "same", "incomplete"]
-    assert all(0 <= done <= total for done, total in told)
-
-
 def _deadly(all_bytes: bool, path: Path) -> dict[str, Any]:
     if path.name == "deadly":
         os._exit(9)

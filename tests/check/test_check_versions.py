@@ -66,13 +66,6 @@ def test_what_another_version_decides_otherwise_is_incomplete_and_not_a_fault(
     assert (ours.verdict, ours.verdict.exit_code) == (Verdict.DIVERGED, 7)
 
 
-def test_a_broken_promise_of_another_version_stays_a_fault(
-    tmp_path: Path, drive_of_3_s: list[Written]
-) -> None:
-    changed, _ = altered(drive_of_3_s, "PublishTwist", '"linear":0.3', '"linear":99.3')
-    assert checked(tmp_path, changed, version="0.0.9").verdict is Verdict.BROKEN
-
-
 @pytest.mark.parametrize(
     ("name", "old", "new", "unknown"),
     [
@@ -107,15 +100,6 @@ def test_a_name_of_another_version_that_is_not_known_is_named(
     assert report.verdict is Verdict.INCOMPLETE
     assert report.missing[0].startswith(f"{OTHER_RULES}journal entry {seq} cannot be read: ")
     assert "'Unheard'" in report.missing[0]
-
-
-def test_a_field_that_another_version_did_not_have_takes_its_default(
-    tmp_path: Path, drive_of_3_s: list[Written]
-) -> None:
-    changed, _ = altered(drive_of_3_s, "Tick", ',"missed":0', "")
-    report = checked(tmp_path, changed, version="0.0.9")
-    assert (report.verdict, report.missing) == (Verdict.SAME, [])
-    assert checked(tmp_path / "ours", changed).verdict is Verdict.DIVERGED
 
 
 @pytest.mark.parametrize(
@@ -174,17 +158,6 @@ def test_a_retired_field_is_ignored_at_its_default_and_named_at_another_value(
     else:
         assert report.verdict is Verdict.INCOMPLETE
         assert "state.moody" in report.missing[0]
-
-
-@pytest.mark.parametrize("version", [__version__, "0.0.9"])
-def test_an_entry_that_is_nested_too_deeply_is_named(
-    tmp_path: Path, drive_of_3_s: list[Written], version: str
-) -> None:
-    nested = '"x":' + "[" * 50_000 + "]" * 50_000 + ',"missed":'
-    changed, seq = altered(drive_of_3_s, "Tick", '"missed":', nested)
-    report = checked(tmp_path, changed, version=version)
-    assert report.verdict is Verdict.INCOMPLETE
-    assert f"journal entry {seq} cannot be" in report.missing[0]
 
 
 @pytest.mark.parametrize(("digits", "same"), [("e-13", True), ("e-7", False)])
@@ -295,18 +268,6 @@ def test_a_drive_with_a_change_is_the_same(tmp_path: Path, parameter_drive: list
     assert [json.loads(e.data) for e in changes] == [
         {"key": KEY, "old": "0.6", "new": "0.3", "source": "operator"}
     ]
-
-
-@pytest.mark.parametrize("name", ["ParameterRequested", "ParameterChanged"])
-def test_another_new_value_is_found(
-    tmp_path: Path, parameter_drive: list[Written], name: str
-) -> None:
-    def edit(entry: JournalEntry) -> JournalEntry:
-        data = entry.data.replace('"new":"0.3"', '"new":"0.35"')
-        return entry._replace(data=data) if entry.name == name else entry
-
-    report = check_recording(record(tmp_path / "r", edited(parameter_drive, edit)))
-    assert report.verdict in (Verdict.DIVERGED, Verdict.BROKEN)
 
 
 @pytest.mark.parametrize("version", ["0.1.0", __version__])

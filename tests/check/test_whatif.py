@@ -84,29 +84,6 @@ def test_a_key_that_changes_nothing_is_refused() -> None:
     check_scope({"sim.lag_s": "0.2", "rate_hz": "100"}, closed_loop=True)
 
 
-def test_a_simulation_drives_as_the_simulated_robot_did(recorded: Path) -> None:
-    (one,) = resimulate(recorded, {})["drives"]
-    assert one["recorded"]["completed"]
-    assert one["simulated"] == one["recorded"]
-    assert one["what_if"] is None
-
-
-def test_a_robot_that_lags_more_is_further_off_the_track(recorded: Path) -> None:
-    (one,) = resimulate(recorded, {"sim.lag_s": "0.3"})["drives"]
-    assert one["what_if"]["completed"]
-    assert one["what_if"]["cross_track_rms_m"] > 2 * one["simulated"]["cross_track_rms_m"]
-
-
-def test_a_drive_that_becomes_longer_than_the_recording_is_driven_to_its_end(
-    recorded: Path,
-) -> None:
-    (one,) = resimulate(recorded, {"pattern.speed_mps": "0.1", "limits.linear_mps": "0.1"})[
-        "drives"
-    ]
-    assert one["what_if"]["completed"]
-    assert one["what_if"]["duration_s"] > 40.0
-
-
 def test_a_simulation_goes_on_where_a_file_begins(tmp_path: Path) -> None:
     stop = ModeRequested(BEGIN_NS + 6_000_000_000, 2, 0, "operator")
     written = drive(8.0, requests=[drive_requested(), stop], snapshots_s=(4.0,))
@@ -146,28 +123,6 @@ def test_the_recorded_configuration_is_the_one_that_is_simulated(tmp_path: Path)
     (one,) = found["drives"]
     assert one["simulated"]["reason"] == "under way at the end"
     assert found["missing"] == []
-
-
-def test_a_simulation_begins_with_the_recorded_battery(tmp_path: Path) -> None:
-    config = with_setting(Config(), "sim.battery_start", 0.1)
-    folder = record(tmp_path / "run", drive(2.0, config=config))  # noted: full at the start
-    (one,) = resimulate(folder, {})["drives"]
-    assert (one["recorded"], one["simulated"]) == (None, None)
-    assert one["no_drive"]["recorded"].startswith("refused: the battery is at 10%")
-    assert one["no_drive"]["simulated"] == "refused in the recording, and not asked again"
-
-
-def test_a_simulation_begins_with_the_wheels_turning_as_recorded(tmp_path: Path) -> None:
-    """Without noise it drives on as the recorded robot did, from a moment within its motion."""
-    config = with_setting(Config(), "sim.actuation_noise", 0.0)
-    config = with_setting(config, "sim.odometry_noise", 0.0)
-    stop = ModeRequested(BEGIN_NS + 4_000_000_000, 2, 0, "operator")
-    written = drive(6.0, requests=[drive_requested(), stop], snapshots_s=(1.0,), config=config)
-    kinds = [getattr(each, "name", "") for each in written]
-    folder = record(tmp_path / "run", written[kinds.index("Snapshot") :], config=config)
-    (one,) = resimulate(folder, {})["drives"]
-    for figure in ("distance_m", "cross_track_max_m"):
-        assert one["simulated"][figure] == pytest.approx(one["recorded"][figure], abs=1e-4)
 
 
 def test_a_simulation_follows_the_lifecycle(tmp_path: Path) -> None:

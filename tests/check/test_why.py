@@ -136,12 +136,6 @@ RAMP = drive(
 )
 
 
-def test_a_ramp_with_a_snapshot_in_it_is_told_from_its_begin(tmp_path: Path) -> None:
-    told = explain(incident(record(tmp_path / "run", RAMP)))
-    assert told.came_in == "a request for IDLE by operator, 501 ms before the robot stood"
-    assert told.rule == "the table of modes: request idle in MOVING: IDLE, after ramping down"
-
-
 def test_a_ramp_that_began_in_an_earlier_file_is_told_as_such(tmp_path: Path) -> None:
     snapshots = [at for at, each in enumerate(RAMP) if getattr(each, "name", "") == "Snapshot"]
     told = explain(incident(record(tmp_path / "run", RAMP[snapshots[1] :])))
@@ -256,12 +250,6 @@ def test_a_recording_that_ends_by_a_kill_in_moving_says_so(tmp_path: Path) -> No
     assert (told.rule, told.since) == ("", "")
 
 
-@pytest.mark.usefixtures("unclosed")
-def test_a_kill_of_a_robot_that_stands_stopped_nothing(tmp_path: Path) -> None:
-    found = incident(record(tmp_path / "run", drive(3.0, requests=[drive_requested(), ESTOP])))
-    assert found.kind is IncidentKind.STOP
-
-
 MS = 1_000_000
 COURSES = {
     "reverse": Course(reverse=True),
@@ -313,12 +301,3 @@ def test_one_who_lets_go_is_told_so(tmp_path: Path) -> None:
     why = explain(incident(folder))
     assert why.what == "MOVING -> IDLE: let go"
     assert why.rule == "hold to run: let go, the robot ramps down"
-
-
-def test_a_silence_is_explained_by_its_length(tmp_path: Path) -> None:
-    asked = requests(Pattern(), COURSES["by hand"], 0)[:20]
-    folder = record(tmp_path / "robot_20260101_120000", drive(2.0, requests=asked))
-    assert check_recording(folder).verdict is Verdict.SAME
-    why = explain(incident(folder))
-    assert why.what == "MOVING -> IDLE: not held for 125 ms"
-    assert why.rule == "hold to run: a silence is zero at once, and ends the motion"

@@ -21,7 +21,6 @@ from robotctl.base.store.objects import Stamp, StoreFailed
 from robotctl.collection import sources
 from robotctl.collection.sources import (
     OF_THE_SYSTEM,
-    PIECE_BYTES,
     YOUNG_NS,
     local_recordings,
     open_regular_file,
@@ -300,16 +299,6 @@ def test_a_file_that_is_written_while_it_is_copied_is_named_and_not_stored(
     assert store.objects == files_below(recordings)
 
 
-def test_each_piece_that_is_read_here_waits_for_its_turn(
-    store: MemoryStore, recordings: Path
-) -> None:
-    asked: list[int] = []
-    copy_recordings(local_recordings(recordings, time.time_ns()), store, pace=asked.append)
-    total = sum(map(len, files_below(recordings).values()))
-    assert sum(asked) == total
-    assert asked.count(0) > total / PIECE_BYTES
-
-
 def test_no_link_leads_a_copy_elsewhere(run: Run, store: MemoryStore, recordings: Path) -> None:
     secret = recordings.parent / "secret"
     secret.write_text("a private key")
@@ -440,17 +429,3 @@ def test_an_object_that_was_changed_keeps_no_other_file_from_the_store(
     done = run()
     assert DATA in done.wrong[0]
     assert names(done) == [late.name]
-
-
-def test_a_month_of_recordings_is_looked_through_with_one_listing(
-    store: MemoryStore, one_recording: Path, tmp_path: Path
-) -> None:
-    month = tmp_path / "month"
-    for number in range(240):
-        copy_as(one_recording, month / f"robot_202601{number // 10:02}_12000{number % 10}")
-    offered = local_recordings(month, time.time_ns())
-    assert len(copy_recordings(offered, store).complete) == 240
-    assert len(store.requests) == 1 + 240 * len(list(one_recording.iterdir()))
-    store.requests.clear()
-    assert len(copy_recordings(offered, store).complete) == 240
-    assert store.requests == [("list", "")]

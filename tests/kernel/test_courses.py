@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
-from math import cos, hypot, inf, isclose, nan, pi, sin, sqrt, tan
+from math import hypot, inf, isclose, nan, pi, sqrt
 
 import pytest
 from hypothesis import assume, given, settings
@@ -15,7 +14,7 @@ from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import VelocityLimits
-from robotctl.kernel.path import Arc, Line, Path, Turn
+from robotctl.kernel.path import Line, Path
 from robotctl.kernel.patterns import (
     SHAPES,
     START_RAD,
@@ -27,7 +26,7 @@ from robotctl.kernel.patterns import (
     path_of,
     waypoint_path,
 )
-from robotctl.kernel.speed_plan import path_for, speed_plan
+from robotctl.kernel.speed_plan import speed_plan
 from robotctl.kernel.tracking import Reference, limit
 from robotctl.kernel.types import Twist
 from robotctl.sim import SimParams
@@ -60,29 +59,6 @@ def test_a_pattern_tells_what_shapes_it(kind: PatternKind) -> None:
     assert (path_of(pattern, Course(corner_m=0.2)) != plain) is shape.has_corner
     assert plain.closed is shape.closed
     assert (path_of(Pattern(kind, 2.0), PLAIN) != plain) is (shape.size_name is not None)
-
-
-def test_laps_of_an_open_pattern_begin_where_the_last_one_ended() -> None:
-    result = driven(Pattern(PatternKind.ARC, 0.5), Course(angle_rad=pi / 2), laps=4)
-    assert result.pose.distance(ORIGIN) <= 0.03
-    assert driven(Pattern(PatternKind.LINE, 0.5), laps=3).pose.x == pytest.approx(1.5, abs=0.03)
-
-
-def test_only_a_single_lap_of_waypoints_ends_elsewhere() -> None:
-    pattern, course = Pattern(), Course(waypoints=ZIGZAG)
-    for laps, returns in ((0, True), (1, False), (2, True)):
-        assert path_for(pattern, course, laps).closed is returns
-    assert path_of(pattern, course).closed
-
-
-def test_the_path_is_that_of_the_present_course() -> None:
-    pattern = Pattern()
-    for course in (PLAIN, Course(waypoints=ZIGZAG), PLAIN, replace(PLAIN, corner_m=0.2)):
-        assert path_for(pattern, course, 1) == path_of(pattern, course, again=False)
-
-
-def test_laps_of_waypoints_return_to_the_start() -> None:
-    assert driven(Pattern(), Course(waypoints=ZIGZAG), laps=2).pose.distance(ORIGIN) <= 0.03
 
 
 @for_each("reverse", [False, True])
@@ -139,91 +115,11 @@ def test_a_path_through_any_waypoints_has_no_gap_and_no_kink(
             assert leg.top_speed * segment.top_curvature <= LIMITS.angular_rps
 
 
-@for_each(
-    ("y", "turned_rad"),
-    [(0.5, 0.4636), (-0.5, -0.4636), (0.021, 0.021), (0.0, 0.0), (tan(0.02), 0.0)],
-)
-def test_a_path_that_begins_aside_begins_with_a_turn_on_the_spot(
-    y: float, turned_rad: float
-) -> None:
-    first = waypoint_path(((0.0, 0.0), (1.0, y)), 0.1, again=False).segments[0]
-    turned = first.pose_at(first.length).theta if first.turns else 0.0
-    assert isclose(turned, turned_rad, abs_tol=1e-4)
-
-
-def test_the_plan_slows_down_before_a_bend_and_speeds_up_after_it() -> None:
-    legs = speed_plan(path_of(Pattern(PatternKind.ROUNDED_SQUARE), Course()), 0.5, LIMITS)
-    side, corner = legs[0], legs[1]
-    assert (side.top_speed, side.accel) == (0.5, 0.9)
-    assert isclose(corner.top_speed, 0.95 * 1.5 * 0.1)
-    assert isclose(side.end_speed, 0.09 * 4.0 * 0.1)  # the turning rate of the arc in 90 ms
-    assert (legs[-1].end_speed > 0.0, legs[-1].last_end_speed) == (True, 0.0)
-
-
-def test_the_plan_enters_a_segment_as_fast_as_it_can_brake_there() -> None:
-    path = Path((Line(ORIGIN, 1.0), Line(Pose(1.0, 0.0, 0.0), 0.02)), 1.02, False)
-    legs = speed_plan(path, 0.5, LIMITS)
-    assert isclose(legs[0].last_end_speed, sqrt(2.0 * 0.9 * 0.02))
-    assert legs[0].end_speed == legs[1].end_speed == 0.5  # another lap follows
-    assert legs[1].last_end_speed == 0.0
-
-
-def test_the_plan_ends_a_lap_as_slowly_as_the_next_one_begins() -> None:
-    begin, end = Line(ORIGIN, 0.02), Arc(Pose(0.02, 0.0, 0.0), 2.0, 1.0)
-    corner = Turn(Pose(0.02, 0.0, 0.0), 0.1)
-    legs = speed_plan(Path((begin, corner, end), 1.0), 0.5, LIMITS)
-    assert isclose(legs[2].end_speed, sqrt(2.0 * 0.9 * 0.02))
-    assert legs[2].last_end_speed == 0.0
-
-
-def test_the_plan_ends_a_lap_no_faster_than_a_narrower_bend_allows() -> None:
-    narrow, wide = Arc(ORIGIN, 0.25, 1.0), Arc(ORIGIN, 0.3125, 1.0)
-    legs = speed_plan(Path((narrow, wide), 1.0), 0.5, LIMITS)
-    assert legs[1].end_speed == legs[0].top_speed < legs[1].top_speed
-
-
-def test_the_plan_of_a_figure_eight_knows_no_steps_of_the_curvature() -> None:
-    path = path_of(Pattern(PatternKind.FIGURE_EIGHT, 0.5), PLAIN)
-    assert [leg.end_speed for leg in speed_plan(path, 0.5, LIMITS)] == [0.5] * 8
-
-
 def test_the_plan_brakes_over_more_than_one_segment() -> None:
     lines = tuple(Line(Pose(0.02 * number, 0.0, 0.0), 0.02) for number in range(3))
     first, second, _ = speed_plan(Path(lines, 0.06, False), 0.5, LIMITS)
     assert isclose(second.last_end_speed, sqrt(2.0 * 0.9 * 0.02))
     assert isclose(first.last_end_speed, sqrt(2.0 * 0.9 * 0.04))
-
-
-def test_the_plan_turns_no_faster_into_a_bend_than_the_turning_rate_may_grow() -> None:
-    limits = replace(LIMITS, angular_accel_rps2=0.1)
-    path = path_of(Pattern(PatternKind.FIGURE_EIGHT), Course())
-    growth_rps2 = [
-        leg.top_speed**2 / segment.length * abs(end - begin)
-        for leg, segment in zip(speed_plan(path, 0.5, limits), path.segments, strict=True)
-        for begin, end in [(segment.curvature_at(0.0), segment.curvature_at(segment.length))]
-    ]
-    assert isclose(max(growth_rps2), 0.7 * 0.1)
-
-
-@for_each("ticks", [1, 2, 4, 8])
-@for_each("size_m", [0.1, 0.7, 2.0])
-def test_the_acceleration_of_the_reference_builds_up_over_the_ticks(
-    ticks: int, size_m: float
-) -> None:
-    drive = Drive(1, Pattern(PatternKind.LINE, size_m), 1, ORIGIN)
-    speeds, length_m = [0.0], 0.0
-    while not drive.finished:
-        drive = drive.advance(0.02, drive.reference().pose, LIMITS, ticks)
-        speeds.append(drive.progress.speed)
-        assert 0.0 <= drive.progress.length <= size_m
-        if not drive.finished:
-            moved_m, length_m = drive.progress.length - length_m, drive.progress.length
-            assert isclose(moved_m, 0.02 * speeds[-1], abs_tol=1e-8)
-    assert size_m - length_m <= 0.02 * max(speeds[-2:]) + 1e-8
-    accels = [(after - before) / 0.02 for before, after in pairwise(speeds)]
-    assert max(map(abs, accels)) <= 1.01 * LIMITS.linear_accel_mps2
-    # At most the lead changes from full acceleration to full braking, and its part is 1 / ticks.
-    assert max(abs(b - a) for a, b in pairwise(accels)) <= 2.0 / ticks
 
 
 def test_in_open_loop_odometry_does_not_change_the_commands() -> None:
@@ -236,11 +132,6 @@ def test_in_open_loop_odometry_does_not_change_the_commands() -> None:
         return bench.commands
 
     assert commands(0.1) == commands(0.0)
-
-
-def test_a_rounded_square_without_room_for_sides_is_a_circle() -> None:
-    segments = path_of(Pattern(PatternKind.ROUNDED_SQUARE, 0.15), PLAIN).segments
-    assert [segment.length for segment in segments] == [pytest.approx(0.5 * pi * 0.075)] * 4
 
 
 @for_each(
@@ -315,12 +206,6 @@ def test_points_in_one_place_are_one_point() -> None:
     assert waypoint_path(twice, 0.1, again=False) == waypoint_path(ZIGZAG, 0.1, again=False)
 
 
-def test_a_way_back_from_the_start_has_no_segments() -> None:
-    assert waypoint_path(((0.0, 0.0),), 0.1, again=True).segments == ()
-    near = waypoint_path(((1.0, 0.0), (0.0005, 0.0)), 0.1, again=True)
-    assert [segment.length for segment in near.segments] == [1.0, pi, 0.9995, pi]
-
-
 def test_points_a_millimetre_apart_are_two_points_and_2_cm_from_the_robot_a_leg_begins() -> None:
     def lengths(*points: Point, again: bool = False) -> list[float]:
         return [segment.length for segment in waypoint_path(points, 0.0, again=again).segments]
@@ -329,32 +214,6 @@ def test_points_a_millimetre_apart_are_two_points_and_2_cm_from_the_robot_a_leg_
     assert lengths((0.0199, 0.0), (1.0, 0.0)) == [1.0]
     assert lengths((1.0, 0.0), (1.0, 0.001)) == [1.0, pi / 2, 0.001]
     assert lengths((1.0, 0.0), (0.001, 0.0), again=True) == [1.0, pi, 0.999, 0.001, pi]
-
-
-def test_a_leg_that_its_corners_take_up_has_no_straight_part() -> None:
-    points = ((1.0, 0.0), (1.0, 1.0), (2.0, 1.0))
-    assert [segment.length for segment in waypoint_path(points, 10.0, again=False).segments] == [
-        *(0.5, pytest.approx(pi / 4), pytest.approx(pi / 4), 0.5)
-    ]
-
-
-@for_each(
-    ("bend_rad", "corner_m", "turns"),
-    [(0.5, 0.0052, 0), (0.5, 0.005, 1), (pi / 2, 0.02 * tan(pi / 4), 0), (pi / 2, 0.0199, 1)],
-)
-def test_a_bend_is_turned_only_if_its_corner_allows_no_radius_of_2_cm(
-    bend_rad: float, corner_m: float, turns: int
-) -> None:
-    end = (1.0, 1.0) if bend_rad == pi / 2 else (1.0 + cos(bend_rad), sin(bend_rad))
-    path = waypoint_path(((1.0, 0.0), end), corner_m, again=False)
-    assert sum(segment.turns for segment in path.segments) == turns
-
-
-def test_a_gentle_bend_of_short_legs_is_driven_and_a_sharp_one_turned() -> None:
-    for bend_rad, turns in ((0.34, 0), (0.36, 1)):
-        x, y = 1.0 + 0.004 * cos(bend_rad), 0.004 * sin(bend_rad)
-        path = waypoint_path(((1.0, 0.0), (x, y)), 0.1, again=False)
-        assert sum(segment.turns for segment in path.segments) == turns
 
 
 @for_each(
@@ -376,10 +235,6 @@ def test_a_pattern_has_a_default_size_and_is_lost_beyond_its_size(
     assert isclose(path_of(Pattern(kind, 2.0), PLAIN).reach_m, reach_m)
 
 
-def test_a_path_of_waypoints_is_lost_beyond_its_furthest_point() -> None:
-    assert waypoint_path(ZIGZAG, 0.1, again=False).reach_m == 2.5
-
-
 def test_a_motion_has_a_name() -> None:
     assert named(Pattern(PatternKind.ARC), Course()) == "an arc"
     assert named(Pattern(), Course(reverse=True, open_loop=True)) == (
@@ -398,12 +253,6 @@ def test_local_points_are_seen_from_the_origin_of_the_drive(reverse: bool) -> No
     ((x, y),) = local_points(course, Pose(1.0, 1.0, pi / 2))
     assert x == pytest.approx(-2.0 if reverse else 2.0)
     assert y == pytest.approx(0.0)
-
-
-def test_a_circle_as_waypoints_is_as_fast_as_a_circle_nearly() -> None:
-    points = tuple((0.5 * sin(a), 0.5 - 0.5 * cos(a)) for a in (n * pi / 10 for n in range(21)))
-    result = driven(Pattern(), Course(waypoints=points))
-    assert result.duration_s <= 1.5 * driven(Pattern(PatternKind.CIRCLE, 0.5)).duration_s
 
 
 @for_each("velocity", [Twist(0.3, 0.0), Twist(-0.2, 0.5), Twist(0.0, -1.0)])

@@ -39,7 +39,6 @@ TREE = Path(__file__).parents[2]
 
 LEAST_KILLED, MOST_EQUIVALENT = 0.95, 0.03
 
-TESTS = Path("tests/kernel")
 
 RUN_LAST = ("test_codec.py", "test_driving.py", "test_properties.py")
 """The slow test files; those that import the changed module run first, and kill most mutants."""

@@ -72,16 +72,6 @@ def test_each_field_has_its_type_and_one_entry_for_each_message(run: Path) -> No
     assert set(found.fields) == {"x", "count", "parts[1].y", "triple", "triple[0]"}
 
 
-def test_texts_bytes_and_sequences_are_objects(run: Path) -> None:
-    found = read_arrays(run, "/all")
-    assert found["name"].tolist() == ["n0\0", "n1\0", "n2\0"]
-    assert found["image"].tolist() == [b"", b"\0", b"\0\0"]
-    assert found["names"].tolist() == [[], ["a"], ["a", "a"]]
-    assert [each.tolist() for each in found["ranges"]] == [[], [0], [0, 1]]
-    assert found["ranges"][2].dtype == np.uint16
-    assert "triple[2]" in found.fields
-
-
 @pytest.mark.parametrize(
     ("topic", "field", "sentence"),
     [

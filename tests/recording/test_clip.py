@@ -6,18 +6,15 @@ A clip is compared with its source: each message, and all else that it took from
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.records import Metadata
 from rosbags.highlevel import AnyReader
 
 from robotctl.base.errors import Refused, UnreadableFile
@@ -45,7 +42,6 @@ from robotctl.recording.keep.clip import (
     Moment,
     cut_clip,
     make_clip,
-    records_of_clip,
     remaining_s,
 )
 from robotctl.recording.keep.clip_origin import compare_with_source
@@ -61,11 +57,10 @@ from robotctl.testing.drives import (
     drive,
     record,
 )
-from tests.support.bags import LATCHED, STRING, VOLATILE, Line, text, write_bag
-from tests.support.cases import for_each
+from tests.support.bags import STRING, text
 from tests.support.edited_recordings import Contents, contents_of, write_contents
-from tests.support.recordings import numbered, read_strictly, write_numbered
-from tests.support.waiting import until, until_longer
+from tests.support.recordings import numbered, read_strictly
+from tests.support.waiting import until_longer
 
 DURATION_S = 40.0
 MAP = Topic("/map", STRING, "string data\n", "", QOS.replace(": volatile", ": transient_local"))
@@ -153,19 +148,6 @@ def test_a_clip_holds_its_window_and_what_is_latched(
     assert decode(first.data).kind is EntryKind.SNAPSHOT
 
 
-def test_a_clip_holds_once_what_a_file_repeats_before_it_came(tmp_path: Path) -> None:
-    """A new file begins with the last latched message, also where the writer lags behind it."""
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
-    maps, commands = recorder.add_topic(MAP), recorder.add_topic(TWIST)
-    for data, log_s, publish_s, sequence in (("b", 1, 3, 2), ("a", 2, 2, 1), ("b", 3, 3, 2)):
-        recorder.write(maps, text(data), at_ns(log_s), at_ns(publish_s), sequence, b"a")
-    recorder.write(commands, encode_twist(Twist(0.0, 0.0)), at_ns(5), at_ns(5), 1, GID)
-    recorder.close()
-    clip(tmp_path / "run", tmp_path / "clip.mcap", 4.0, 6.0)
-    stored = read_strictly(tmp_path / "clip.mcap")
-    assert [each.data for each in stored if each.topic == "/map"] == [text("a"), text("b")]
-
-
 def test_a_clip_says_of_what_it_is_one(driven_recording: Path, tmp_path: Path) -> None:
     target = tmp_path / "clip.mcap"
     with Recording(driven_recording) as source:
@@ -189,12 +171,6 @@ def test_a_clip_says_of_what_it_is_one(driven_recording: Path, tmp_path: Path) -
         assert bag.message_count == info.message_count
 
 
-@for_each(("mode", "kept"), [("MOVING", {}), ("observing", {"mode": "observing"})])
-def test_of_the_modes_a_clip_keeps_that_of_an_observer(mode: str, kept: dict[str, str]) -> None:
-    (copied,) = records_of_clip([Metadata("robotctl", {"mode": mode})], (0, 1))
-    assert copied == ("robotctl", kept)
-
-
 @settings(max_examples=8)
 @given(start_s=st.floats(0.0, DURATION_S), length_s=st.floats(0.05, 10.0))
 def test_whatever_is_cut_a_fresh_kernel_decides_it_the_same(
@@ -208,31 +184,6 @@ def test_whatever_is_cut_a_fresh_kernel_decides_it_the_same(
     report = check_recording(target)
     assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
     assert report.events > 0
-
-
-def test_a_clip_of_a_clip_is_one_as_well(driven_recording: Path, tmp_path: Path) -> None:
-    outer, inner = tmp_path / "outer.mcap", tmp_path / "inner.mcap"
-    clip(driven_recording, outer, 10, 30)
-    clip(outer, inner, 15, 20)
-    assert check_recording(inner).verdict is Verdict.SAME
-    assert read_info(inner).metadata["robotctl.clip"]["of"] == "outer.mcap"
-
-
-def test_recordings_of_others_and_with_any_name_are_cut_without_a_journal(tmp_path: Path) -> None:
-    lines = [Line("/map", STRING, 0, text("map"), LATCHED)]
-    lines += [Line("/talk", STRING, 100.0 * n, text(str(n)), VOLATILE) for n in range(1, 50)]
-    source = write_bag(tmp_path / os.fsdecode(b"caf\xe9.mcap"), lines, chunk_bytes=256)
-    with Recording(source) as recording:
-        start_ns = recording.info().start_ns
-        window = (start_ns + 1_000_000_000, start_ns + 2_000_000_000)
-        target = tmp_path / os.fsdecode(b"clip-caf\xe9.mcap")
-        made = cut_clip(recording, Moment(start_ns), window, target)
-    assert made.lost == ()
-    assert [m.data for m in read_strictly(made.target)] == [
-        text("map"),
-        *(text(str(n)) for n in range(10, 21)),
-    ]
-    assert read_info(target).metadata["robotctl.clip"]["of"] == r"caf\udce9.mcap"
 
 
 def test_a_time_without_messages_is_refused(driven_recording: Path, tmp_path: Path) -> None:
@@ -300,16 +251,6 @@ def test_what_comes_after_the_event_is_waited_for(
     assert remaining_s(job, list_recording(job.source)) == 0
 
 
-def test_a_recording_that_has_ended_is_not_waited_for(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
-    now_ns = time.time_ns()
-    recorder.write(recorder.add_topic(TWIST), numbered(0), now_ns, 0, 0, GID)
-    recorder.close()
-    job = ClipJob(tmp_path / "run", Moment(now_ns), before_s=5.0, after_s=3600.0)
-    assert remaining_s(job, list_recording(job.source)) == 0
-    assert make_clip(job).message_count == 1
-
-
 @pytest.mark.parametrize("ahead_s", [0, 3600], ids=["fallen silent", "the clock was set back"])
 def test_what_may_never_come_is_not_waited_for_without_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ahead_s: int
@@ -323,23 +264,6 @@ def test_what_may_never_come_is_not_waited_for_without_end(
         assert make_clip(job).message_count == 1
     finally:
         recorder.close()
-
-
-def test_a_clip_without_a_name_finds_a_free_one(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
-    recorder.write(recorder.add_topic(TWIST), numbered(0), 10**18, 0, 0, GID)
-    file = recorder.close().file
-    moment = Moment(10**18, EventKind.EMERGENCY_STOP)
-    at = time.strftime("%H%M%S", time.localtime(10**9))
-    targets = [make_clip(ClipJob(tmp_path / "run", moment, 1, 1)).target for _ in range(3)]
-    clips = tmp_path / "run" / "clips"
-    assert targets == [
-        clips / f"run_estop_{at}.mcap",
-        clips / f"run_estop_{at}-2.mcap",
-        clips / f"run_estop_{at}-3.mcap",
-    ]
-    assert make_clip(ClipJob(file, moment, 1, 1)).target == clips / f"run_0_estop_{at}.mcap"
-    assert read_info(tmp_path / "run").message_count == 1
 
 
 def test_a_file_in_the_place_of_the_folder_of_clips_is_named(tmp_path: Path) -> None:
@@ -479,29 +403,6 @@ def test_the_rosbag2_record_of_a_clip_is_compared(
     assert compare_with_source(forged, folder).wrong == [
         "its rosbag2 record is not what its messages and channels make"
     ]
-
-
-def test_a_clip_stays_that_of_a_recording_that_goes_on(tmp_path: Path) -> None:
-    """Later files have other metadata, events and channels."""
-    heads = count()
-    recorder = Recorder(
-        tmp_path / "run", metadata=lambda: {"head": str(next(heads))}, on_failure=pytest.fail
-    )
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 200))
-    until(lambda: recorder.stats().queued == 0)
-    recorder.split()
-    until(lambda: len(list((tmp_path / "run").glob("*.mcap"))) == 2)
-    with Recording(tmp_path / "run" / "run_0.mcap") as recording:
-        info = recording.info()
-        window = (info.start_ns, info.end_ns)
-        cut_clip(recording, Moment(info.end_ns), window, tmp_path / "clip.mcap")
-    recorder.add_event(RecordedEvent(EventKind.MARK, info.end_ns, "in the next file"))
-    later = recorder.add_topic(replace(TWIST, name="/later"))
-    write_numbered(recorder, later, range(300, 400))
-    recorder.close()
-    origin = compare_with_source(tmp_path / "clip.mcap", tmp_path / "run")
-    assert (origin.wrong, origin.messages) == ([], 199)
-    assert "what the clip was cut for" in origin.not_proved
 
 
 def test_what_a_conversion_wrote_into_a_clip_is_not_proved(tmp_path: Path) -> None:

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from mcap.reader import make_reader
 from mcap.records import Channel as McapChannel
 from mcap.writer import Writer as McapWriter
@@ -34,7 +33,7 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from zstandard import ZstdCompressor, ZstdDecompressor
+from zstandard import ZstdCompressor
 
 from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.recording import (
@@ -322,14 +321,6 @@ def test_more_topics_than_mcap_can_number_are_refused() -> None:
         table.add(replace(channel, topic="one more"), None)
 
 
-def test_a_file_that_is_missing_is_told(tmp_path: Path) -> None:
-    shutil.copytree(GOLDEN / "foreign", tmp_path / "run")
-    next((tmp_path / "run").glob("*_1.mcap")).unlink()
-    done = convert(tmp_path / "run", tmp_path / "copy", Form())
-    assert done.message_count == 97
-    assert "metadata.yaml names it, but it is not there" in done.lost[0]
-
-
 def test_nothing_is_overwritten_and_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "copy").mkdir()
     with pytest.raises(Refused, match="File exists: choose another name"):
@@ -431,31 +422,6 @@ def test_messages_that_were_compressed_one_by_one_are_read(
         assert [m.data for m in read_strictly(clip.target)] == SENT
 
 
-def test_what_is_recovered_is_compressed_no_more(tmp_path: Path) -> None:
-    folder = bag(tmp_path / "bag", compressed(SENT))
-    salvage = recover_folder(folder, tmp_path / "saved")
-    assert (salvage.message_count, salvage.lost) == (len(SENT), ())
-    for path in (tmp_path / "saved", tmp_path / "saved" / "bag_0.mcap"):
-        assert [message.data for message in read_messages(path)] == SENT
-    assert [m.data for m in read_strictly(tmp_path / "saved" / "bag_0.mcap")] == SENT
-    with (tmp_path / "saved" / "bag_0.mcap").open("rb") as stream:
-        (record, _) = make_reader(stream).iter_metadata()
-    told = yaml.safe_load(record.metadata["serialized_metadata"])
-    assert (told["compression_mode"], told["compression_format"]) == ("", "")
-
-
-def test_other_modes_leave_the_messages_alone(tmp_path: Path) -> None:
-    for number, mode in enumerate(["NONE", "FILE", '""']):
-        folder = bag(tmp_path / f"bag{number}", SENT, mode=mode)
-        assert [message.data for message in read_messages(folder)] == SENT
-
-
-def test_a_file_that_the_bag_does_not_name_is_left_alone(tmp_path: Path) -> None:
-    folder = bag(tmp_path / "bag", compressed(SENT), told_by="yaml")
-    stray = write_bag(folder / "stray.mcap", LINES)
-    assert [message.data for message in read_messages(stray)] == SENT
-
-
 def test_a_message_that_cannot_be_decompressed_is_missing(tmp_path: Path) -> None:
     stored = compressed(SENT)
     stored[7] = b"\0\1\0\0 this is no frame"
@@ -522,33 +488,6 @@ def test_a_file_that_was_compressed_as_a_whole_is_read(tmp_path: Path) -> None:
     steps: list[tuple[int, int]] = []
     Recording(file, on_progress=lambda done, total: steps.append((done, total))).close()
     assert steps[-1] == (file.stat().st_size, file.stat().st_size)
-
-
-@pytest.mark.parametrize("keep_packed", [True, False])
-def test_a_file_that_was_unpacked_beside_its_bag_is_not_missing(
-    tmp_path: Path, keep_packed: bool
-) -> None:
-    file = packed(tmp_path / "bag")
-    file.with_suffix("").write_bytes(ZstdDecompressor().decompress(file.read_bytes()))
-    if not keep_packed:
-        file.unlink()
-    info = read_info(file.parent)
-    assert (info.message_count, info.missing) == (len(SENT), ())
-
-
-@pytest.mark.parametrize("keep", [0.3, 0.6, 0.95])
-def test_a_compressed_file_that_was_cut_gives_what_it_holds(tmp_path: Path, keep: float) -> None:
-    def cut_off(plain: bytes) -> bytes:
-        whole = ZstdCompressor(level=1).compress(plain)
-        return whole[: round(len(whole) * keep)]
-
-    file = packed(tmp_path / "bag", cut_off)
-    try:
-        messages, missing = salvaged(file)
-    except UnreadableFile:
-        return
-    assert [message.data for message in messages] == SENT[: len(messages)]
-    assert missing
 
 
 @pytest.mark.parametrize("named", [True, False], ids=["with its size", "without"])

@@ -19,23 +19,18 @@ from mcap.records import Metadata
 
 from robotctl.recording import Recorder, RecorderOptions, Recording, read_info
 from robotctl.recording.disk import Storage
-from robotctl.recording.format.names import EVENT_RECORD, LEDGER_RECORD, EventKind
+from robotctl.recording.format.names import EVENT_RECORD, EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.topics import (
-    COUNTERS,
     Topic,
     TopicStats,
     by_topic,
-    ledger_values,
-    read_ledger,
-    total,
 )
 from robotctl.recording.keep.listing import list_recording
 from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.read.journal_reader import read_journal
 from robotctl.recording.write import bag_writer
 from robotctl.recording.write.channel_state import (
-    MAX_LATCHED,
     MAX_PUBLISHERS,
     ChannelState,
     SequenceGaps,
@@ -118,23 +113,6 @@ def test_a_topic_that_was_recorded_anew_is_one_topic_unless_its_type_changed() -
     ]
 
 
-def test_every_counter_is_summed_and_recorded() -> None:
-    numbers = {name: 10 + each for each, name in enumerate(COUNTERS)}
-    (twice,) = by_topic([stats("/a", "t", **numbers), stats("/a", "t", **numbers)])
-    assert total([twice]) == {name: 2 * number for name, number in numbers.items()}
-    told = read_ledger({LEDGER_RECORD: ledger_values([twice])})
-    assert told == {"/a": {**total([twice]), "bytes": 0}}
-
-
-def test_the_record_names_the_second_type_of_a_topic() -> None:
-    topics = [stats("/scan", "a/msg/A", received=1), stats("/scan", "b/msg/B", received=10)]
-    told = read_ledger({LEDGER_RECORD: ledger_values(topics)})
-    assert {name: counts["received"] for name, counts in told.items()} == {
-        "/scan": 1,
-        "/scan (b/msg/B)": 10,
-    }
-
-
 def test_a_latched_message_without_memory_gives_back_the_room_of_the_one_before() -> None:
     class Endless(bytes):
         def __bytes__(self) -> bytes:
@@ -144,13 +122,6 @@ def test_a_latched_message_without_memory_gives_back_the_room_of_the_one_before(
     assert channel.keep_latched(b"gid", bytes(100), 0, 0, 0, 1000) == 100
     assert channel.keep_latched(b"gid", Endless(10), 0, 0, 1, 900) == -100
     assert (channel.latched_messages(), channel.not_kept) == ([], 1)
-
-
-def test_a_latched_message_that_gives_way_to_another_publisher_is_counted() -> None:
-    channel = ChannelState(Topic("/map", "a/msg/A", offered_qos="durability: transient_local"))
-    for number in range(MAX_LATCHED + 3):
-        channel.keep_latched(bytes([number]), b"", number, 0, 0, 1000)
-    assert (channel.latched_messages()[0].log_ns, channel.not_kept) == (3, 3)
 
 
 def recorded_twice(folder: Path) -> tuple[Path, bytes]:

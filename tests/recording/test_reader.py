@@ -35,10 +35,8 @@ from robotctl.recording import (
     read_info,
     read_messages,
 )
-from robotctl.recording.disk import DiskFile
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
 from robotctl.recording.format.records import MAGIC
-from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.journal_reader import journal_topic, read_journal
 from robotctl.recording.read.records import InputFile
 from robotctl.testing.drives import GID, JOURNAL, ODOMETRY, START_NS, TWIST, drive, record
@@ -208,16 +206,6 @@ def test_a_file_that_the_bag_names_and_that_is_not_there_is_missing(tmp_path: Pa
     assert info.missing == ("run_0.mcap: metadata.yaml names it, but it is not there",)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "[" * 5000, "\0", "relative_file_paths: 7", "relative_file_paths:\n"]
-)
-def test_a_damaged_metadata_yaml_does_not_hide_the_messages(tmp_path: Path, text: str) -> None:
-    recorded(tmp_path / "run", 10)
-    (tmp_path / "run" / "metadata.yaml").write_text(text)
-    info = read_info(tmp_path / "run")
-    assert (info.message_count, info.missing) == (10, ())
-
-
 def test_what_is_no_recording_is_named_in_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     for path, reason in [
@@ -229,16 +217,6 @@ def test_what_is_no_recording_is_named_in_one_sentence(tmp_path: Path) -> None:
     ]:
         with pytest.raises(UnreadableFile, match=reason):
             read_info(path)
-
-
-def test_a_file_that_was_empty_when_it_was_opened_is_read_as_it_is_by_now(tmp_path: Path) -> None:
-    content = recorded(tmp_path / "run", 10).read_bytes()
-    path = tmp_path / "split.mcap"
-    writer = DiskFile(path)
-    with InputFile(path) as file:
-        writer.write_at([content], 0)
-        assert index_of(file).message_count == 10
-    writer.close()
 
 
 TOPICS = ("/a", "/b", "/map")

@@ -12,7 +12,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -124,15 +123,6 @@ def test_any_message_is_kept_with_its_numbers_clamped_to_their_fields(
     assert found == (min(times), max(times))
 
 
-def test_the_file_is_whole_while_it_grows(open_recorder: OpenRecorder) -> None:
-    recorder = open_recorder(flush_s=0.01)
-    channel = recorder.add_topic(TWIST)
-    for batch in range(10):
-        write_numbered(recorder, channel, range(batch * 100 + 1, batch * 100 + 101))
-        until(lambda: recorder.stats().queued == 0)
-        assert len(read_strictly(recorder.stats().file)) == (batch + 1) * 100
-
-
 def test_a_topic_without_messages_is_in_the_growing_file(open_recorder: OpenRecorder) -> None:
     recorder = open_recorder(flush_s=0.01)
     file = recorder.stats().file
@@ -146,12 +136,6 @@ def test_a_topic_without_messages_is_in_the_growing_file(open_recorder: OpenReco
     assert topics() == set()
     recorder.add_topic(TWIST)
     until(lambda: topics() == {"/cmd_vel"})
-
-
-def test_the_same_topic_again_is_the_same_channel(open_recorder: OpenRecorder) -> None:
-    recorder = open_recorder()
-    assert recorder.add_topic(TWIST) == recorder.add_topic(replace(TWIST))
-    assert recorder.add_topic(ODOMETRY) != recorder.add_topic(TWIST)
 
 
 def test_more_topics_than_the_format_numbers_are_refused(
@@ -360,16 +344,6 @@ def test_closing_while_the_loop_still_writes_loses_no_message_uncounted(
     assert [(m.sequence, m.data) for m in messages] == [
         (number, numbered(number)) for number in range(1, len(messages) + 1)
     ]
-
-
-def test_many_sizes_need_no_memory_each(open_recorder: OpenRecorder) -> None:
-    recorder = open_recorder()
-    channel = recorder.add_topic(TWIST)
-    sizes = [*range(3000), *range(3000)]
-    for number, size in enumerate(sizes, start=1):
-        recorder.write(channel, bytes(size), START_NS + number, START_NS, number, GID)
-    assert len(recorder._channels[channel].packers) <= 128
-    assert [len(message.data) for message in read_strictly(recorder.close().file)] == sizes
 
 
 @pytest.mark.parametrize("obstacle", ["a file in its place", "the same folder", "no permission"])

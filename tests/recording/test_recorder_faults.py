@@ -246,20 +246,6 @@ def test_a_file_that_was_finished_is_not_touched_when_it_fails_to_close(tmp_path
     assert_first_numbers(stats.file, 100)
 
 
-def test_a_folder_in_the_place_of_the_list_costs_no_message(tmp_path: Path) -> None:
-    failures: list[str] = []
-    recorder = Recorder(tmp_path / "run", on_failure=failures.append)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
-    (tmp_path / "run" / "metadata.yaml").unlink()
-    (tmp_path / "run" / "metadata.yaml").mkdir()
-    stats = recorder.close()
-    assert failures == [
-        f"recording stopped: Is a directory ({stats.file}); check the disk and the folder"
-    ]
-    assert_accounted(stats, 100)
-    assert_first_numbers(stats.file, 100)
-
-
 def test_a_disk_that_is_full_at_the_start_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     options = RecorderOptions(open_file=lambda path: FailingFile(path, 1))
     with pytest.raises(Refused, match="No space left on device"):
@@ -320,19 +306,6 @@ def test_the_thread_that_writes_survives_what_nobody_thought_of(
     assert (stats.state, stats.dropped, stats.queued) == (RecorderState.FAILED, 10, 0)
 
 
-def test_a_listener_that_raises_does_not_stop_the_counting(tmp_path: Path) -> None:
-    def raise_it(text: str) -> None:
-        raise RuntimeError(text)
-
-    options = RecorderOptions(chunk_bytes=KIB, open_file=lambda path: FailingFile(path, 3))
-    recorder = Recorder(tmp_path / "run", options, on_failure=raise_it)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 1001))
-    stats = recorder.close()
-    assert stats.state is RecorderState.FAILED
-    assert_accounted(stats, 1000)
-    assert stats.queued == 0
-
-
 INDEX_ENTRY_BYTES = 16
 
 
@@ -365,26 +338,6 @@ def test_a_slow_disk_fills_the_queue_and_then_counts_drops(tmp_path: Path, size:
     messages = read_strictly(stats.file)
     assert len(messages) == stats.written
     assert [m.sequence for m in messages[-3:]] == list(range(number + 1, number + 4))
-
-
-def test_the_memory_of_a_burst_is_given_back(tmp_path: Path) -> None:
-    gate = threading.Event()
-    gate.set()
-    options = RecorderOptions(
-        chunk_bytes=16 * KIB,
-        memory_bytes=1024 * KIB,
-        open_file=lambda path: GatedFile(path, gate.wait),
-    )
-    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail)
-    channel = recorder.add_topic(TWIST)
-    for burst in range(3):
-        gate.clear()
-        write_numbered(recorder, channel, range(burst * 6000 + 1, burst * 6000 + 6001))
-        gate.set()
-        until(lambda: recorder.stats().queued == 0)
-        assert len(recorder._thread.spare) <= 2
-    stats = recorder.close()
-    assert (stats.written, stats.dropped) == (18_000, 0)
 
 
 def pack(buffer: PackBuffer, numbers: range) -> None:

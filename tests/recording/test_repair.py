@@ -9,8 +9,6 @@ import errno
 import os
 import random
 import shutil
-import struct
-import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -24,15 +22,13 @@ from zstandard import ZstdDecompressor
 from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.recording import Recorder, RecorderOptions, read_info, read_messages
 from robotctl.recording.disk import DiskFile
-from robotctl.recording.format.names import EventKind
-from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep import repair as repairing
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.read.file_index import FileIndex
 from robotctl.recording.read.indexing import find_unfinished_commit, index_from_summary, index_of
 from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.whole_recording import verify_recording
-from robotctl.testing.drives import START_NS, TWIST
+from robotctl.testing.drives import TWIST
 from robotctl.testing.faults import FailingFile, mutated
 from tests.support.recordings import Stored, numbered, read_strictly, recorded, write_numbered
 from tests.support.waiting import until
@@ -105,17 +101,6 @@ def attachments_of(path: Path) -> list[tuple[str, str, int, int, bytes]]:
         ]
 
 
-def test_attachments_are_kept(tmp_path: Path) -> None:
-    source = theirs(tmp_path / "file.mcap", 10, attachment=True)
-    whole, cut = tmp_path / "whole.mcap", tmp_path / "cut.mcap"
-    assert recover(source, whole).lost == ()
-    source.write_bytes(source.read_bytes()[:-100])
-    assert recover(source, cut).lost
-    for target in (whole, cut):
-        assert len(read_strictly(target)) == 10
-        assert attachments_of(target) == [("picture", "image/png", 2, 1, bytes(1000))]
-
-
 def test_a_damaged_attachment_is_said_to_be_lost(tmp_path: Path) -> None:
     source = theirs(tmp_path / "file.mcap", 10, attachment=True)
     data = bytearray(source.read_bytes())
@@ -125,19 +110,6 @@ def test_a_damaged_attachment_is_said_to_be_lost(tmp_path: Path) -> None:
     assert "attachment" in lost
     assert "its checksum is wrong" in lost
     assert attachments_of(tmp_path / "out.mcap") == []
-
-
-def test_metadata_of_one_name_is_all_kept(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
-    for number in range(3):
-        recorder.add_event(RecordedEvent(EventKind.MARK, START_NS + number, f"mark {number}"))
-    recover(recorder.close().file, tmp_path / "out.mcap")
-    assert [event.text for event in read_info(tmp_path / "out.mcap").events] == [
-        "mark 0",
-        "mark 1",
-        "mark 2",
-    ]
 
 
 def test_what_recovery_makes_is_what_the_reader_gives(tmp_path: Path) -> None:
@@ -191,14 +163,6 @@ def test_nothing_to_salvage_is_one_sentence_and_no_file(
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_a_target_that_exists_is_not_overwritten(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "run", 10)
-    (tmp_path / "out.mcap").write_text("mine")
-    with pytest.raises(Refused, match="File exists"):
-        recover(source, tmp_path / "out.mcap")
-    assert (tmp_path / "out.mcap").read_text() == "mine"
-
-
 def test_a_full_disk_leaves_no_half_target(tmp_path: Path) -> None:
     source = recorded(tmp_path / "run", 500)
     with pytest.raises(Refused, match="No space left"):
@@ -208,16 +172,6 @@ def test_a_full_disk_leaves_no_half_target(tmp_path: Path) -> None:
             open_file=lambda path: FailingFile(path, 3, code=errno.ENOSPC),
         )
     assert not (tmp_path / "out.mcap").exists()
-
-
-def test_progress_runs_from_nothing_to_all(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "run", 500)
-    source.write_bytes(source.read_bytes()[:-30])
-    steps: list[tuple[int, int]] = []
-    recover(source, tmp_path / "out.mcap", on_progress=lambda d, t: steps.append((d, t)))
-    done = [step for step, _ in steps]
-    assert done == sorted(done)
-    assert steps[-1] == (2 * source.stat().st_size, 2 * source.stat().st_size)
 
 
 @needs_samples
@@ -455,27 +409,6 @@ def test_a_full_disk_leaves_the_file_as_it_was_and_is_told(
     assert repair(tmp_path) == [
         "repaired: run_0.mcap was not closed: its 200 messages are complete"
     ]
-
-
-def with_private_record(data: bytes) -> bytes:
-    """Return the file with a private record at the end of its summary."""
-    footer_bytes, magic_bytes = 29, 8
-    footer = len(data) - footer_bytes - magic_bytes
-    start = struct.unpack_from("<Q", data, footer + 9)[0]
-    summary = data[start:footer] + struct.pack("<BQ", 0x90, 3) + b"abc"
-    end = data[footer : footer + footer_bytes - 4]
-    crc = zlib.crc32(summary + end)
-    return data[:start] + summary + end + struct.pack("<I", crc) + data[-magic_bytes:]
-
-
-def test_a_private_record_in_a_summary_does_not_stop_the_repair(tmp_path: Path) -> None:
-    first, second = crashed(tmp_path / "run1", 100), crashed(tmp_path / "run2", 100)
-    first.write_bytes(with_private_record(first.read_bytes()))
-    assert repair(tmp_path) == [
-        "repaired: run1_0.mcap was not closed: its 100 messages are complete",
-        "repaired: run2_0.mcap was not closed: its 100 messages are complete",
-    ]
-    assert len(read_strictly(first)) == len(read_strictly(second)) == 100
 
 
 def test_a_file_that_cannot_be_repaired_keeps_no_other_from_it(

@@ -77,11 +77,6 @@ def test_what_robotctl_made_of_a_recording_goes_with_it_and_nothing_else(tmp_pat
     assert names(tmp_path / "mine") == ["notes.txt"]
 
 
-def test_without_limits_everything_stays(tmp_path: Path) -> None:
-    recorded(tmp_path / "old", age_s=1000 * DAY_S)
-    assert enforce_retention(tmp_path, RetentionPolicy(max_bytes=None, max_age_s=None), NOW_S) == []
-
-
 def test_part_of_a_recording_may_go_and_the_rest_is_a_bag(tmp_path: Path) -> None:
     recorded(tmp_path / "run", age_s=100.0, splits=3)
     last = (tmp_path / "run" / "run_3.mcap").stat().st_size

@@ -21,7 +21,7 @@ from robotctl.base.paths import seal_folder
 from robotctl.decisions.journal import files_of, log_folder
 from robotctl.recording import Compression, Recorder, RecorderOptions, read_messages
 from robotctl.recording.format.seal_records import LINK_OPCODE, Link, LinkKind, Opening, SealOfFile
-from robotctl.recording.keep.recover import recover, recover_folder
+from robotctl.recording.keep.recover import recover
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.whole_file import SealState, WholeFile, read_whole_file
@@ -34,7 +34,7 @@ from robotctl.recording.read.whole_recording import (
 from robotctl.recording.seal import KEY_FILE, Keyring, SigningKey, is_signed, known_heads
 from robotctl.recording.write import mcap_writer
 from robotctl.testing.drives import TWIST
-from tests.support.recordings import keyring, read_strictly, record_sealed, recorded, write_numbered
+from tests.support.recordings import keyring, read_strictly, record_sealed, write_numbered
 from tests.support.waiting import until
 
 
@@ -243,15 +243,6 @@ def test_a_seal_that_fails_never_stops_the_recording_and_is_told(
     assert len(list(read_messages(tmp_path / "run"))) == 100
 
 
-def test_a_signature_is_of_one_key_and_one_text() -> None:
-    key, other = SigningKey(bytes(32)), SigningKey(bytes([1] * 32))
-    signature = key.sign(b"text")
-    assert is_signed(b"text", signature, key.public)
-    assert not is_signed(b"text", signature, other.public)
-    assert not is_signed(b"Text", signature, key.public)
-    assert not is_signed(b"text", b"", key.public)
-
-
 def test_a_damaged_key_is_told_and_not_replaced(tmp_path: Path, keys: Keyring) -> None:
     keys.rotate()
     path = tmp_path / "keys" / KEY_FILE
@@ -328,18 +319,6 @@ def test_a_torn_file_that_a_repair_replaced_keeps_its_place_in_the_chain(
     assert found.files[1].seal.is_copy
 
 
-def test_a_copy_beside_its_original_takes_no_place_in_the_chain(
-    tmp_path: Path, keys: Keyring
-) -> None:
-    run = tmp_path / "run"
-    record_sealed(run, keys, splits=2)
-    recover_folder(run, tmp_path / "copy")
-    originals, copies = verify_recording(run), verify_recording(tmp_path / "copy")
-    assert (copies.proof, copies.wrong, copies.chain.absent) == (RecordingProof.WHOLE, (), [])
-    both = check_chain([*copies.files, *originals.files])
-    assert (both.wrong, both.absent) == ([], [])
-
-
 def test_a_copy_of_another_file_breaks_the_chain(tmp_path: Path, keys: Keyring) -> None:
     """Its opening is not the one that the files around it know."""
     first, second, third = record_sealed(tmp_path / "run", keys, splits=2)
@@ -351,12 +330,3 @@ def test_a_copy_of_another_file_breaks_the_chain(tmp_path: Path, keys: Keyring) 
         f"file 2 is not here, between {first.name} and {third.name}"
     ]
     assert second.exists()
-
-
-def test_a_recording_without_a_sealer_and_its_copy_have_no_seal(tmp_path: Path) -> None:
-    file = recorded(tmp_path / "run", 19)
-    recover(file, tmp_path / "copy.mcap")
-    for path in (file, tmp_path / "copy.mcap"):
-        found = verify_recording(path)
-        assert (found.proof, found.files[0].seal.opening) == (RecordingProof.WHOLE, None)
-        assert links_in(path) == []

@@ -23,7 +23,7 @@ from robotctl.recording import (
     read_info,
     read_messages,
 )
-from robotctl.recording.disk import DiskFile, is_being_written
+from robotctl.recording.disk import DiskFile
 from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.write import bag_writer
 from robotctl.testing.drives import GID, ODOMETRY, QOS, START_NS, TWIST
@@ -290,17 +290,6 @@ def test_a_split_that_finds_the_disk_full_keeps_what_was_written(tmp_path: Path)
     assert (info.message_count, info.missing) == (stats.written, ())
 
 
-def test_a_listener_of_splits_that_raises_does_not_stop_the_recording(tmp_path: Path) -> None:
-    def raise_it(path: Path) -> None:
-        raise RuntimeError(path)
-
-    options = RecorderOptions(chunk_bytes=1024, split_bytes=5000)
-    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail, on_split=raise_it)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 1001))
-    stats = recorder.close()
-    assert (stats.state, stats.written) == (RecorderState.CLOSED, 1000)
-
-
 def test_a_disk_that_gets_full_is_told_before_and_stops_the_recording_in_time(
     tmp_path: Path,
 ) -> None:
@@ -327,16 +316,6 @@ def test_a_start_on_an_almost_full_disk_is_refused(tmp_path: Path) -> None:
     with pytest.raises(Refused, match="only 0 MB left on the disk"):
         Recorder(tmp_path / "run", options, on_failure=pytest.fail)
     assert not (tmp_path / "run").exists()
-
-
-def test_only_the_current_file_is_marked_as_being_written(tmp_path: Path) -> None:
-    begun: list[Path] = []
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail, on_split=begun.append)
-    recorder.split()
-    until(lambda: bool(begun))
-    assert [is_being_written(path) for path in files_of(tmp_path / "run")] == [False, True]
-    recorder.close()
-    assert not is_being_written(begun[0])
 
 
 def test_latched_messages_of_all_topics_share_one_budget_and_no_split_causes_another(

@@ -9,7 +9,6 @@ Compressions are listed once: all that are written can be read, and unknown ones
 from __future__ import annotations
 
 import random
-import struct
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -102,25 +101,6 @@ def test_what_is_taken_at_any_step_is_each_message_once_and_in_order(
     assert buffer.take() is None
 
 
-def test_a_recycled_buffer_is_as_new() -> None:
-    buffer = PackBuffer(83)
-    buffer.make_indexes(1)
-    for number in range(3):
-        list(packing(buffer, number, 0, 1000 - number))
-        buffer.limit = 0
-        packed = buffer.take()
-        assert packed is not None
-        assert numbers_in(packed) == [number]
-        buffer.recycle()
-        assert (buffer.end, buffer.limit, buffer.unordered) == (0, 83, set())
-
-
-def test_messages_packed_without_a_buffer_are_indexed_alike() -> None:
-    packed = pack([(number % 2, numbered(number), 7 - number, 0, number) for number in range(5)])
-    assert numbers_in(packed) == list(range(5))
-    assert struct.unpack_from("<I", packed.parts[2], 11) == (1,)
-
-
 CAMERA = Topic("/camera", "sensor_msgs/msg/CompressedImage")
 EVIDENCE = frozenset({TWIST.name, ODOMETRY.name})
 IMAGE = 40_000
@@ -166,18 +146,6 @@ def mixed(seed: int, count: int) -> list[PlainMessage]:
     return made
 
 
-@for_each("seed", range(20))
-def test_each_part_holds_its_messages_in_the_order_of_their_arrival(seed: int) -> None:
-    messages = mixed(seed, 40)
-    chunks = EvidenceChunks(EVIDENCE, channels())
-    evidence, rest = chunks.separate(joined(messages))
-    assert messages_of(evidence) == [each for each in messages if each[0] != 1]
-    assert messages_of(rest) == [each for each in messages if each[0] == 1]
-    for part in (evidence, rest):
-        times = [message[2] for message in messages_of(part)]
-        assert (part.start_ns, part.end_ns) == (min(times), max(times))
-
-
 @for_each("chosen", [(0,), (1,), (0, 2)])
 def test_what_needs_no_separation_stays_as_it_is(chosen: tuple[int, ...]) -> None:
     packed = joined([each for each in mixed(1, 40) if each[0] in chosen])
@@ -187,15 +155,6 @@ def test_what_needs_no_separation_stays_as_it_is(chosen: tuple[int, ...]) -> Non
 def test_a_little_of_other_topics_stays_with_the_evidence() -> None:
     packed = joined([(channel, b"x" * 1000, START_NS, START_NS, 0) for channel in (0, 1, 1, 1)])
     assert EvidenceChunks(EVIDENCE, channels()).separate(packed) == (packed,)
-
-
-def test_topics_that_are_added_later_are_known() -> None:
-    known = channels()[:1]
-    chunks = EvidenceChunks(EVIDENCE, known)
-    packed = joined(mixed(3, 40))
-    chunks.separate(packed)
-    known += channels()[1:]
-    assert len(chunks.separate(packed)) == 2
 
 
 def record(folder: Path, compression: Compression, images: int) -> Recorder:
@@ -305,10 +264,6 @@ def test_a_clock_that_is_set_back_ends_no_recording() -> None:
     times_ns = [FIRST_NS + k * 100_000_000 for k in range(50)]
     back_ns = [each - 3600 * 1_000_000_000 for each in times_ns]
     assert len(kept(times_ns + back_ns, 5.0).kept_ns) == 50
-
-
-def test_a_rate_of_zero_keeps_nothing() -> None:
-    assert kept([FIRST_NS, 2 * FIRST_NS], 0.0).kept_ns == []
 
 
 def test_a_shut_gate_keeps_nothing_until_it_opens() -> None:

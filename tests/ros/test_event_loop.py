@@ -289,29 +289,6 @@ def test_what_ends_the_process_ends_the_loop(
         in_time(main)
 
 
-def test_a_watcher_may_replace_a_reader_that_is_ready_in_the_same_turn(
-    eventfds: Callable[[], int],
-) -> None:
-    called: list[str] = []
-
-    async def main() -> None:
-        loop, heard = asyncio.get_running_loop(), asyncio.Event()
-        ready, watched = eventfds(), eventfds()
-
-        def replace() -> None:
-            unwatch(loop, watched)
-            loop.remove_reader(ready)
-            loop.add_reader(ready, heard.set)
-
-        loop.add_reader(ready, called.append, "the reader of before")
-        watch(loop, watched, replace)
-        await heard.wait()
-        loop.remove_reader(ready)
-
-    in_time(main)
-    assert called == []
-
-
 def test_a_closed_pipe_is_heard_by_its_reader_and_its_full_writer() -> None:
     async def main() -> None:
         loop = asyncio.get_running_loop()

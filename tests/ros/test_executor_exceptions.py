@@ -21,7 +21,6 @@ from std_srvs.srv import SetBool
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import RclCallFailed
 from tests.ros.open_executor import Node, populate, sources_of
-from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
 Peer = Callable[..., Awaitable[Any]]
@@ -242,13 +241,6 @@ async def test_a_closed_executor_says_that_it_is_closed(
     assert executor.shutdown() is True
 
 
-async def test_an_executor_shut_down_before_it_opened_serves_nobody(context: Any) -> None:
-    executor = AsyncioExecutor(context)
-    assert executor.shutdown() is True
-    async with asyncio.timeout(DEADLINE_S):
-        await executor.serve()
-
-
 async def test_an_executor_that_is_not_open_or_is_open_already_says_so(context: Any) -> None:
     executor = AsyncioExecutor(context)
     with pytest.raises(RuntimeError, match="not open; use: async with"):
@@ -258,19 +250,6 @@ async def test_an_executor_that_is_not_open_or_is_open_already_says_so(context: 
             await executor.__aenter__()
     with pytest.raises(RuntimeError, match="an AsyncioExecutor does not spin"):
         executor.spin_once(timeout_sec=0.0)
-
-
-async def test_two_tasks_that_open_one_executor_at_once_open_it_once(
-    context: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("robotctl.ros.executor.announcements._passed", False)
-    executor = AsyncioExecutor(context)
-    first = asyncio.create_task(executor.__aenter__())
-    await asyncio.sleep(0)
-    with pytest.raises(RuntimeError, match="open already"):
-        await executor.__aenter__()
-    assert await first is executor
-    await executor.__aexit__(None, None, None)
 
 
 async def test_another_loop_is_refused(executor: AsyncioExecutor, node: Node, topic: str) -> None:

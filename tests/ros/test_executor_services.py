@@ -15,7 +15,6 @@ from rclpy.action.client import ActionClient
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.client import Client
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from robot_controller.action import DrivePattern
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
@@ -87,14 +86,6 @@ async def test_calls_in_flight_at_once_get_their_own_responses(
         *(executor.call(client, SetBool.Request(data=d), timeout_s=DEADLINE_S) for d in wanted)
     )
     assert [reply.success for reply in replies] == wanted
-
-
-async def test_call_async_of_rclpy_can_be_awaited_as_it_is(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
-) -> None:
-    client = await client_of(peer, executor, node, topic)
-    async with asyncio.timeout(DEADLINE_S):
-        assert (await client.call_async(SetBool.Request(data=True))).success
 
 
 async def test_a_call_that_nobody_answers_ends_at_its_deadline_and_is_forgotten(
@@ -342,39 +333,6 @@ async def test_a_response_that_cannot_be_sent_holds_up_no_other(middleware: Midd
 
 
 # With the middleware
-
-
-async def test_a_client_that_cannot_be_reached_holds_up_no_other(
-    executor: AsyncioExecutor, node: Node, topic: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(replies, "PAUSE_S", 3600.0)
-    attempts: list[bool] = []
-    is_taken = replies.is_taken
-
-    def counted(send: Callable[[], None]) -> bool:
-        attempts.append(is_taken(send))
-        return attempts[-1]
-
-    monkeypatch.setattr("robotctl.ros.executor.services.is_taken", counted)
-    heard: list[bool] = []
-
-    def answer(request: Any, response: Any) -> Any:
-        heard.append(request.data)
-        return response
-
-    node.create_service(SetBool, topic, answer)
-    # The service's responses are volatile, so this reader never matches; its requests arrive.
-    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    unreachable = node.create_client(SetBool, topic, qos_profile=latched)
-    while len(heard) < 3:
-        unreachable.call_async(SetBool.Request(data=True))
-        await asyncio.sleep(0.05)
-    await until(lambda: attempts)
-    assert attempts == [False]
-    client = node.create_client(SetBool, topic)
-    await executor.wait_for_service(client, timeout_s=DEADLINE_S)
-    await executor.call(client, SetBool.Request(), timeout_s=DEADLINE_S)
-    assert attempts == [False, True]
 
 
 class Late:

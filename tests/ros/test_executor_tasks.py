@@ -150,21 +150,6 @@ async def test_cancelling_a_task_cancels_its_coroutine(executor: AsyncioExecutor
     assert task.cancelled()
 
 
-def test_a_task_may_be_cancelled_after_its_loop_has_gone(context: Any) -> None:
-    tasks: list[Future] = []
-
-    async def live() -> None:
-        async with AsyncioExecutor(context) as executor:
-            tasks.append(executor.create_task(asyncio.sleep, 0))
-            tasks.append(executor.create_task(asyncio.sleep, DEADLINE_S))
-            await tasks[0]
-
-    asyncio.run(live())
-    for task in tasks:
-        task.cancel()
-    assert [task.cancelled() for task in tasks] == [False, True]
-
-
 async def test_no_task_is_lost_that_another_thread_creates_while_the_executor_opens(
     context: Any,
 ) -> None:

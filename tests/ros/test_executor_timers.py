@@ -221,19 +221,6 @@ async def test_a_second_task_at_the_same_ticker_is_refused() -> None:
         first.cancel()
 
 
-async def test_a_second_loop_is_refused() -> None:
-    async with Ticker(1.0) as ticker:
-
-        def elsewhere() -> None:
-            async def use() -> None:
-                await anext(ticker)
-
-            with pytest.raises(RuntimeError, match="another event loop"):
-                asyncio.run(use())
-
-        await asyncio.to_thread(elsewhere)
-
-
 @pytest.mark.parametrize("hz", [0.0, -1.0, float("nan"), float("inf"), 10_001.0])
 def test_a_rate_that_cannot_be_kept_is_refused(hz: float) -> None:
     with pytest.raises(ValueError, match="Hz"):
@@ -269,19 +256,6 @@ async def test_what_the_function_raises_ends_the_run_and_its_ticks() -> None:
             await ticker.run(fail)
         await anext(ticker)
     assert calls == 1
-
-
-async def test_a_cancelled_run_calls_its_function_no_more() -> None:
-    ticks: list[Tick] = []
-    async with asyncio.timeout(DEADLINE_S), Ticker(1000.0) as ticker:
-        task = asyncio.ensure_future(ticker.run(ticks.append))
-        while not ticks:  # noqa: ASYNC110 - a ticker has no event
-            await asyncio.sleep(0)
-        task.cancel()
-        count = len(ticks)
-        await asyncio.wait({task})
-        await anext(ticker)
-    assert len(ticks) == count
 
 
 async def test_tickers_of_one_rate_tick_together_and_one_with_a_lead_before_them() -> None:
