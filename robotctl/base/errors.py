@@ -157,8 +157,7 @@ def error_for_exit_code(
 
     Details of an unknown form, for example from another version, are ignored.
     """
-    kinds = {kind.exit_code: kind for kind in _KINDS}
-    error = kinds.get(exit_code, RobotctlError)(text)
+    error = {kind.exit_code: kind for kind in _KINDS}.get(exit_code, RobotctlError)(text)
     details = details or {}
     cause, cure, answer = (details.get(name) for name in ("cause", "cure", "answer"))
     if isinstance(cause, str) and isinstance(cure, str):

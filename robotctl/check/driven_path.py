@@ -54,8 +54,7 @@ def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> 
     if len(places) < 2:
         return ()
     if frame is Frame.START:
-        begin = poses[0]
-        local = [begin.express(Pose(x, y)) for x, y in places]
+        local = (poses[0].express(Pose(x, y)) for x, y in places)
         places = [(pose.x, pose.y) for pose in local]
     tolerance_m = TOLERANCE_M
     points = simplified(places, tolerance_m)

@@ -169,8 +169,7 @@ class Comparisons:
         if swapped := self._order.swapped:
             text = f"{swapped} measurements are earlier than one before them"
             self._invariants.violate(f"{text}, the first is entry {self._order.first_seq}")
-        stalled_ns = self._stalls.recent_ns(end_ns)
-        moment = JournalEnd(end_ns, log_ns, stalled_ns, self._clock.has_changed)
+        moment = JournalEnd(end_ns, log_ns, self._stalls.recent_ns(end_ns), self._clock.has_changed)
         for each in self._all:
             each.end(ending, moment)
         if self._clock.note and ending(None).is_own:

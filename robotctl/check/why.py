@@ -88,8 +88,7 @@ def sentence_of(event: Event) -> str:
         case LeaseLost():
             return f"the loss of the lease by its holder: {event.how}"
         case CommandPublishersSeen():
-            names = ", ".join(event.names) or "no other node"
-            return f"{names} publishes velocity commands, too"
+            return f"{', '.join(event.names) or 'no other node'} publishes velocity commands, too"
         case ForeignCommandHeard():
             return f"a velocity command of {event.publisher}"
         case CommandListenersSeen():
@@ -100,8 +99,7 @@ def sentence_of(event: Event) -> str:
             text = f" ({event.detail})" if event.detail else ""
             return f"a message of the safety input {event.kind.value}, {event.value:g}{text}"
         case ScanReceived():
-            nearest_m = min(event.sectors, default=nan)
-            return f"a laser scan, nearest {nearest_m:.2f} m"
+            return f"a laser scan, nearest {min(event.sectors, default=nan):.2f} m"
         case OdometrySourceFound():
             return f"odometry of one more publisher, {event.name}"
         case LoopStalled():

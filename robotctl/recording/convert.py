@@ -218,8 +218,7 @@ def _decompression(path: Path) -> Callable[[bytes], bytes]:
         return bytes
     if form != ZSTD:
         raise Damaged(f"its messages are compressed as {form}, which cannot be read")
-    limits = ReadLimits.of(path.stat().st_size)
-    return MessageDecompressor(0, limits, Tally()).decompress
+    return MessageDecompressor(0, ReadLimits.of(path.stat().st_size), Tally()).decompress
 
 
 ConvertibleFile = ReadableFile | SqliteSource
@@ -481,7 +480,7 @@ class Converter:
         """`name_of` returns the path of a new file from its number, which begins at 0."""
         self._name_of = name_of
         self._form = form
-        self._table = ChannelTable()
+        self.table = ChannelTable()
         self._output: OutputFile | None = None
         self._ledger: list[Metadata] = []
         self._begun = 0
@@ -504,18 +503,8 @@ class Converter:
                     self._output.close()
         return self.done
 
-    def write_list(self, folder: Path) -> None:
-        """Write `metadata.yaml` into the folder of the files.
-
-        Raises:
-            OSError: It cannot be written.
-        """
-        write_metadata(folder, self._table.topics, self.done.files)
-
     def _convert(self, source: ConvertibleFile) -> None:
-        ids = {
-            channel.id: self._table.add(channel, schema) for channel, schema in source.channels()
-        }
+        ids = {channel.id: self.table.add(channel, schema) for channel, schema in source.channels()}
         output = self._file_for(source)
         self._ledger = []
         for messages in source.batches():
@@ -529,8 +518,7 @@ class Converter:
         kept = [each for each in source.metadata() if each.name not in _REWRITTEN]
         output.add_metadata([each for each in kept if each.name not in OF_EACH_FILE])
         self._ledger = [each for each in source.metadata() if each.name == LEDGER_RECORD][-1:]
-        prefix = f"{source.name}: "
-        self.done.lost += (prefix + sentence for sentence in source.lost)
+        self.done.lost += (f"{source.name}: {sentence}" for sentence in source.lost)
 
     def _file_for(self, source: ConvertibleFile) -> OutputFile:
         """Return the output file in which `source` begins: the present one, or a new one."""
@@ -549,7 +537,7 @@ class Converter:
         path = self._name_of(self._begun)
         self._begun += 1
         self._output = OutputFile(
-            path, self._table, self._form.compression, source.profile, source.library
+            path, self.table, self._form.compression, source.profile, source.library
         )
         self._sources = [source.name]
         latest = {each.name: each for each in source.metadata() if each.name in OF_EACH_FILE}
@@ -601,6 +589,6 @@ def convert(
         if not done.message_count and lost:
             raise UnreadableFile(f"{source} holds no readable message: {'; '.join(lost)}")
         if unfinished.is_dir():
-            converter.write_list(unfinished)
+            write_metadata(unfinished, converter.table.topics, done.files)
     done.lost, done.is_live = lost, sources.is_live
     return done

@@ -242,8 +242,7 @@ class Keyring:
             os.close(old)
 
     def _note(self, kind: DecisionKind, values: dict[str, Any], **proof: Any) -> None:
-        entry = Entry(time.time_ns(), kind, {kind: values, **proof})
-        append(last_file(self._journal), [entry])
+        append(last_file(self._journal), [Entry(time.time_ns(), kind, {kind: values, **proof})])
 
     @contextmanager
     def _locked(self) -> Iterator[None]:

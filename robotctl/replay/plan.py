@@ -50,8 +50,7 @@ def selected(recorded: Sequence[TopicInfo], job: Job) -> list[TopicInfo]:
         UsageError: A name in --topics is not in the recording.
     """
     wanted, unwanted = ({absolute(name) for name in names} for names in (job.topics, job.exclude))
-    there = {name for topic in recorded for name in _names(topic)}
-    _check_recorded("--topics", wanted, there)
+    _check_recorded("--topics", wanted, recorded)
     pattern = re.compile(job.regex) if job.regex else None
 
     def is_wanted(topic: TopicInfo) -> bool:
@@ -78,7 +77,7 @@ def routes(recorded: Sequence[TopicInfo], chosen: Iterable[TopicInfo], job: Job)
         UsageError: A remap names an unknown topic, or joins topics of different types.
     """
     renamed = {absolute(old): absolute(new) for old, new in job.remaps}
-    _check_recorded("--remap", renamed.keys(), {n for topic in recorded for n in _names(topic)})
+    _check_recorded("--remap", renamed.keys(), recorded)
     found = []
     for topic in chosen:
         requests = job.service_requests and bool(service_of(topic))
@@ -136,8 +135,9 @@ def _names(topic: TopicInfo) -> set[str]:
     return {absolute(topic.name), service_of(topic)} - {""}
 
 
-def _check_recorded(option: str, names: Collection[str], there: Collection[str]) -> None:
-    absent = sorted(set(names) - set(there))
+def _check_recorded(option: str, names: Collection[str], recorded: Iterable[TopicInfo]) -> None:
+    there = {name for topic in recorded for name in _names(topic)}
+    absent = sorted(set(names) - there)
     if absent:
         shown = ", ".join(sorted(there)[:MAX_NAMES_SHOWN]) or "no topics"
         raise UsageError(f"{option} {', '.join(absent)}: not in the recording, which has {shown}")

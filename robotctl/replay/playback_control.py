@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from robotctl.replay.job import MAX_RATE, MIN_RATE
 
@@ -47,17 +47,9 @@ class Schedule:
             return self.at_ns
         return self.at_ns + max(round((now_ns - self.moment_ns) * self.rate), 0)
 
-    def pause(self, now_ns: int) -> Self:
-        """Return this schedule, paused from `now_ns` on."""
-        return replace(self, moment_ns=now_ns, at_ns=self.position_ns(now_ns), paused=True)
-
-    def resume(self, now_ns: int) -> Self:
-        """Return this schedule, continued from its position at `now_ns`."""
-        return replace(self, moment_ns=now_ns, at_ns=self.position_ns(now_ns), paused=False)
-
-    def with_rate(self, now_ns: int, rate: float) -> Self:
-        """Return this schedule, continued at another rate from `now_ns` on."""
-        return replace(self, moment_ns=now_ns, at_ns=self.position_ns(now_ns), rate=rate)
+    def changed(self, now_ns: int, **changes: Any) -> Self:
+        """Return this schedule, continued from its position at `now_ns` with another field."""
+        return replace(self, moment_ns=now_ns, at_ns=self.position_ns(now_ns), **changes)
 
 
 def faster(rate: float) -> float:
@@ -97,14 +89,14 @@ class PlaybackControl:
     def pause(self) -> None:
         """Stop recorded time until `resume`."""
         with self._changing:
-            self._schedule = self._schedule.pause(self._now_ns())
+            self._schedule = self._schedule.changed(self._now_ns(), paused=True)
 
     def resume(self) -> None:
         """Continue from the current position."""
         with self._changing:
             if self._schedule.paused:
                 self._steps = 0
-                self._schedule = self._schedule.resume(self._now_ns())
+                self._schedule = self._schedule.changed(self._now_ns(), paused=False)
 
     def toggle(self) -> None:
         """Pause or resume."""
@@ -136,7 +128,7 @@ class PlaybackControl:
         with self._changing:
             rate = self._schedule.rate
             if rate is not None:
-                self._schedule = self._schedule.with_rate(self._now_ns(), change(rate))
+                self._schedule = self._schedule.changed(self._now_ns(), rate=change(rate))
 
 
 class Command(Enum):
@@ -157,8 +149,7 @@ class Command(Enum):
 def command_of(line: bytes) -> Command | None:
     """Return the command in a line, or None if the line has no valid command."""
     try:
-        message = json.loads(line)
-        return Command(message["do"])
+        return Command(json.loads(line)["do"])
     except (ValueError, TypeError, KeyError):
         return None
 

@@ -79,8 +79,7 @@ def recorded(
         return typed(recording.last_before(span.start_ns, latched, on_missing))
 
     def during() -> Iterable[Message]:
-        window = (span.start_ns, span.end_ns)
-        return typed(recording.messages(topics.keys(), on_missing, window))
+        return typed(recording.messages(topics.keys(), on_missing, (span.start_ns, span.end_ns)))
 
     return entries(before, during, span, loop=loop)
 

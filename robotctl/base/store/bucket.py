@@ -420,9 +420,8 @@ def profile_keys(environment: Mapping[str, str]) -> S3Config:
         return {}
     profile = environment.get("AWS_PROFILE", _DEFAULT)
     in_config = profile if profile == _DEFAULT else f"profile {profile}"
-    keys = _section(environment.get("AWS_SHARED_CREDENTIALS_FILE", "~/.aws/credentials"), profile)
-    other = _section(environment.get("AWS_CONFIG_FILE", "~/.aws/config"), in_config)
-    told = other | keys
+    told = _section(environment.get("AWS_CONFIG_FILE", "~/.aws/config"), in_config)
+    told |= _section(environment.get("AWS_SHARED_CREDENTIALS_FILE", "~/.aws/credentials"), profile)
     if not {"aws_access_key_id", "aws_secret_access_key"} <= told.keys():
         return {}
     found: S3Config = {

@@ -83,8 +83,7 @@ class TopicStats(NamedTuple):
 def total(counts: Iterable[TopicStats]) -> dict[str, int]:
     """Return the sum of each counter, by name."""
     columns = cast(Iterable[tuple[int, ...]], islice(zip(*counts, strict=True), len(COUNTERS)))
-    sums = dict(zip(COUNTERS, map(sum, columns), strict=False))
-    return sums or dict.fromkeys(COUNTERS, 0)
+    return dict(zip(COUNTERS, map(sum, columns), strict=False)) or dict.fromkeys(COUNTERS, 0)
 
 
 def by_topic(channels: Iterable[TopicStats]) -> list[TopicStats]:

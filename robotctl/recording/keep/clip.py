@@ -123,11 +123,13 @@ def cut_clip(
     start_ns, end_ns = max(window[0], info.start_ns), min(window[1], info.end_ns)
     if not info.message_count or start_ns > end_ns:
         raise Refused(f"{recording.path} has no messages in that time range")
-    copy = _ClipWriter(recording, moment, (start_ns, end_ns), on_progress)
+    lost = list(recording.missing)
     with new_file(target) as storage:
-        copy.run(McapFile(storage, profile=info.profile, library=LIBRARY), target.name)
+        mcap = McapFile(storage, profile=info.profile, library=LIBRARY)
+        window = start_ns, end_ns
+        count = _write_clip(recording, moment, window, mcap, target.name, lost, on_progress)
         share_like(target, recording.path)
-    return Clip(target, moment, start_ns, end_ns, copy.message_count, tuple(copy.lost))
+    return Clip(target, moment, start_ns, end_ns, count, tuple(lost))
 
 
 def clip_messages(recording: Recording, window: Window, lose: Lose) -> Iterator[Message]:
@@ -153,81 +155,75 @@ def _before(recording: Recording, start_ns: int, lose: Lose) -> Iterator[Message
     yield from found.values()
 
 
-class _ClipWriter:
-    def __init__(
-        self, recording: Recording, moment: Moment, window: Window, on_progress: Progress
-    ) -> None:
-        self._recording = recording
-        self._moment = moment
-        self._window = window
-        self._on_progress = on_progress
-        self._encoder = ChunkEncoder(Compression.ZSTD, 1)
-        self._topics: list[Topic] = []
-        self._channels: dict[tuple[str, str], int] = {}
-        self.message_count = 0
-        self.lost: list[str] = list(recording.missing)
+def _write_clip(
+    recording: Recording,
+    moment: Moment,
+    window: Window,
+    mcap: McapFile,
+    name: str,
+    lost: list[str],
+    on_progress: Progress,
+) -> int:
+    """Write the clip into a file called `name`; return the number of messages.
 
-    def run(self, mcap: McapFile, name: str) -> None:
-        """Write the clip.
+    `lost` gets a sentence about each part that cannot be read.
 
-        Raises:
-            OSError: The disk is full or fails.
-            Refused: The clip would be empty.
-        """
-        for record, values in records_of_clip(self._recording.metadata(), self._window):
-            mcap.add_metadata(record, values)
-        self._add_channels(mcap)
-        self._write(mcap, _before(self._recording, self._window[0], self._lose))
-        before = self.message_count
-        self._write(mcap, self._told(self._recording.messages(None, self._lose, self._window)))
-        if self.message_count == before:
-            raise Refused(f"{self._recording.path} has no messages in that time range")
-        mcap.add_metadata(CLIP_RECORD, self._about())
-        summary = mcap.summary
-        bag_file = BagFile(name, summary.start_ns, summary.end_ns, dict(summary.counts))
-        text = serialized_metadata(self._topics, [bag_file])
-        mcap.add_metadata(METADATA_RECORD, {"serialized_metadata": text})
-        mcap.commit()
-        mcap.sync()
+    Raises:
+        OSError: The disk is full or fails.
+        Refused: The clip would be empty.
+    """
+    start_ns, end_ns = window
+    encoder = ChunkEncoder(Compression.ZSTD, 1)
+    ids: dict[tuple[str, str], int] = {}
+    topics: list[Topic] = []
 
-    def _add_channels(self, mcap: McapFile) -> None:
-        for key, (channel, schema) in self._recording.channels().items():
-            number = len(self._channels)
-            self._channels[key] = number
-            if schema is not None:
-                mcap.add_schema(replace(schema, id=number + 1))
-            schema_id = 0 if schema is None else number + 1
-            mcap.add_channel(replace(channel, id=number, schema_id=schema_id))
-            self._topics.append(topic_of(channel, key[1]))
+    def lose(sentence: str) -> None:
+        if sentence not in lost:
+            note_missing(lost, sentence)
 
-    def _told(self, messages: Iterable[Message]) -> Iterator[Message]:
-        start_ns, end_ns = self._window
+    def write(messages: Iterable[Message]) -> int:
+        plain = ((ids[each.topic, each.type_name], each.data, *each[3:]) for each in messages)
+        count = 0
+        for batch in batched(plain, CHUNK_BYTES):
+            mcap.commit(encoder.encode(pack(batch)), finished=False)
+            count += len(batch)
+        return count
+
+    def told(messages: Iterable[Message]) -> Iterator[Message]:
         for message in messages:
             yield message
-            self._on_progress(message.log_ns - start_ns, end_ns - start_ns)
+            on_progress(message.log_ns - start_ns, end_ns - start_ns)
 
-    def _write(self, mcap: McapFile, messages: Iterable[Message]) -> None:
-        channels = self._channels
-        plain = ((channels[each.topic, each.type_name], each.data, *each[3:]) for each in messages)
-        for batch in batched(plain, CHUNK_BYTES):
-            mcap.commit(self._encoder.encode(pack(batch)), finished=False)
-            self.message_count += len(batch)
-
-    def _about(self) -> dict[str, str]:
-        moment, (start_ns, end_ns) = self._moment, self._window
-        return {
-            "of": ", ".join(path.name for path in self._recording.info().files),
-            "event": "" if moment.kind is None else moment.kind.value,
-            "event_ns": str(moment.log_ns),
-            "text": moment.text,
-            "start_ns": str(start_ns),
-            "end_ns": str(end_ns),
-            "lost": "\n".join(self.lost),
-        }
-
-    def _lose(self, sentence: str) -> None:
-        if sentence not in self.lost:
-            note_missing(self.lost, sentence)
+    for record, values in records_of_clip(recording.metadata(), window):
+        mcap.add_metadata(record, values)
+    for number, (key, (channel, schema)) in enumerate(recording.channels().items()):
+        ids[key] = number
+        if schema is not None:
+            mcap.add_schema(replace(schema, id=number + 1))
+        schema_id = 0 if schema is None else number + 1
+        mcap.add_channel(replace(channel, id=number, schema_id=schema_id))
+        topics.append(topic_of(channel, key[1]))
+    before = write(_before(recording, start_ns, lose))
+    during = write(told(recording.messages(None, lose, window)))
+    if not during:
+        raise Refused(f"{recording.path} has no messages in that time range")
+    about = {
+        "of": ", ".join(path.name for path in recording.info().files),
+        "event": "" if moment.kind is None else moment.kind.value,
+        "event_ns": str(moment.log_ns),
+        "text": moment.text,
+        "start_ns": str(start_ns),
+        "end_ns": str(end_ns),
+        "lost": "\n".join(lost),
+    }
+    mcap.add_metadata(CLIP_RECORD, about)
+    summary = mcap.summary
+    bag_file = BagFile(name, summary.start_ns, summary.end_ns, dict(summary.counts))
+    text = serialized_metadata(topics, [bag_file])
+    mcap.add_metadata(METADATA_RECORD, {"serialized_metadata": text})
+    mcap.commit()
+    mcap.sync()
+    return before + during
 
 
 PATIENCE_S = 3.0

@@ -23,7 +23,7 @@ from robotctl.recording.format.records import (
 )
 from robotctl.recording.format.seal_records import LINK_OPCODE, OPENING_OPCODE
 from robotctl.recording.format.trailer import FOOTER_BYTES, WrittenFile
-from robotctl.recording.read.chunks import ZSTD, find_chunk, message_compression, read_chunk_head
+from robotctl.recording.read.chunks import ZSTD, find_chunk, message_compression
 from robotctl.recording.read.file_index import (
     Contents,
     FileIndex,
@@ -447,8 +447,7 @@ class _Scan:
         place = Place(kind, offset, end - offset, 0, 0, None)
         most = sys.maxsize  # the records of a loose run are counted already
         if kind is not PlaceKind.LOOSE:
-            head = read_chunk_head(self._file, offset, end - offset)
-            self._budget.spend(head.uncompressed_size)
+            self._budget.spend(place.size_in_memory(self._file))
             most = self._file.limits.records - self._records
         data = place.read(self._file)
         found = Contents()

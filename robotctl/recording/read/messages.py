@@ -184,8 +184,8 @@ class PlaceReader:
         return self.place.read(self.file.file)
 
     def _records_left(self) -> int:
-        others = self.file.index.records.others(self.place.offset)
-        return self.file.file.limits.records - others
+        file = self.file
+        return file.file.limits.records - file.index.records.others(self.place.offset)
 
     def _wanted(self, data: bytes) -> Iterator[HeadBlock]:
         """Yield position and head of the messages of selected channels, in lists.

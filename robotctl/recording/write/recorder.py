@@ -242,8 +242,7 @@ class Recorder:
             if not self._has_memory(len(data) + self._chunk_bytes):
                 state.dropped_by_loop += 1
                 return
-            message = LargeMessage((channel, bytes(data), log_ns, publish_ns, sequence))
-            self._queue_large(message)
+            self._queue_large(LargeMessage((channel, bytes(data), log_ns, publish_ns, sequence)))
             return
         buffer = self._buffer_with_room(length)
         if buffer is None:
