@@ -256,9 +256,7 @@ def many(tmp_path: Path) -> Path:
     return tmp_path / "recordings"
 
 
-def test_a_killed_gate_leaves_no_process_and_the_next_judges_only_what_is_left(
-    many: Path,
-) -> None:
+def test_a_killed_gate_leaves_no_process_and_the_next_judges_only_what_is_left(many: Path) -> None:
     process = subprocess.Popen(
         gate(many), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )

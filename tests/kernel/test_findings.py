@@ -56,10 +56,7 @@ from tests.support.cases import for_each
 NOW_NS = 100_000_000_000
 PARAMS = KernelParams()
 HEALTHY = Health(
-    odometry=Odometry(ORIGIN, ZERO, 1),
-    odometry_t_ns=NOW_NS,
-    battery_level=0.9,
-    battery_t_ns=NOW_NS,
+    odometry=Odometry(ORIGIN, ZERO, 1), odometry_t_ns=NOW_NS, battery_level=0.9, battery_t_ns=NOW_NS
 )
 NAMES = ((0, "/base"), (2, "/other"))
 TWO = "odometry comes from two publishers, /base and /other"
@@ -106,36 +103,20 @@ FINDINGS: list[tuple[Cause, Health, str]] = [
         replace(HEALTHY, battery_t_ns=NOW_NS - 6_000_000_000),
         "no battery level for 6.0 s",
     ),
-    (
-        Cause.ODOMETRY_LOST,
-        replace(HEALTHY, odometry=None),
-        "no odometry was received on odom yet",
-    ),
+    (Cause.ODOMETRY_LOST, replace(HEALTHY, odometry=None), "no odometry was received on odom yet"),
     (
         Cause.ODOMETRY_LOST,
         replace(HEALTHY, odometry_t_ns=NOW_NS - 2_000_000_000),
         "no odometry on odom for 2.00 s",
     ),
-    (
-        Cause.SECOND_ODOMETRY,
-        two_sources(0.0, 0.0),
-        TWO,
-    ),
+    (Cause.SECOND_ODOMETRY, two_sources(0.0, 0.0), TWO),
     (
         Cause.ODOMETRY_CONTRADICTED,
         two_sources(0.6, 0.1),
         f"{TWO}, and they are 0.60 m and 0.10 rad apart",
     ),
-    (
-        Cause.ODOMETRY_CONTRADICTED,
-        two_sources(nan, 0.1),
-        f"{TWO}, and they are not both finite",
-    ),
-    (
-        Cause.ODOMETRY_CONTRADICTED,
-        two_sources(0.6, nan),
-        f"{TWO}, and they are not both finite",
-    ),
+    (Cause.ODOMETRY_CONTRADICTED, two_sources(nan, 0.1), f"{TWO}, and they are not both finite"),
+    (Cause.ODOMETRY_CONTRADICTED, two_sources(0.6, nan), f"{TWO}, and they are not both finite"),
     (
         Cause.ODOMETRY_CONTRADICTED,
         two_sources(1e308, 2.0),
@@ -183,11 +164,7 @@ FINDINGS: list[tuple[Cause, Health, str]] = [
         Cause.RECORDER_FAILED.value,
     ),
     (Cause.TICK_OVERRUN, replace(HEALTHY, tick_gap_s=0.4), "no control tick for 0.40 s"),
-    (
-        Cause.TICK_OVERRUN,
-        replace(HEALTHY, tick_gap_s=-0.4),
-        "the steady clock went back by 0.40 s",
-    ),
+    (Cause.TICK_OVERRUN, replace(HEALTHY, tick_gap_s=-0.4), "the steady clock went back by 0.40 s"),
 ]
 
 
@@ -245,10 +222,7 @@ def test_a_fault_names_its_cause_in_the_change_of_mode_and_at_the_end_of_the_dri
     assert (
         (changed.reason, changed.cause)
         == (ended.reason, ended.cause)
-        == (
-            "KeyError",
-            Cause.TASK_DIED,
-        )
+        == ("KeyError", Cause.TASK_DIED)
     )
 
 

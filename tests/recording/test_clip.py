@@ -36,14 +36,7 @@ from robotctl.recording.format.names import (
     EventKind,
 )
 from robotctl.recording.format.recorded_events import RecordedEvent
-from robotctl.recording.keep.clip import (
-    Clip,
-    ClipJob,
-    Moment,
-    cut_clip,
-    make_clip,
-    remaining_s,
-)
+from robotctl.recording.keep.clip import Clip, ClipJob, Moment, cut_clip, make_clip, remaining_s
 from robotctl.recording.keep.clip_origin import compare_with_source
 from robotctl.recording.keep.listing import list_recording
 from robotctl.testing.drives import (

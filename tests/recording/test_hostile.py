@@ -404,10 +404,7 @@ def test_what_robots_record_that_is_all_zeros_passes(tmp_path: Path, count: int,
     assert info.missing == ("its end is damaged: the last messages may be lost",)
 
 
-@for_each(
-    ("count", "size"),
-    [(1941, 1280 * 720 * 3), (863, 1920 * 1080 * 3), (335, 16_000_000)],
-)
+@for_each(("count", "size"), [(1941, 1280 * 720 * 3), (863, 1920 * 1080 * 3), (335, 16_000_000)])
 def test_of_large_messages_of_zeros_as_many_pass_as_the_manual_says(count: int, size: int) -> None:
     budget = UnpackBudget(ReadLimits.of(1_000_000))
     for _ in range(count):

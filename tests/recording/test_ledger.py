@@ -21,20 +21,12 @@ from robotctl.recording import Recorder, RecorderOptions, Recording, read_info
 from robotctl.recording.disk import Storage
 from robotctl.recording.format.names import EVENT_RECORD, EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
-from robotctl.recording.format.topics import (
-    Topic,
-    TopicStats,
-    by_topic,
-)
+from robotctl.recording.format.topics import Topic, TopicStats, by_topic
 from robotctl.recording.keep.listing import list_recording
 from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.read.journal_reader import read_journal
 from robotctl.recording.write import bag_writer
-from robotctl.recording.write.channel_state import (
-    MAX_PUBLISHERS,
-    ChannelState,
-    SequenceGaps,
-)
+from robotctl.recording.write.channel_state import MAX_PUBLISHERS, ChannelState, SequenceGaps
 from robotctl.testing.drives import START_NS, TWIST, drive, record
 from robotctl.testing.faults import FailingFile, chunks_of
 from tests.support.cases import for_each

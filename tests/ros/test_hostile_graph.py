@@ -43,8 +43,7 @@ STRANGE_TOPICS = ("/my-topic", "/bad\xff\x1b[31m", "/line\nfeed", "//", "/" + "x
 def hostile(domain_id: int) -> Iterator[Hostile]:
     """A process that does not validate what it announces."""
     told = Told(
-        peer_command("tests.support.hostile_peer"),
-        {**os.environ, "ROS_DOMAIN_ID": str(domain_id)},
+        peer_command("tests.support.hostile_peer"), {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
     )
 
     async def do(what: str, **parameters: Any) -> None:

@@ -127,10 +127,7 @@ async def test_a_goal_is_forwarded_and_told_how_far_it_is(served: Served) -> Non
 
 @pytest.mark.parametrize(
     ("cause", "status"),
-    [
-        (None, GoalStatus.STATUS_CANCELED),
-        (Cause.ODOMETRY_LOST, GoalStatus.STATUS_ABORTED),
-    ],
+    [(None, GoalStatus.STATUS_CANCELED), (Cause.ODOMETRY_LOST, GoalStatus.STATUS_ABORTED)],
 )
 async def test_a_cancelled_goal_is_canceled_unless_a_fault_ended_it(
     served: Served, cause: Cause | None, status: int

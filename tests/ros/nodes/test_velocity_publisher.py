@@ -164,12 +164,7 @@ async def test_who_takes_the_command_is_counted_by_type_and_without_recorders(
 
 async def test_a_simulated_robot_stops_at_bytes_that_are_no_command(session: Session) -> None:
     robot = SimulatedRobot(
-        session,
-        SimParams(),
-        command="cmd_vel",
-        odometry="odom",
-        battery="",
-        full_level=1.0,
+        session, SimParams(), command="cmd_vel", odometry="odom", battery="", full_level=1.0
     )
     for data in (b"", b"\0\1\0\0", b"\0\0\0\0", b"\xff" * 60):
         robot._command(data, 0, 0, 1, b"")
