@@ -14,8 +14,6 @@ from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
 from tests.support.world import PATIENT, NewPeer, World, read_back
 
-STAMPED = "geometry_msgs/msg/TwistStamped"
-
 
 def test_a_robot_that_wants_another_type_of_command_is_not_driven_blind(
     world: World, new_peer: NewPeer
@@ -35,27 +33,6 @@ def test_a_robot_that_wants_another_type_of_command_is_not_driven_blind(
     assert "if it runs, start robotctl again" in refused.err
     another("take_commands", kind="Twist")
     start.communicate()
-    until(lambda: world.here("set-mode", "moving").exit_code == 0)
-    world.ok("stop")
-
-
-@pytest.mark.slow
-def test_a_base_that_starts_after_robotctl_is_driven_as_its_refusal_says(
-    world: World, new_peer: NewPeer
-) -> None:
-    peer = new_peer(world)
-    peer("measure", x=0.0)
-    settings = world.folder / "late.yaml"
-    settings.write_text(f'{PATIENT}battery.topic: ""\n')
-    start = ("start", "--no-sim", "--config", str(settings))
-    world.ok(*start)
-    peer("take_commands", kind="TwistStamped")
-    until(lambda: any(STAMPED in each for each in world.status()["warnings"]))
-    refused = world.here("set-mode", "moving")
-    assert refused.exit_code == 4
-    assert "if it runs, start robotctl again" in refused.err
-    world.ok("stop")
-    world.ok(*start)
     until(lambda: world.here("set-mode", "moving").exit_code == 0)
     world.ok("stop")
 

@@ -273,13 +273,13 @@ def test_others_drive_in_idle_and_a_start_waits_until_they_are_quiet(world: Worl
         assert world.status()["mode"] == "IDLE"
         until(lambda: _refused_by_name(world))
         joystick("rest")
-        until(lambda: world.robotctl("set-mode", "moving").exit_code == 0)
+        until(lambda: world.here("set-mode", "moving").exit_code == 0)
         joystick("want", topic="/cmd_vel", linear=0.2)
         until(lambda: world.status()["mode"] == "ERROR")
         assert "planner" in world.status()["mode_reason"]
         joystick("rest")
         until(lambda: world.status()["velocity"]["linear"] < 0.01)
-        until(lambda: world.robotctl("reset").exit_code == 0)
+        until(lambda: world.here("reset").exit_code == 0)
     finally:
         joystick.close()
     world.ok("stop")
@@ -290,7 +290,7 @@ def test_others_drive_in_idle_and_a_start_waits_until_they_are_quiet(world: Worl
 
 def _refused_by_name(world: World) -> bool:
     """Whether a start is refused with the name of the node, which may come after its commands."""
-    refused = world.robotctl("set-mode", "moving")
+    refused = world.here("set-mode", "moving")
     assert refused.exit_code == 4, refused
     return "planner" in refused.err
 
@@ -315,7 +315,7 @@ def test_a_planner_steers_in_moving_only_and_an_emergency_stop_locks_the_mux(wor
         assert world.status()["velocity"]["linear"] < 0.01
         assert "guarding cmd_vel_nav" in world.ok("set-mode", "moving")
         until(lambda: world.status()["velocity"]["linear"] > 0.15)
-        world.ok("set-mode", "idle")
+        world.here("set-mode", "idle")
         world.ok("set-mode", "moving")
         until(lambda: world.status()["velocity"]["linear"] > 0.15)
         planner("rest")

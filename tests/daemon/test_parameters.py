@@ -32,7 +32,7 @@ class Graph:
 
     def value(self, key: str) -> Any:
         """Return the value that the daemon's socket tells."""
-        return self.world.answer("param", "get", key)["value"]
+        return self.world.answer_here("param", "get", key)["value"]
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def simulated(graph: Graph) -> World:
 
 
 def test_every_key_is_listed_with_its_declaration(simulated: World) -> None:
-    listed = simulated.answer("param", "list")["parameters"]
+    listed = simulated.answer_here("param", "list")["parameters"]
     assert [each["key"] for each in listed] == list(flat(Config()))
     assert {each["key"]: each["default"] for each in listed} == flat(Config())
     (limit,) = (each for each in listed if each["key"] == "limits.linear_mps")
@@ -99,7 +99,7 @@ def test_a_dump_is_a_configuration_file(simulated: World, tmp_path: Path) -> Non
     file = tmp_path / "robot.yaml"
     file.write_text(simulated.ok("param", "dump"))
     values = {
-        each["key"]: each["value"] for each in simulated.answer("param", "list")["parameters"]
+        each["key"]: each["value"] for each in simulated.answer_here("param", "list")["parameters"]
     }
     assert flat(load(file)) == values
 
@@ -169,7 +169,7 @@ def test_a_change_is_refused_by_name_while_the_robot_moves_and_recorded(graph: G
     assert graph.peer("set", node=node, values={"pattern.size_m": 0.5}) == [[True, ""]]
     graph.world.ok("set-mode", "idle")
     assert graph.peer("set", node=node, values={key: 0.6}) == [[True, ""]]
-    journal = entries_of(Path(graph.world.answer("record", "split")["finished"]))
+    journal = entries_of(Path(graph.world.answer_here("record", "split")["finished"]))
     by = "by the ROS service /velocity_publisher/set_parameters"
     assert any(e.name == "ParameterChanged" and by[3:] in e.data for e in journal)
     assert by in graph.world.log()
@@ -209,7 +209,7 @@ def test_a_limit_changes_between_two_drives_and_the_check_decides_across_it(
     assert "limits.linear_mps does not change while the robot is MOVING: stop it" in refused.err
     assert simulated.ok("param", "set", "pattern.size_m", "0.8").endswith(" -> 0.8\n")
     simulated.ok("set-mode", "idle")
-    answer = simulated.answer("param", "set", "limits.linear_mps", "0.2")
+    answer = simulated.answer_here("param", "set", "limits.linear_mps", "0.2")
     assert (answer["old"], answer["new"]) == (0.6, 0.2)
     assert simulated.ok("param", "set", "on_recorder_failure", "warn")
     refused = simulated.here("drive", "circle", "--speed", "0.5")
@@ -217,7 +217,7 @@ def test_a_limit_changes_between_two_drives_and_the_check_decides_across_it(
     simulated.ok("set-mode", "moving")
     until(lambda: (simulated.status()["velocity"] or {"linear": 0.0})["linear"] > 0.05)
     simulated.ok("set-mode", "idle")
-    file = Path(simulated.answer("record", "split")["finished"])
+    file = Path(simulated.answer_here("record", "split")["finished"])
     report = check_recording(file)
     assert report.verdict is Verdict.SAME, report.missing
     assert [entry.name for entry in entries_of(file)].count("ParameterChanged") >= 3

@@ -27,26 +27,26 @@ def test_an_emergency_stop_topic_stops_a_drive_and_is_a_condition_of_the_next(
     settings = world.folder / "button.yaml"
     settings.write_text(f"{PATIENT}inputs.estop.use: optional\n")
     world.ok("start", "--sim", "--drive", "circle", "--config", str(settings))
-    assert "FAILED" not in world.ok("preflight")
+    assert "FAILED" not in world.here("preflight").out
 
     def stops() -> bool:
         peer("press", topic="/estop_pressed", pressed=True)
         return bool(world.status()["mode"] == "EMERGENCY_STOP")
 
     until(stops)
-    failed = world.robotctl("preflight")
+    failed = world.here("preflight")
     assert failed.exit_code == 4
     assert "FAILED  emergency stop inputs released" in failed.out
     assert "the emergency stop on estop_pressed is pressed" in failed.out
     assert "release the button" in failed.err
-    assert world.robotctl("reset").exit_code == 4
+    assert world.here("reset").exit_code == 4
 
     def releases() -> bool:
         peer("press", topic="/estop_pressed", pressed=False)
-        return world.robotctl("reset").exit_code == 0
+        return world.here("reset").exit_code == 0
 
     until(releases)
-    assert json.loads(world.ok("preflight", "--json"))["passed"] is True
+    assert world.answer_here("preflight")["passed"] is True
     world.ok("stop")
 
 
@@ -140,22 +140,22 @@ def test_a_base_of_10_hz_with_lag_and_deadband_and_no_timeout_is_told_as_such(wo
 
 
 def test_nobody_is_asked_without_a_terminal_and_nothing_moves(simulated: World) -> None:
-    asked = simulated.robotctl("commission", "--json")
+    asked = simulated.here("commission", "--json")
     assert asked.exit_code == 2
     assert json.loads(asked.out)["error"]["cure"] == "give --yes"
-    lost = simulated.robotctl("commission", "--yes", "--out", "nowhere/robot.yaml")
+    lost = simulated.here("commission", "--yes", "--out", "nowhere/robot.yaml")
     assert (lost.exit_code, "nowhere cannot be written to" in lost.err) == (2, True)
     holder = simulated.spawn("lease", "take")
-    until(lambda: simulated.answer("lease", "status")["holder"] is not None)
-    refused = simulated.robotctl("commission", "--yes")
+    until(lambda: simulated.answer_here("lease", "status")["holder"] is not None)
+    refused = simulated.here("commission", "--yes")
     assert refused.exit_code == 4
     assert re.search(
         r"lease take .* holds the lease, and robotctl commission .* asked", refused.err
     )
     holder.send_signal(SIGINT)
     holder.communicate(timeout=DEADLINE_S)
-    simulated.ok("set-mode", "error")
-    failed = simulated.robotctl("commission", "--yes")
+    simulated.here("set-mode", "error")
+    failed = simulated.here("commission", "--yes")
     assert (failed.exit_code, "reset" in failed.err) == (4, True)
     simulated.ok("reset")
 

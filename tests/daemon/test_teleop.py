@@ -141,7 +141,7 @@ def sit(world: World) -> Iterator[Sit]:
     yield start
     for each in started:
         each.close()
-    until(lambda: world.answer("lease", "status")["holder"] is None)
+    until(lambda: world.answer_here("lease", "status")["holder"] is None)
     until(lambda: not moves(world))
 
 
@@ -203,7 +203,7 @@ def repeating(terminal: Terminal, keys: str) -> Iterator[Callable[[], None]]:
 
 def test_the_robot_ramps_down_when_the_key_is_released(world: World, sit: Sit) -> None:
     terminal = sit()
-    assert "robotctl teleop (uid" in world.answer("lease", "status")["holder"]
+    assert "robotctl teleop (uid" in world.answer_here("lease", "status")["holder"]
     until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
     assert world.status()["drive"]["what"] == "by hand"
     until_let_go(world, lambda: terminal.press(W_UP + W_DOWN), release=lambda: terminal.press(W_UP))
