@@ -63,8 +63,8 @@ _log = logging.getLogger(__name__)
 class DecisionLog:
     """Writes the journal of one robot. `add` may be called from any thread, and does not block.
 
-    It writes DAY_BYTES a day on average, and at most DAY_BYTES at once. Entries that are not
-    written are counted by kind; an entry MORE has the counts.
+    It writes at most DAY_BYTES a day on average, and at most DAY_BYTES in one burst. Further
+    entries are only counted, by kind; a later entry of the kind MORE has the counts.
     """
 
     def __init__(

@@ -33,7 +33,7 @@ stop, the distance from the reference to the lead, and the speed of the referenc
 class Progress:
     """How far the reference has come: `laps` complete laps, then `segment` segments, then `length`.
 
-    Lengths are in m, in a turn in rad; speeds are per second.
+    Lengths are in m, in a turn in rad, of a held velocity in s; speeds are per second.
 
     - `speed`, `accel`: the speed and the acceleration of the reference.
     - `ahead`, `lead_speed`: how far the lead is ahead of the reference; the speed of the lead.
@@ -232,7 +232,7 @@ class Drive:
         return self._at(begun(speed_mps, ticks, dt_s, legs, turns=turns))
 
     def advance(self, dt_s: float, pose: Pose, limits: VelocityLimits, ticks: int) -> Drive:
-        """Return the drive `dt_s` later, when the robot is at `pose`; `ticks` as in `advanced`."""
+        """Return the drive after a step of `dt_s`; the robot is at `pose` now. See `advanced`."""
         if dt_s <= 0.0:
             return self
         if self.course.held is not None:

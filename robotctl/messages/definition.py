@@ -134,8 +134,8 @@ class Definition:
     def leaf_count(self, field: Field) -> int:
         """Return the number of leaves of a field.
 
-        A leaf is a number, a text, a list, or a message without fields. A short array has the
-        leaves of each of its values.
+        A leaf is a number, a text, a message without fields, or a list. An array that is split
+        counts the leaves of all its values.
         """
         one = self.leaf_counts[field.type_name] if field.is_message else 1
         if field.shape is FieldShape.ONE:

@@ -102,7 +102,7 @@ class DomainGraph(Protocol):
     """Tells the guard which robots have a daemon in the ROS domain."""
 
     def robots_with_daemon(self) -> list[str]:
-        """Return the names of the robots with a daemon in the domain, of any user."""
+        """Return the names of the robots whose daemons, of any user, are in the domain."""
 
 
 class ReplayGuard:

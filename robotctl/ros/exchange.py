@@ -27,10 +27,10 @@ Send = Callable[[dict[str, Any]], None]
 
 
 def run(work: Coroutine[Any, Any, None]) -> None:
-    """Run `work` in an event loop until it is done.
+    """Run `work` in an event loop until it is done, or until stdin is closed.
 
     Raises:
-        asyncio.CancelledError: Stdin was closed: the command has ended.
+        asyncio.CancelledError: Stdin was closed: the command that started this process has ended.
     """
     asyncio.run(_until_stdin_ends(work))
 

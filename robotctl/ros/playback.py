@@ -99,7 +99,7 @@ class PatientSender:
 
 
 class RequestSender:
-    """Sends the request in a serialized introspection event; does not wait for the response.
+    """Reads a request from a serialized introspection event, and sends it to the service.
 
     A recording may have two events of one request, one by the client and one by the server, with
     different client gids. The request is sent only for the first of these two events.
