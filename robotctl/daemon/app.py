@@ -42,7 +42,7 @@ from robotctl.kernel.types import Cause
 from robotctl.ros.graph import endpoints
 from robotctl.ros.message_types import COMMANDS, PLAIN, CommandType, stamped
 from robotctl.ros.nodes.velocity_publisher import is_monitor
-from robotctl.ros.session import RECORDER_NODE, Naming, ros_session
+from robotctl.ros.session import RECORDER_NODE, ros_session
 
 PROBE_NODE = "_command_probe"
 """A short-lived node that looks for a base; ROS tools hide names with a leading underscore."""
@@ -199,9 +199,8 @@ async def serve(
             at_end=at_end,
             on_exception=supervisor.callback_failed,
             fifo_priority=config.fifo_priority or None,
-            naming=Naming(
-                tuple(rule.argument() for rule in settings.remaps), options.ros.node_names
-            ),
+            remaps=[rule.argument() for rule in settings.remaps],
+            node_names=options.ros.node_names,
             use_sim_time=settings.use_sim_time,
         ) as session,
         AsyncExitStack() as stack,

@@ -8,14 +8,7 @@ import socket
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 
-from robotctl.kernel.constants import NS_PER_S
-
-SOCKET_VARIABLE = "NOTIFY_SOCKET"
-WATCHDOG_VARIABLE = "WATCHDOG_USEC"
-
 STATUS_PERIOD_S = 1.0
-
-_US_PER_S = NS_PER_S // 1000
 
 
 class ServiceManager:
@@ -27,11 +20,11 @@ class ServiceManager:
 
     def __init__(self) -> None:
         """Open the socket; delete its environment variables, so that no child process reports."""
-        address = os.environ.pop(SOCKET_VARIABLE, "")
-        watchdog = os.environ.pop(WATCHDOG_VARIABLE, "")
+        address = os.environ.pop("NOTIFY_SOCKET", "")
+        watchdog = os.environ.pop("WATCHDOG_USEC", "")
         self._period_s = STATUS_PERIOD_S
         if watchdog.isdecimal() and int(watchdog):
-            self._period_s = min(STATUS_PERIOD_S, int(watchdog) / _US_PER_S / 2.0)
+            self._period_s = min(STATUS_PERIOD_S, int(watchdog) / 1e6 / 2.0)
         self._socket: socket.socket | None = None
         if address.startswith(("/", "@")):
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)

@@ -57,7 +57,7 @@ _WRITERS = _Writers()
 def _writer(kind: Any) -> Callable[[Any], str]:
     """Return a function that writes a value of type `kind` in half the time of `json.dumps`."""
     if kind is float:
-        return _write_float
+        return lambda value: repr(value) if isfinite(value) else f'"{value!r}"'
     if kind is bool:
         return lambda value: "true" if value else "false"
     if kind is int:
@@ -71,10 +71,6 @@ def _writer(kind: Any) -> Callable[[Any], str]:
     if issubclass(kind, Enum):
         return {member: json.dumps(member.value) for member in kind}.__getitem__
     return _fields_writer(kind)
-
-
-def _write_float(value: float) -> str:
-    return repr(value) if isfinite(value) else f'"{value!r}"'
 
 
 def _fields_writer(kind: Any) -> Callable[[Any], str]:

@@ -425,7 +425,7 @@ class Kernel:
         self._notice_gap(t_ns)
         finding = failed_start_condition(self.state.health, self.params, t_ns)
         if finding is not None:
-            self._refuse(request_id, finding.detail, finding.remedies)
+            self._refuse(request_id, finding.detail, (finding.rule.remedy,))
         return finding is None
 
     def _set_moving(self, reason: str, drive: Drive | None, guarded: Guarded | None) -> None:
@@ -473,7 +473,7 @@ class Kernel:
         finding = finding or raised(Mode.IDLE, state.health, self.params, t_ns)
         if finding is not None:
             refusal = f"the cause of {state.mode.name} is not gone: {finding.detail}"
-            self._refuse(request_id, refusal, finding.remedies)
+            self._refuse(request_id, refusal, (finding.rule.remedy,))
             return
         released = state.mode
         self._stand(trigger, reason, None)
@@ -581,7 +581,7 @@ class Kernel:
             self._stop_for(finding)
 
     def _stop_for(self, finding: Finding) -> None:
-        self._stand(FAULT_TRIGGERS[finding.rule.action], finding.detail, finding.cause)
+        self._stand(FAULT_TRIGGERS[finding.rule.action], finding.detail, finding.rule.cause)
 
     def _stand(self, trigger: Trigger, reason: str, cause: Cause | None) -> None:
         """Make the transition of `trigger`, with command zero; answer all waiting requests."""

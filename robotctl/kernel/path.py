@@ -160,7 +160,8 @@ class FigureEight:
         index = min(int(at), _PIECES - 1)
         share = at - index
         (x0, y0), (x1, y1) = self.points[index], self.points[index + 1]
-        return Pose(x0 + share * (x1 - x0), y0 + share * (y1 - y0), self._heading(length))
+        heading = EIGHT_SWING_RAD * (1.0 - cos(tau * length / self.length))
+        return Pose(x0 + share * (x1 - x0), y0 + share * (y1 - y0), heading)
 
     def curvature_at(self, length: float) -> float:
         """Return the signed curvature [1/m]."""
@@ -171,9 +172,6 @@ class FigureEight:
         near = self.pose_at(guess % self.length).express(point)
         nearest = self.pose_at((guess + near.x) % self.length)
         return abs(nearest.express(point).y)
-
-    def _heading(self, length: float) -> float:
-        return EIGHT_SWING_RAD * (1.0 - cos(tau * length / self.length))
 
 
 @dataclass(frozen=True, slots=True)

@@ -157,16 +157,14 @@ class Pattern:
         if not MIN_SPEED_MPS <= speed_mps <= MAX_SPEED_MPS:
             return f"a speed of {speed_mps:g} m/s: use {MIN_SPEED_MPS:g} to {MAX_SPEED_MPS:g} m/s"
         refusal = course.refusal()
-        chosen = self._is_rounded(course) and course.corner_m != PLAIN.corner_m
+        is_rounded = self.kind is PatternKind.ROUNDED_SQUARE and not course.waypoints
+        chosen = is_rounded and course.corner_m != PLAIN.corner_m
         if not refusal and chosen and 2.0 * course.corner_m > size_m:
             refusal = (
                 f"corners of {course.corner_m:g} m do not fit a side of {size_m:g} m: "
                 f"use {MIN_CORNER_M:g} to {0.5 * size_m:g} m"
             )
         return refusal
-
-    def _is_rounded(self, course: Course) -> bool:
-        return self.kind is PatternKind.ROUNDED_SQUARE and not course.waypoints
 
 
 def _square_lap(side_m: float, course: Course) -> Path:
@@ -193,10 +191,6 @@ def _rounded_square_lap(side_m: float, course: Course) -> Path:
         segments.append(corner)
         begin = corner.pose_at(corner.length)
     return Path(tuple(segments), 0.7 * side_m)
-
-
-def _figure_eight_lap(radius_m: float, course: Course) -> Path:
-    return Path(figure_eight_parts(figure_eight(2.0 * tau * radius_m)), radius_m)
 
 
 def _arc_lap(radius_m: float, course: Course) -> Path:
@@ -230,7 +224,12 @@ SHAPES: Mapping[PatternKind, Shape] = MappingProxyType(
         PatternKind.CIRCLE: Shape(
             SizeName.RADIUS, 0.5, lambda radius_m, course: Path((Circle(radius_m),), radius_m)
         ),
-        PatternKind.FIGURE_EIGHT: Shape(SizeName.RADIUS, 0.5, _figure_eight_lap),
+        PatternKind.FIGURE_EIGHT: Shape(
+            *(SizeName.RADIUS, 0.5),
+            lambda size_m, course: Path(
+                figure_eight_parts(figure_eight(2.0 * tau * size_m)), size_m
+            ),
+        ),
         PatternKind.ROUNDED_SQUARE: Shape(SizeName.SIDE, 1.0, _rounded_square_lap, has_corner=True),
         PatternKind.LINE: Shape(
             *(

@@ -119,16 +119,6 @@ class Finding:
     rule: Rule
     detail: str
 
-    @property
-    def cause(self) -> Cause:
-        """The cause of the rule."""
-        return self.rule.cause
-
-    @property
-    def remedies(self) -> tuple[Remedy, ...]:
-        """What the operator can do about the cause."""
-        return (self.rule.remedy,)
-
 
 def _rules_in(rules: Iterable[Rule]) -> tuple[tuple[Rule, ...], ...]:
     """Return, for each mode, the rules that can change it."""

@@ -192,8 +192,10 @@ def replay_qos(offered: str, *, most: int = MAX_DEPTH) -> QoSProfile:
     volatile topic's depth is at most `most`.
     """
     profiles = _profiles(offered)
-    reliable = ReliabilityPolicy.RELIABLE in [_reliability(each) for each in profiles]
-    latched = DurabilityPolicy.TRANSIENT_LOCAL in [_durability(each) for each in profiles]
+    reliabilities = [_RELIABILITY.get(str(each.get("reliability"))) for each in profiles]
+    durabilities = [_DURABILITY.get(str(each.get("durability"))) for each in profiles]
+    reliable = any(each is not ReliabilityPolicy.BEST_EFFORT for each in reliabilities)
+    latched = DurabilityPolicy.TRANSIENT_LOCAL in durabilities
     reliable = reliable or not profiles
     # DDS does not announce depths, so a recording may have 0: then assume 1, the most common one.
     depth = sum(max(_depth(each), 1) for each in profiles)
@@ -223,15 +225,6 @@ def _profiles(offered: str) -> Sequence[Mapping[str, Any]]:
     except (yaml.YAMLError, ValueError, RecursionError):
         return []
     return [each for each in found if isinstance(each, dict)] if isinstance(found, list) else []
-
-
-def _reliability(profile: Mapping[str, Any]) -> ReliabilityPolicy:
-    value = str(profile.get("reliability"))
-    return _RELIABILITY.get(value, ReliabilityPolicy.RELIABLE)
-
-
-def _durability(profile: Mapping[str, Any]) -> DurabilityPolicy:
-    return _DURABILITY.get(str(profile.get("durability")), DurabilityPolicy.VOLATILE)
 
 
 def _depth(profile: Mapping[str, Any]) -> int:
@@ -266,8 +259,6 @@ MATCH_S: Final = 2.0
 KNOWN_S: Final = 0.5
 """How long to wait until other processes acknowledge that they know our publishers. They take 8 ms,
 or 0.2 s if a message gets lost; a process that was killed never acknowledges."""
-
-CLOCK_TYPE: Final = "rosgraph_msgs/msg/Clock"
 
 ACKNOWLEDGE_S: Final = 7.0
 """How long to wait at the end until all messages are acknowledged. A lost message is requested at
@@ -399,8 +390,8 @@ class ReplaySession:
     def open_clock(self, topic: str) -> Callable[[int], bool]:
         """Create a publisher of the clock, and return a function that publishes a time [ns]."""
         qos = QoSProfile(depth=10)  # reliable: matches best-effort subscriptions too
-        publisher = self._node.create_publisher(serialized_type(CLOCK_TYPE), topic, qos)
-        send = sender(publisher)
+        clock = serialized_type("rosgraph_msgs/msg/Clock")
+        send = sender(self._node.create_publisher(clock, topic, qos))
         return lambda time_ns: send(_CLOCK.pack(ENCAPSULATION, *divmod(time_ns, NS_PER_S)))
 
     def count_matched(self) -> int:

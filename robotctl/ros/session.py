@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack, asynccontextmanager
-from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TypeVar
 
 from rclpy.context import Context
@@ -22,16 +22,6 @@ SERVICE_EVENTS = "/_service_event"
 """Suffix of the introspection topic of a service, on which its calls are published."""
 
 
-@dataclass(frozen=True, slots=True)
-class Naming:
-    """New names, which replace the usual names of topics, services and nodes."""
-
-    remaps: tuple[str, ...] = ()
-    """Rules FROM:=TO for topics and services."""
-    nodes: Mapping[str, str] = field(default_factory=dict)
-    """A node's usual name -> its new name."""
-
-
 N = TypeVar("N", bound=Node)
 
 
@@ -44,7 +34,8 @@ class Session:
         executor: AsyncioExecutor,
         namespace: str,
         nodes: list[Node],
-        naming: Naming,
+        remaps: Sequence[str],
+        node_names: Mapping[str, str],
         use_sim_time: bool,
     ) -> None:
         """Create nodes in `namespace`, and append each to `nodes`."""
@@ -52,13 +43,15 @@ class Session:
         self._executor = executor
         self._namespace = namespace
         self._nodes = nodes
-        self._node_names = naming.nodes
-        self._remaps = naming.remaps
+        self._node_names = node_names
+        self._remaps = remaps
         self._overrides = [
             Parameter("start_type_description_service", value=False),
             Parameter("use_sim_time", value=use_sim_time),
         ]
-        self._visible: dict[str, Node] = {}
+        self.visible_nodes: dict[str, Node] = {}
+        """The nodes that ROS tools show, by their usual names."""
+
         self.last = AsyncExitStack()
         """Exit stack that is closed after the last callback, before the nodes are destroyed."""
 
@@ -95,11 +88,6 @@ class Session:
         full = f"{self._namespace}/{self._node_names.get(node_name, node_name)}"
         return full.strip("/").replace("/", ".")
 
-    @property
-    def visible_nodes(self) -> Mapping[str, Node]:
-        """The nodes that ROS tools show, by their usual names."""
-        return self._visible
-
     def helper(self) -> Node:
         """Return the hidden node RECORDER_NODE, which several roles share; create it if needed."""
         for node in self._nodes:
@@ -125,7 +113,7 @@ class Session:
             parameter_overrides=self._overrides,
         )
         if not name.startswith("_"):
-            self._visible[name] = node
+            self.visible_nodes[name] = node
         self._nodes.append(node)
         self._executor.add_node(node)
         return node
@@ -145,18 +133,21 @@ async def ros_session(
     at_end: ExitStack,
     on_exception: ExceptionHandler | None = None,
     fifo_priority: int | None = None,
-    naming: Naming = Naming(),
+    remaps: Sequence[str] = (),
+    node_names: Mapping[str, str] = MappingProxyType({}),
     use_sim_time: bool = False,
 ) -> AsyncIterator[Session]:
     """Open a session in ROS domain `domain_id`; no callback runs after the block.
 
     The context is closed only with `at_end`, which must be the last step of the process (see
-    `close_context`). `fifo_priority` requests SCHED_FIFO (1..99) for the loop's thread.
+    `close_context`). `remaps` are rules FROM:=TO for topics and services; `node_names` has new
+    names of nodes by their usual names. `fifo_priority` requests SCHED_FIFO (1..99) for the
+    loop's thread.
     """
     nodes: list[Node] = []
-    context = open_context(domain_id, naming.remaps)
+    context = open_context(domain_id, remaps)
     at_end.callback(close_context, context, nodes)
     executor = AsyncioExecutor(context, on_exception=on_exception, fifo_priority=fifo_priority)
-    session = Session(context, executor, namespace, nodes, naming, use_sim_time)
+    session = Session(context, executor, namespace, nodes, remaps, node_names, use_sim_time)
     async with session.last, executor:
         yield session

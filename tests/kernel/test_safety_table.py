@@ -112,7 +112,7 @@ def misordered(first: Cause, second: Cause) -> bool:
         PROVOKED[cause].begin(fed)
     fed.turn(LONGEST_TICKS)
     finding = failed_start_condition(fed.state.health, fed.kernel.params, fed.t_ns)
-    return finding is None or finding.cause is not first
+    return finding is None or finding.rule.cause is not first
 
 
 PAIRS = [

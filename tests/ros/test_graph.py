@@ -140,7 +140,7 @@ async def test_of_several_types_the_most_published_is_taken_and_others_are_named
     kept = [publisher(node, topic), publisher(node, topic), other]
     taken = new_taken()
     tap = Tap(session, taken.open)
-    await until(lambda: len(tap._node.get_publishers_info_by_topic(topic)) == len(kept))
+    await until(lambda: len(tap.node.get_publishers_info_by_topic(topic)) == len(kept))
     await look_until(tap, lambda: topic in taken.topics)
     assert taken.topics[topic].type_name == "std_msgs/msg/UInt64"
     assert tap.unrecorded.by_topic == {
@@ -293,7 +293,7 @@ async def test_a_topic_too_many_is_named_and_the_process_keeps_its_files(
     taken = new_taken()
     tap = Tap(session, taken.open)
     kept = [publisher(node, f"{topic}_{index}") for index in range(2)]
-    await until(lambda: all(tap._node.count_publishers(each.topic_name) for each in kept))
+    await until(lambda: all(tap.node.count_publishers(each.topic_name) for each in kept))
     await look_until(tap, lambda: tap.unrecorded.by_topic)
     assert len(taken.topics) == 1
     (problem, *_) = tap.unrecorded.by_topic.values()

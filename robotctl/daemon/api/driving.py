@@ -100,17 +100,6 @@ def shape_course(params: DriveParams) -> Course:
     )
 
 
-def path_course(params: DrivePathParams) -> Course:
-    """Return the options (`Course`) of a drive along waypoints."""
-    return Course(
-        corner_m=PLAIN.corner_m if params.corner_m is None else params.corner_m,
-        reverse=params.reverse,
-        open_loop=params.open_loop,
-        waypoints=tuple(params.points),
-        frame=params.frame,
-    )
-
-
 MODE_DEADLINE_S = 30.0
 """Deadline of a mode request; longer than the ramp of any usual robot."""
 
@@ -208,7 +197,14 @@ class DrivingMethods:
     async def _drive_path(self, params: DrivePathParams) -> DriveAnswer:
         pattern = self.pattern(None, None, params.speed_mps)
         laps = 1 if params.laps is None else params.laps
-        return await self._run(params, pattern, laps, path_course(params))
+        course = Course(
+            corner_m=PLAIN.corner_m if params.corner_m is None else params.corner_m,
+            reverse=params.reverse,
+            open_loop=params.open_loop,
+            waypoints=tuple(params.points),
+            frame=params.frame,
+        )
+        return await self._run(params, pattern, laps, course)
 
     async def _drive_velocity(self, params: DriveVelocityParams) -> DriveAnswer:
         limit_rps = self._control.params.limits.angular_rps

@@ -25,8 +25,6 @@ _log = logging.getLogger(__name__)
 LINE_BYTES: Final = 128
 """How many bytes of `schedstat` are read: its one line of three numbers is shorter."""
 
-_PRESSURE = "/proc/pressure/cpu"
-
 
 class ProcessorWait:
     """Measures how long the thread that creates this object has waited for a CPU.
@@ -58,7 +56,7 @@ class ProcessorWait:
 def pressure() -> str:
     """Return the CPU pressure (PSI, last 10 s) as text that begins with a comma, "" if unknown."""
     try:
-        with open(_PRESSURE, encoding="ascii") as file:
+        with open("/proc/pressure/cpu", encoding="ascii") as file:
             fields = file.readline().split()
         return f", CPU pressure {float(fields[1].removeprefix('avg10=')):.0f} %"
     except (OSError, ValueError, IndexError):

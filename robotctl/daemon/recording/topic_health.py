@@ -166,13 +166,10 @@ class LearnedPeriod:
 
     def __init__(self, count: int) -> None:
         """Begin to learn with the next message; `count` is the number of messages so far."""
-        self._rounds_left = ROUNDS
-        self._restart(count)
+        self.rounds_left = ROUNDS
+        """How many more irregular minutes there may be; at 0, learning is given up."""
 
-    @property
-    def has_given_up(self) -> bool:
-        """Whether the topic was irregular for too long."""
-        return not self._rounds_left
+        self._restart(count)
 
     def _restart(self, count: int) -> None:
         self._before = count
@@ -201,7 +198,7 @@ class LearnedPeriod:
         if now_s - begun_s < MINUTE_S:
             return None
         period_s = self._period(newest_s - begun_s, count - begun_count)
-        self._rounds_left -= 1
+        self.rounds_left -= 1
         self._restart(count)
         return period_s
 
@@ -317,11 +314,6 @@ class TopicHealth:
         for name in names:
             self._topic(name, "", learns=False, now_s=now_s)
 
-    @property
-    def watched(self) -> int:
-        """The number of topics whose rate is watched or being learned."""
-        return len(self._active)
-
     def add(
         self,
         name: str,
@@ -422,7 +414,7 @@ class TopicHealth:
         if period_s is not None:
             topic.watch, topic.learning = TopicWatch(period_s, now_s, topic.count), None
             _log.debug("%s has %.3g messages a second", topic.name, 1.0 / period_s)
-        elif learning.has_given_up:
+        elif not learning.rounds_left:
             del self._active[topic.name]
 
     def _tell(self, sentence: str) -> None:

@@ -146,7 +146,7 @@ class _Source:
         if isinstance(kind, AbstractString):
             return self._string()
         if isinstance(kind, NamespacedType):
-            return self._message(_class_of(kind))
+            return self._message(getattr(import_module(".".join(kind.namespaces)), kind.name))
         if isinstance(kind, Array):
             return self._array(kind)
         if isinstance(kind, AbstractSequence):
@@ -269,7 +269,3 @@ def _format_of(kind: Any) -> str:
         return _NUMBERS[kind.typename]
     except KeyError:
         raise _Unusual from None  # octets, which are bytes in Python, and wide characters
-
-
-def _class_of(kind: Any) -> Any:
-    return getattr(import_module(".".join(kind.namespaces)), kind.name)

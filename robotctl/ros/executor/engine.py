@@ -93,7 +93,9 @@ class Nodes:
             if is_destroyed(node.handle):
                 self._nodes.pop(node, None)  # Another thread may have removed it.
             else:
-                found.update(dict.fromkeys(_entities_of(node), node))
+                of_node = (node.subscriptions, node.timers, node.clients, node.services)
+                entities = chain(*of_node, node.guards, node.waitables)
+                found.update(dict.fromkeys(entities, node))
         return found
 
 
@@ -104,17 +106,6 @@ def is_destroyed(handle: Any) -> bool:
             return False
     except InvalidHandle:
         return True
-
-
-def _entities_of(node: Node) -> Iterator[Any]:
-    return chain(
-        node.subscriptions,
-        node.timers,
-        node.clients,
-        node.services,
-        node.guards,
-        node.waitables,
-    )
 
 
 class Attachments:

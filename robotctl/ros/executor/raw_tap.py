@@ -25,10 +25,6 @@ UNKNOWN_GID = b""
 """The gid of messages whose publisher is not known."""
 
 
-def _nothing() -> None:
-    """The `poll` of a tap that no AsyncioExecutor serves: do nothing."""
-
-
 class RawTap:
     """A callback for a raw subscription that also gets the publisher's gid of each message.
 
@@ -57,7 +53,7 @@ class RawTap:
         self.sink = sink
         self.latency_s = latency_s
         self.views = views
-        self.poll: Callable[[], None] = _nothing
+        self.poll: Callable[[], None] = lambda: None
         """Passes the messages that have arrived to `sink`, without waiting for more; set by the
         AsyncioExecutor that serves the subscription."""
 

@@ -119,9 +119,6 @@ class _ActionSource(EventFdSource):
         super().__init__(runtime, entity, handle, where)
         self._executor = executor
 
-    def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
-        return self._execute(item)
-
     def _execute(self, item: Any) -> Coroutine[Any, Any, Any]:
         for future in self.entity._futures:
             future._set_executor(self._executor)

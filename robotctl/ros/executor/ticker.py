@@ -17,10 +17,7 @@ from typing import Any, NamedTuple, Self
 
 from robotctl.ros.executor.event_loop import NS_PER_S, beat_before, unwatch, watch
 
-_CLOCK_MONOTONIC = 1
 _TFD_TIMER_ABSTIME = 1
-_TFD_NONBLOCK = os.O_NONBLOCK
-_TFD_CLOEXEC = os.O_CLOEXEC
 
 
 class _TimeSpec(ctypes.Structure):
@@ -51,7 +48,7 @@ def _fail(what: str) -> OSError:
 class TimerFd:
     """A timer on the steady clock; its descriptor `fd` is readable when the timer has expired."""
 
-    __slots__ = ("_closed", "fd")
+    __slots__ = ("fd",)
 
     def __init__(self) -> None:
         """Create a disarmed timer.
@@ -59,10 +56,9 @@ class TimerFd:
         Raises:
             OSError: No file descriptor is left.
         """
-        self._closed = False
-        self.fd: int = _libc().timerfd_create(_CLOCK_MONOTONIC, _TFD_NONBLOCK | _TFD_CLOEXEC)
+        flags = os.O_NONBLOCK | os.O_CLOEXEC
+        self.fd: int = _libc().timerfd_create(time.CLOCK_MONOTONIC, flags)
         if self.fd < 0:
-            self._closed = True
             raise _fail("timerfd_create")
 
     def arm_after(self, delay_ns: int) -> None:
@@ -86,9 +82,9 @@ class TimerFd:
 
     def close(self) -> None:
         """Close the file descriptor; a second call does nothing."""
-        if not self._closed:
-            self._closed = True
+        if self.fd >= 0:
             os.close(self.fd)
+            self.fd = -1
 
     def _set(self, flags: int, value_ns: int, interval_ns: int) -> None:
         spec = _TimerSpec(

@@ -48,10 +48,6 @@ class WaitSetSource(Source):
         self.closed = True
         self._thread.remove(self)
 
-    def release(self) -> None:
-        """Let rclpy destroy the entity; call this when the thread no longer uses it."""
-        self.handle.__exit__(None, None, None)
-
     def counts(self) -> tuple[int, int, int, int, int, int]:
         """Return the entity's counts: subscriptions, guards, timers, clients, services, events."""
         raise NotImplementedError
@@ -197,8 +193,9 @@ class WaitSetThread:
 
     @staticmethod
     def _release(sources: list[WaitSetSource]) -> None:
+        """Let rclpy destroy the entities of sources that the thread no longer uses."""
         for source in sources:
-            source.release()
+            source.handle.__exit__(None, None, None)
 
 
 class GuardSource(WaitSetSource):

@@ -20,6 +20,7 @@ from typing import Final, NamedTuple, Self
 from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from robotctl.base.domains import is_on_this_machine_only, participants_here
 from robotctl.messages.cdr import CdrReader
@@ -40,9 +41,6 @@ TOPIC: Final = "ros_discovery_info"
 
 _TYPE: Final = "rmw_dds_common__msg__ParticipantEntitiesInfo"
 _READ_DEPTH: Final = 1000
-_KEEP_LAST: Final = 1
-_RELIABLE: Final = 1
-_TRANSIENT_LOCAL: Final = 1
 _TIMEOUT: Final = 2
 
 
@@ -167,10 +165,10 @@ def _type_support() -> ctypes.c_void_p:
 
 def _qos(depth: int) -> Qos:
     return Qos(
-        history=_KEEP_LAST,
+        history=HistoryPolicy.KEEP_LAST.value,
         depth=depth,
-        reliability=_RELIABLE,
-        durability=_TRANSIENT_LOCAL,
+        reliability=ReliabilityPolicy.RELIABLE.value,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL.value,
         avoid_ros_namespace_conventions=True,
     )
 

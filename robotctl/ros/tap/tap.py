@@ -20,7 +20,7 @@ from robotctl.ros import qos
 from robotctl.ros.executor import ViewSink, announcements
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.discovery import GraphChanges
-from robotctl.ros.graph.endpoints import Endpoint
+from robotctl.ros.graph.endpoints import Endpoint, full_name
 from robotctl.ros.message_types import OwnTopic
 from robotctl.ros.session import Session
 from robotctl.ros.tap.subscription import SLOW_LOAD_S, TappedSubscription, TypeLoader, offered_types
@@ -106,9 +106,8 @@ def mismatch(topic: str, publishers: Sequence[Endpoint], subscriptions: Sequence
     )
     for offer, request in product(offers, requests):
         if reason := _reason(offer.qos_profile, request.qos_profile):
-            return (
-                f"{_name(request)} hears nothing of {_name(offer)} on {printable(topic)}: {reason}"
-            )
+            names = f"{full_name(request)} hears nothing of {full_name(offer)}"
+            return f"{names} on {printable(topic)}: {reason}"
     return ""
 
 
@@ -124,10 +123,6 @@ def _reason(offered: QoSProfile, asked: QoSProfile) -> str:
     ):
         return "durability volatile is offered, transient_local asked for"
     return ""
-
-
-def _name(endpoint: Endpoint) -> str:
-    return printable(f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}")
 
 
 MAX_WARNINGS = 50
@@ -217,7 +212,9 @@ class Tap:
 
         Topics for which `wanted(topic, type)` is false are not subscribed to.
         """
-        self._node = session.helper()
+        self.node = session.helper()
+        """The hidden node, which has all subscriptions of the tap."""
+
         self._resolve = session.resolve
         self._open_sink = open_sink
         self._wanted = wanted
@@ -236,16 +233,11 @@ class Tap:
         self._types = TypeLoader()
         self._looks = count()
         self.unrecorded = Unrecorded()
-        self.mismatches = QosMismatches(self._node)
-
-    @property
-    def node(self) -> Node:
-        """The hidden node, which has all subscriptions of the tap."""
-        return self._node
+        self.mismatches = QosMismatches(self.node)
 
     async def run(self) -> None:
         """Watch the graph until cancelled."""
-        with GraphChanges(self._node) as changes:
+        with GraphChanges(self.node) as changes:
             looks_left = LOOKS_PER_INSPECTION
             while True:
                 await self._look()
@@ -275,7 +267,7 @@ class Tap:
 
     async def _look(self) -> None:
         look = next(self._looks)
-        present = endpoints.topics(self._node)
+        present = endpoints.topics(self.node)
         for number, (topic, type_names) in enumerate(present.items()):
             if number % TOPICS_PER_TURN == TOPICS_PER_TURN - 1:
                 await asyncio.sleep(0)
@@ -311,12 +303,12 @@ class Tap:
         if topic.startswith(announcements.TOPIC_PREFIX):
             return
         if not endpoints.is_topic_name(topic):
-            if endpoints.publishers(self._node, topic):
+            if endpoints.publishers(self.node, topic):
                 self._leave_out(topic, type_names, "ROS does not allow its name")
             return
-        if not endpoints.publisher_count(self._node, topic):
+        if not endpoints.publisher_count(self.node, topic):
             return
-        offered = offered_types(self._node, topic)
+        offered = offered_types(self.node, topic)
         problem = ""
         for type_name in offered:
             if not self._wanted(topic, type_name):
@@ -366,12 +358,12 @@ class Tap:
     def _follow(self, tapped: TappedSubscription, *, inspect: bool) -> None:
         """Adapt the subscription to the present publishers; end it if it is of no use any more."""
         topic = tapped.topic
-        publishers = endpoints.publisher_count(self._node, topic)
+        publishers = endpoints.publisher_count(self.node, topic)
         self.mismatches.look(topic, publishers)
         if publishers == tapped.publishers and not inspect:
             return
         tapped.publishers = publishers
-        offered = offered_types(self._node, topic)
+        offered = offered_types(self.node, topic)
         if tapped.type_name in offered:
             tapped.abandoned_since = None
             tapped.adapt(offered[tapped.type_name])
@@ -403,7 +395,7 @@ class Tap:
         if len(self._tapped) >= max(limit - RESERVED_FILES, limit // 2):
             raise TooManyTopics(f"more topics than {limit} open files allow (see ulimit -n)")
         sink = self._open_sink(describe(topic, type_name, offered))
-        self._tapped[topic] = TappedSubscription(self._node, topic, type_name, sink, offered)
+        self._tapped[topic] = TappedSubscription(self.node, topic, type_name, sink, offered)
 
 
 def _is_abandoned(tapped: TappedSubscription) -> bool:
