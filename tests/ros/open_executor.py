@@ -46,7 +46,7 @@ def engine_of(executor: AsyncioExecutor) -> Engine:
 
 def sources_of(executor: AsyncioExecutor) -> dict[Any, Any]:
     """Return its sources, by entity; what a source has depends on its kind."""
-    return engine_of(executor).attachments.sources
+    return engine_of(executor).sources
 
 
 def runtime_of(executor: AsyncioExecutor) -> Runtime:

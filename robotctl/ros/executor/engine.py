@@ -108,88 +108,6 @@ def is_destroyed(handle: Any) -> bool:
         return True
 
 
-class Attachments:
-    """Attaches one source to each entity of an executor's nodes; for the loop's thread only."""
-
-    def __init__(self, runtime: Runtime, wait_set: WaitSetThread, executor: Any) -> None:
-        self._runtime = runtime
-        self._wait_set = wait_set
-        self._executor = executor
-        self._broken: set[Any] = set()
-        """Entities that could not be attached; they are reported once and not tried again."""
-        self.sources: dict[Any, Source] = {}
-
-    def __contains__(self, entity: object) -> bool:
-        return entity in self.sources
-
-    def follow(self, present: dict[Any, Node]) -> None:
-        """Attach the new entities of `present` (entity -> node); detach those not in `present`."""
-        for entity in [entity for entity in self.sources if entity not in present]:
-            source = self.sources.pop(entity)
-            if is_destroyed(source.handle):
-                _fail_pending(source, "destroyed while a call waited for its response")
-            source.detach()
-        self._broken.intersection_update(present)
-        for entity, node in present.items():
-            if entity not in self.sources and entity not in self._broken:
-                self._attach(entity, node)
-
-    def detach_all(self) -> None:
-        """Detach every entity; calls that wait for a response fail."""
-        sources, self.sources = self.sources, {}
-        for source in sources.values():
-            _fail_pending(source, "the executor was shut down while a call waited")
-            source.detach()
-
-    def _attach(self, entity: Any, node: Node) -> None:
-        try:
-            source = self._source_of(entity, node)
-            source.attach()
-        except InvalidHandle:
-            return  # It was destroyed after its node listed it.
-        except Exception as error:  # noqa: BLE001 - handed to the one handler
-            self._broken.add(entity)
-            self._runtime.report(error, f"{type(entity).__name__}, which is not served")
-            return
-        self.sources[entity] = source
-        log.debug("%s is woken by %s", source.where, source.woken_by)
-
-    def _source_of(self, entity: Any, node: Node) -> Source:
-        name = node.get_fully_qualified_name()
-        runtime, wait_set, executor = self._runtime, self._wait_set, self._executor
-        match entity:
-            case Subscription(raw=True, callback=RawTap()):
-                return RawTapSource(runtime, entity, f"{name}: tap of {entity.topic_name}")
-            case Subscription():
-                where = f"{name}: subscription {entity.topic_name} ({name_of(entity.callback)})"
-                return SubscriptionSource(runtime, entity, where)
-            case Service():
-                where = f"{name}: service {entity.service_name} ({name_of(entity.callback)})"
-                return ServiceSource(runtime, entity, where, node)
-            case Client():
-                where = f"{name}: client {entity.service_name}"
-                return ClientSource(runtime, entity, where, executor)
-            case Timer():
-                period_s = entity.timer_period_ns / NS_PER_S
-                where = f"{name}: timer of {period_s:g} s ({name_of(entity.callback)})"
-                return TimerSource(runtime, entity, where)
-            case GuardCondition():
-                where = f"{name}: guard condition ({name_of(entity.callback)})"
-                return GuardSource(runtime, entity, where, wait_set)
-            case EventHandler():
-                where = f"{name}: event {entity.event_type.name} ({name_of(entity.callback)})"
-                return QosEventSource(runtime, entity, where)
-            case ActionServer():
-                where = f"{name}: action server ({name_of(entity._execute_callback)})"
-                return ActionServerSource(runtime, entity, where, executor, node)
-            case ActionClient():
-                where = f"{name}: action client {entity._action_name}"
-                return ActionClientSource(runtime, entity, where, executor)
-            case _:
-                where = f"{name}: {type(entity).__name__}"
-                return WaitableSource(runtime, entity, where, wait_set, executor)
-
-
 def _fail_pending(source: Source, reason: str) -> None:
     if isinstance(source, ClientSource | ActionClientSource):
         source.fail_pending(reason)
@@ -217,7 +135,13 @@ class Engine:
         self._nodes = nodes
         self._close = close
         self._wait_set = WaitSetThread(self.runtime, self._context, close)
-        self.attachments = Attachments(self.runtime, self._wait_set, executor)
+        self._executor = executor
+        self._broken: set[Any] = set()
+        """Entities that could not be attached; they are reported once and not tried again."""
+
+        self.sources: dict[Any, Source] = {}
+        """The source of each attached entity."""
+
         self._fifo: FifoScheduling | None = None
         self._sync_scheduled = False
         self._closing = False
@@ -256,7 +180,7 @@ class Engine:
             self._close()
             return
         self.runtime.stale = False
-        self.attachments.follow(self._nodes.entities())
+        self._follow(self._nodes.entities())
 
     def request_close(self) -> None:
         """Begin no more callbacks; close the executor in a later turn of the loop."""
@@ -266,9 +190,12 @@ class Engine:
         self.runtime.loop.call_soon_threadsafe(self._close)
 
     def close(self, finished: Callable[[], None]) -> None:
-        """Detach all entities and cancel all tasks; `finished` is called after the last task."""
+        """Detach all entities, fail all calls and cancel all tasks; then call `finished`."""
         self._closing = True
-        self.attachments.detach_all()
+        sources, self.sources = self.sources, {}
+        for source in sources.values():
+            _fail_pending(source, "the executor was shut down while a call waited")
+            source.detach()
         self._wait_set.stop()
         self.runtime.close_pools()
         futures.close_bridge(self.runtime.loop)
@@ -277,6 +204,68 @@ class Engine:
         for task in self.runtime.tasks:
             task.cancel()
         self.runtime.on_idle(finished)
+
+    def _follow(self, present: dict[Any, Node]) -> None:
+        """Attach the new entities of `present` (entity -> node); detach those not in `present`."""
+        for entity in [entity for entity in self.sources if entity not in present]:
+            source = self.sources.pop(entity)
+            if is_destroyed(source.handle):
+                _fail_pending(source, "destroyed while a call waited for its response")
+            source.detach()
+        self._broken.intersection_update(present)
+        for entity, node in present.items():
+            if entity not in self.sources and entity not in self._broken:
+                self._attach(entity, node)
+
+    def _attach(self, entity: Any, node: Node) -> None:
+        try:
+            source = self._source_of(entity, node)
+            source.attach()
+        except InvalidHandle:
+            return  # It was destroyed after its node listed it.
+        except Exception as error:  # noqa: BLE001 - handed to the one handler
+            self._broken.add(entity)
+            self.runtime.report(error, f"{type(entity).__name__}, which is not served")
+            return
+        self.sources[entity] = source
+        log.debug("%s is woken by %s", source.where, source.woken_by)
+
+    def _source_of(self, entity: Any, node: Node) -> Source:
+        runtime, wait_set, executor = self.runtime, self._wait_set, self._executor
+        at = node.get_fully_qualified_name()
+        calls = f"({name_of(getattr(entity, 'callback', None))})"
+        match entity:
+            case Subscription(raw=True, callback=RawTap()):
+                return RawTapSource(runtime, entity, f"{at}: tap of {entity.topic_name}")
+            case Subscription():
+                where = f"{at}: subscription {entity.topic_name} {calls}"
+                return SubscriptionSource(runtime, entity, where)
+            case Service():
+                return ServiceSource(
+                    runtime, entity, f"{at}: service {entity.service_name} {calls}", node
+                )
+            case Client():
+                return ClientSource(
+                    runtime, entity, f"{at}: client {entity.service_name}", executor
+                )
+            case Timer():
+                period_s = entity.timer_period_ns / NS_PER_S
+                return TimerSource(runtime, entity, f"{at}: timer of {period_s:g} s {calls}")
+            case GuardCondition():
+                return GuardSource(runtime, entity, f"{at}: guard condition {calls}", wait_set)
+            case EventHandler():
+                return QosEventSource(
+                    runtime, entity, f"{at}: event {entity.event_type.name} {calls}"
+                )
+            case ActionServer():
+                where = f"{at}: action server ({name_of(entity._execute_callback)})"
+                return ActionServerSource(runtime, entity, where, executor, node)
+            case ActionClient():
+                where = f"{at}: action client {entity._action_name}"
+                return ActionClientSource(runtime, entity, where, executor)
+            case _:
+                where = f"{at}: {type(entity).__name__}"
+                return WaitableSource(runtime, entity, where, wait_set, executor)
 
     def _sync_if_stale(self) -> None:
         self._sync_scheduled = False

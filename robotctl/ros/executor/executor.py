@@ -233,7 +233,7 @@ class AsyncioExecutor:
         engine = self._running()
         if engine.runtime.stale:
             engine.sync()
-        if client not in engine.attachments:
+        if client not in engine.sources:
             raise RuntimeError(
                 f"the client of {client.srv_name} belongs to no node of this executor, "
                 "so its response would not be taken; call add_node first"
