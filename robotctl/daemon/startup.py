@@ -8,7 +8,7 @@ import os
 import resource
 import signal
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from threading import Thread
 from typing import Any
@@ -18,7 +18,6 @@ from robotctl.base.errors import INTERRUPTED_EXIT_CODE, Refused, RobotctlError
 from robotctl.base.own_process import open_standard_streams
 from robotctl.base.paths import lock_path
 from robotctl.daemon import command_line as command_line
-from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.lock import owned
 from robotctl.daemon.log_lines import log_to_stderr
 
@@ -94,7 +93,10 @@ def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
         allow_many_files()
         options = command_line.parse(arguments)
         at_end.enter_context(owned(lock_path(options.robot), options.robot))
-        _run(options, report.send, notes, at_end)
+        from robotctl.daemon.app import serve  # after environment.prepare(): it imports rclpy
+        from robotctl.ros.executor import run
+
+        run(serve(options, notes, report.send, at_end))
     except RobotctlError as error:
         return report.fail(error)
     except KeyboardInterrupt:  # before the loop handles signals
@@ -105,18 +107,6 @@ def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
     except Exception as error:  # noqa: BLE001 - the report gets any error
         return report.fail_unexpectedly(error)
     return 0
-
-
-def _run(
-    options: DaemonOptions,
-    send: Callable[[Mapping[str, Any]], None],
-    notes: list[str],
-    at_end: ExitStack,
-) -> None:
-    from robotctl.daemon.app import serve  # after environment.prepare(): it imports rclpy
-    from robotctl.ros.executor import run
-
-    run(serve(options, notes, send, at_end))
 
 
 def allow_many_files() -> None:

@@ -239,14 +239,11 @@ def _common(profiles: Sequence[Mapping[str, Any]], policy: str) -> Duration:
 
 
 def _span_ns(value: object) -> int:
-    if not isinstance(value, dict):
-        return 0
-    sec, nsec = value.get("sec"), value.get("nsec")
+    sec, nsec = (value.get("sec"), value.get("nsec")) if isinstance(value, dict) else (0, 0)
     if not isinstance(sec, int) or not isinstance(nsec, int):
         return 0
-    if not 0 <= sec < _INFINITE_SEC or not 0 <= nsec < NS_PER_S:
-        return 0
-    return sec * NS_PER_S + nsec
+    is_finite = 0 <= sec < _INFINITE_SEC and 0 <= nsec < NS_PER_S
+    return sec * NS_PER_S + nsec if is_finite else 0
 
 
 SETTLE_S: Final = 3.5

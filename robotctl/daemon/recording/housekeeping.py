@@ -155,12 +155,9 @@ class Indexer:
         try:
             await run_job(self._command)
         except JobFailed as failure:
-            self._tell(str(failure))
-
-    def _tell(self, failure: str) -> None:
-        _log.warning("%s was not indexed: %s", self._recording, failure)
-        self._failures += 1
-        self._last_failure = failure
+            _log.warning("%s was not indexed: %s", self._recording, failure)
+            self._failures += 1
+            self._last_failure = str(failure)
 
     # Not in the loop's thread
 

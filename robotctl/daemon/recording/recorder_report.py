@@ -199,7 +199,10 @@ class RecorderReport:
         self._rates.sample(now_ns, {key: topic.received for key, topic in topics.items()})
         sizes = {key: topic.bytes for key, topic in topics.items()}
         self._heavy.sample(now_ns, sizes)
-        self._log_heavy()
+        for topic, warning in self.heavy_warnings():
+            if topic not in self._logged:
+                self._logged.add(topic)
+                _log.warning("%s", warning)
         if stats.no_memory and not self._logged_memory:
             self._logged_memory = True
             _log.warning("messages %s", NO_MEMORY)
@@ -216,10 +219,3 @@ class RecorderReport:
                 rate = f"{topic} brings {bytes_per_s / 1e6:.1f} MB/s"
                 cure = f"robotctl start --exclude {topic} leaves it out of the recording"
                 yield topic, for_robot(f"{rate}: {cure}", self._robot)
-
-    def _log_heavy(self) -> None:
-        """Log the warning of each heavy topic once."""
-        for topic, warning in self.heavy_warnings():
-            if topic not in self._logged:
-                self._logged.add(topic)
-                _log.warning("%s", warning)

@@ -52,14 +52,8 @@ def sweep_mps(number: int) -> float:
 
     The steps are 0.1, 0.2 ... 2.0, 1.9 ... -2.0, -1.9 ... 0.0, and then repeat.
     """
-    place = (number + 1) % (4 * MAX_STEPS)
-    if place > 3 * MAX_STEPS:
-        steps = place - 4 * MAX_STEPS
-    elif place > MAX_STEPS:
-        steps = 2 * MAX_STEPS - place
-    else:
-        steps = place
-    return steps / STEPS_PER_MPS
+    place = (number + 1 + MAX_STEPS) % (4 * MAX_STEPS)
+    return (MAX_STEPS - abs(place - 2 * MAX_STEPS)) / STEPS_PER_MPS
 
 
 class VelocityPublisher(Node):
