@@ -255,27 +255,20 @@ class FlightRecorder:
         self._indexer.file_finished()
 
 
+_EVIDENCE = (
+    *(publishers.JOURNAL_TOPIC, mode_service.STATUS, publishers.MARK_TOPIC),
+    *mode_service.CALLS,
+)
+"""The daemon's own topics that a check of the decisions needs."""
+
+
 def _own_topics(config: Config) -> list[str]:
     """Return the topics that the daemon publishes itself."""
-    own = (
-        publishers.JOURNAL_TOPIC,
-        mode_service.STATUS,
-        publishers.MARK_TOPIC,
-        publishers.DIAGNOSTICS_TOPIC,
-        publishers.ROSOUT_TOPIC,
-        HEAD_TOPIC,
-        *mode_service.CALLS,
-    )
-    return [config.kernel.command.topic, *(topic.name for topic in own)]
+    others = (publishers.DIAGNOSTICS_TOPIC, publishers.ROSOUT_TOPIC, HEAD_TOPIC)
+    return [config.kernel.command.topic, *(topic.name for topic in (*_EVIDENCE, *others))]
 
 
 def _evidence_topics(config: Config) -> list[str]:
     """Return the topics that a check of the decisions needs: journal, commands, inputs, calls."""
     used = [str(name) for key, name in flat(config).items() if key.endswith("topic") and name]
-    own = (
-        publishers.JOURNAL_TOPIC,
-        mode_service.STATUS,
-        publishers.MARK_TOPIC,
-        *mode_service.CALLS,
-    )
-    return [*used, *(topic.name for topic in own)]
+    return [*used, *(topic.name for topic in _EVIDENCE)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Coroutine
 from types import CoroutineType
 from typing import Any, ClassVar
@@ -23,7 +24,7 @@ from robotctl.ros.executor.ticker import TimerFd
 RETRY_AFTER_FAILED_TAKE_S = 0.1
 
 
-class Source:
+class Source(ABC):
     """Runs the callback of one entity in the loop, from `attach` to `detach`.
 
     While an async callback occupies the entity's callback group, the source is parked; it is
@@ -48,6 +49,7 @@ class Source:
             MutuallyExclusiveCallbackGroup,
         )
 
+    @abstractmethod
     def attach(self) -> None:
         """Begin to deliver the entity's data.
 
@@ -55,15 +57,14 @@ class Source:
             InvalidHandle: The entity has been destroyed already.
             OSError: No file descriptor is left.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def detach(self) -> None:
         """Stop delivering, and release the entity; a second call does nothing."""
-        raise NotImplementedError
 
+    @abstractmethod
     def resume(self) -> None:
         """Continue to deliver the waiting data: the callback group became free."""
-        raise NotImplementedError
 
     def blocked(self) -> bool:
         """Return whether the callback group forbids a callback now; if so, park the source."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import abstractmethod
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from types import CoroutineType, SimpleNamespace
@@ -117,9 +118,9 @@ class _TakenSource(EventFdSource):
         """Whether the count of the eventfd includes all waiting messages."""
         self._polls = 0
 
+    @abstractmethod
     def receiver_of(self, callback: Any) -> Callable[..., Any]:
         """Return the function to call for each message, made from the subscription's callback."""
-        raise NotImplementedError
 
     def check_rate(self) -> None:
         """Adapt to the rate of the messages; called after each POLLS_PER_RATE_CHECK polls."""

@@ -7,6 +7,7 @@ the thread pauses.
 from __future__ import annotations
 
 import threading
+from abc import abstractmethod
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from typing import Any
@@ -48,17 +49,17 @@ class WaitSetSource(Source):
         self.closed = True
         self._thread.remove(self)
 
+    @abstractmethod
     def counts(self) -> tuple[int, int, int, int, int, int]:
         """Return the entity's counts: subscriptions, guards, timers, clients, services, events."""
-        raise NotImplementedError
 
+    @abstractmethod
     def fill(self, wait_set: Any) -> None:
         """Add the entity to a wait set."""
-        raise NotImplementedError
 
+    @abstractmethod
     def run_if_ready(self, wait_set: Any) -> None:
         """Run the callback, in the loop, if the wait set shows the entity as ready."""
-        raise NotImplementedError
 
 
 class WaitSetThread:
