@@ -83,8 +83,7 @@ class Parameters:
                 (*_, reply) = trial.step(event)
                 if isinstance(reply, Reply) and not reply.ok:
                     return reply
-        replies = [self._control.decide(event) for event in events]
-        return replies[-1]
+        return [self._control.decide(event) for event in events][-1]
 
     def changed(self, change: ParameterChanged) -> None:
         """Apply a change that the kernel granted, then call `on_change` and all `followers`."""

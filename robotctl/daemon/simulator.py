@@ -39,8 +39,7 @@ async def simulate(
             return
         command_type = stamped(topics.command.frame_id) if is_stamped else PLAIN
         offered = replace(command_type, qos=COMMANDS[topics.command.qos])
-        robot = simulated_robot(session, config, offered)
-        running = asyncio.create_task(robot.run())
+        running = asyncio.create_task(simulated_robot(session, config, offered).run())
         on_ready()
         stopped = asyncio.create_task(stop.wait())
         await asyncio.wait({running, stopped}, return_when=asyncio.FIRST_COMPLETED)

@@ -215,8 +215,7 @@ class DrivingMethods:
                 f"use at most {limit_rps:g}",
             )
         held = Held(params.linear_mps, params.angular_rps, params.for_s, quiet_s=params.quiet_s)
-        course = Course(held=held)
-        return await self._run(params, self.pattern(None), 1, course)
+        return await self._run(params, self.pattern(None), 1, Course(held=held))
 
     async def _run(
         self, params: MotionParams, pattern: Pattern, laps: int, course: Course

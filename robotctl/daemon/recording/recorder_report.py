@@ -197,8 +197,7 @@ class RecorderReport:
         now_ns = time.monotonic_ns()
         topics = {(each.name, each.type_name): each for each in by_topic(stats.topics)}
         self._rates.sample(now_ns, {key: topic.received for key, topic in topics.items()})
-        sizes = {key: topic.bytes for key, topic in topics.items()}
-        self._heavy.sample(now_ns, sizes)
+        self._heavy.sample(now_ns, {key: topic.bytes for key, topic in topics.items()})
         for topic, warning in self.heavy_warnings():
             if topic not in self._logged:
                 self._logged.add(topic)
@@ -209,8 +208,7 @@ class RecorderReport:
 
     def diagnosis(self, stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
         """Return what `diagnose` returns, with the robot's name in suggested commands."""
-        told = replace(stats, failure=for_robot(stats.failure, self._robot))
-        return diagnose(told, warnings)
+        return diagnose(replace(stats, failure=for_robot(stats.failure, self._robot)), warnings)
 
     def heavy_warnings(self) -> Iterator[tuple[str, str]]:
         """Yield the name of each heavy topic that can be excluded, with a warning about it."""

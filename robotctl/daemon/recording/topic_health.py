@@ -431,8 +431,7 @@ def _sentences(topic: _Topic, now_s: float) -> Iterator[str]:
         yield trouble
     elif topic.over is not None and now_s - topic.over[2] <= RECENT_S:
         what, lasted_s, ended_s = topic.over
-        ago_s = now_s - ended_s
-        yield f"{topic.name} was {what.value} for {lasted_s:.1f} s, {ago_s:.0f} s ago"
+        yield f"{topic.name} was {what.value} for {lasted_s:.1f} s, {now_s - ended_s:.0f} s ago"
     if watch.restarted_s is not None and now_s - watch.restarted_s <= RECENT_S:
         yield f"the publisher of {topic.name} was restarted {now_s - watch.restarted_s:.0f} s ago"
 

@@ -222,8 +222,7 @@ class _Source:
     def _aligned_here(self, size: int) -> str:
         """Return the expression for the aligned offset of the next field, of `size` bytes."""
         if size <= self._aligned:
-            ahead = self._ahead + -self._ahead % size
-            return f"{self._at} + {ahead}"
+            return f"{self._at} + {self._ahead + -self._ahead % size}"
         return f"({self._here()} - {_BODY} + {size - 1} & {-size}) + {_BODY}"
 
     def _here(self) -> str:

@@ -124,8 +124,7 @@ class IntroductionWriter:
 
     def is_acknowledged(self) -> bool:
         """Return whether all discovered processes have acknowledged the last announcement."""
-        wait = function("rmw_publisher_wait_for_all_acked")
-        code = wait(self._writer, RmwTime(0, 0))
+        code = function("rmw_publisher_wait_for_all_acked")(self._writer, RmwTime(0, 0))
         if code == _TIMEOUT:
             rcutils.take_error_text()
         return bool(code == 0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from typing import Any
 
 from rclpy.exceptions import InvalidTopicNameException
@@ -91,7 +92,7 @@ def _endpoints(node: Node, role: Role, topic: str, dds_names: bool) -> list[Endp
     # Not by the methods of rclpy's Node, which refuse names that ROS does not allow.
     with node.handle:
         if topic.isascii():
-            try:
+            with suppress(UnicodeDecodeError):
                 return [
                     Endpoint(
                         each["node_name"],
@@ -102,8 +103,6 @@ def _endpoints(node: Node, role: Role, topic: str, dds_names: bool) -> list[Endp
                     )
                     for each in _OF_RCLPY[role](node.handle, topic, dds_names)
                 ]
-            except UnicodeDecodeError:
-                pass
         name = topic.encode(errors="surrogateescape")
         return rcl_graph.endpoints(node.handle.pointer, role, name, dds_names=dds_names)
 
