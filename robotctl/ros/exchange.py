@@ -63,7 +63,10 @@ async def call(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
     if name not in known and not request["type"]:
         raise NoDaemon(*unknown_name("service", name, known))
     type_name = _type_of(name, request["type"], sorted(known.get(name, ())))
-    kind, request_class = _classes(type_name)
+    try:
+        kind, request_class = message_class(type_name), message_class(f"{type_name}_Request")
+    except UnusableType as error:
+        raise Refused(f"the service's type {type_name} {error}", "install its package") from None
     message = _message(f"{type_name}_Request", request_class, request["values"])
     client = node.create_client(kind, name)
     async with AsyncioExecutor(visitor.node.context) as executor:
@@ -103,18 +106,6 @@ def _type_of(name: str, wanted: str, types: list[str]) -> str:
     if wanted or len(types) == 1:
         return wanted or types[0]
     raise UsageError(f"{name} has several types: {', '.join(types)}", "name one before the values")
-
-
-def _classes(type_name: str) -> tuple[Any, Any]:
-    """Return the classes of the service and of its request.
-
-    Raises:
-        Refused: The package of the type is not installed.
-    """
-    try:
-        return message_class(type_name), message_class(f"{type_name}_Request")
-    except UnusableType as error:
-        raise Refused(f"the service's type {type_name} {error}", "install its package") from None
 
 
 def _message(type_name: str, kind: Any, values: Any) -> Any:

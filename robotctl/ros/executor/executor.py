@@ -104,7 +104,13 @@ class AsyncioExecutor:
         try:
             await check_announcements(self._context)
             self._refuse_closed()
-            self._open(asyncio.get_running_loop())
+            loop = asyncio.get_running_loop()
+            self._engine = Engine(
+                self, loop, self._loop_thread, self._nodes, self._close, self._on_exception
+            )
+            self._tasks.runtime = self._engine.runtime
+            self._loop_thread.open(loop)
+            self._engine.open(self._fifo_priority)
         except BaseException:
             self._close()
             raise
@@ -296,14 +302,6 @@ class AsyncioExecutor:
         if asyncio.get_running_loop() is not self._engine.runtime.loop:
             raise RuntimeError("this executor runs in another event loop; give each loop its own")
         return self._engine
-
-    def _open(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._engine = Engine(
-            self, loop, self._loop_thread, self._nodes, self._close, self._on_exception
-        )
-        self._tasks.runtime = self._engine.runtime
-        self._loop_thread.open(loop)
-        self._engine.open(self._fifo_priority)
 
     def _close(self) -> None:
         self._is_shutdown = True

@@ -85,9 +85,6 @@ class Pool:
             self._resting = None
         self._epoll.close()
 
-    def _is_closed(self) -> bool:
-        return self._epoll.closed
-
     def _watch(self) -> None:
         if not self._watching:
             self._watching = True
@@ -100,7 +97,7 @@ class Pool:
 
     def _poll(self) -> None:
         self._resting = None
-        if self._is_closed():
+        if self._epoll.closed:
             return
         ready = self._epoll.poll(0, len(self._members) or 1)
         if not ready:
@@ -112,7 +109,7 @@ class Pool:
         try:
             left = self._poll_ready(ready, begun_ns + TURN_NS)
         finally:
-            if not self._is_closed():
+            if not self._epoll.closed:
                 rest_s = self._rest_after(begun_ns, left=left)
                 self._resting = self._loop.call_at(rested_s(rest_s), self._poll)
 
@@ -132,7 +129,7 @@ class Pool:
             source = self._members.get(fd)
             if source is not None:
                 left |= source.poll()
-            if self._is_closed():
+            if self._epoll.closed:
                 return False
             if time.monotonic_ns() > end:
                 return True

@@ -242,7 +242,11 @@ class TypeLoader:
 
     def _load_next(self) -> None:
         loop = asyncio.get_running_loop()
-        while self._waiting and self._is_free():
+        while (
+            self._waiting
+            and len(self._loading) < MAX_LOADS
+            and all(map(self.is_slow, self._loading))
+        ):
             type_name = next(iter(self._waiting))
             del self._waiting[type_name]
             thread = threading.Thread(
@@ -254,9 +258,6 @@ class TypeLoader:
                 self._remember(type_name, f"cannot be loaded ({error})")
             else:
                 self._loading[type_name] = time.monotonic()
-
-    def _is_free(self) -> bool:
-        return len(self._loading) < MAX_LOADS and all(map(self.is_slow, self._loading))
 
     def _load(self, loop: asyncio.AbstractEventLoop, type_name: str) -> None:
         problem = load_type(type_name)
