@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from typing import Any, NoReturn, cast
+from typing import Any, NoReturn
 
 from robotctl.base.errors import Refused
 from robotctl.daemon.api.status import (
@@ -17,11 +17,10 @@ from robotctl.daemon.api.warnings import Warnings
 from robotctl.daemon.host import Diagnostics, Host, Ready, running
 from robotctl.daemon.parameters import list_method
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
-from robotctl.ipc.answers import RobotFacts
 from robotctl.ipc.method_names import OF_A_ROBOT
 from robotctl.ipc.method_params import AnyParams
 from robotctl.ipc.server import ControlServer, Method
-from robotctl.kernel.types import Event, FaultReported, Remedy
+from robotctl.kernel.types import Event, FaultReported
 from robotctl.recording.format.names import OBSERVING
 
 _log = logging.getLogger(__name__)
@@ -41,7 +40,7 @@ class Observer:
         )
         warnings = Warnings(host.options.robot, self.recorder, None, host.warnings, self._faults)
         self._status = StatusSource(
-            host.options, self.recorder.report, self, host.session.scheduling, warnings
+            host.options, self.recorder.report, None, host.session.scheduling, warnings
         )
         self._diagnostics = Diagnostics(
             host.session, host.options.robot, self.recorder.report, warnings
@@ -78,14 +77,6 @@ class Observer:
 
     async def stop_robot(self) -> None:
         """Do nothing: there is no robot to stop."""
-
-    def facts(self) -> RobotFacts:
-        """Return the robot's part of the status: all unknown."""
-        return cast(RobotFacts, dict.fromkeys(RobotFacts.__annotations__))
-
-    def remedies(self) -> tuple[Remedy, ...]:
-        """Return (): an observer has no mode to leave."""
-        return ()
 
     def _note(self, event: Event) -> None:
         if isinstance(event, FaultReported):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import time
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from robotctl import __version__
 from robotctl.base.domains import discovery_range
@@ -13,6 +13,7 @@ from robotctl.base.errors import Refused, UsageError
 from robotctl.base.paths import log_path, socket_path
 from robotctl.daemon.api.warnings import Warnings, of_recording
 from robotctl.daemon.command_line import DaemonOptions
+from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.supervisor import until
@@ -43,7 +44,6 @@ from robotctl.ipc.method_names import (
 )
 from robotctl.ipc.method_params import GraphNameParams, MarkParams, NoParams
 from robotctl.ipc.server import Method
-from robotctl.kernel.types import Remedy
 from robotctl.recording import RecorderStats
 from robotctl.ros.graph.endpoints import node_facts, overview, topic_facts
 from robotctl.ros.tap.tap import Tap
@@ -71,16 +71,6 @@ def graph_methods(tap: Tap) -> dict[str, Method[Any]]:
     }
 
 
-class RobotView(Protocol):
-    """Makes the robot's part of the status, in a driver or an observer."""
-
-    def facts(self) -> RobotFacts:
-        """Return the robot's part of the status."""
-
-    def remedies(self) -> tuple[Remedy, ...]:
-        """Return what the operator can do to leave the present mode."""
-
-
 class StatusSource:
     """Makes status and start summary; `scheduling` is how Linux schedules the loop's thread."""
 
@@ -88,10 +78,11 @@ class StatusSource:
         self,
         options: DaemonOptions,
         recording: RecorderReport,
-        robot: RobotView,
+        robot: RobotReport | None,
         scheduling: str,
         warnings: Warnings,
     ) -> None:
+        """In a daemon that only observes, `robot` is None, and what `status` says of it unknown."""
         self._options = options
         self._recording = recording
         self._robot = robot
@@ -107,10 +98,11 @@ class StatusSource:
 
     def status(self, stats: RecorderStats) -> Status:
         """Return the object of `robotctl status --json`; `stats` are the recorder's counts."""
-        robot, facts = self._options.robot, self._robot.facts()
-        if facts["mode_reason"]:
-            told = advice(facts["mode_reason"], self._robot.remedies(), robot)
-            facts["mode_reason"] = told.sentence
+        robot, report = self._options.robot, self._robot
+        unknown = cast(RobotFacts, dict.fromkeys(RobotFacts.__annotations__))
+        facts = unknown if report is None else report.facts()
+        if report is not None and facts["mode_reason"]:
+            facts["mode_reason"] = advice(facts["mode_reason"], report.remedies(), robot).sentence
         return {
             "robot": robot,
             "version": __version__,
