@@ -216,14 +216,12 @@ class LearnedPeriod:
         if messages < FEWEST:
             return None
         period_s = elapsed_s / messages
-        if self._longest_s > LONGEST_GAP * period_s:
-            return None
-        fast = SPAN_S / period_s >= 3.0
-        if fast and not (
+        is_fast = 3.0 * period_s <= SPAN_S
+        is_even = (
             self._fewest * period_s >= FEWEST_IN_SPAN and self._most * period_s <= MOST_IN_SPAN
-        ):
-            return None
-        return period_s
+        )
+        is_regular = self._longest_s <= LONGEST_GAP * period_s and (is_even or not is_fast)
+        return period_s if is_regular else None
 
 
 _log = logging.getLogger(__name__)

@@ -179,9 +179,8 @@ def reader_of(header: Any) -> bytes | None:
     """
     if isinstance(header, _rclpy.rmw_service_info_t):
         header = header.request_id
-    if not isinstance(header, _rclpy.rmw_request_id_t):
-        return None
-    if "fastrtps" not in get_rmw_implementation_identifier():
+    is_fastrtps = "fastrtps" in get_rmw_implementation_identifier()
+    if not is_fastrtps or not isinstance(header, _rclpy.rmw_request_id_t):
         return None
     # rclpy hides the gid, which precedes the sequence number in rmw_request_id_t. So read the C
     # structure, whose address a pybind11 object has behind its Python header.

@@ -141,9 +141,7 @@ class WaitSetThread:
                         log.error("the executor shuts down: its wait-set thread failed: %s", error)
                     self._post(self._on_context_down)
                     return
-                if self._stopping.is_set():
-                    return
-                if not self._post(self._dispatch, wait_set, sources):
+                if self._stopping.is_set() or not self._post(self._dispatch, wait_set, sources):
                     return
                 self._taken.acquire()
 
