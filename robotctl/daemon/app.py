@@ -207,7 +207,7 @@ async def serve(
     ):
         own_logger = session.logger_name(RECORDER_NODE if options.observe else MODE_SERVICE)
         levels = LoggerLevels(own_logger)
-        levels.apply(options.log_levels)
+        levels.apply((*options.log_level, *options.ros.log_levels))
         notes += await asyncio.to_thread(save_recordings_path, options.recordings, options.robot)
         for folder in (address.parent, robot_state_folder(options.robot)):
             notes += chain_to(folder).group_writable()
@@ -254,7 +254,7 @@ async def serve(
             serve_logger_levels(session, levels)
             on_ready(summary)
             manager.ready()
-            daemon.recorder.tidier.begin()  # not earlier: it may take long
+            daemon.recorder.tidier.begun.set()  # not earlier: it may take long
 
         async with noted(host.decisions, options, config, daemon.recorder):
             try:

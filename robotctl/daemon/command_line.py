@@ -41,15 +41,10 @@ class DaemonOptions:
     """Start although another daemon runs whose nodes have the same names."""
 
     log_level: tuple[LogLevel, ...] = ()
-    """The levels of `--log-level`."""
+    """The levels of `--log-level`; those of `ros` count more."""
 
     ros: RosArguments = NO_ARGUMENTS
     """The arguments of `--ros-args`."""
-
-    @property
-    def log_levels(self) -> tuple[LogLevel, ...]:
-        """The levels of `--log-level`, then of `--ros-args`; the last level of a logger counts."""
-        return (*self.log_level, *self.ros.log_levels)
 
     @property
     def namespace(self) -> str:

@@ -117,7 +117,7 @@ class Driver:
         self._report = RobotReport(control, truth)
         warnings = Warnings(robot, recorder, control, host.warnings)
         self._status = StatusSource(
-            host.options, recorder.report, self._report, session.scheduling, warnings
+            host.options, recorder.report, self._report, session.executor.scheduling, warnings
         )
         self._diagnostics = Diagnostics(session, robot, recorder.report, warnings)
         remote = partial(is_remote, velocity.gid)

@@ -40,7 +40,7 @@ class Observer:
         )
         warnings = Warnings(host.options.robot, self.recorder, None, host.warnings, self._faults)
         self._status = StatusSource(
-            host.options, self.recorder.report, None, host.session.scheduling, warnings
+            host.options, self.recorder.report, None, host.session.executor.scheduling, warnings
         )
         self._diagnostics = Diagnostics(
             host.session, host.options.robot, self.recorder.report, warnings

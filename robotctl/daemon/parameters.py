@@ -47,14 +47,6 @@ class Parameters:
         """The present configuration."""
         return replace(self._config, kernel=self._control.params)
 
-    def parsed(self, key: str, text: str) -> Setting:
-        """Return `key` with the value that `text` stands for, as on a command line.
-
-        Raises:
-            ConfigError: There is no such key, or the value is not allowed.
-        """
-        return key, flat(with_text(self.config, key, text))[key]
-
     def request(self, settings: Sequence[Setting], source: str) -> Reply:
         """Change all parameters and return the last reply, or change none and return a refusal.
 
@@ -153,9 +145,9 @@ def parameter_methods(parameters: Parameters, robot: str) -> dict[str, Method[An
     """Return `param_list` and `param_set`; error texts suggest commands for `robot`."""
 
     async def set_one(params: ParamSetParams) -> ParameterSet:
-        setting = parameters.parsed(params.key, params.value)
+        wanted = flat(with_text(parameters.config, params.key, params.value))[params.key]
         old = _value(parameters, params.key)
-        reply = parameters.request([setting], params.source)
+        reply = parameters.request([(params.key, wanted)], params.source)
         if not reply.ok:
             raise Refused(*advice(reply.message, reply.remedies, robot))
         return {

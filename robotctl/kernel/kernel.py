@@ -351,7 +351,11 @@ class Kernel:
             refusal = f"{event.source} was called from another host, or may have been"
             self._refuse(event.request_id, refusal, (Remedy.ASK_HERE,))
             return True
-        return self._is_kept_by_another(event)
+        lease = self.state.lease
+        if lease is None or lease.client == event.client:
+            return False
+        self._refuse_for(lease, event)
+        return True
 
     def _stay(self, request_id: int, trigger: Trigger) -> None:
         state = self.state
@@ -518,14 +522,6 @@ class Kernel:
             stop_reason = state.stop_reason or reason
             state = replace(state, phase=Phase.STOPPING, stop_reason=stop_reason)
         self.state = state
-
-    def _is_kept_by_another(self, event: ModeRequested | DriveRequested) -> bool:
-        """Refuse the request if another client holds the lease; return whether it was refused."""
-        lease = self.state.lease
-        if lease is None or lease.client == event.client:
-            return False
-        self._refuse_for(lease, event)
-        return True
 
     def _refuse_for(
         self, lease: Lease, event: ModeRequested | DriveRequested | LeaseRequested

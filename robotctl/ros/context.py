@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import faulthandler
-import os
 import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
@@ -18,7 +17,6 @@ from rclpy.parameter import Parameter
 
 from robotctl.base.domains import is_certainly_empty
 from robotctl.base.processes import readable_within
-from robotctl.ros.graph.endpoints import LOOK_NODE
 
 BAD_ARGUMENTS = (
     *(_rclpy.RCLError, _rclpy.RCLInvalidROSArgsError, _rclpy.UnknownROSArgsError),
@@ -66,6 +64,21 @@ def close_context(
             leaving.callback(each)
 
 
+STDIN: Final = 0
+"""Readable only after the command has closed it, as its single line was read before."""
+
+SETTLE_S: Final = 3.5
+"""How long discovery may take: a process repeats a lost announcement after 3 s."""
+
+EXPECTED_S: Final = 20.0
+"""How long to wait for a name that exists for sure, because the daemon has discovered it."""
+
+QUIET_S: Final = 0.1
+"""Discovery counts as complete when the graph has not changed for this time."""
+
+_POLL_S: Final = 0.01
+
+
 class Membership:
     """A node in a ROS domain; at the end of the `with` block it leaves the domain.
 
@@ -92,40 +105,6 @@ class Membership:
 
         self.discovery = Discovery(self.node, domain_id)
 
-    def __enter__(self) -> Self:
-        """Return the membership itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close the discovery, destroy the node and leave the domain."""
-        close_context(self._context, [self.node], [self.discovery.close])
-
-
-STDIN: Final = 0
-"""Readable only after the command has closed it, as its single line was read before."""
-
-SETTLE_S: Final = 3.5
-"""How long discovery may take: a process repeats a lost announcement after 3 s."""
-
-EXPECTED_S: Final = 20.0
-"""How long to wait for a name that exists for sure, because the daemon has discovered it."""
-
-QUIET_S: Final = 0.1
-"""Discovery counts as complete when the graph has not changed for this time."""
-
-_POLL_S: Final = 0.01
-
-
-class Visitor(Membership):
-    """A node in the domain for one command, whose process cancels our wait by closing our stdin."""
-
-    def __init__(self, domain_id: int) -> None:
-        super().__init__(domain_id, f"{LOOK_NODE}{os.getpid()}")
-
-    def settle(self) -> None:
-        """Wait until every process in the domain is discovered, at most SETTLE_S after joining."""
-        self.discover(lambda: False)
-
     def discover(self, is_known: Callable[[], bool], *, expected: bool = False) -> bool:
         """Wait until `is_known()` is true, and return True; return False if the wait ends earlier.
 
@@ -144,3 +123,11 @@ class Visitor(Membership):
             if readable_within(STDIN, _POLL_S):
                 raise asyncio.CancelledError
         return True
+
+    def __enter__(self) -> Self:
+        """Return the membership itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the discovery, destroy the node and leave the domain."""
+        close_context(self._context, [self.node], [self.discovery.close])

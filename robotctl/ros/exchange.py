@@ -16,7 +16,7 @@ from robotctl.messages.fields import WrongValue
 from robotctl.messages.installed import UnusableType, installed_type
 from robotctl.messages.values import Decoder, encode, filled
 from robotctl.ros import qos
-from robotctl.ros.context import STDIN, Visitor
+from robotctl.ros.context import STDIN, Membership
 from robotctl.ros.executor import AsyncioExecutor, RawTap
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.endpoints import services
@@ -49,7 +49,7 @@ async def _until_stdin_ends(work: Coroutine[Any, Any, None]) -> None:
         loop.remove_reader(STDIN)
 
 
-async def call(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
+async def call(visitor: Membership, request: dict[str, Any], send: Send) -> None:
     """Call a service; report the response as {"type", "definition", "data"}, "data" in base64.
 
     Raises:
@@ -129,7 +129,7 @@ def _definition(type_name: str) -> Definition:
         raise Refused(f"{type_name} cannot be read: {error}") from None
 
 
-async def listen(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
+async def listen(visitor: Membership, request: dict[str, Any], send: Send) -> None:
     """Report type and definition of a topic, then each message, until cancelled.
 
     The first report is {"type", "definition", "publishers"}; each message is {"received_ns",

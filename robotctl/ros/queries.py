@@ -24,7 +24,7 @@ from robotctl.base.errors import RobotctlError, UsageError
 from robotctl.base.processes import report_fd, send_report
 
 if TYPE_CHECKING:
-    from robotctl.ros.context import Visitor
+    from robotctl.ros.context import Membership
     from robotctl.ros.exchange import Send
 
 
@@ -35,13 +35,14 @@ def main(arguments: list[str]) -> int:
     with suppress(BrokenPipeError, asyncio.CancelledError):  # nothing waits for the answer any more
         try:
             # This imports rclpy: after environment.prepare(), but before the wait for the line.
-            from robotctl.ros.context import Visitor
+            from robotctl.ros.context import Membership
+            from robotctl.ros.graph.endpoints import LOOK_NODE
 
             line = _first_line()
             if not line:
                 return 0
             request = json.loads(line)
-            with Visitor(request["domain_id"]) as visitor:
+            with Membership(request["domain_id"], f"{LOOK_NODE}{os.getpid()}") as visitor:
                 _look(visitor, request, send)
         except RobotctlError as error:
             send({"error": str(error), "exit_code": error.exit_code, **error.details()})
@@ -51,7 +52,7 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _look(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
+def _look(visitor: Membership, request: dict[str, Any], send: Send) -> None:
     """Run the query in the domain, and `send` its answers.
 
     Raises:
@@ -65,7 +66,7 @@ def _look(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
         return
     from robotctl.ros.graph.endpoints import node_facts, overview, topic_facts
 
-    visitor.settle()
+    visitor.discover(lambda: False)  # wait until every process is discovered
     match request["look"]:
         case "names":
             send(overview(visitor.node))

@@ -40,7 +40,7 @@ class Session:
     ) -> None:
         """Create nodes in `namespace`, and append each to `nodes`."""
         self._context = context
-        self._executor = executor
+        self.executor = executor
         self._namespace = namespace
         self._nodes = nodes
         self._node_names = node_names
@@ -54,11 +54,6 @@ class Session:
 
         self.last = AsyncExitStack()
         """Exit stack that is closed after the last callback, before the nodes are destroyed."""
-
-    @property
-    def scheduling(self) -> str:
-        """How the operating system schedules the loop's thread, in words."""
-        return self._executor.scheduling
 
     def resolve(self, topic: str, role: str = "") -> str:
         """Return the full name of a topic after remapping; `topic` may be relative.
@@ -115,12 +110,12 @@ class Session:
         if not name.startswith("_"):
             self.visible_nodes[name] = node
         self._nodes.append(node)
-        self._executor.add_node(node)
+        self.executor.add_node(node)
         return node
 
     def remove(self, node: Node) -> None:
         """Destroy a node before the session ends."""
-        self._executor.remove_node(node)
+        self.executor.remove_node(node)
         self._nodes.remove(node)
         node.destroy_node()
 

@@ -130,7 +130,7 @@ def journaled(
         journal.snapshot(due_ns.popleft(), kernel)
     for event, effects in steps:
         t_ns = event.t_ns
-        journal.event(event)
+        journal.add(event.t_ns, EntryKind.EVENT, event)
         if isinstance(event, LoopStalled):
             written.extend([ZERO] * event.zeros)
             commands += event.zeros
@@ -138,13 +138,13 @@ def journaled(
             if isinstance(effect, PublishTwist):
                 written.append(effect.twist)
                 commands += 1
-            journal.effect(event.t_ns, effect)
+            journal.add(event.t_ns, EntryKind.EFFECT, effect)
         if due_ns and event.t_ns >= due_ns[0]:
             journal.snapshot(due_ns.popleft(), kernel)
         yield from written
         written.clear()
     ending = FaultReported(t_ns, Cause.DAEMON_ENDS, "the daemon is stopping")
-    journal.event(ending)
+    journal.add(ending.t_ns, EntryKind.EVENT, ending)
     kernel.step(ending)
     journal.snapshot(t_ns, kernel)
     yield from written

@@ -38,20 +38,13 @@ class Journal:
         self._seq = 0
         self._crc = 0
 
-    def event(self, event: Event) -> None:
-        """Write an event."""
-        self._add(event.t_ns, EntryKind.EVENT, event)
-
-    def effect(self, t_ns: int, effect: Effect) -> None:
-        """Write an effect, with the time of the event that caused it."""
-        self._add(t_ns, EntryKind.EFFECT, effect)
-
     def snapshot(self, t_ns: int, kernel: Kernel) -> None:
         """Write a snapshot of the kernel, from which a re-run can start."""
         proof = Proof(self._commands(), self._crc)
-        self._add(t_ns, EntryKind.SNAPSHOT, Snapshot(MADE_BY, kernel.params, kernel.state, proof))
+        self.add(t_ns, EntryKind.SNAPSHOT, Snapshot(MADE_BY, kernel.params, kernel.state, proof))
 
-    def _add(self, t_ns: int, kind: EntryKind, value: Any) -> None:
+    def add(self, t_ns: int, kind: EntryKind, value: Any) -> None:
+        """Write an event, or an effect with the time of the event that caused it."""
         entry = JournalEntry(self._seq, t_ns, kind, type(value).__name__, to_json(value))
         serialized = encode(entry)
         self._crc = chained(serialized, self._crc)
@@ -243,7 +236,7 @@ class Control:
         is_due = last is not None and event.t_ns - last >= SNAPSHOT_PERIOD_NS
         if is_due and not isinstance(event, LoopStalled):
             self.journal_snapshot(event.t_ns)
-        self._journal.event(event)
+        self._journal.add(event.t_ns, EntryKind.EVENT, event)
         problem = ""
         for effect in self._kernel.step(event):
             done = effect
@@ -254,7 +247,7 @@ class Control:
             except Exception as error:  # noqa: BLE001 - the other effects must still happen
                 problem = f"{type(effect).__name__} failed: {error}"
                 self._tell(error, problem)
-            self._journal.effect(event.t_ns, effect)
+            self._journal.add(event.t_ns, EntryKind.EFFECT, effect)
         if not problem:
             self._failing = ""
 

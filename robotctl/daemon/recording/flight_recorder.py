@@ -235,7 +235,7 @@ class FlightRecorder:
             *self.tap.mismatches.warnings(),
             *(warning for _, warning in self.report.heavy_warnings()),
             *self._reserve.warnings(),
-            *self.sinks.warnings(),
+            *self.sinks.health.warnings(time.monotonic()),
             *self.tidier.problems,
             *filter(None, [self._heads.problem, self._indexer.problem]),
         ]
@@ -251,7 +251,7 @@ class FlightRecorder:
 
     def _file_begun(self, path: Path) -> None:
         _log.info("recording continues in %s", path)
-        self.tidier.file_finished()
+        self.tidier.finished.set()
         self._indexer.file_finished()
 
 

@@ -27,8 +27,8 @@ MAX_PROBLEMS: Final = 10
 class Tidier:
     """Starts processes of the lowest priority that tidy the folder of recordings.
 
-    The first process runs after `begin`: it removes what exceeds the retention policy, and repairs
-    what a crash left. Each later process runs after `file_finished` and only removes. The daemon
+    The first process runs after `begun`: it removes what exceeds the retention policy, and repairs
+    what a crash left. Each later process runs after `finished` and only removes. The daemon
     does not do this itself, as files may be of any origin and size. For the loop's thread.
     """
 
@@ -37,30 +37,26 @@ class Tidier:
         self.policy = policy
         self._recordings = recording.parent
         self._recording = recording
-        self._begun = asyncio.Event()
-        self._finished = asyncio.Event()
+        self.begun = asyncio.Event()
+        """Set when the daemon is ready: from then on the folder may be tidied."""
+
+        self.finished = asyncio.Event()
+        """Set when a file of the present recording is finished."""
+
         self.problems: list[str] = []
         """The first MAX_PROBLEMS sentences about what was lost or has failed."""
 
         self.on_removed: Callable[[str], None] = lambda path: None
         """Called with the path of each file that was removed."""
 
-    def begin(self) -> None:
-        """Allow the first tidying; called when the daemon is ready."""
-        self._begun.set()
-
-    def file_finished(self) -> None:
-        """Note that a file of the present recording is finished."""
-        self._finished.set()
-
     async def run(self) -> None:
-        """Tidy the folder after `begin` and after each finished file, until cancelled."""
-        await self._begun.wait()
+        """Tidy the folder after `begun` and after each finished file, until cancelled."""
+        await self.begun.wait()
         if await asyncio.to_thread(self._has_others):
             await self._tidy(repairs=True)
         while True:
-            await self._finished.wait()
-            self._finished.clear()
+            await self.finished.wait()
+            self.finished.clear()
             await self._tidy(repairs=False)
 
     def _has_others(self) -> bool:

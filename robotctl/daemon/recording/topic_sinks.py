@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from math import inf
 
@@ -62,10 +62,6 @@ class TopicSinks:
             await asyncio.sleep(LOOK_S)
             if self.health.look(time.monotonic(), time.time_ns()):
                 self.on_news()
-
-    def warnings(self) -> Iterator[str]:
-        """Yield warnings about present and recent troubles."""
-        yield from self.health.warnings(time.monotonic())
 
     def open(self, topic: TopicDescription) -> ViewSink:
         """Return the sink for a topic's messages; register the topic with the recorder."""

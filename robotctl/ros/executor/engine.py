@@ -252,7 +252,8 @@ class Engine:
                 period_s = entity.timer_period_ns / NS_PER_S
                 return TimerSource(runtime, entity, f"{at}: timer of {period_s:g} s {calls}")
             case GuardCondition():
-                return GuardSource(runtime, entity, f"{at}: guard condition {calls}", wait_set)
+                where = f"{at}: guard condition {calls}"
+                return GuardSource(runtime, entity, entity.handle, where, wait_set)
             case EventHandler():
                 return QosEventSource(
                     runtime, entity, f"{at}: event {entity.event_type.name} {calls}"

@@ -156,10 +156,8 @@ class SlowCallbacks:
 
     def check(self, where: str, elapsed_ns: int) -> None:
         """Warn about a callback if it held the loop for more than SLOW_CALLBACK_NS."""
-        if elapsed_ns > SLOW_CALLBACK_NS:
-            self._warn(where, elapsed_ns)
-
-    def _warn(self, where: str, elapsed_ns: int) -> None:
+        if elapsed_ns <= SLOW_CALLBACK_NS:
+            return
         now = time.monotonic_ns()
         if now < self._quiet_until_ns.get(where, 0):
             self._unsaid[where] += 1

@@ -202,11 +202,6 @@ class GuardSource(WaitSetSource):
 
     _triggered = False
 
-    def __init__(
-        self, runtime: Runtime, guard: GuardCondition, where: str, thread: WaitSetThread
-    ) -> None:
-        super().__init__(runtime, guard, guard.handle, where, thread)
-
     def counts(self) -> tuple[int, int, int, int, int, int]:
         return (0, 1, 0, 0, 0, 0)
 

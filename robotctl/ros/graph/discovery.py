@@ -376,20 +376,15 @@ class GraphChanges:
         assert context is not None
         with context, node:
             wait_set = _rclpy.WaitSet(0, 2, 0, 0, 0, 0, context)
+            of_node = function("rcl_node_get_graph_guard_condition", ctypes.c_void_p)
+            of_graph = ctypes.c_void_p(of_node(ctypes.c_void_p(node.pointer)))
+            add = function("rcl_wait_set_add_guard_condition")
             while not self._ended:
                 wait_set.clear_entities()
                 wait_set.add_guard_condition(self._end.handle)
-                _add_graph_of(node.pointer, wait_set.pointer)
+                add(ctypes.c_void_p(wait_set.pointer), of_graph, None)
                 wait_set.wait(-1)
                 with suppress(RuntimeError):  # the loop is closed: no task waits
                     self._loop.call_soon_threadsafe(self._changed.set)
                 self._awaited.wait()
                 self._awaited.clear()
-
-
-def _add_graph_of(node: int, wait_set: int) -> None:
-    """Add the graph guard condition of the rcl_node_t at `node` to the rcl_wait_set_t."""
-    of_node = function("rcl_node_get_graph_guard_condition", ctypes.c_void_p)
-    guard = of_node(ctypes.c_void_p(node))
-    add = function("rcl_wait_set_add_guard_condition")
-    add(ctypes.c_void_p(wait_set), ctypes.c_void_p(guard), None)
