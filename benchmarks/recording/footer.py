@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from recording.figures import Figure
 
 from robotctl.recording import RecorderOptions, Topic
+from robotctl.recording.disk import Buffer, DiskFile
 from robotctl.recording.format.records import MESSAGE_HEAD
 from robotctl.recording.write.bag_writer import RecordingFile
 from robotctl.recording.write.buffer import pack
@@ -35,7 +36,15 @@ def figures() -> Iterator[Figure]:
 
 def measure(scratch: Path) -> Iterator[tuple[str, float]]:
     """Write a whole file as fast as it goes, syncing as often as the recorder does."""
-    options = RecorderOptions()
+    written = 0
+
+    class CountedFile(DiskFile):
+        def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
+            nonlocal written
+            written += sum(map(len, parts))
+            super().write_at(parts, offset)
+
+    options = RecorderOptions(open_file=CountedFile)
     commits = int(options.split_s / options.flush_s)
     with tempfile.TemporaryDirectory(dir=scratch) as folder:
         channels = [ChannelState(Topic(f"/topic{n}", "a/msg/B", "x\n")) for n in range(TOPICS)]
@@ -47,7 +56,6 @@ def measure(scratch: Path) -> Iterator[tuple[str, float]]:
             if number % round(options.sync_s / options.flush_s) == 0:
                 file.sync()
         spent = time.process_time() - begun
-        written = file.size + file.trailer_bytes
         file.finish()
     yield CPU, 100 * spent / options.split_s
     yield RATIO, written / (commits * TOPICS * (MESSAGE_HEAD.size + MESSAGE_BYTES))

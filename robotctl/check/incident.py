@@ -93,7 +93,7 @@ def find_incident(
         search = _Search(recording, topic, at_ns)
         incident = search.run(on_progress)
         if incident is not None:
-            _Context(recording, topic, incident).fill()
+            _fill(recording, topic, incident)
     return Searched(incident, search.missing)
 
 
@@ -202,59 +202,51 @@ def _kind(step: Step, effects: list[Effect]) -> IncidentKind | None:
     return None
 
 
-class _Context:
-    """The second pass: it re-runs the kernel from the last snapshot and finds the first zero."""
+def _fill(recording: Recording, topic: str, incident: Incident) -> None:
+    """Fill in the states, the parameters, the ramp and the first zero, as far as recorded.
 
-    def __init__(self, recording: Recording, topic: str, incident: Incident) -> None:
-        self._recording = recording
-        self._topic = topic
-        self._incident = incident
-        self._messages_after = 0
-
-    def fill(self) -> None:
-        """Fill in the states, the parameters, the ramp and the first zero, as far as recorded."""
-        incident = self._incident
-        kernel: Kernel | None = None
-        for item in steps(self._entries()):
-            try:
-                if isinstance(item, Gap):
-                    kernel = None
-                elif isinstance(item, JournalEntry):
-                    kernel = read_snapshot(item).kernel()
-                elif kernel is not None and item.event.seq <= incident.seq:
-                    self._step(kernel, item.event)
-            except UnreadableFile:  # the first pass has reported it, or it is a snapshot
+    This second pass re-runs the kernel from the last snapshot.
+    """
+    kernel: Kernel | None = None
+    for item in steps(_around(recording, topic, incident)):
+        try:
+            if isinstance(item, Gap):
                 kernel = None
+            elif isinstance(item, JournalEntry):
+                kernel = read_snapshot(item).kernel()
+            elif kernel is not None and item.event.seq <= incident.seq:
+                _repeat(kernel, item.event, incident)
+        except UnreadableFile:  # the first pass has reported it, or it is a snapshot
+            kernel = None
 
-    def _step(self, kernel: Kernel, entry: JournalEntry) -> None:
-        incident = self._incident
-        before, event = kernel.state, read_event(entry)
-        decide(kernel, event)
-        if entry.seq == incident.seq:
-            incident.params, incident.before, incident.after = kernel.params, before, kernel.state
-        elif kernel.state.phase is not Phase.STOPPING:
-            incident.ramp = None
-        elif before.phase is not Phase.STOPPING:
-            incident.ramp = event.t_ns, event
 
-    def _entries(self) -> Iterator[JournalEntry]:
-        """Yield the journal from the snapshot to shortly after the incident."""
-        incident = self._incident
-        first = incident.seq if incident.snapshot_seq is None else incident.snapshot_seq
-        commands = RobotTopics(self._recording.info(), self._topic).commands
-        topics = {self._topic} if commands is None else {self._topic, commands}
-        decoder = EntryDecoder(self._recording)
-        for message in self._recording.in_order_written(topics, lambda sentence: None):
-            if incident.log_ns:
-                self._messages_after += 1
-            if message.topic == self._topic:
-                entry = decoder.decode(message.data)
-                if entry.seq == incident.seq:
-                    incident.log_ns = message.log_ns
-                if entry.seq >= first:
-                    yield entry
-            elif 0 < incident.log_ns <= message.publish_ns and is_zero(numbers_of(message.data)):
-                incident.zero_ns = message.publish_ns
-                return
-            if self._messages_after > MAX_MESSAGES_AFTER:
-                return
+def _repeat(kernel: Kernel, entry: JournalEntry, incident: Incident) -> None:
+    before, event = kernel.state, read_event(entry)
+    decide(kernel, event)
+    if entry.seq == incident.seq:
+        incident.params, incident.before, incident.after = kernel.params, before, kernel.state
+    elif kernel.state.phase is not Phase.STOPPING:
+        incident.ramp = None
+    elif before.phase is not Phase.STOPPING:
+        incident.ramp = event.t_ns, event
+
+
+def _around(recording: Recording, topic: str, incident: Incident) -> Iterator[JournalEntry]:
+    """Yield the journal from the snapshot to shortly after the incident."""
+    first = incident.seq if incident.snapshot_seq is None else incident.snapshot_seq
+    commands = RobotTopics(recording.info(), topic).commands
+    topics = {topic} if commands is None else {topic, commands}
+    decoder, messages_after = EntryDecoder(recording), 0
+    for message in recording.in_order_written(topics, lambda sentence: None):
+        messages_after += bool(incident.log_ns)
+        if message.topic == topic:
+            entry = decoder.decode(message.data)
+            if entry.seq == incident.seq:
+                incident.log_ns = message.log_ns
+            if entry.seq >= first:
+                yield entry
+        elif 0 < incident.log_ns <= message.publish_ns and is_zero(numbers_of(message.data)):
+            incident.zero_ns = message.publish_ns
+            return
+        if messages_after > MAX_MESSAGES_AFTER:
+            return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 from typing import Any, Final
@@ -228,13 +229,11 @@ class _History:
         has_path = row is None or row.pattern != VELOCITY
         report = ended.report if has_path else ended.report.without_errors()
         begin_ns = event.t_ns if asked is None else asked.t_ns
-        self._drives[ended.request_id] = DriveRow(
-            drive=len(self._drives) + 1 if row is None else row.drive,
-            robot=self._robot,
-            start_ns=begin_ns + self._offset_ns if row is None else row.start_ns,
-            pattern=None if row is None else row.pattern,
-            wanted_laps=None if row is None else row.wanted_laps,
-            asked_by="" if asked is None else asked.source,
+        source = "" if asked is None else asked.source
+        number, start_ns = len(self._drives) + 1, begin_ns + self._offset_ns
+        self._drives[ended.request_id] = replace(
+            row or DriveRow(number, self._robot, start_ns, None, None, source),
+            asked_by=source,
             duration_s=finite_or_none(report.duration_s),
             laps=report.laps,
             completed=ended.completed,

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import FileIO
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 from robotctl.base.errors import Divergence, UnreadableFile
 from robotctl.base.store import open_store
@@ -73,6 +73,11 @@ class LocalFile:
     path: Path
     size_bytes: int
     modified_ns: int
+
+    @classmethod
+    def of(cls, key: str, path: Path, status: os.stat_result) -> Self:
+        """Return the file `path` with this status."""
+        return cls(key, path, status.st_size, status.st_mtime_ns)
 
     def sha256(self, pace: Pace) -> str:
         """Return the SHA-256 of the content.
@@ -259,7 +264,7 @@ def _recording(path: Path, now_ns: int) -> OfferedRecording:
     except OSError as error:
         if path.name != OF_THE_SYSTEM and not path.name.startswith("."):
             recording.left_out.append(f"it cannot be listed: {reason_of(error)}")
-    if not _is_plain(recording.name) and (recording.files or recording.live):
+    if not _PLAIN.fullmatch(recording.name) and (recording.files or recording.live):
         return OfferedRecording(recording.name, left_out=[f"it is left out: {_RENAME}"])
     return recording
 
@@ -286,7 +291,9 @@ def _folder(recording: OfferedRecording, folder: Path, now_ns: int) -> None:
             if path.is_symlink():
                 _leave_out(recording, path.name, "it is a link")
             elif path.is_file():
-                _add(recording, path, f"{folder.name}/{path.name}", path.stat())
+                recording.files.append(
+                    LocalFile.of(f"{folder.name}/{path.name}", path, path.stat())
+                )
 
 
 def _data_in(folder: Path) -> Iterator[Path]:
@@ -299,7 +306,7 @@ def _add_data(recording: OfferedRecording, path: Path, key: str, now_ns: int) ->
     """Add a file; mark the recording `live` if it is being written; report it if unusable."""
     if path.is_symlink():
         _leave_out(recording, path.name, "it is a link")
-    elif not _is_plain(path.name):
+    elif not _PLAIN.fullmatch(path.name):
         _leave_out(recording, path.name, _RENAME)
     else:
         try:
@@ -311,11 +318,7 @@ def _add_data(recording: OfferedRecording, path: Path, key: str, now_ns: int) ->
         except UnreadableFile as error:
             recording.left_out.append(str(error))
         else:
-            _add(recording, path, key, status)
-
-
-def _add(recording: OfferedRecording, path: Path, key: str, status: os.stat_result) -> None:
-    recording.files.append(LocalFile(key, path, status.st_size, status.st_mtime_ns))
+            recording.files.append(LocalFile.of(key, path, status))
 
 
 def _is_live(path: Path, file: FileIO, status: os.stat_result, now_ns: int) -> bool:
@@ -329,10 +332,6 @@ def _is_live(path: Path, file: FileIO, status: os.stat_result, now_ns: int) -> b
         pass
     end = os.pread(file.fileno(), len(MAGIC), max(status.st_size - len(MAGIC), 0))
     return now_ns - status.st_mtime_ns < YOUNG_NS and end != MAGIC
-
-
-def _is_plain(name: str) -> bool:
-    return _PLAIN.fullmatch(name) is not None
 
 
 def _leave_out(recording: OfferedRecording, name: str, why: str) -> None:

@@ -115,14 +115,10 @@ class PlacedChunk(NamedTuple):
     """The entry of the chunk in the summary."""
 
     @property
-    def indexes_offset(self) -> int:
-        """Where the message indexes begin, after the record."""
-        return self.entry.chunk_start_offset + self.entry.chunk_length
-
-    @property
     def end(self) -> int:
         """The offset after record and message indexes."""
-        return self.indexes_offset + self.entry.message_index_length
+        entry = self.entry
+        return entry.chunk_start_offset + entry.chunk_length + entry.message_index_length
 
 
 def place(chunk: Chunk, offset: int) -> PlacedChunk:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from io import BytesIO
 from typing import NamedTuple, Self
 
@@ -75,14 +75,6 @@ class TrailerState:
     def kept_bytes(self) -> int:
         """Bytes at the start of the trailer that stay the same if only a chunk is added."""
         return DATA_END_BYTES + sum(self.group_sizes.values())
-
-    def distant_footer(self) -> bytes:
-        """Return footer and magic for a later end of the file, pointing back to this trailer."""
-        return record_bytes(Footer(self.data_end + DATA_END_BYTES, 0, 0)) + MAGIC
-
-    def moved_to(self, data_end: int) -> TrailerState:
-        """Return this state with the trailer at `data_end`, and the data's checksum 0 (unknown)."""
-        return replace(self, data_end=data_end, data_crc=0)
 
 
 class Trailer(NamedTuple):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
@@ -52,16 +53,15 @@ def messages_of_chunk(file: InputFile, offset: int) -> list[PlainMessage]:
     """Return the messages of the chunk at `offset`; none if no complete chunk begins there."""
     try:
         head = read_chunk_head(file, offset, file.record(offset).end - offset)
-        return list(_messages(read_chunk(file, head)))
+        data, found = read_chunk(file, head), list[PlainMessage]()
+        for opcode, start, end in walk_records(data):
+            if opcode == Opcode.MESSAGE:
+                channel, sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(data, start)
+                content = data[start + MESSAGE_FIELDS.size : end]
+                found.append((channel, content, log_ns, publish_ns, sequence))
     except Damaged:
         return []
-
-
-def _messages(data: bytes) -> Iterator[PlainMessage]:
-    for opcode, start, end in walk_records(data):
-        if opcode == Opcode.MESSAGE:
-            channel, sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(data, start)
-            yield channel, data[start + MESSAGE_FIELDS.size : end], log_ns, publish_ns, sequence
+    return found
 
 
 _UNFINISHED = ".repair"
@@ -105,22 +105,14 @@ def _repair_folder(folder: CatalogFolder) -> Iterator[TidyNote]:
 
 def _list_is_older(folder: CatalogFolder) -> bool:
     """Return whether a repair was killed before it updated `metadata.yaml`."""
-    try:
+    with suppress(FileNotFoundError):
         listed_ns = (folder.path / METADATA_FILE).stat().st_mtime_ns
-        return any(
-            file.path.stat().st_mtime_ns > listed_ns and _is_repaired(file.path)
-            for file in folder.files
-        )
-    except FileNotFoundError:
-        return False
-
-
-def _is_repaired(path: Path) -> bool:
-    try:
-        with InputFile(path) as file:
-            return index_from_summary(file, places=False).has_metadata(RECOVERY_RECORD)
-    except Damaged:
-        return False
+        for path in (each.path for each in folder.files):
+            if path.stat().st_mtime_ns > listed_ns:
+                with suppress(Damaged), InputFile(path) as file:
+                    if index_from_summary(file, places=False).has_metadata(RECOVERY_RECORD):
+                        return True
+    return False
 
 
 def _remove_leftovers(folder: Path) -> None:

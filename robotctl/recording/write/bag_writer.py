@@ -96,11 +96,6 @@ class RecordingFile:
         """The summary, which grows with the number of chunks."""
         return self._mcap.summary
 
-    @property
-    def trailer_bytes(self) -> int:
-        """Bytes of trailers written so far."""
-        return self._mcap.trailer_bytes
-
     def begin_seal(self) -> None:
         """Begin the seal, in the writer thread: this may import a library and sync a file."""
         if self.seal is not None:

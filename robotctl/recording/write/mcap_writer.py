@@ -39,7 +39,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
-from typing import Final, NamedTuple, Protocol, Self
+from typing import Final, Protocol, Self
 
 from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
@@ -48,6 +48,7 @@ from mcap.records import (
     AttachmentIndex,
     Channel,
     ChunkIndex,
+    Footer,
     Header,
     Metadata,
     MetadataIndex,
@@ -56,6 +57,7 @@ from mcap.records import (
 
 from robotctl.recording.disk import Buffer, Storage
 from robotctl.recording.format.records import (
+    DATA_END_BYTES,
     MAGIC,
     RECORD_HEAD_BYTES,
     Chunk,
@@ -182,35 +184,6 @@ COMMITS: Final = 3
 """New room is large enough for this number of further commits of the same size."""
 
 
-class Room(NamedTuple):
-    """The room: from `start`, where the data ends, to the trailer, whose state is `good`."""
-
-    start: int
-    good: TrailerState
-    trailer_bytes: int
-
-    def for_bytes(self, size: int, storage: Storage, summary: Summary) -> tuple[TrailerState, int]:
-        """Move the trailer to a later offset unless `size` bytes fit into the room before it.
-
-        Returns the trailer's state, and how many bytes were written to move it.
-
-        Raises:
-            OSError: The disk is full or fails. The file must be cut back.
-        """
-        good = self.good
-        if size + RECORD_HEAD_BYTES <= good.data_end - self.start:
-            return good, 0
-        more = max(LEAST_BYTES, self.trailer_bytes, COMMITS * size)
-        moved = good.moved_to(good.data_end + size + more)
-        trailer = summary.trailer(moved)
-        footer_offset = moved.data_end + trailer.size - FOOTER_BYTES
-        storage.write_at([good.distant_footer()], footer_offset)
-        write_in_pages(trailer.before_footer, moved.data_end, storage)
-        storage.write_at([trailer.footer], footer_offset)
-        storage.write_at([room_head(self.start, moved.data_end)], self.start)
-        return moved, trailer.size + FOOTER_BYTES
-
-
 def write_hidden(parts: Sequence[Buffer], start: int, storage: Storage) -> None:
     """Write records into the room at `start`. The head of the first record is written last: until
     then, readers skip all these records.
@@ -259,9 +232,6 @@ class McapFile:
         self.summary = Summary()
         self.size = 0
         """Bytes of the file, trailer included, without the room between data and trailer."""
-
-        self.trailer_bytes = 0
-        """Bytes of trailers written so far, including those that were overwritten."""
 
         self._storage = storage
         self._keeps_room = keeps_room
@@ -353,7 +323,6 @@ class McapFile:
         trailer = self.summary.trailer(state) if finished else None
         self._storage.write_at([*parts, *(trailer.parts if trailer else ())], self._data_end)
         if trailer:
-            self.trailer_bytes += trailer.size
             self._good = state
         self._take_over(end, end + (trailer.size if trailer else 0), state.data_crc)
 
@@ -367,7 +336,6 @@ class McapFile:
         write_in_pages(trailer.parts, end, self._storage)
         write_hidden(parts, self._data_end, self._storage)
         self._storage.truncate(size)
-        self.trailer_bytes += trailer.size
         self._good = state
         self._take_over(end, size, state.data_crc)
         return state
@@ -385,15 +353,31 @@ class McapFile:
         self._storage.write_at(changed, state.data_end + good.kept_bytes)
         if trailer.size < self.size - start:  # the new trailer lacks the seal's head
             self._storage.truncate(state.data_end + trailer.size)
-        self.trailer_bytes += sum(map(len, changed))
         self._good = state
         self._take_over(end, end + trailer.size, self._crc_with(parts))
 
     def _make_room(self, good: TrailerState, size: int) -> TrailerState:
-        room = Room(self._data_end, good, self.size - self._data_end)
-        self._good, moved_bytes = room.for_bytes(size, self._storage, self.summary)
-        self.trailer_bytes += moved_bytes
-        return self._good
+        """Move the trailer to a later offset unless `size` bytes fit into the room before it.
+
+        Return the trailer's state.
+
+        Raises:
+            OSError: The disk is full or fails. The file must be cut back.
+        """
+        start, storage = self._data_end, self._storage
+        if size + RECORD_HEAD_BYTES > good.data_end - start:
+            more = max(LEAST_BYTES, self.size - start, COMMITS * size)
+            moved = replace(good, data_end=good.data_end + size + more, data_crc=0)  # 0: unknown
+            trailer = self.summary.trailer(moved)
+            footer_offset = moved.data_end + trailer.size - FOOTER_BYTES
+            pointing_back = Footer(good.data_end + DATA_END_BYTES, 0, 0)
+            storage.write_at([record_bytes(pointing_back), MAGIC], footer_offset)
+            write_in_pages(trailer.before_footer, moved.data_end, storage)
+            storage.write_at([trailer.footer], footer_offset)
+            storage.write_at([room_head(start, moved.data_end)], start)
+            good = moved
+        self._good = good
+        return good
 
     def _parts(self, chunk: Chunk | None) -> tuple[list[Buffer], int, ChunkIndex | None]:
         """Return the parts to write, the offset after them, and the chunk's entry in the index."""
