@@ -438,29 +438,30 @@ def _rounded(value: float) -> float:
     return round(value, 2)
 
 
-def measured_lines(base: Measured) -> Iterator[str]:
-    """Yield a line for each measured property."""
-    delay_s = base.odometry_delay_s
+def measured_lines(base: Measured) -> list[str]:
+    """Return a line for each measured property."""
+    delay_s, turn, timeout_s = base.odometry_delay_s, base.turn, base.base_timeout_s
     came = "its clock is another" if delay_s is None else f"{delay_s * 1e3:.1f} ms after its stamp"
-    yield (
-        f"odometry       {base.odometry_hz:.1f} Hz, {base.odometry_gap_s * 1e3:.0f} ms apart at "
-        f"most, {came}"
-    )
-    yield f"speed          {base.reached_mps:.3f} m/s where {base.commanded_mps:.3f} was commanded"
-    yield f"command delay  {base.command_delay_s:.2f} s until odometry follows"
-    yield f"stopping       {base.stopping_m:.3f} m and {base.stopping_s:.2f} s after a zero"
-    if base.base_timeout_s is None:
-        yield f"base timeout   none within {base.quiet_s:g} s"
-    else:
-        yield f"base timeout   {base.base_timeout_s:.2f} s after the last command"
-    turn = base.turn
-    if turn is None:
-        yield "turning        not on its place"
-    else:
+    ends = f"none within {base.quiet_s:g} s"
+    turns = ["turning        not on its place"]
+    if timeout_s is not None:
+        ends = f"{timeout_s:.2f} s after the last command"
+    if turn is not None:
         rates = f"{turn.reached_rps:.3f} rad/s where {turn.commanded_rps:.3f} was commanded"
-        yield f"turning        {rates}"
-        yield f"  delay        {turn.command_delay_s:.2f} s until odometry follows"
-        yield f"  stopping     {turn.stopping_rad:.3f} rad and {turn.stopping_s:.2f} s after a zero"
+        turns = [
+            f"turning        {rates}",
+            f"  delay        {turn.command_delay_s:.2f} s until odometry follows",
+            f"  stopping     {turn.stopping_rad:.3f} rad and {turn.stopping_s:.2f} s after a zero",
+        ]
+    gap_ms = base.odometry_gap_s * 1e3
+    return [
+        f"odometry       {base.odometry_hz:.1f} Hz, {gap_ms:.0f} ms apart at most, {came}",
+        f"speed          {base.reached_mps:.3f} m/s where {base.commanded_mps:.3f} was commanded",
+        f"command delay  {base.command_delay_s:.2f} s until odometry follows",
+        f"stopping       {base.stopping_m:.3f} m and {base.stopping_s:.2f} s after a zero",
+        f"base timeout   {ends}",
+        *turns,
+    ]
 
 
 def warnings(base: Measured) -> Iterator[str]:

@@ -124,7 +124,8 @@ def ground_figure(title: str, lines: Iterable[Line]) -> Figure:
     """Return a figure of paths on the ground."""
     drawn = tuple(lines)
     points = [point for line in drawn for run in line.runs for point in run] or [(0.0, 0.0)]
-    spans = [_at_least(min(values), max(values)) for values in zip(*points, strict=True)]
+    limits = [(min(values), max(values)) for values in zip(*points, strict=True)]
+    spans = [_around(span, max(span[1] - span[0], MIN_SPAN_M)) for span in limits]
     return Figure(title, drawn, spans[0], spans[1], is_ground=True)
 
 
@@ -196,11 +197,6 @@ def _around(span: Span, length: float) -> Span:
     """Return a span of this length with the same middle."""
     middle = (span[0] + span[1]) / 2.0
     return middle - length / 2.0, middle + length / 2.0
-
-
-def _at_least(low: float, high: float) -> Span:
-    missing = max(0.0, MIN_SPAN_M - (high - low)) / 2
-    return low - missing, high + missing
 
 
 def _finite(path: Path2D) -> list[Point]:

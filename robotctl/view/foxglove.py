@@ -237,15 +237,10 @@ def binary_request(data: bytes) -> ViewRequest:
             (channel_id,) = _CLIENT_MESSAGE.unpack_from(content)
             return ClientMessage(channel_id, content[_CLIENT_MESSAGE.size :])
         if opcode == b"\x02":
-            return _service_call(content)
+            return ServiceCall(*_SERVICE_CALL.unpack_from(content)[:2])
     except struct.error:
         raise WrongRequest("a binary message that is cut off") from None
     raise WrongRequest("a binary message of an unknown kind")
-
-
-def _service_call(content: bytes) -> ServiceCall:
-    service_id, call_id, _ = _SERVICE_CALL.unpack_from(content)
-    return ServiceCall(service_id, call_id)
 
 
 def _offer(given: Any) -> Offer:

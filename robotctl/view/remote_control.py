@@ -132,9 +132,14 @@ class RemoteControl:
                     velocity, self._wish = self._wish or _STAND, None
                     if number == 0 and velocity == _STAND:
                         continue
-                    answer = await asyncio.to_thread(
-                        client.call, HOLD, self._held(velocity, number), deadline_s=CALL_S
-                    )
+                    given = {
+                        "linear_mps": velocity[0],
+                        "angular_rps": velocity[1],
+                        "hold": number,
+                        "source": self._source,
+                        "lease": self._lease,
+                    }
+                    answer = await asyncio.to_thread(client.call, HOLD, given, deadline_s=CALL_S)
                     number = answer["hold"]
                     if number == 0 and velocity != _STAND:
                         raise Refused(answer["message"])
@@ -153,15 +158,6 @@ class RemoteControl:
                 await self._wished.wait()
         self._wished.clear()
         return self._wish is not None
-
-    def _held(self, velocity: tuple[float, float], number: int) -> dict[str, Any]:
-        return {
-            "linear_mps": velocity[0],
-            "angular_rps": velocity[1],
-            "hold": number,
-            "source": self._source,
-            "lease": self._lease,
-        }
 
     def _start(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.get_running_loop().create_task(work)

@@ -22,7 +22,7 @@ from typing import Final, Protocol, cast
 from urllib.parse import parse_qs, urlsplit
 
 from websockets.frames import Frame, Opcode
-from websockets.http11 import Request, Response
+from websockets.http11 import Request
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 from websockets.typing import Subprotocol
@@ -286,14 +286,11 @@ class Viewer(asyncio.Protocol):
         self._message = bytearray()
         """The received fragments of a message; empty fragments use no memory, however many."""
 
-        self._full = False
+        self.is_stalled = False
+        """Whether the socket is full, and accepts no data now."""
+
         self._ends = False
         """Whether to close the connection when everything that waits has been sent."""
-
-    @property
-    def is_stalled(self) -> bool:
-        """Whether the socket is full, and accepts no data now."""
-        return self._full
 
     # From the loop
 
@@ -313,12 +310,12 @@ class Viewer(asyncio.Protocol):
 
     def pause_writing(self) -> None:
         """Send nothing until the socket accepts more."""
-        self._full = True
+        self.is_stalled = True
         self.since_s = time.monotonic()
 
     def resume_writing(self) -> None:
         """Schedule `flush`; a transport that `flush` closes in this call would be ended twice."""
-        self._full = False
+        self.is_stalled = False
         asyncio.get_running_loop().call_soon(self.flush)
 
     def data_received(self, data: bytes) -> None:
@@ -348,7 +345,7 @@ class Viewer(asyncio.Protocol):
         transport = self._transport
         if transport is None:
             return
-        while not (self._full or transport.is_closing()) and (piece := self.outbox.take()):
+        while not (self.is_stalled or transport.is_closing()) and (piece := self.outbox.take()):
             transport.write(piece)
         if self._ends and not self.outbox:
             transport.close()
@@ -375,8 +372,16 @@ class Viewer(asyncio.Protocol):
         self._send_protocol_bytes()
 
     def _shake_hands(self, request: Request) -> None:
+        headers, websocket = request.headers, self._websocket
         try:
-            response = self._answer(request)
+            refusal = self._admission.refusal(
+                request.path, headers.get_all("Host"), headers.get_all("Origin")
+            )
+            response = (
+                websocket.reject(http.HTTPStatus.FORBIDDEN, f"{refusal}\n")
+                if refusal
+                else websocket.accept(request)
+            )
         except UnicodeEncodeError:  # some versions of websockets keep bytes that are no ASCII
             text = "the request is not in ASCII\n"
             response = self._websocket.reject(http.HTTPStatus.BAD_REQUEST, text)
@@ -385,20 +390,6 @@ class Viewer(asyncio.Protocol):
         if self._websocket.state is State.OPEN:
             self.admitted = True
             self._host.admit(self)
-
-    def _answer(self, request: Request) -> Response:
-        """Return the answer to a handshake.
-
-        Raises:
-            UnicodeEncodeError: The request is not in ASCII.
-        """
-        headers = request.headers
-        refusal = self._admission.refusal(
-            request.path, headers.get_all("Host"), headers.get_all("Origin")
-        )
-        if refusal:
-            return self._websocket.reject(http.HTTPStatus.FORBIDDEN, f"{refusal}\n")
-        return self._websocket.accept(request)
 
     def _take_frame(self, frame: Frame) -> None:
         if frame.opcode in (Opcode.TEXT, Opcode.BINARY):

@@ -238,9 +238,6 @@ def test_a_second_ctrl_c_straight_after_the_first_is_the_emergency_stop_and_a_th
     ended: DriveAnswer = {"message": "", "mode": "IDLE"}
     driving = Background(lambda: ended)
     driving.start()
-    monkeypatch.setattr(
-        "robotctl.cli.targets.driving._say", lambda _: signal.raise_signal(signal.SIGINT)
-    )
     monkeypatch.setattr(f"{DRIVING}.call", interrupted_call)
     assert "EMERGENCY_STOP" in str(stop_drive("robot", driving))
     assert mode() == "EMERGENCY_STOP"

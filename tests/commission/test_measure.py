@@ -155,7 +155,7 @@ def test_a_base_that_cannot_turn_on_its_place_keeps_its_limit_and_is_told_so() -
     assert told.turn is None
     (warning,) = warnings(told)
     assert warning.startswith("the base did not turn on its place")
-    assert "turning        not on its place" in list(measured_lines(told))
+    assert "turning        not on its place" in measured_lines(told)
     assert "limits.angular_rps" not in proposed(told)
 
 
@@ -190,7 +190,7 @@ def test_a_base_that_goes_on_without_a_command_is_warned_of() -> None:
     assert told.base_timeout_s is None
     (warning,) = warnings(told)
     assert "went on for 2 s without a command" in warning
-    assert "base timeout   none within 2 s" in list(measured_lines(told))
+    assert "base timeout   none within 2 s" in measured_lines(told)
 
 
 def test_a_base_that_does_not_move_is_refused_with_a_cure() -> None:
@@ -212,7 +212,7 @@ def test_a_clock_that_is_an_hour_off_makes_the_delay_unknown(clock_s: float, usu
     assert told.odometry_delay_s is None
     (warning,) = warnings(told)
     assert "differs by" in warning
-    assert "its clock is another" in next(measured_lines(told))
+    assert "its clock is another" in measured_lines(told)[0]
 
 
 def test_a_base_whose_wheels_are_smaller_than_it_thinks_is_warned_of() -> None:

@@ -16,11 +16,9 @@ from robotctl.cli.targets.ros_view import ros_view
 from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.ros_text import (
     is_hidden,
-    left_out_lines,
     message_lines,
-    name_lines,
     plain_json,
-    shown,
+    print_names,
 )
 from robotctl.cli.ui.text import printable
 from robotctl.ipc.answers import GraphNode
@@ -61,10 +59,7 @@ def list_nodes(
     Examples:
       robotctl node list
     """
-    graph = ros_view(robot, domain_id).names()
-    nodes = [name for name in graph["nodes"] if every or not is_hidden(name)]
-    lines = [*map(printable, nodes), *left_out_lines(graph["left_out"])]
-    print_answer({"nodes": nodes}, lines, as_json=as_json)
+    print_names(ros_view(robot, domain_id).names(), "nodes", every=every, as_json=as_json)
 
 
 @node_group.command()
@@ -210,6 +205,4 @@ def list_services(
       robotctl service list -t
     """
     graph = ros_view(robot, domain_id).names()
-    services = shown(graph["services"], every)
-    lines = [*name_lines(services, types), *left_out_lines(graph["left_out"])]
-    print_answer({"services": services}, lines, as_json=as_json)
+    print_names(graph, "services", every=every, types=types, as_json=as_json)

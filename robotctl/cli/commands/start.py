@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -169,22 +168,23 @@ def _view_of(robot: str, ready: StartSummary) -> dict[str, Any] | None:
         return None
 
 
-def summary(ready: StartSummary) -> Iterator[str]:
-    """Yield the lines to print when the daemon has become ready; `ready` is its report."""
-    robot = printable(ready.get("robot"))
-    yield f"robotctl {__version__}: robot {robot} is ready"
-    yield f"  mode        {mode_text(ready)}"
+def summary(ready: StartSummary) -> list[str]:
+    """Return the lines to print when the daemon has become ready; `ready` is its report."""
+    robot, sim = printable(ready.get("robot")), ready.get("sim")
     domain, discovery = ready.get("domain_id"), printable(ready.get("discovery_range"))
-    yield f"  ROS         domain {domain}, discovery {discovery}"
-    if ready.get("sim") is not None:
-        yield f"  simulator   {'yes' if ready['sim'] else 'no'}"
-    yield f"  socket      {printable(ready.get('socket'))}"
-    yield f"  recording   {short_path(ready.get('recording'))}"
-    yield f"  log         {printable(ready.get('log'))}"
-    yield f"  pid         {ready.get('pid')}"
-    yield from (f"note: {printable(note)}" for note in ready.get("notes") or [])
-    if ready.get("mode") == "EMERGENCY_STOP":
-        yield f"the emergency stop is still latched; release it with: {command_for(robot, 'reset')}"
+    latched = f"the emergency stop is still latched; release it with: {command_for(robot, 'reset')}"
+    return [
+        f"robotctl {__version__}: robot {robot} is ready",
+        f"  mode        {mode_text(ready)}",
+        f"  ROS         domain {domain}, discovery {discovery}",
+        *([] if sim is None else [f"  simulator   {'yes' if sim else 'no'}"]),
+        f"  socket      {printable(ready.get('socket'))}",
+        f"  recording   {short_path(ready.get('recording'))}",
+        f"  log         {printable(ready.get('log'))}",
+        f"  pid         {ready.get('pid')}",
+        *(f"note: {printable(note)}" for note in ready.get("notes") or []),
+        *([latched] if ready.get("mode") == "EMERGENCY_STOP" else []),
+    ]
 
 
 @app.command()

@@ -22,11 +22,9 @@ from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.ros_text import (
     SHOWN_LENGTH,
     is_hidden,
-    left_out_lines,
     message_lines,
-    name_lines,
     plain_json,
-    shown,
+    print_names,
 )
 from robotctl.cli.ui.text import json_text, moment, printable
 from robotctl.ipc.answers import GraphEndpoint, GraphTopic
@@ -75,9 +73,16 @@ class Printer:
     """Prints the messages of one topic."""
 
     def __init__(
-        self, topic: str, type_name: str, definition: Definition, field: str, *, full_length: bool
+        self,
+        topic: str,
+        type_name: str,
+        definition: Definition,
+        field: str,
+        *,
+        full_length: bool,
+        as_json: bool,
     ) -> None:
-        """Print whole messages, or the `field` of each.
+        """Print whole messages, or the `field` of each; as lines of YAML, or of JSON.
 
         Raises:
             UsageError: The type has no such field.
@@ -85,6 +90,7 @@ class Printer:
         from robotctl.messages.fields import WrongValue, parse_path
         from robotctl.messages.values import Decoder
 
+        self._as_json = as_json
         self._topic = topic
         self._type_name = type_name
         self._decoder = Decoder(definition)
@@ -94,30 +100,25 @@ class Printer:
         except WrongValue as error:
             raise UsageError(str(error)) from None
 
-    def print_json(self, data: bytes, time_ns: int, publish_ns: int) -> None:
-        """Print one line of JSON with the whole `message`, or the `value` of the field."""
-        key = "value" if self._steps else "message"
-        told = {
-            "topic": self._topic,
-            "type": self._type_name,
-            "time_ns": time_ns,
-            "publish_ns": publish_ns,
-            key: plain_json(self._value(data)),
-        }
-        print(json_text(told), flush=True)
+    def print(self, data: bytes, time_ns: int, publish_ns: int, *, with_time: bool) -> None:
+        """Print one line of JSON with the whole `message`, or the `value` of the field.
 
-    def print_lines(self, data: bytes, time_ns: int | None) -> None:
-        """Print YAML and `---`, or one line if the field has a single value.
-
-        `time_ns`, unless None, comes first, as seconds: in a YAML comment or on the value's line.
+        Without JSON: YAML and `---`, or one line if the field has a single value. `with_time`, the
+        time comes first, as seconds: in a YAML comment or on the value's line.
         """
         value = self._value(data)
+        if self._as_json:
+            about = {"topic": self._topic, "type": self._type_name}
+            times = {"time_ns": time_ns, "publish_ns": publish_ns}
+            told = {"value" if self._steps else "message": plain_json(value)}
+            print(json_text(about | times | told), flush=True)
+            return
         lines = list(message_lines(value, self._limit))
-        time = "" if time_ns is None else f"{time_ns // NS_PER_S}.{time_ns % NS_PER_S:09d}"
+        time = [f"{time_ns // NS_PER_S}.{time_ns % NS_PER_S:09d}"] if with_time else []
         if isinstance(value, dict | list | bytes):
-            print(*([f"# {time}"] if time else []), *lines, "---", sep="\n", flush=True)
+            print(*(f"# {each}" for each in time), *lines, "---", sep="\n", flush=True)
         else:
-            print(*([time] if time else []), *lines, flush=True)
+            print(*time, *lines, flush=True)
 
     def _value(self, data: bytes) -> Any:
         from robotctl.messages.fields import WrongValue, value_at
@@ -198,15 +199,19 @@ def echo(
     name = view.full_name(topic)
     with view.listen(name, type_name, data=True) as listener:
         definition = parse_definition(listener.type_name, listener.definition)
-        printer = Printer(name, listener.type_name, definition, field, full_length=full_length)
+        printer = Printer(
+            name,
+            listener.type_name,
+            definition,
+            field,
+            full_length=full_length,
+            as_json=as_json,
+        )
         heard_s, noted = time.monotonic(), False
         while True:
             for message in listener.receive(NOTE_S if timeout is None else min(timeout, NOTE_S)):
-                data = base64.b64decode(message["data"])
-                if as_json:
-                    printer.print_json(data, message["received_ns"], message["source_ns"])
-                else:
-                    printer.print_lines(data, None)
+                data, received_ns = base64.b64decode(message["data"]), message["received_ns"]
+                printer.print(data, received_ns, message["source_ns"], with_time=False)
                 if once:
                     return
                 heard_s, noted = time.monotonic(), True
@@ -234,12 +239,11 @@ def _echo_recorded(
 
     info, messages = _recorded(file, topic, type_name)
     definition = recorded_definition(info)
-    printer = Printer(info.name, info.type_name, definition, field, full_length=full_length)
+    printer = Printer(
+        info.name, info.type_name, definition, field, full_length=full_length, as_json=as_json
+    )
     for message in messages:
-        if as_json:
-            printer.print_json(message.data, message.log_ns, message.publish_ns)
-        else:
-            printer.print_lines(message.data, message.log_ns)
+        printer.print(message.data, message.log_ns, message.publish_ns, with_time=True)
         if once:
             return
 
@@ -306,9 +310,7 @@ def list_topics(
         _list_recorded(file, every=every, as_json=as_json)
         return
     graph = ros_view(robot, domain_id).names()
-    topics = shown(graph["topics"], every)
-    lines = [*name_lines(topics, types), *left_out_lines(graph["left_out"])]
-    print_answer({"topics": topics}, lines, as_json=as_json)
+    print_names(graph, "topics", every=every, types=types, as_json=as_json)
 
 
 def _list_recorded(file: str, *, every: bool, as_json: bool) -> None:

@@ -142,21 +142,19 @@ def stop_drive(robot: str, driving: Background[DriveAnswer]) -> Interrupted:
     Raises:
         RobotctlError: The daemon could not be reached, or refused to stop the robot.
     """
+    params: dict[str, Any] = {"source": request_source("drive")}
     try:
         with ignoring(CLOSING_SIGNALS):
-            _say("stopping the robot (Ctrl-C again: emergency stop)")
-            params = {"source": request_source("drive")}
+            with suppress(OSError):  # the terminal may be gone
+                note = "robotctl: stopping the robot (Ctrl-C again: emergency stop)"
+                print(note, file=sys.stderr, flush=True)
             message = call(robot, END_DRIVE, params, deadline_s=None)["message"]
     except KeyboardInterrupt:
         with ignoring((signal.SIGINT, *CLOSING_SIGNALS)):
-            message = _emergency_stop(robot)
+            stop = params | {"mode": EMERGENCY_STOP_MODE}
+            message = call(robot, SET_MODE, stop)["message"]
+            message += f" (release it with: {command_for(robot, 'reset')})"
     return Interrupted(message, answer=_drive_report(driving))
-
-
-def _emergency_stop(robot: str) -> str:
-    params = {"source": request_source("drive"), "mode": EMERGENCY_STOP_MODE}
-    message = call(robot, SET_MODE, params)["message"]
-    return f"{message} (release it with: {command_for(robot, 'reset')})"
 
 
 def _drive_report(driving: Background[DriveAnswer]) -> Mapping[str, Any]:
@@ -170,11 +168,6 @@ def _drive_report(driving: Background[DriveAnswer]) -> Mapping[str, Any]:
         return driving.result()
     except RobotctlError as error:
         return error.answer
-
-
-def _say(text: str) -> None:
-    with suppress(OSError):  # the terminal may be gone
-        print(f"robotctl: {text}", file=sys.stderr, flush=True)
 
 
 KEEP_S = 0.2

@@ -244,7 +244,13 @@ def show_view(job: ViewJob, *, as_json: bool) -> None:
     with interrupted_by((signal.SIGTERM, signal.SIGHUP)):
         child, ready = start_view(job)
         try:
-            lines = ready_lines(job, ready)
+            may = "viewers may stop and drive it" if job.lease else "viewers may stop it"
+            shown = f"robot {job.live.robot} in Foxglove and Lichtblick"
+            lines = (
+                f"{shown}, {may if job.control else 'read-only'}",
+                f"  connect to  {ready['url']}",
+                f"  or open     {ready['open']}",
+            )
             print(json_text(ready) if as_json else "\n".join(lines), flush=True)
             for said in reports_of(child):
                 if "ended" in said:
@@ -254,15 +260,6 @@ def show_view(job: ViewJob, *, as_json: bool) -> None:
             raise Interrupted from None
         finally:
             child.close(END_S)
-
-
-def ready_lines(job: ViewJob, ready: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines that say where to connect, and what viewers may do."""
-    may = "viewers may stop and drive it" if job.lease else "viewers may stop it"
-    shown = f"robot {job.live.robot} in Foxglove and Lichtblick"
-    yield f"{shown}, {may if job.control else 'read-only'}"
-    yield f"  connect to  {ready['url']}"
-    yield f"  or open     {ready['open']}"
 
 
 def reports_of(child: Child, seconds: float | None = None) -> Iterator[dict[str, Any]]:

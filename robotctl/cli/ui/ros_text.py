@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from math import isfinite
 from typing import Any, Final
 
+from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.text import printable
-from robotctl.ipc.answers import NameAndTypes
 
 
 def is_hidden(name: str) -> bool:
@@ -17,22 +17,21 @@ def is_hidden(name: str) -> bool:
     return "/_" in name
 
 
-def shown(names: Sequence[NameAndTypes], every: bool) -> list[NameAndTypes]:
-    """Return the names to list: all names if `every`, otherwise the names that are not hidden."""
-    return [each for each in names if every or not is_hidden(each["name"])]
+def print_names(graph: Any, kind: str, *, every: bool, as_json: bool, types: bool = False) -> None:
+    """Print the names of a `kind` in a Graph: topics, services or nodes.
 
-
-def name_lines(names: Iterable[NameAndTypes], types: bool) -> Iterator[str]:
-    """Yield a line for each name; if `types`, with the name's types in brackets."""
-    for each in names:
-        kinds = f" [{', '.join(map(printable, each['types']))}]" if types else ""
-        yield f"{printable(each['name'])}{kinds}"
-
-
-def left_out_lines(count: int) -> Iterator[str]:
-    """Yield a line that says how many names the daemon has left out, if any."""
-    if count:
-        yield f"and {count} more"
+    Hidden names are left out unless `every`; with `types`, each name has its types in brackets. A
+    last line says how many names the daemon has left out, if any.
+    """
+    found = [(each if kind == "nodes" else each["name"], each) for each in graph[kind]]
+    listed = [(name, each) for name, each in found if every or not is_hidden(name)]
+    lines = [printable(name) for name, _ in listed]
+    if types:
+        kinds = (", ".join(map(printable, each["types"])) for _, each in listed)
+        lines = [f"{line} [{kind}]" for line, kind in zip(lines, kinds, strict=True)]
+    if graph["left_out"]:
+        lines.append(f"and {graph['left_out']} more")
+    print_answer({kind: [each for _, each in listed]}, lines, as_json=as_json)
 
 
 SHOWN_LENGTH: Final = 128

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -197,13 +197,14 @@ def _as_object(source: Path, made: Clip) -> dict[str, Any]:
     }
 
 
-def _lines(made: Clip) -> Iterator[str]:
-    about = made.moment
+def _lines(made: Clip) -> list[str]:
+    about, length_s = made.moment, (made.end_ns - made.start_ns) / NS_PER_S
     what = "" if about.kind is None else f"{about.kind.value}: {printable(about.text)}, "
-    yield f"{short_path(made.target)}"
-    yield f"  around     {what}{moment(about.log_ns)}"
-    length_s = (made.end_ns - made.start_ns) / NS_PER_S
-    yield f"  holds      {made.message_count} messages in {duration(length_s)}"
+    return [
+        short_path(made.target),
+        f"  around     {what}{moment(about.log_ns)}",
+        f"  holds      {made.message_count} messages in {duration(length_s)}",
+    ]
 
 
 @app.command()

@@ -153,8 +153,9 @@ def _lines(found: Answer, shown: tuple[str, ...]) -> Iterator[str]:
     table = [
         (list(shown[:-1]), shown[-1]),
         *(
-            _cells([_text(found.columns[each], values[each]) for each in places], width)
+            ([elided(each, width // 3) for each in texts[:-1]], texts[-1])
             for values in found.rows
+            for texts in [[_text(found.columns[each], values[each]) for each in places]]
         ),
     ]
     widths = [max(len(cells[number]) for cells, _ in table) for number in range(len(shown) - 1)]
@@ -163,11 +164,6 @@ def _lines(found: Answer, shown: tuple[str, ...]) -> Iterator[str]:
         wraps = len(label) + LEAST_WIDTH <= width < len(label) + len(last)
         yield from row(label, last) if wraps else [f"{label}{last}"]
     yield f"{len(found.rows)} row{'' if len(found.rows) == 1 else 's'}"
-
-
-def _cells(texts: list[str], width: int) -> tuple[list[str], str]:
-    """Return all cells of a row but the last, cut to a third of `width`; and the last, uncut."""
-    return [elided(each, width // 3) for each in texts[:-1]], texts[-1]
 
 
 def _text(column: str, value: Any) -> str:

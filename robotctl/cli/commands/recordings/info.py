@@ -137,15 +137,17 @@ def info_lines(found: RecordingInfo) -> Iterator[str]:
     """Yield the lines of `robotctl info`."""
     count = len(found.files)
     files = "" if count == 1 else f" in {count} files"
+    times = {"start": moment(found.start_ns), "duration": duration(found.duration_s)}
+    no_index = {"index": "missing: the file was scanned from its beginning"}
+    facts = {
+        "size": f"{size(found.size_bytes)}{files}",
+        **(times if found.message_count else {}),
+        "messages": found.message_count,
+        **({} if found.indexed else no_index),
+        "writer": f"{printable(found.library)}, profile {printable(found.profile) or 'none'}",
+    }
     yield short_path(found.path)
-    yield f"  size       {size(found.size_bytes)}{files}"
-    if found.message_count:
-        yield f"  start      {moment(found.start_ns)}"
-        yield f"  duration   {duration(found.duration_s)}"
-    yield f"  messages   {found.message_count}"
-    if not found.indexed:
-        yield "  index      missing: the file was scanned from its beginning"
-    yield f"  writer     {printable(found.library)}, profile {printable(found.profile) or 'none'}"
+    yield from (f"  {name:10} {value}" for name, value in facts.items())
     table = TopicLines((topic.name, topic.type_name) for topic in found.topics)
     if found.topics:
         yield ""

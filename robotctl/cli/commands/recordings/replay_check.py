@@ -169,12 +169,13 @@ def compare_command(
         raise error
 
 
-def settings_lines(settings: Mapping[str, Mapping[str, object]]) -> Iterator[str]:
-    """Yield a table with the recorded and the changed value of each setting."""
-    yield ""
-    yield table_row("", ["recorded", "what if"])
-    for key, values in settings.items():
-        yield table_row(key, [printable(values[side]) for side in ("recorded", "what_if")])
+def settings_lines(settings: Mapping[str, Mapping[str, object]]) -> list[str]:
+    """Return a table with the recorded and the changed value of each setting."""
+    rows = (
+        table_row(key, [printable(values[side]) for side in ("recorded", "what_if")])
+        for key, values in settings.items()
+    )
+    return ["", table_row("", ["recorded", "what if"]), *rows]
 
 
 def table_row(label: str, cells: Sequence[str]) -> str:
@@ -183,10 +184,9 @@ def table_row(label: str, cells: Sequence[str]) -> str:
     return f"  {label:{_LABEL_WIDTH}}{columns}".rstrip()
 
 
-def missing_lines(found: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a line for each part of a recording that could not be read."""
-    for sentence in found["missing"]:
-        yield from row("  ", f"missing: {sentence}")
+def missing_lines(found: Mapping[str, Any]) -> list[str]:
+    """Return the lines about the parts of a recording that could not be read."""
+    return [line for each in found["missing"] for line in row("  ", f"missing: {each}")]
 
 
 OPEN_LOOP = (

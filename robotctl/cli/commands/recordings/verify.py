@@ -459,12 +459,16 @@ def _as_object(robot: str, stored: StoredKey) -> dict[str, Any]:
     }
 
 
-def _lines(robot: str, stored: StoredKey) -> Iterator[str]:
-    yield f"first key    {stored.root}"
-    yield f"present key  {stored.key}"
-    yield f"folder       {short_path(seal_folder(robot))}"
-    yield f"files        {stored.files}"
+def _lines(robot: str, stored: StoredKey) -> list[str]:
     head = stored.head
-    if head.number:
-        yield f"head         {head.digest}"
-        yield f"             {moment(head.time_ns)}, {printable(head.file)}"
+    newest = [
+        f"head         {head.digest}",
+        f"             {moment(head.time_ns)}, {printable(head.file)}",
+    ]
+    return [
+        f"first key    {stored.root}",
+        f"present key  {stored.key}",
+        f"folder       {short_path(seal_folder(robot))}",
+        f"files        {stored.files}",
+        *(newest if head.number else []),
+    ]
