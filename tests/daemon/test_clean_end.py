@@ -154,7 +154,7 @@ def test_a_signal_during_the_start_ends_it(world: World) -> None:
         # If another process is in the domain, a start waits some seconds for its odometry.
         somebody.bind(("127.0.0.1", 7400 + 250 * world.domain_id + 249))
         start = world.spawn("start")
-        until(lambda: world.recordings.exists() or start.poll() is not None)
+        until(lambda: world.shared_memory() or start.poll() is not None)  # its node is there
         for pid, command in world.processes().items():
             if "robotctl.daemon" in command:
                 os.kill(pid, signal.SIGTERM)

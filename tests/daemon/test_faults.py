@@ -251,7 +251,7 @@ def spin(seconds: float) -> None:
         pass
 
 
-STALL_S = 1.5
+STALL_S = 1.1
 
 
 @pytest.mark.parametrize("stall", [sleep, spin])

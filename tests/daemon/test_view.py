@@ -18,7 +18,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from websockets.exceptions import InvalidHandshake
 
-from robotctl.ipc.client import call
 from robotctl.messages.definition import parse_definition
 from robotctl.messages.fields import parse_path
 from robotctl.messages.values import Decoder
@@ -27,7 +26,7 @@ from robotctl.recording.format.noted_events import DEFINITION, TYPE_NAME, encode
 from robotctl.view.remote_control import LET_GO_S
 from tests.support.view_client import ViewClient, view_client
 from tests.support.waiting import DEADLINE_S, until
-from tests.support.world import ROBOTCTL, World, entries_of, new_world
+from tests.support.world import ROBOTCTL, InProcess, World, entries_of, new_world
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove-layout.json"
 
@@ -313,15 +312,13 @@ def test_an_event_is_what_its_definition_says(text: str) -> None:
     assert [(pair.key, pair.value) for pair in event.metadata] == [("event", shown), ("to", "IDLE")]
 
 
-def test_changes_and_marks_are_events_and_the_recording_is_played_and_checked(
-    world: World, monkeypatch: pytest.MonkeyPatch
+async def test_changes_and_marks_are_events_and_the_recording_is_played_and_checked(
+    in_process: InProcess, world: World
 ) -> None:
-    world.enter(monkeypatch)
     world.patient.write_text(f"{world.patient.read_text()}recording.foxglove_events: true\n")
-    world.ok("start", "--sim")
-    call("robot", "set_mode", {"mode": 3, "source": "a person"})
-    call("robot", "mark", {"text": "a mark", "source": "a person"})
-    world.ok("stop")
+    async with in_process() as daemon:
+        await daemon.ask("set_mode", mode=3, source="a person")
+        await daemon.ask("mark", text="a mark", source="a person")
     (folder,) = world.recordings.iterdir()
     assert [dict(pairs) for pairs in events_of(folder)] == [
         {
@@ -333,7 +330,7 @@ def test_changes_and_marks_are_events_and_the_recording_is_played_and_checked(
         },
         {"event": "mark", "text": "a mark", "by": "a person"},
     ]
-    played = json.loads(world.robotctl("replay", "last", "--rate", "max", "--json").out)
+    played = json.loads(world.here("replay", str(folder), "--rate", "max", "--json").out)
     assert "/robotctl/events" in json.dumps(played)
 
 
