@@ -12,6 +12,8 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
+from operator import contains
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,6 @@ from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import LoggerLevel
 from rcl_interfaces.srv import SetLoggerLevels
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from robot_controller.msg import RobotStatus
 from robot_controller.srv import SetMode
@@ -41,76 +42,30 @@ ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
 
 
-class Heard:
-    """The tutorial's publisher in this process, and what another node hears of it."""
-
-    def __init__(self, context: Context) -> None:
-        self.publisher = VelocityPublisher(context)
-        self.listener = Node("somebody_else", context=context)
-        self.velocities: list[tuple[float, float]] = []
-        self.listener.create_subscription(Twist, "cmd_vel", self._take, 100)
-        self._executor = SingleThreadedExecutor(context=context)
-        for node in (self.publisher, self.listener):
-            self._executor.add_node(node)
-
-    def _take(self, twist: Any) -> None:
-        self.velocities.append((twist.linear.x, twist.angular.z))
-
-    def until(self, condition: Callable[[], object]) -> None:
-        """Run the callbacks of both nodes until the condition holds."""
-
-        def holds() -> bool:
-            self._executor.spin_once(timeout_sec=0.01)
-            return bool(condition())
-
-        until(holds)
-
-    def close(self) -> None:
-        """Destroy both nodes."""
-        self._executor.shutdown()
-        self.publisher.destroy_node()
-        self.listener.destroy_node()
-
-
-@pytest.fixture(scope="module")
-def tutorial() -> Iterator[Heard]:
-    """A publisher and a listener for the tests of this module."""
-    from robotctl.base.domains import reserved_domain
-
-    with reserved_domain() as number:
-        context = Context()
-        rclpy.init(context=context, domain_id=number)
-        made = Heard(context)
-        yield made
-        made.close()
-        context.destroy()
-
-
-@pytest.mark.parametrize("velocity", [(0.0, 0.0), (0.5, 0.25), (-2.0, 2.0), (2.0, -2.0)])
-def test_a_velocity_within_the_limits_passes_through(
-    tutorial: Heard, velocity: tuple[float, float]
+def test_a_velocity_within_the_limits_passes_and_one_outside_is_limited_and_said(
+    somebody: Node, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    tutorial.publisher.set_velocity(*velocity)
-    tutorial.velocities.clear()
-    tutorial.until(lambda: velocity in tutorial.velocities)
-
-
-@pytest.mark.parametrize(
-    ("asked", "limited"),
-    [((5.0, 0.0), (2.0, 0.0)), ((-2.001, 0.5), (-2.0, 0.5)), ((0.1, 1e300), (0.1, 2.0))],
-)
-def test_a_velocity_outside_is_limited_and_said(
-    tutorial: Heard,
-    asked: tuple[float, float],
-    limited: tuple[float, float],
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    tutorial.publisher.set_velocity(*asked)
-    linear, angular = limited
-    assert f"limited to linear.x={linear}, angular.z={angular}" in capfd.readouterr().err
-    tutorial.velocities.clear()
-    tutorial.until(lambda: limited in tutorial.velocities)
-    assert asked not in tutorial.velocities
+    publisher = VelocityPublisher(somebody.context)
+    heard = commands_heard_by(somebody, "cmd_vel")
+    for velocity in ((0.5, 0.25), (-2.0, 2.0), (2.0, -2.0), (0.0, 0.0)):
+        publisher.set_velocity(*velocity)
+        heard.clear()
+        spin_until([somebody, publisher], partial(contains, heard, velocity))
+    assert "limited" not in capfd.readouterr().err
+    for asked, limited in (
+        ((5.0, 0.0), (2.0, 0.0)),
+        ((-2.001, 0.5), (-2.0, 0.5)),
+        ((0.1, 1e300), (0.1, 2.0)),
+    ):
+        publisher.set_velocity(*asked)
+        told = f"limited to linear.x={limited[0]}, angular.z={limited[1]}"
+        assert told in capfd.readouterr().err
+        heard.clear()
+        spin_until([somebody, publisher], partial(contains, heard, limited))
+        assert asked not in heard
+    with pytest.raises(ValueError, match="finite"):
+        publisher.set_velocity(float("nan"), 0.0)
+    publisher.destroy_node()
 
 
 @pytest.mark.parametrize(
