@@ -1,12 +1,11 @@
 """The daemon's configuration: one frozen `Config`, validated when it is read.
 
-- `settings`: all settings with their defaults; read and change a `Config` by dotted keys.
-- `file`: read a `Config` from a YAML file.
+- `settings`: all settings with their defaults; read and change a `Config` by dotted keys or a file.
 - `ros_settings`: change a `Config` by ROS parameter files and `--ros-args`.
 """
 
-from robotctl.config.file import MAX_FILE_BYTES, load
 from robotctl.config.settings import (
+    MAX_FILE_BYTES,
     PATTERN_HELP,
     Config,
     Declaration,
@@ -17,6 +16,7 @@ from robotctl.config.settings import (
     declarations,
     flat,
     is_topic_pattern,
+    load,
     with_setting,
     with_text,
 )

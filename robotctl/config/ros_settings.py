@@ -12,13 +12,15 @@ from typing import Any, Final, NamedTuple
 from robotctl.base import ros_arguments
 from robotctl.base.errors import ConfigError, UsageError
 from robotctl.base.ros_arguments import NO_ARGUMENTS, Assignment, Remap, RosArguments
-from robotctl.config.file import flatten, read_value, read_yaml
 from robotctl.config.settings import (
     Config,
     check_together,
     flat,
+    flatten,
     keyed_leaves,
     log_warning,
+    read_value,
+    read_yaml,
     warn_of_retired,
     with_setting,
 )
@@ -75,7 +77,7 @@ def read_parameter_file(path: Path) -> tuple[NodeParameter, ...]:
 def _sections(content: Mapping[Any, Any], path: Path, node: str) -> Iterator[NodeParameter]:
     for name, inner in content.items():
         if name == _PARAMETERS and node and isinstance(inner, dict):
-            yield from (NodeParameter(node, key, value) for key, value in flatten(inner, path))
+            yield from (NodeParameter(node, key, value) for key, value in flatten(inner))
         elif isinstance(inner, dict):
             yield from _sections(inner, path, f"{node.rstrip('/')}/{name}" if node else str(name))
         else:

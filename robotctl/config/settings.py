@@ -1,20 +1,31 @@
-"""Read and change a configuration by the dotted keys that a file uses."""
+"""All settings with their defaults; read and change a configuration by its dotted keys, or a file.
+
+A file is YAML, nested or with dotted keys, plain or in the form of a ROS parameter file:
+
+    tracking.k_y: 8.0                     robot:
+    limits: {linear_mps: 0.3}               ros__parameters:
+                                              tracking.k_y: 8.0
+
+Aliases are refused: with them, a file of a few lines can expand beyond the memory.
+"""
 
 from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from enum import Enum
 from functools import cache
+from pathlib import Path
 from reprlib import repr as short_repr
-from typing import Any, get_type_hints
+from typing import Any, Final, get_type_hints
 
 from robotctl.base import retired
 from robotctl.base.errors import ConfigError
+from robotctl.base.files import open_regular
 from robotctl.kernel.fence import corners_of
 from robotctl.kernel.parameter_keys import Leaf, conflict, leaves, value_at, with_value
 from robotctl.kernel.params import KernelParams
@@ -133,6 +144,26 @@ MAX_GROUP_NAME = 256
 PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/msg/Image)"
 
 
+def _are_corners(text: str) -> bool:
+    try:
+        return len(corners_of(text)) >= 0
+    except ValueError:
+        return False
+
+
+_TEXTS: Final[Mapping[str, tuple[Callable[[str], object], str, str]]] = {
+    "topic": (_TOPIC.fullmatch, "the name of a ROS topic, such as /a/b", ', or "" for none'),
+    "frame": (_FRAME.fullmatch, "the name of a frame, such as base_link", ', or "" for any'),
+    "group": (
+        lambda text: text.isprintable() and len(text) <= MAX_GROUP_NAME,
+        "the name of a Unix group",
+        ', or "" for none',
+    ),
+    "corners": (_are_corners, "3 to 64 corners, such as 0,0 2,0 2,1", ""),
+}
+"""The kinds of text: whether a text is one, which texts are, and that "" is allowed."""
+
+
 def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any]) -> object:
     """Return `value` as a `kind`, the type of `key`; `metadata` is from the dataclass field.
 
@@ -156,18 +187,12 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
         return float(value)
     if "choices" in metadata and value not in metadata["choices"]:
         raise not_allowed(key, value, f"use {', '.join(metadata['choices'])}")
-    if metadata.get("topic") and not _matches(_TOPIC, value, optional=metadata["optional"]):
-        none = ', or "" for none' if metadata["optional"] else ""
-        raise not_allowed(key, value, f"use the name of a ROS topic, such as /a/b{none}")
-    if metadata.get("frame") and not _matches(_FRAME, value, optional=metadata["optional"]):
-        none = ', or "" for any' if metadata["optional"] else ""
-        raise not_allowed(key, value, f"use the name of a frame, such as base_link{none}")
-    if metadata.get("group") and not (
-        isinstance(value, str) and value.isprintable() and len(value) <= MAX_GROUP_NAME
-    ):
-        raise not_allowed(key, value, 'use the name of a Unix group, or "" for none')
-    if metadata.get("corners") and not _are_corners(value):
-        raise not_allowed(key, value, "use 3 to 64 corners, such as 0,0 2,0 2,1")
+    for flag, (matches, text, none) in _TEXTS.items():
+        optional = metadata.get("optional", True)
+        if metadata.get(flag) and not (
+            isinstance(value, str) and (matches(value) or (optional and not value))
+        ):
+            raise not_allowed(key, value, f"use {text}{none if optional else ''}")
     if type(value) is not kind:
         names = {int: "a whole number", str: "text", bool: "true or false"}
         raise not_allowed(key, value, f"use {names[kind]}")
@@ -176,13 +201,6 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
         if not low <= value <= high:
             raise not_allowed(key, value, f"use {low} to {high}")
     return value
-
-
-def _are_corners(value: object) -> bool:
-    try:
-        return isinstance(value, str) and len(corners_of(value)) >= 0
-    except ValueError:
-        return False
 
 
 def _checked_patterns(key: str, value: object) -> tuple[str, ...]:
@@ -217,11 +235,6 @@ def _is_rate(text: str) -> bool:
 def is_topic_pattern(value: object) -> bool:
     """Return whether the value is a topic, glob or type that can select topics."""
     return isinstance(value, str) and _PATTERN.fullmatch(value) is not None
-
-
-def _matches(pattern: re.Pattern[str], value: object, *, optional: bool) -> bool:
-    """Return whether a text matches; `optional` allows the empty text, too."""
-    return isinstance(value, str) and bool(pattern.fullmatch(value) or (optional and not value))
 
 
 def not_allowed(key: str, value: object, allowed: str) -> ConfigError:
@@ -386,6 +399,16 @@ def declarations() -> Mapping[str, Declaration]:
     return found
 
 
+_IN_WORDS: Final = {
+    "rates": "topics, globs, types, each with a rate",
+    "corners": '3 to 64 corners; "" for none',
+    "topic": 'a topic; "" for none',
+    "command": 'a command line; "" for none',
+    "group": 'a Unix group; "" for none',
+    "frame": 'the name of a frame; "" for any',
+}
+
+
 def _allowed(value: object, metadata: Mapping[str, Any]) -> str:
     """Return in words which values are allowed."""
     limits = metadata.get("range")
@@ -395,18 +418,151 @@ def _allowed(value: object, metadata: Mapping[str, Any]) -> str:
         return ", ".join(member.value for member in type(value))
     if "choices" in metadata:
         return ", ".join(metadata["choices"])
-    if metadata.get("rates"):
-        return "topics, globs, types, each with a rate"
-    if metadata.get("corners"):
-        return '3 to 64 corners; "" for none'
-    if metadata.get("topic"):
-        return 'a topic; "" for none' if metadata["optional"] else "a topic"
-    if metadata.get("command"):
-        return 'a command line; "" for none'
-    if metadata.get("group"):
-        return 'a Unix group; "" for none'
-    if metadata.get("frame"):
-        return 'the name of a frame; "" for any' if metadata["optional"] else "the name of a frame"
+    for flag, words in _IN_WORDS.items():
+        if metadata.get(flag):
+            return words if metadata.get("optional", True) else words.partition(";")[0]
     if isinstance(value, bool):
         return "true, false"
     return "a whole number" if isinstance(value, int) else "a list of topics, globs, types"
+
+
+MAX_FILE_BYTES = 1_000_000
+"""The size of the largest file that is read."""
+
+
+def load(path: Path, warn: Callable[[str], object] = log_warning) -> Config:
+    """Return the configuration in the file `path`; skip retired keys, and call `warn` for each.
+
+    Raises:
+        ConfigError: The file cannot be read, or a key or value is not allowed.
+    """
+    config = Config()
+    for key, value in read_settings(path):
+        if warn_of_retired(key, warn, f"{path}: "):
+            continue
+        try:
+            config = with_setting(config, key, value)
+        except ConfigError as error:
+            raise file_error(path, key, error) from None
+    try:
+        check_together(config.kernel)
+    except ConfigError as error:
+        raise file_error(path, error.cause.partition(":")[0], error) from None
+    return config
+
+
+def read_settings(path: Path) -> list[tuple[str, object]]:
+    """Return each dotted key of a file with its value, unchecked and in the file's order.
+
+    Raises:
+        ConfigError: The file cannot be read, or has a key twice.
+    """
+    settings = list(flatten(_parameters(read_yaml(path), path)))
+    seen: set[str] = set()
+    for key, _ in settings:
+        if key in seen:
+            raise file_error(path, key, ConfigError(f"{key}: is given twice", "keep one of them"))
+        seen.add(key)
+    return settings
+
+
+def file_error(path: Path, key: str, error: ConfigError) -> ConfigError:
+    """Return `error` with the path of the file and, if found, the number of the line with `key`."""
+    line = _line_of(path, key)
+    where = f"{path}: " if line is None else f"{path}: line {line}: "
+    return ConfigError(f"{where}{error.cause}", error.cure)
+
+
+def read_value(name: str, text: str) -> object:
+    """Return the value of the YAML `text`; the text of an error begins with `name`.
+
+    Raises:
+        ConfigError: The text is not valid YAML.
+    """
+    import yaml
+
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError, TypeError, ValueError) as error:
+        raise ConfigError(f"{name}: not valid YAML: {' '.join(str(error).split())}") from None
+
+
+def read_yaml(path: Path) -> Any:
+    """Return the content of a YAML file.
+
+    Raises:
+        ConfigError: The file cannot be read, is not valid YAML, or has aliases or duplicate keys.
+    """
+    import yaml  # here: the import lasts 15 ms, and most daemons have no configuration file
+
+    class Loader(yaml.SafeLoader):
+        """Refuses aliases and duplicate keys; PyYAML would keep the last value of such a key."""
+
+        def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+            if self.check_event(yaml.AliasEvent):
+                raise yaml.YAMLError("aliases are not supported: write the value itself")
+            return super().compose_node(parent, index)
+
+        def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Any:
+            seen: set[Hashable] = set()
+            for item, _ in node.value:
+                key = self.construct_object(item, deep=True)
+                if key in seen:
+                    raise yaml.YAMLError(f"{short_repr(key)}: is given twice: keep one of them")
+                seen.add(key)
+            return super().construct_mapping(node, deep)
+
+    try:
+        return yaml.load(_text(path), Loader)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}", "give the path of a YAML file") from None
+    except (yaml.YAMLError, RecursionError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+
+
+def _text(path: Path) -> bytes:
+    with open_regular(path) as file:
+        text = file.read(MAX_FILE_BYTES + 1)
+    if len(text) > MAX_FILE_BYTES:
+        raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES} bytes, not a configuration")
+    return text
+
+
+def _line_of(path: Path, key: str) -> int | None:
+    """Return the number of the last line that sets the dotted `key`, None if it is not found."""
+    import yaml
+
+    def lines(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, int]]:
+        for name, value in node.value if isinstance(node, yaml.MappingNode) else ():
+            yield f"{prefix}{name.value}", name.start_mark.line + 1
+            yield from lines(value, f"{prefix}{name.value}.")
+
+    try:
+        named = lines(yaml.compose(_text(path), yaml.SafeLoader), "")
+        found = [line for name, line in named if f".{name}".endswith(f".{key}")]
+    except (OSError, yaml.YAMLError):  # the file was changed meanwhile
+        return None
+    return found[-1] if found else None
+
+
+def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:
+    """Return the settings of a file; in a ROS parameter file, they are below `ros__parameters`."""
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path}: not a mapping of keys to values")
+    if len(content) == 1:
+        (inner,) = content.values()
+        if isinstance(inner, dict) and list(inner) == ["ros__parameters"]:
+            return _parameters(inner["ros__parameters"], path)
+    return content
+
+
+def flatten(settings: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Yield each dotted key and value of nested mappings; a mapping under RATE_KEYS is a value."""
+    for name, value in settings.items():
+        key = f"{prefix}{name}"
+        if isinstance(value, dict) and key not in RATE_KEYS:
+            yield from flatten(value, f"{key}.")
+        else:
+            yield key, value

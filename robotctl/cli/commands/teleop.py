@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from typing import TYPE_CHECKING, Annotated, Any, Final, cast
 
 import typer
@@ -320,7 +320,12 @@ def teleop(
         raise UsageError("teleop needs a terminal", "or a gamepad: robotctl teleop --joy joy")
     with ExitStack() as stack:
         stack.enter_context(interrupted_by(CLOSING_SIGNALS))
-        gamepad = stack.enter_context(_gamepad(robot, joy, controls)) if joy else None
+        gamepad = None
+        if joy:
+            view = ros_view(robot, None)
+            name = view.full_name(joy)
+            listener = stack.enter_context(view.listen(name, JOY, data=True))
+            gamepad = Gamepad(listener, name, controls)
         client = stack.enter_context(Client(robot))
         speeds = Speeds(client, speed)
         lease = None
@@ -336,14 +341,6 @@ def teleop(
         finally:
             with suppress(RobotctlError):  # the first error is the one to report
                 session.let_go()
-
-
-@contextmanager
-def _gamepad(robot: str, topic: str, controls: Controls) -> Iterator[Gamepad]:
-    view = ros_view(robot, None)
-    name = view.full_name(topic)
-    with view.listen(name, JOY, data=True) as listener:
-        yield Gamepad(listener, name, controls)
 
 
 def _run(

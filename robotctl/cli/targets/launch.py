@@ -74,7 +74,16 @@ def launch(
     Raises:
         RobotctlError: The daemon did not start; the error has its reason and exit code.
     """
-    log = _log_of(robot)
+    try:
+        log = log_path(robot)
+        make_private(log.parent)
+    except (OSError, RuntimeError) as error:  # a home that cannot be written, or no home at all
+        why = f"{error.strerror}: {error.filename}" if isinstance(error, OSError) else error
+        raise UsageError(
+            f"the folder for the log cannot be created: {why}",
+            "set XDG_STATE_HOME to a folder of yours",
+            sentence=IN_PARENTHESES,
+        ) from error
     # A name of its own, until it is clear that no other daemon writes to the robot's log.
     own_log = log.with_name(f"{log.name}.{os.getpid()}")
     # A Ctrl-C between the start of the child and the `try` would leave the child behind.
@@ -86,7 +95,12 @@ def launch(
         raise
     try:
         signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
-        said = _said_when_ready(daemon)
+        try:
+            said = daemon.receive_one(READY_DEADLINE_S)
+        except TimeoutError:
+            said = _TOO_SLOW
+        except (EOFError, ValueError):  # it ended without a report, or sent something else
+            said = {}
         if said.get("ready") is True:
             _put_in_place(own_log, log)
             summary = cast(StartSummary, said)
@@ -116,31 +130,6 @@ def _put_in_place(own_log: Path, log: Path) -> None:
     with suppress(FileNotFoundError):
         log.replace(log.with_name(f"{log.name}.1"))
     own_log.replace(log)
-
-
-def _log_of(robot: str) -> Path:
-    """Return the path of the daemon's log, and create its folder."""
-    try:
-        log = log_path(robot)
-        make_private(log.parent)
-    except (OSError, RuntimeError) as error:  # a home that cannot be written, or no home at all
-        why = f"{error.strerror}: {error.filename}" if isinstance(error, OSError) else error
-        raise UsageError(
-            f"the folder for the log cannot be created: {why}",
-            "set XDG_STATE_HOME to a folder of yours",
-            sentence=IN_PARENTHESES,
-        ) from error
-    return log
-
-
-def _said_when_ready(daemon: Child) -> dict[str, Any]:
-    """Return the daemon's report, or {} if it ended without one or sent something else."""
-    try:
-        return daemon.receive_one(READY_DEADLINE_S)
-    except TimeoutError:
-        return _TOO_SLOW
-    except (EOFError, ValueError):
-        return {}
 
 
 def _failure(ended: str, said: dict[str, Any], log: Path, see: str) -> RobotctlError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import NamedTuple, TypedDict, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from robotctl.base.errors import NoDaemon, Refused, RobotctlError
 from robotctl.base.paths import runtime_folder
@@ -78,23 +78,18 @@ def _look(robot: str) -> RobotDaemon | None:
         return RobotDaemon(robot, None, str(error))
 
 
-class StoppedRobot(TypedDict):
-    """The result of stopping one robot; unless `ok`, `message` says why it failed."""
-
-    robot: str
-    ok: bool
-    message: str
-
-
-def stop_all(params: dict[str, str]) -> tuple[list[StoppedRobot], RobotctlError | None]:
+def stop_all(params: dict[str, str]) -> tuple[list[dict[str, Any]], RobotctlError | None]:
     """Latch the emergency stop of all robots in parallel; return results and first failure or None.
+
+    A result is the object that `estop --all --json` prints: `robot`, `ok`, and `message`, which
+    says why it failed, unless `ok`.
 
     Raises:
         NoDaemon: There is no daemon.
     """
     failures: list[RobotctlError] = []
 
-    def stop(robot: str) -> StoppedRobot | None:
+    def stop(robot: str) -> dict[str, Any] | None:
         try:
             answer = call(robot, SET_MODE, {"mode": EMERGENCY_STOP_MODE, **params})
         except NoDaemon as error:
@@ -105,7 +100,7 @@ def stop_all(params: dict[str, str]) -> tuple[list[StoppedRobot], RobotctlError 
             return _failed(robot, error)
         return {"robot": robot, "ok": True, "message": answer["message"]}
 
-    def _failed(robot: str, error: RobotctlError) -> StoppedRobot:
+    def _failed(robot: str, error: RobotctlError) -> dict[str, Any]:
         failures.append(error)
         return {"robot": robot, "ok": False, "message": str(error)}
 

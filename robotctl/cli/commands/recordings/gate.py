@@ -208,10 +208,6 @@ def answer_object(place: Path, report: GateReport) -> dict[str, Any]:
             return "accepted"
         return "failed" if path in failures else "unknown" if path in unknown else "passed"
 
-    def accepted(path: Path) -> dict[str, str] | None:
-        found = report.accepted.get(path)
-        return None if found is None else {"by": found.by, "at": found.at, "why": found.why}
-
     return {
         "folder": str(place),
         "counts": report.counts(),
@@ -225,7 +221,9 @@ def answer_object(place: Path, report: GateReport) -> dict[str, Any]:
             {
                 "path": str(path),
                 "state": state(path),
-                "accepted": accepted(path),
+                "accepted": {key: getattr(by, key) for key in ("by", "at", "why")}
+                if (by := report.accepted.get(path)) is not None
+                else None,
                 **result.as_object(),
             }
             for path, result in report.results.items()
