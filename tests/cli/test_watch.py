@@ -26,14 +26,23 @@ from tests.cli.conftest import Cli, Spawn
 from tests.support.terminals import Terminal
 
 
-def test_through_a_pipe_it_prints_the_rows_of_a_table(daemon: None, spawn: Spawn) -> None:
-    process = spawn("watch")
-    assert process.stdout is not None
-    assert process.stdout.readline() == f"{watch.HEADER}\n"
+def test_through_a_pipe_it_prints_rows_or_objects_and_ends_with_the_daemon(
+    daemon: None, cli: Cli, spawn: Spawn
+) -> None:
+    rows, objects = spawn("watch"), spawn("watch", "--json")
+    assert rows.stdout is not None
+    assert objects.stdout is not None
+    assert rows.stdout.readline() == f"{watch.HEADER}\n"
     for _ in range(2):
-        line = process.stdout.readline()
+        line = rows.stdout.readline()
         assert " ".join(line.split()[1:]) == "IDLE 0.500 -0.250 1.500 0.200 87% 20 0"
         assert "\x1b" not in line
+        assert json.loads(objects.stdout.readline())["mode"] == "IDLE"
+    assert cli("stop").exit_code == 0
+    _, err = rows.communicate(timeout=30)
+    assert rows.returncode == 3
+    assert err.startswith("robotctl: ")
+    assert err.count("\n") == 1
 
 
 def test_a_row_has_80_columns_and_shows_what_is_not_known(daemon: None) -> None:
@@ -78,17 +87,6 @@ def test_on_a_terminal_it_draws_within_80_columns(daemon: None, command: list[st
         assert any(text in line for line in lines), text
 
 
-def test_it_ends_with_the_daemon(daemon: None, cli: Cli, spawn: Spawn) -> None:
-    process = spawn("watch")
-    assert process.stdout is not None
-    process.stdout.readline()
-    assert cli("stop").exit_code == 0
-    _, err = process.communicate(timeout=30)
-    assert process.returncode == 3
-    assert err.startswith("robotctl: ")
-    assert err.count("\n") == 1
-
-
 def test_a_poll_that_fails_does_not_end_the_view_of_a_drive(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -112,13 +110,6 @@ def test_a_poll_that_fails_does_not_end_the_view_of_a_drive(
         done.set()
         driving.join()
     assert driving.result() == {"waited": True}
-
-
-def test_json_is_the_status_line_by_line(daemon: None, spawn: Spawn) -> None:
-    process = spawn("watch", "--json")
-    assert process.stdout is not None
-    for _ in range(2):
-        assert json.loads(process.stdout.readline())["mode"] == "IDLE"
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ import signal
 import socket
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -25,16 +24,18 @@ from tests.support.waiting import DEADLINE_S, loop_until
 from tests.support.world import World
 
 
-def test_a_lock_has_one_owner_and_names_it(tmp_path: Path) -> None:
+def test_a_lock_has_one_owner_names_it_and_is_free_after_it_failed(tmp_path: Path) -> None:
     path = tmp_path / "robot.lock"
-    with (
-        owned(path, "robot"),
-        pytest.raises(AlreadyRunning, match=f"pid {os.getpid()} "),
-        owned(path, "robot"),
-    ):
-        pass
+    path.write_text("4194305 and more\n")
+
+    def own_twice() -> None:
+        with owned(path, "robot"), owned(path, "robot"):
+            pass
+
+    with pytest.raises(AlreadyRunning, match=f"pid {os.getpid()} "):
+        own_twice()
     with owned(path, "robot"):
-        assert path.read_text() == f"{os.getpid()}\n"
+        assert path.read_text() == f"{os.getpid()}\n", "nothing is left of a longer pid"
 
 
 def test_the_pid_of_an_owner_who_died_is_not_named(
@@ -49,26 +50,6 @@ def test_the_pid_of_an_owner_who_died_is_not_named(
             owned(path, "r2"),
         ):
             pass
-
-
-def test_a_lock_is_free_after_an_owner_failed(tmp_path: Path) -> None:
-    path = tmp_path / "robot.lock"
-
-    def fail() -> Any:
-        with owned(path, "robot"):
-            raise RuntimeError("injected")
-
-    with pytest.raises(RuntimeError):
-        fail()
-    with owned(path, "robot"):
-        pass
-
-
-def test_nothing_is_left_of_a_longer_pid(tmp_path: Path) -> None:
-    path = tmp_path / "robot.lock"
-    path.write_text("4194305 and more\n")
-    with owned(path, "robot"):
-        assert path.read_text() == f"{os.getpid()}\n"
 
 
 def test_an_owner_under_another_uid_is_named(

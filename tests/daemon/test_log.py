@@ -42,12 +42,9 @@ def formatted(message: str, *arguments: object, failed: bool = False) -> str:
     return PlainFormatter("%(levelname)s: %(message)s").format(record)
 
 
-def test_a_name_that_steers_a_terminal_is_escaped() -> None:
+def test_a_name_that_steers_a_terminal_or_looks_like_an_entry_is_escaped() -> None:
     assert formatted("topic %s", "/\x1b[2J\r\x07") == r"INFO: topic /\x1b[2J\r\x07"
     assert formatted("Größe %s", "µ") == "INFO: Größe µ"
-
-
-def test_a_name_cannot_look_like_an_entry() -> None:
     assert formatted("in %s", "a\nERROR: forged") == "INFO: in a\n    ERROR: forged"
 
 
