@@ -21,6 +21,7 @@ from robotctl.base.store.objects import Stamp, StoreFailed
 from robotctl.collection import sources
 from robotctl.collection.sources import (
     OF_THE_SYSTEM,
+    PIECE_BYTES,
     YOUNG_NS,
     local_recordings,
     open_regular_file,
@@ -429,3 +430,13 @@ def test_an_object_that_was_changed_keeps_no_other_file_from_the_store(
     done = run()
     assert DATA in done.wrong[0]
     assert names(done) == [late.name]
+
+
+def test_each_piece_that_is_read_here_waits_for_its_turn(
+    store: MemoryStore, recordings: Path
+) -> None:
+    asked: list[int] = []
+    copy_recordings(local_recordings(recordings, time.time_ns()), store, pace=asked.append)
+    total = sum(map(len, files_below(recordings).values()))
+    assert sum(asked) == total
+    assert asked.count(0) > total / PIECE_BYTES
