@@ -13,6 +13,7 @@ import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import inf
 from typing import Final, NamedTuple
 
 from robotctl.check.commands import LATE_NS
@@ -320,7 +321,10 @@ class ServiceCheck:
         begin_ns = (self._begin_ns or 0) + LATE_NS
         unasked = [call for call in unasked if begin_ns < call.publish_ns]
         if not (ending.is_whole and ending.ledger is not None):
-            judged = [call for call in unasked if not self._is_under_way(call, end_log_ns)]
+            # The request of a call that is under way may come after the end of the journal.
+            last_ns = inf if self._clock.has_changed else end_log_ns + AFTER_NS
+            first_ns = end_log_ns - LATE_NS
+            judged = [call for call in unasked if not first_ns < call.publish_ns <= last_ns]
             if len(unasked) - len(judged) <= MAX_UNDER_WAY:
                 unasked = judged
         if not unasked:
@@ -333,11 +337,6 @@ class ServiceCheck:
             ending.accuse(text)
         else:
             self._report.notes.append(f"{text}: another node serves it as well")
-
-    def _is_under_way(self, call: Call, end_log_ns: int) -> bool:
-        """Return whether the request of a call may come after the end of the journal."""
-        after_ns = call.publish_ns - end_log_ns
-        return after_ns > -LATE_NS and (after_ns <= AFTER_NS or self._clock.has_changed)
 
     def _tell_unheard(
         self, unheard: list[Asked], last: list[Asked], ending: Ending, end_ns: int

@@ -193,13 +193,13 @@ class Run:
 
     def refused_drives(self) -> set[int]:
         """Return the ids of the refused requests for a motion."""
-        return {each for each in self.refused if _starts_motion(self.requests[each])}
-
-
-def _starts_motion(request: Event) -> bool:
-    if isinstance(request, ModeRequested):
-        return request.requested == Mode.MOVING.value
-    return isinstance(request, DriveRequested)
+        asked = {each: self.requests[each] for each in self.refused}
+        return {
+            number
+            for number, request in asked.items()
+            if isinstance(request, DriveRequested)
+            or (isinstance(request, ModeRequested) and request.requested == Mode.MOVING.value)
+        }
 
 
 def figures(report: DriveReport) -> dict[str, Any]:

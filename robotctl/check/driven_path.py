@@ -40,7 +40,9 @@ def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> 
     with Recording(path) as recording:
         missing = list(recording.missing)
         if journal_topic(recording.info()) is None:
-            poses = _all_odometry(recording, missing)
+            topics = recording.info().topics
+            name = next((topic.name for topic in topics if topic.type_name == ODOMETRY), None)
+            poses = [] if name is None else list(_poses(recording, name, missing))
             is_whole = not missing
         else:
             motion = _last_motion(recording, missing)
@@ -158,12 +160,6 @@ def _moves(entry: JournalEntry, moving: bool) -> bool:
         changed = read_effect(entry)
         return isinstance(changed, ModeChanged) and changed.mode is Mode.MOVING
     return moving
-
-
-def _all_odometry(recording: Recording, missing: list[str]) -> list[Pose]:
-    topics = recording.info().topics
-    name = next((topic.name for topic in topics if topic.type_name == ODOMETRY), None)
-    return [] if name is None else list(_poses(recording, name, missing))
 
 
 def _poses(recording: Recording, topic: str, missing: list[str]) -> Iterator[Pose]:

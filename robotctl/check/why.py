@@ -13,7 +13,6 @@ from robotctl.config import Config, flat
 from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
-from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import named
 from robotctl.kernel.safety import RULE_OF, Rule, failed_start_condition, remedies_for, uncleared
 from robotctl.kernel.state import FULLEST_LEVEL, State
@@ -276,7 +275,9 @@ def _rule(incident: Incident) -> str:
     rule = rule_of(incident)
     if rule is None:
         return _table_rule(incident, before)
-    measures = _measures(rule, params)
+    values = flat(Config(kernel=params))
+    texts = [f"{key} is {values[key]}" for key in _MEASURES.get(rule.cause, ())]
+    measures = f" ({', '.join(texts)})" if texts else ""
     if incident.kind is IncidentKind.REFUSAL:
         holds = f"holds {before.mode.name}" if before.cause is not None else "prevents a start"
         return f"{rule.cause.value} {holds}{measures}"
@@ -325,12 +326,6 @@ def _other_refusal(event: Event, before: State) -> str:
     if isinstance(event, DriveRequested) and before.mode is Mode.MOVING and not event.replace:
         return "one drive at a time: a second one must replace the first"
     return ""
-
-
-def _measures(rule: Rule, params: KernelParams) -> str:
-    values = flat(Config(kernel=params))
-    texts = [f"{key} is {values[key]}" for key in _MEASURES.get(rule.cause, ())]
-    return f" ({', '.join(texts)})" if texts else ""
 
 
 def _asked(incident: Incident) -> str:

@@ -318,18 +318,11 @@ class Recording:
 
         `on_progress` gets bytes done and in total.
         """
-        return chain.from_iterable(self._blocks(topics, on_missing, on_progress))
-
-    def _blocks(
-        self,
-        topics: Collection[str] | None,
-        on_missing: Callable[[str], None],
-        on_progress: Callable[[int, int], None],
-    ) -> Iterator[list[Message]]:
         done, total = 0, sum(each.file.size for each in self._files)
         for each in self._files:
             for source in place_readers([each], topics, ALWAYS):
-                yield from _as_written(source, on_missing)
+                for messages in _as_written(source, on_missing):
+                    yield from messages
                 on_progress(done + source.place.offset + source.place.length, total)
             done += each.file.size
             on_progress(done, total)
