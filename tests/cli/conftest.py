@@ -8,7 +8,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +20,9 @@ from robotctl.cli import app
 from robotctl.cli.targets import launch
 from robotctl.cli.ui import text
 from robotctl.ipc.client import Client
+from tests.support.lines import Ran
 
 FAKE_DAEMON = Path(__file__).with_name("fake_daemon.py")
-
-
-@dataclass(frozen=True, slots=True)
-class Ran:
-    """Exit code and output of a command line."""
-
-    exit_code: int
-    out: str
-    err: str
 
 
 Cli = Callable[..., Ran]

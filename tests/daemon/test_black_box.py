@@ -23,6 +23,7 @@ from robotctl.recording import Recorder, RecorderOptions, RecorderStats, read_in
 from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from tests.support.bags import text
+from tests.support.lines import Ran
 from tests.support.recordings import read_strictly
 from tests.support.waiting import loop_until, until
 from tests.support.world import (
@@ -30,7 +31,6 @@ from tests.support.world import (
     InProcess,
     NewPeer,
     Peer,
-    Ran,
     World,
     journal_of,
     new_world,

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from robotctl.replay.replay_guard import daemons_in, running_daemons
-from tests.support.lines import Told, peer_command
+from tests.support.lines import Ran, Told, peer_command
 from tests.support.waiting import until
-from tests.support.world import InProcess, NewPeer, Peer, Ran, World, new_world, read_back
+from tests.support.world import InProcess, NewPeer, Peer, World, new_world, read_back
 
 COMMANDS = 200
 

@@ -20,6 +20,15 @@ from robotctl.ipc.server import ClientLimits, ControlServer, Identity, Method
 from tests.support.waiting import DEADLINE_S
 
 
+def request(method: str, **params: object) -> bytes:
+    return encode_request(7, method, params)
+
+
+HELLO = request("hello", protocol=1)
+ESTOP = request("set_mode", mode=3, source="test")
+IDENTITY = Identity("robot", "0.1.0", 1)
+
+
 class FakeRobot:
     """Answers as the daemon does; `never` is what its endless calls wait for."""
 

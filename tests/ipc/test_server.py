@@ -22,17 +22,9 @@ from robotctl.base.errors import AlreadyRunning, UsageError
 from robotctl.ipc import listener
 from robotctl.ipc import server as request_handler
 from robotctl.ipc.protocol import Code, encode_request
-from robotctl.ipc.server import ControlServer, Identity
+from robotctl.ipc.server import ControlServer
+from tests.ipc.conftest import ESTOP, HELLO, IDENTITY, request
 from tests.support.waiting import DEADLINE_S, loop_until
-
-
-def request(method: str, **params: object) -> bytes:
-    return encode_request(7, method, params)
-
-
-HELLO = request("hello", protocol=1)
-ESTOP = request("set_mode", mode=3, source="test")
-
 
 # Admission
 
@@ -204,9 +196,6 @@ async def test_malformed_lines_are_answered_and_change_nothing(
             assert (await bystander.call("status"))["result"]["mode"] == 0
         assert "result" in await vandal.call("status")
     assert robot.mode_requests == 0
-
-
-IDENTITY = Identity("robot", "0.1.0", 1)
 
 
 def test_the_socket_is_private_with_any_umask(path: Path) -> None:

@@ -15,20 +15,13 @@ from typing import Any
 
 import pytest
 
-from robotctl.ipc.protocol import Code, encode_request
+from robotctl.ipc.protocol import Code
 from robotctl.ipc.server import ClientLimits
+from tests.ipc.conftest import ESTOP, HELLO, request
 from tests.support.waiting import DEADLINE_S, loop_until
 
-
-def request(method: str, **params: object) -> bytes:
-    return encode_request(7, method, params)
-
-
-HELLO = request("hello", protocol=1)
 STOP_WITHIN_S = 1.0
 """The target is 20 ms; a connection that waits behind 600 idle ones took 2 s before."""
-
-ESTOP = request("set_mode", mode=3, source="test")
 
 
 def open_fds() -> int:

@@ -14,11 +14,10 @@ import pytest
 
 from robotctl.base.errors import UsageError
 from robotctl.ipc.listener import SocketGroup, socket_group
-from robotctl.ipc.server import ControlServer, Identity
+from robotctl.ipc.server import ControlServer
+from tests.ipc.conftest import IDENTITY
 from tests.support.users import as_root, process_of
 from tests.support.waiting import DEADLINE_S, until
-
-IDENTITY = Identity("robot", "0.1.0", 1)
 
 OWNER, MEMBER, STRANGER = 65501, 65502, 65503
 ROBOTS = SocketGroup("robots", 65510)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +19,8 @@ from robotctl.base.paths import make_private, runtime_folder, socket_path
 from robotctl.ipc.method_params import NoParams
 from robotctl.ipc.server import ControlServer, Identity, Method
 from robotctl.ros import AsyncioExecutor, RawTap
+from tests.support.lines import Ran
 from tests.support.waiting import DEADLINE_S
-
-
-@dataclass(frozen=True, slots=True)
-class Ran:
-    """The result of a command line."""
-
-    exit_code: int
-    out: str
-    err: str
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        """The object of --json."""
-        found: dict[str, Any] = json.loads(self.out)
-        return found
 
 
 class Running:

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,21 @@ def peer_command(module: str, *arguments: str) -> list[str]:
         f"import sys; sys.path.insert(0, {str(ROOT)!r}); {run}",
         *arguments,
     ]
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """The result of a command line."""
+
+    exit_code: int
+    out: str
+    err: str
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """The object of --json."""
+        found: dict[str, Any] = json.loads(self.out)
+        return found
 
 
 class Told:

@@ -15,7 +15,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
-from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 from shutil import rmtree
@@ -35,7 +34,7 @@ from robotctl.recording import Recording, read_journal
 from robotctl.recording.format.journal import JournalEntry, decode
 from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.keep.listing import CLIPS_FOLDER
-from tests.support.lines import Told, peer_command
+from tests.support.lines import Ran, Told, peer_command
 from tests.support.waiting import DEADLINE_S, until
 
 
@@ -99,15 +98,6 @@ NO_INDEX = ("--ros-args", "-p", "recording.index:=false")
 """For a start with a configuration of its own."""
 
 INDEXING = "robotctl.collection.indexing:index_job"
-
-
-@dataclass(frozen=True, slots=True)
-class Ran:
-    """The result of a command line."""
-
-    exit_code: int
-    out: str
-    err: str
 
 
 class Peer(Told):
