@@ -10,22 +10,14 @@ import json
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any, Final
 
 SUBPROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 """The WebSocket subprotocols that Foxglove and Lichtblick request."""
 
+_WARNING: Final = 1
 _MESSAGE_DATA: Final = struct.Struct("<BIQ")
 _SERVICE_RESPONSE: Final = struct.Struct("<BIII")
-
-
-class StatusLevel(IntEnum):
-    """How serious a status message is."""
-
-    INFO = 0
-    WARNING = 1
-    ERROR = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,9 +72,9 @@ def unadvertise(channel_ids: Iterable[int]) -> str:
     return json.dumps({"op": "unadvertise", "channelIds": list(channel_ids)})
 
 
-def status(level: StatusLevel, message: str, id: str = "") -> str:  # noqa: A002 - the field's name
+def warning(message: str, id: str = "") -> str:  # noqa: A002 - the field's name
     """Return a status message; an `id` makes it replace the earlier message with the same `id`."""
-    said: dict[str, Any] = {"op": "status", "level": level.value, "message": message}
+    said = {"op": "status", "level": _WARNING, "message": message}
     return json.dumps(said | ({"id": id} if id else {}))
 
 

@@ -21,12 +21,11 @@ from robotctl.view.foxglove import (
     ClientMessage,
     Offer,
     ServiceCall,
-    StatusLevel,
     ViewService,
     WrongRequest,
     service_failure,
     service_response,
-    status,
+    warning,
 )
 from robotctl.view.server import ViewServer
 from robotctl.view.viewer import Viewer
@@ -145,7 +144,7 @@ class RemoteControl:
                         raise Refused(answer["message"])
         except RobotctlError as error:
             text = f"{error} (let go, then hold again)"
-            viewer.tell(status(StatusLevel.WARNING, text, "drive"))
+            viewer.tell(warning(text, "drive"))
             while await self._has_wish(LET_GO_S):  # the operator still sends velocities
                 self._wish = None
         finally:

@@ -19,7 +19,6 @@ from robotctl.view.foxglove import (
     ClientWithdrawal,
     Offer,
     ServiceCall,
-    StatusLevel,
     Subscribe,
     Unsubscribe,
     ViewChannel,
@@ -31,8 +30,8 @@ from robotctl.view.foxglove import (
     message_head,
     remove_status,
     server_info,
-    status,
     unadvertise,
+    warning,
 )
 from robotctl.view.viewer import BINARY, TRY_LATER, Admission, Viewer, frame_head
 
@@ -129,7 +128,7 @@ class ViewServer:
         self._subscribers: dict[int, dict[Viewer, int]] = {}
         """Channel id -> viewer -> the viewer's subscription id."""
 
-        self._notes: dict[str, tuple[StatusLevel, str]] = {}
+        self._notes: dict[str, str] = {}
         self._connections: set[Viewer] = set()
         self._viewers: set[Viewer] = set()
         self._unflushed: set[Viewer] = set()
@@ -213,15 +212,12 @@ class ViewServer:
             viewer.outbox.put_message(frame + message_head(subscription, log_ns), kept)
         self._unflushed.update(subscribers)
 
-    def note(self, id: str, level: StatusLevel, message: str) -> None:  # noqa: A002 - the field's name
-        """Show a message to all present and later viewers, until `clear(id)` is called."""
-        if self._notes.get(id) != (level, message):
-            self._notes[id] = (level, message)
-            self._tell_all(status(level, message, id))
-
-    def clear(self, id: str) -> None:  # noqa: A002 - the field's name
-        """Remove the message that `note` showed with this `id`; do nothing if there is none."""
-        if self._notes.pop(id, None) is not None:
+    def note(self, id: str, message: str) -> None:  # noqa: A002 - the field's name
+        """Show a message to all present and later viewers; "" removes it."""
+        if message and self._notes.get(id) != message:
+            self._notes[id] = message
+            self._tell_all(warning(message, id))
+        elif not message and self._notes.pop(id, None) is not None:
             self._tell_all(remove_status([id]))
 
     # From the connections
@@ -243,8 +239,8 @@ class ViewServer:
             viewer.tell(advertise(self._channels.values()))
         if self._services:
             viewer.tell(advertise_services(self._services))
-        for id_, (level, message) in self._notes.items():
-            viewer.tell(status(level, message, id_))
+        for id_, message in self._notes.items():
+            viewer.tell(warning(message, id_))
 
     def leave(self, viewer: Viewer) -> None:
         """Forget a connection and its subscriptions."""
@@ -326,4 +322,4 @@ def _tell_dropped(viewer: Viewer) -> None:
     if dropped != viewer.told_dropped and not viewer.outbox.waits_for_control:
         viewer.told_dropped = dropped
         text = f"{dropped} messages were dropped: this connection takes less than is published"
-        viewer.tell(status(StatusLevel.WARNING, text, "dropped"))
+        viewer.tell(warning(text, "dropped"))

@@ -16,7 +16,6 @@ from urllib.parse import quote
 
 from robotctl.base.own_process import end_signals
 from robotctl.base.processes import pidfd_of
-from robotctl.view.foxglove import StatusLevel
 from robotctl.view.server import ViewServer
 from robotctl.view.view_job import ViewJob
 
@@ -165,10 +164,7 @@ class LiveView:
 
     def unusable(self, topic: str, problem: str) -> None:
         """Show viewers the note `problem` on a topic that is not offered; "" removes the note."""
-        if problem:
-            self._server.note(topic, StatusLevel.WARNING, problem)
-        else:
-            self._server.clear(topic)
+        self._server.note(topic, problem)
 
     # From the server
 

@@ -29,12 +29,11 @@ from websockets.typing import Subprotocol
 
 from robotctl.view.foxglove import (
     SUBPROTOCOLS,
-    StatusLevel,
     ViewRequest,
     WrongRequest,
     binary_request,
-    status,
     text_request,
+    warning,
 )
 
 KNOWN_ORIGINS: Final = (
@@ -407,7 +406,7 @@ class Viewer(asyncio.Protocol):
         try:
             self._host.request(self, decode(whole))
         except WrongRequest as error:
-            self.tell(status(StatusLevel.WARNING, str(error)))
+            self.tell(warning(str(error)))
 
     def _send_protocol_bytes(self) -> None:
         """Send the bytes that the handshake, a ping or a close frame requires."""

@@ -16,7 +16,7 @@ from mcap.writer import Writer
 from robotctl.base.errors import UsageError
 from robotctl.cli.commands.node import parse_words
 from robotctl.cli.ui.ros_text import message_lines, plain_json
-from robotctl.cli.ui.status import TopicLines
+from robotctl.cli.ui.status import topic_table
 from tests.cli.conftest import Cli
 
 RECORDING = str(Path(__file__).parents[1] / "golden" / "stopped")
@@ -208,7 +208,6 @@ def test_json_holds_no_number_that_json_does_not_know() -> None:
 @given(name=st.text(max_size=100), type_name=st.text(max_size=100))
 @pytest.mark.usefixtures("wide_terminal")
 def test_every_line_has_80_columns_and_the_same_ones(name: str, type_name: str) -> None:
-    table = TopicLines([(name, type_name)])
-    row = table.row(name, type_name, 12_345_678, 99_999.9)
-    assert len(row) == len(table.header) == 80
+    header, row = topic_table([(name, type_name, 12_345_678, 99_999.9)])
+    assert len(row) == len(header) == 80
     assert row.endswith(" 12345678 99999.9")

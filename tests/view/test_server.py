@@ -14,7 +14,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
 from robotctl.base.errors import Refused
-from robotctl.view.foxglove import Offer, StatusLevel
+from robotctl.view.foxglove import Offer
 from robotctl.view.server import MAX_OFFERS, ViewServer, listening_socket
 from robotctl.view.viewer import MAX_REQUEST_BYTES, Admission, new_token
 from tests.support.view_client import STRING, TOKEN, Served, ViewClient, served, view_client
@@ -252,11 +252,11 @@ async def test_a_request_that_is_too_large_ends_only_its_connection() -> None:
 
 async def test_a_later_viewer_sees_the_notes_that_still_hold() -> None:
     async with served() as view:
-        view.server.note("/x", StatusLevel.WARNING, "/x is not shown")
-        view.server.note("/y", StatusLevel.WARNING, "/y is not shown")
+        view.server.note("/x", "/x is not shown")
+        view.server.note("/y", "/y is not shown")
         async with view_client(view.url) as client:
             await client.until(lambda: len(client.op("status")) == 2)
-            view.server.clear("/x")
+            view.server.note("/x", "")
             await client.until(lambda: client.op("removeStatus"))
             assert client.op("removeStatus")[0]["statusIds"] == ["/x"]
         async with view_client(view.url) as client:

@@ -26,7 +26,7 @@ from robotctl.cli.targets.driving import Background, ignoring, interrupted_by
 from robotctl.cli.targets.launch import INTERRUPTIONS, daemon_command, launch
 from robotctl.cli.targets.requests import request_source
 from robotctl.cli.ui.output import print_answer
-from robotctl.cli.ui.status import TopicLines
+from robotctl.cli.ui.status import topic_table
 from robotctl.cli.ui.text import (
     can_show_braille,
     is_terminal,
@@ -318,14 +318,13 @@ def _stop_if_running(robot: str) -> None:
         stop_daemon(robot)
 
 
-def _topic_lines(found: RecordingInfo) -> Iterator[str]:
+def _topic_lines(found: RecordingInfo) -> list[str]:
     heard = [topic for topic in found.topics if topic.message_count]
-    table = TopicLines((topic.name, topic.type_name) for topic in heard)
-    yield f"\n{table.header}"
-    for topic in heard:
-        yield table.row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
-    if len(heard) < len(found.topics):
-        yield f"  and {len(found.topics) - len(heard)} more without messages"
+    lines = topic_table(
+        (topic.name, topic.type_name, topic.message_count, topic.rate_hz) for topic in heard
+    )
+    silent = len(found.topics) - len(heard)
+    return ["", *lines, *([f"  and {silent} more without messages"] if silent else [])]
 
 
 def _map_lines(path: DrivenPath, others: int) -> Iterator[str]:

@@ -314,20 +314,19 @@ def list_topics(
 
 
 def _list_recorded(file: str, *, every: bool, as_json: bool) -> None:
-    from robotctl.cli.ui.status import TopicLines
+    from robotctl.cli.ui.status import topic_table
     from robotctl.recording import read_info
 
     found = read_info(find_recording(file, None))
     topics = [each for each in found.topics if every or not is_hidden(each.name)]
-    table = TopicLines((each.name, each.type_name) for each in topics)
-    rows = (
-        table.row(each.name, each.type_name, each.message_count, each.rate_hz) for each in topics
+    lines = topic_table(
+        (each.name, each.type_name, each.message_count, each.rate_hz) for each in topics
     )
     answer = [
         {"name": each.name, "types": [each.type_name], "count": each.message_count}
         for each in topics
     ]
-    print_answer({"topics": answer}, [table.header, *rows], as_json=as_json)
+    print_answer({"topics": answer}, lines, as_json=as_json)
 
 
 PERIOD_S: Final = 1.0

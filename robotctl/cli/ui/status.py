@@ -25,42 +25,27 @@ _MIN_NAME_WIDTH, _COUNT_WIDTH, _RATE_WIDTH = 24, 8, 7
 _INDENT_AND_GAPS = 5
 
 
-class TopicLines:
-    """Formats a table of topics; the type column gets the width that the names leave free."""
+def topic_table(topics: Iterable[tuple[object, object, object, object]]) -> list[str]:
+    """Return a header and a line for each topic: its name, type, message count and rate [Hz].
 
-    def __init__(self, topics: Iterable[tuple[object, object]]) -> None:
-        """Choose the column widths that suit `topics`: the name and type of each row."""
-        shown = [(name, _short_type(type_name)) for name, type_name in topics]
-        both = columns() - _INDENT_AND_GAPS - _COUNT_WIDTH - _RATE_WIDTH
-        names, types = ([each[part] for each in shown] for part in (0, 1))
-        self._name_width = column_width(names, at_least=_MIN_NAME_WIDTH, at_most=both * 2 // 3)
-        self._type_width = both - self._name_width
-        if columns() == UNLIMITED:
-            self._type_width = column_width(types, at_least=len("type"), at_most=self._type_width)
-
-    @property
-    def header(self) -> str:
-        """The header line of the table."""
-        return self._line("topic", "type", "count", "Hz")
-
-    def row(self, name: object, type_name: object, count: object, rate_hz: object) -> str:
-        """Return the line of one topic."""
-        rate = number(rate_hz, ".1f")
-        if len(rate) > _RATE_WIDTH:
-            rate = number(rate_hz, ".1e")
-        return self._line(name, _short_type(type_name), count, rate)
-
-    def _line(self, name: object, type_name: object, count: object, rate: str) -> str:
-        return (
-            f"  {elided(name, self._name_width):{self._name_width}} "
-            f"{elided(type_name, self._type_width):{self._type_width}} "
-            f"{count!s:>{_COUNT_WIDTH}} {rate:>{_RATE_WIDTH}}"
-        )
-
-
-def _short_type(type_name: object) -> str:
-    """Return the type without `/msg`."""
-    return str(type_name).replace("/msg/", "/")
+    The type column gets the width that the names leave free, and shows no `/msg`.
+    """
+    rows: list[tuple[object, object, object, str]] = [("topic", "type", "count", "Hz")]
+    for name, kind, count, hertz in topics:
+        rate = number(hertz, ".1f")
+        rate = rate if len(rate) <= _RATE_WIDTH else number(hertz, ".1e")
+        rows.append((name, str(kind).replace("/msg/", "/"), count, rate))
+    both = columns() - _INDENT_AND_GAPS - _COUNT_WIDTH - _RATE_WIDTH
+    names = (name for name, *_ in rows)
+    wide = column_width(names, at_least=_MIN_NAME_WIDTH, at_most=both * 2 // 3)
+    rest = both - wide
+    if columns() == UNLIMITED:
+        rest = column_width((kind for _, kind, *_ in rows), at_least=1, at_most=rest)
+    return [
+        f"  {elided(name, wide):{wide}} {elided(kind, rest):{rest}} "
+        f"{count!s:>{_COUNT_WIDTH}} {rate:>{_RATE_WIDTH}}"
+        for name, kind, count, rate in rows
+    ]
 
 
 _LABEL_WIDTH = 10
@@ -74,13 +59,9 @@ def status_screen_lines(status: Status) -> Iterator[str]:
     if status.get("mode_reason"):
         yield from row(f"  {'reason':{_LABEL_WIDTH}} ", status["mode_reason"])
     yield from (f"  {label:{_LABEL_WIDTH}} {text}" for label, text in status_rows(status))
-    topics = status["topics"]
-    if topics:
-        table = TopicLines((topic["name"], topic["type"]) for topic in topics)
-        yield ""
-        yield table.header
-        for topic in topics:
-            yield table.row(topic["name"], topic["type"], topic["count"], topic["rate"])
+    if status["topics"]:
+        table = topic_table((t["name"], t["type"], t["count"], t["rate"]) for t in status["topics"])
+        yield from ("", *table)
     for warning in status["warnings"]:
         yield from row("warning: ", warning)
 

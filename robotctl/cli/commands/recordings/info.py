@@ -22,7 +22,7 @@ from robotctl.cli.targets.recordings import (
     robot_of,
 )
 from robotctl.cli.ui.output import print_answer, progress_bar
-from robotctl.cli.ui.status import TopicLines
+from robotctl.cli.ui.status import topic_table
 from robotctl.cli.ui.text import (
     column_width,
     columns,
@@ -148,14 +148,14 @@ def info_lines(found: RecordingInfo) -> Iterator[str]:
     }
     yield short_path(found.path)
     yield from (f"  {name:10} {value}" for name, value in facts.items())
-    table = TopicLines((topic.name, topic.type_name) for topic in found.topics)
+    header, *rows = topic_table(
+        (topic.name, topic.type_name, topic.message_count, topic.rate_hz) for topic in found.topics
+    )
     if found.topics:
-        yield ""
-        yield table.header
-    for topic in found.topics:
-        yield table.row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
-        qos = qos_text(topic.offered_qos)
-        if qos:
+        yield from ("", header)
+    for topic, line in zip(found.topics, rows, strict=True):
+        yield line
+        if qos := qos_text(topic.offered_qos):
             yield f"    {printable(qos)}"
     yield from event_lines(found.events)
 
