@@ -203,13 +203,8 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> OtherRobotctl:
     return OtherRobotctl(folder / "tree", folder / "history")
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        pytest.param(change, id=change.name, marks=[pytest.mark.slow] * (number != 1))
-        for number, change in enumerate(REGRESSIONS)
-    ],
-)
+@pytest.mark.slow  # one of them is in the quick run: another version recorded there
+@pytest.mark.parametrize("change", REGRESSIONS, ids=[each.name for each in REGRESSIONS])
 def test_a_regression_of_the_kernel_is_caught(other: OtherRobotctl, change: SourceChange) -> None:
     exit_code, answer = other.gate([change])
     assert (exit_code, answer["stored"]) == (7, 0), answer["counts"]

@@ -316,7 +316,6 @@ for path in map(Path, sys.argv[1:]):
 """
 
 QUICK = (
-    "large messages, indexed",  # first: it takes the most memory
     "zeros in small chunks",
     "empty messages",
     "one schema for all",
