@@ -22,6 +22,7 @@ from robotctl.check.run import check_recording
 from robotctl.check.what_if import what_if
 from robotctl.check.why import explain
 from robotctl.kernel import drive as drive_module
+from robotctl.kernel import kernel as kernel_module
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.params import TrackingParams, VelocityLimits
 from robotctl.kernel.tracking import Reference, track
@@ -233,3 +234,20 @@ def test_a_file_of_another_recording_is_named_and_checked_on_its_own(
         in report.missing
     )
     assert report.events == check_recording(folder / "run_0.mcap").events
+
+
+def test_a_command_that_was_published_and_not_decided_is_found(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    report = checked(tmp_path, [*drive_of_3_s, Twist(0.3, 0.0)])
+    assert report.verdict is Verdict.BROKEN
+    assert "1 commands without a decision, such as 0.3 m/s" in report.violations[0].text
+
+
+def test_a_kernel_that_fails_in_itself_diverges(
+    tmp_path: Path, drive_of_3_s: list[Written], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernel_module, "within", lambda command, limits: command.linear < 0.1)
+    report = checked(tmp_path, drive_of_3_s)
+    assert report.divergence is not None
+    assert report.divergence.decided.startswith("AssertionError")

@@ -184,3 +184,14 @@ def test_a_number_of_before_the_first_snapshot_is_old_only_for_a_while(
     pairs.message(10, encode_twist(Twist(0.3, 0.0)), 0)
     pairs.end(0, is_own=True, is_closed=True)
     assert pairs.counts.extra == extra
+
+
+def test_the_last_commands_of_a_closed_recording_are_missed(
+    tmp_path: Path, stopped_drive: list[Written]
+) -> None:
+    last = [at for at, each in enumerate(stopped_drive) if isinstance(each, Twist)][-3:]
+    edited = [each for at, each in enumerate(stopped_drive) if at not in last]
+    assert found(tmp_path, edited) == (
+        Verdict.INCOMPLETE,
+        "the last 3 decided commands are missing",
+    )

@@ -37,6 +37,7 @@ from robotctl.kernel.types import (
     ScanReceived,
     Twist,
 )
+from robotctl.messages.inputs import encode_twist
 from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
 from robotctl.testing.drives import BEGIN_NS, drive_requested
@@ -334,3 +335,55 @@ def test_a_gap_in_which_nothing_could_be_heard_does_not_count(
     edited = without_events(edited, SafetyInput.ESTOP, set(range(21, 28)))
     edited.lose(topic, 7)
     assert check(tmp_path, edited).verdict is Verdict.SAME
+
+
+def one_bit_flipped(data: bytes) -> bytes:
+    """Change the last bit of a battery level."""
+    return data[:-4] + bytes([data[-4] ^ 1]) + data[-3:]
+
+
+@pytest.mark.parametrize("topic", [ODOMETRY, BATTERY, SCAN, WANTED])
+def test_messages_that_were_removed_are_missed(
+    tmp_path: Path, drives: dict[str, Contents], topic: str
+) -> None:
+    edited = edit(drives[topic], topic, lambda at, each: each if at not in (2, 3) else None)
+    report = check(tmp_path, edited)
+    assert report.verdict is Verdict.BROKEN
+    assert report.violations[0].text.startswith("2 messages of ")
+    assert ", message 3" in report.violations[0].text
+
+
+@pytest.mark.parametrize(
+    ("topic", "change", "name"),
+    [
+        (ODOMETRY, moved, "odometry"),
+        (BATTERY, one_bit_flipped, "the battery"),
+        (SCAN, nearer, "the scan"),
+        (WANTED, lambda data: encode_twist(Twist(0.01, 0.1)), "the wanted velocity"),
+    ],
+)
+def test_a_message_that_was_changed_is_found(
+    tmp_path: Path,
+    drives: dict[str, Contents],
+    topic: str,
+    change: Callable[[bytes], bytes],
+    name: str,
+) -> None:
+    edited = edit(
+        drives[topic], topic, lambda n, m: replace(m, data=change(m.data)) if n == 4 else m
+    )
+    report = check(tmp_path, edited)
+    assert report.verdict is Verdict.BROKEN
+    assert report.violations[0].text.startswith(
+        f"1 messages are not what the control loop received as {name}"
+    )
+
+
+@WITH_VALUE
+def test_a_press_that_was_changed_is_found(
+    tmp_path: Path, pressed: Contents, kind: SafetyInput
+) -> None:
+    released = safety_message(kind, 0.0, detail_of(kind))
+    edited = changed(pressed, kind, lambda m: replace(m, data=released) if m.sequence > 30 else m)
+    report = check(tmp_path, edited)
+    assert report.verdict is Verdict.BROKEN

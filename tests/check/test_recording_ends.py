@@ -38,13 +38,14 @@ from tests.tampering.edits import (
     Kind,
     appended,
     changed,
+    dropped,
     metadata,
     moves,
     removed,
     repeated_at_the_end,
     still,
 )
-from tests.tampering.kinds import OBSERVED, UNNAMED
+from tests.tampering.kinds import FOUND, OBSERVED, UNNAMED
 
 
 def halves(contents: Contents, *, queued: int = 0) -> tuple[Contents, Contents]:
@@ -406,3 +407,19 @@ def test_a_later_file_knows_the_publishers_that_the_file_before_noticed(
     report = check_recording(file.rename(tmp_path / "run_1.mcap"))
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
     assert "/teleop published as well" in " ".join(report.notes)
+
+
+def test_a_message_that_may_have_been_lost_excuses_no_change_of_another_topic(
+    tmp_path: Path, killed: Contents
+) -> None:
+    lost, moved = dropped(COMMANDS, 1, moves), FOUND["odometry: one moved"]
+    assert checked(tmp_path / "lost", killed, lost).verdict is Verdict.INCOMPLETE
+    assert checked(tmp_path / "both", killed, lost, moved).verdict is Verdict.BROKEN
+
+
+@pytest.mark.parametrize("queued", [0, 1])
+def test_a_file_that_is_not_the_last_excuses_no_forged_command(
+    tmp_path: Path, forged: Contents, queued: int
+) -> None:
+    first, _ = halves(forged, queued=queued)
+    assert check_recording(write_files(tmp_path / "run", first)).verdict is Verdict.BROKEN

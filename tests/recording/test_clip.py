@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.records import Metadata
 from rosbags.highlevel import AnyReader
 
 from robotctl.base.errors import Refused, UnreadableFile
@@ -36,7 +37,15 @@ from robotctl.recording.format.names import (
     EventKind,
 )
 from robotctl.recording.format.recorded_events import RecordedEvent
-from robotctl.recording.keep.clip import Clip, ClipJob, Moment, cut_clip, make_clip, remaining_s
+from robotctl.recording.keep.clip import (
+    Clip,
+    ClipJob,
+    Moment,
+    cut_clip,
+    make_clip,
+    records_of_clip,
+    remaining_s,
+)
 from robotctl.recording.keep.clip_origin import compare_with_source
 from robotctl.recording.keep.listing import list_recording
 from robotctl.testing.drives import (
@@ -51,6 +60,7 @@ from robotctl.testing.drives import (
     record,
 )
 from tests.support.bags import STRING, text
+from tests.support.cases import for_each
 from tests.support.edited_recordings import Contents, contents_of, write_contents
 from tests.support.recordings import numbered, read_strictly
 from tests.support.waiting import until_longer
@@ -418,3 +428,9 @@ def test_what_is_no_clip_or_of_another_file_is_said(tmp_path: Path) -> None:
     assert compare_with_source(clip, folder).wrong == [
         "it was cut from other_0.mcap, which is not there"
     ]
+
+
+@for_each(("mode", "kept"), [("MOVING", {}), ("observing", {"mode": "observing"})])
+def test_of_the_modes_a_clip_keeps_that_of_an_observer(mode: str, kept: dict[str, str]) -> None:
+    (copied,) = records_of_clip([Metadata("robotctl", {"mode": mode})], (0, 1))
+    assert copied == ("robotctl", kept)

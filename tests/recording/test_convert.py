@@ -516,3 +516,26 @@ def test_a_bag_of_the_other_format_is_named_with_its_cure(tmp_path: Path) -> Non
             read_info(path)
         _, _, cure = str(caught.value).partition(" format: ")
         assert shlex.split(cure) == ["robotctl", "convert", str(path), f"{path.stem}_mcap"]
+
+
+def test_a_file_that_is_missing_is_told(tmp_path: Path) -> None:
+    shutil.copytree(GOLDEN / "foreign", tmp_path / "run")
+    next((tmp_path / "run").glob("*_1.mcap")).unlink()
+    done = convert(tmp_path / "run", tmp_path / "copy", Form())
+    assert done.message_count == 97
+    assert "metadata.yaml names it, but it is not there" in done.lost[0]
+
+
+@pytest.mark.parametrize("keep", [0.3, 0.6, 0.95])
+def test_a_compressed_file_that_was_cut_gives_what_it_holds(tmp_path: Path, keep: float) -> None:
+    def cut_off(plain: bytes) -> bytes:
+        whole = ZstdCompressor(level=1).compress(plain)
+        return whole[: round(len(whole) * keep)]
+
+    file = packed(tmp_path / "bag", cut_off)
+    try:
+        messages, missing = salvaged(file)
+    except UnreadableFile:
+        return
+    assert [message.data for message in messages] == SENT[: len(messages)]
+    assert missing

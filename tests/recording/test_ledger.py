@@ -26,7 +26,12 @@ from robotctl.recording.keep.listing import list_recording
 from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.read.journal_reader import read_journal
 from robotctl.recording.write import bag_writer
-from robotctl.recording.write.channel_state import MAX_PUBLISHERS, ChannelState, SequenceGaps
+from robotctl.recording.write.channel_state import (
+    MAX_LATCHED,
+    MAX_PUBLISHERS,
+    ChannelState,
+    SequenceGaps,
+)
 from robotctl.testing.drives import START_NS, TWIST, drive, record
 from robotctl.testing.faults import FailingFile, chunks_of
 from tests.support.cases import for_each
@@ -283,3 +288,10 @@ def test_what_is_no_event_of_ours_is_passed_over(damage: dict[str, str]) -> None
     records = [Metadata(EVENT_RECORD, {**values, **damage}), Metadata(EVENT_RECORD, {})]
     assert events_in([*records, Metadata(EVENT_RECORD, values)]) == [EVENTS[3]]
     assert events_in([Metadata("another", values)]) == []
+
+
+def test_a_latched_message_that_gives_way_to_another_publisher_is_counted() -> None:
+    channel = ChannelState(Topic("/map", "a/msg/A", offered_qos="durability: transient_local"))
+    for number in range(MAX_LATCHED + 3):
+        channel.keep_latched(bytes([number]), b"", number, 0, 0, 1000)
+    assert (channel.latched_messages()[0].log_ns, channel.not_kept) == (3, 3)

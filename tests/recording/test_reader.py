@@ -447,3 +447,13 @@ def test_a_check_of_a_file_at_a_url_reads_a_small_part_of_it(
 def test_a_source_that_is_out_of_reach_cannot_be_read(camera_file: Path) -> None:
     source = CountingSource(camera_file, in_reach=False)
     assert check_recording(Path("remote.mcap"), source=source).verdict is Verdict.INCOMPLETE
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[" * 5000, "\0", "relative_file_paths: 7", "relative_file_paths:\n"]
+)
+def test_a_damaged_metadata_yaml_does_not_hide_the_messages(tmp_path: Path, text: str) -> None:
+    recorded(tmp_path / "run", 10)
+    (tmp_path / "run" / "metadata.yaml").write_text(text)
+    info = read_info(tmp_path / "run")
+    assert (info.message_count, info.missing) == (10, ())

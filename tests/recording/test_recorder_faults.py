@@ -509,3 +509,36 @@ def test_in_an_address_space_that_is_full_all_is_accounted_for(tmp_path: Path) -
     assert stats.dropped > 0
     assert len(failures) <= 1
     assert len(read_strictly(stats.file)) == stats.written
+
+
+def test_a_listener_that_raises_does_not_stop_the_counting(tmp_path: Path) -> None:
+    def raise_it(text: str) -> None:
+        raise RuntimeError(text)
+
+    options = RecorderOptions(chunk_bytes=KIB, open_file=lambda path: FailingFile(path, 3))
+    recorder = Recorder(tmp_path / "run", options, on_failure=raise_it)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 1001))
+    stats = recorder.close()
+    assert stats.state is RecorderState.FAILED
+    assert_accounted(stats, 1000)
+    assert stats.queued == 0
+
+
+def test_the_memory_of_a_burst_is_given_back(tmp_path: Path) -> None:
+    gate = threading.Event()
+    gate.set()
+    options = RecorderOptions(
+        chunk_bytes=16 * KIB,
+        memory_bytes=1024 * KIB,
+        open_file=lambda path: GatedFile(path, gate.wait),
+    )
+    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail)
+    channel = recorder.add_topic(TWIST)
+    for burst in range(3):
+        gate.clear()
+        write_numbered(recorder, channel, range(burst * 6000 + 1, burst * 6000 + 6001))
+        gate.set()
+        until(lambda: recorder.stats().queued == 0)
+        assert len(recorder._thread.spare) <= 2
+    stats = recorder.close()
+    assert (stats.written, stats.dropped) == (18_000, 0)

@@ -9,6 +9,8 @@ import errno
 import os
 import random
 import shutil
+import struct
+import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -489,3 +491,24 @@ def test_a_foreign_record_among_the_chunks_cuts_off_none_of_them(tmp_path: Path)
     file.write_bytes(data)
     assert len(repair(tmp_path)) == 1
     assert [message.data for message in read_strictly(file)] == [m.data for m in before]
+
+
+def with_private_record(data: bytes) -> bytes:
+    """Return the file with a private record at the end of its summary."""
+    footer_bytes, magic_bytes = 29, 8
+    footer = len(data) - footer_bytes - magic_bytes
+    start = struct.unpack_from("<Q", data, footer + 9)[0]
+    summary = data[start:footer] + struct.pack("<BQ", 0x90, 3) + b"abc"
+    end = data[footer : footer + footer_bytes - 4]
+    crc = zlib.crc32(summary + end)
+    return data[:start] + summary + end + struct.pack("<I", crc) + data[-magic_bytes:]
+
+
+def test_a_private_record_in_a_summary_does_not_stop_the_repair(tmp_path: Path) -> None:
+    first, second = crashed(tmp_path / "run1", 100), crashed(tmp_path / "run2", 100)
+    first.write_bytes(with_private_record(first.read_bytes()))
+    assert repair(tmp_path) == [
+        "repaired: run1_0.mcap was not closed: its 100 messages are complete",
+        "repaired: run2_0.mcap was not closed: its 100 messages are complete",
+    ]
+    assert len(read_strictly(first)) == len(read_strictly(second)) == 100

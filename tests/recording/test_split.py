@@ -347,3 +347,14 @@ def test_a_large_latched_message_is_not_kept_in_memory(tmp_path: Path) -> None:
     recorder.write(channel, bytes(33 << 20), START_NS, START_NS, 2, b"\0\x63")
     assert len(recorder._channels[channel].latched_messages()) == 63  # the older one is out of date
     recorder.close()
+
+
+def test_a_listener_of_splits_that_raises_does_not_stop_the_recording(tmp_path: Path) -> None:
+    def raise_it(path: Path) -> None:
+        raise RuntimeError(path)
+
+    options = RecorderOptions(chunk_bytes=1024, split_bytes=5000)
+    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail, on_split=raise_it)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 1001))
+    stats = recorder.close()
+    assert (stats.state, stats.written) == (RecorderState.CLOSED, 1000)
