@@ -23,6 +23,8 @@ from functools import partial
 from importlib import import_module
 from typing import Any, Final
 
+import msgspec
+
 from robotctl.base.errors import RobotctlError
 from robotctl.base.processes import Child, program, report_fd, send_report, start
 
@@ -34,9 +36,12 @@ class JobFailed(Exception):
     """The process of a job could not be started, or did not finish the job."""
 
 
-def job_command(work: str, job: dict[str, Any]) -> tuple[str, ...]:
-    """Return the command that calls `work`, a `module:function`, with `job` in a new process."""
-    return (*program("robotctl.base.jobs"), work, json.dumps(job))
+def job_command(work: str, job: object) -> tuple[str, ...]:
+    """Return the command that calls `work`, a `module:function`, with `job` in a new process.
+
+    `job` is a JSON object, or a data class whose other values are converted to texts.
+    """
+    return (*program("robotctl.base.jobs"), work, msgspec.json.encode(job, enc_hook=str).decode())
 
 
 async def run_job(command: Sequence[str]) -> list[dict[str, Any]]:

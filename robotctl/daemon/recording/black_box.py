@@ -46,7 +46,7 @@ DEFAULT_LIMITS = ClipLimits()
 
 def clip_command(job: ClipJob) -> Sequence[str]:
     """Return the command line that cuts a clip."""
-    return job_command(CLIP, job.as_object())
+    return job_command(CLIP, job)
 
 
 class BlackBox:

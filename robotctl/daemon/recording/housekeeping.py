@@ -68,7 +68,7 @@ class Tidier:
     async def _tidy(self, *, repairs: bool) -> None:
         job = TidyJob(self._recordings, self.policy, repairs)
         try:
-            async with aclosing(job_reports(job_command(TIDY, job.as_object()))) as notes:
+            async with aclosing(job_reports(job_command(TIDY, job))) as notes:
                 async for note in notes:
                     self._tell(TidyNote(**note))
         except JobFailed as failure:  # the next start continues

@@ -242,10 +242,6 @@ class ClipJob:
     after_s: float
     target: Path | None = None
 
-    def as_object(self) -> dict[str, Any]:
-        """Return the job as a JSON object."""
-        return msgspec.to_builtins(self, enc_hook=str)  # type: ignore[no-any-return]
-
     @property
     def end_ns(self) -> int:
         """End of the clip [ns since the epoch]."""

@@ -240,10 +240,6 @@ class TidyJob:
     policy: RetentionPolicy
     repairs: bool
 
-    def as_object(self) -> dict[str, Any]:
-        """Return the job as a JSON object."""
-        return msgspec.to_builtins(self, enc_hook=str)  # type: ignore[no-any-return]
-
 
 def tidy(job: TidyJob) -> Iterator[TidyNote]:
     """Collect noted removals, remove old files, repair the rest; yield a note of each. Blocks.
