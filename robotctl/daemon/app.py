@@ -54,8 +54,7 @@ async def choose_command_type(host: Host) -> CommandType:
     `auto` gives TwistStamped only if all discovered subscribers use it, otherwise Twist.
     """
     command = host.config.kernel.command
-    looks = not (host.alone or host.options.sim)
-    if command.stamped is Stamping.AUTO and looks:
+    if command.stamped is Stamping.AUTO and not (host.alone or host.options.sim):
         chosen = await _taken_type(host, command)
     else:
         chosen = stamped(command.frame_id) if command.stamped is Stamping.TRUE else PLAIN

@@ -148,8 +148,7 @@ class Kernel:
                     self._end_lease(f"{lease.source} lost the lease: {event.how}")
             case GuardedCommandReceived():
                 if self.state.guarded is not None:
-                    guarded = Guarded(event.twist, event.t_ns)
-                    self.state = replace(self.state, guarded=guarded)
+                    self.state = replace(self.state, guarded=Guarded(event.twist, event.t_ns))
             case HoldReceived():
                 self._hold(event)
             case LoopStalled():

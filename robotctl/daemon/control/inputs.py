@@ -77,8 +77,7 @@ class ForeignCommands:
         if told_ns is not None and now_ns - told_ns < REPEAT_NS:
             return False
         if len(self._told_ns) >= MAX_TOLD:
-            recent = {g: t for g, t in self._told_ns.items() if now_ns - t < REPEAT_NS}
-            self._told_ns = recent
+            self._told_ns = {g: t for g, t in self._told_ns.items() if now_ns - t < REPEAT_NS}
         return len(self._told_ns) < MAX_TOLD
 
 
@@ -151,8 +150,9 @@ class Inputs:
     def guarded_command(self, twist: Twist, publisher: str, sequence: int) -> None:
         """Handle a velocity command on the guard topic; ignore it unless a guarded motion runs."""
         if self._control.state.guarded is not None:
-            now = time.monotonic_ns()
-            self._control.dispatch(GuardedCommandReceived(now, twist, publisher, sequence))
+            self._control.dispatch(
+                GuardedCommandReceived(time.monotonic_ns(), twist, publisher, sequence)
+            )
 
     def lifecycle(self, state: LifecycleState, source: str) -> None:
         """Handle a transition of the lifecycle node; ramp down unless `state` is ACTIVE."""

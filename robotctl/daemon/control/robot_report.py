@@ -120,10 +120,8 @@ _EXPECTED = (
 def is_connected(control: Control) -> bool:
     """Return whether the last usable odometry is younger than `odometry.timeout_s`."""
     health = control.state.health
-    if health.odometry is None:
-        return False
     age_s = (time.monotonic_ns() - health.odometry_t_ns) / NS_PER_S
-    return age_s <= control.params.odometry.timeout_s
+    return health.odometry is not None and age_s <= control.params.odometry.timeout_s
 
 
 class RobotReport:
