@@ -235,7 +235,7 @@ def _parse_object(line: bytes) -> dict[str, Any]:
     try:
         message = _DECODER.decode(line.decode())
         if b"\\u" in line:
-            _refuse_lone_surrogates(message)
+            json.dumps(message, ensure_ascii=False).encode()  # refuses half a surrogate pair
     except ValueError as error:  # UnicodeError and JSONDecodeError are ValueErrors
         raise ProtocolError(Code.PARSE_ERROR, f"not a JSON object on one line: {error}") from None
     if not isinstance(message, dict):
@@ -261,11 +261,6 @@ def _check_depth(line: bytes) -> None:
                 raise ProtocolError(Code.PARSE_ERROR, f"nested deeper than {MAX_DEPTH} levels")
         elif first in b"]}":
             depth -= 1
-
-
-def _refuse_lone_surrogates(message: object) -> None:
-    """Raise UnicodeEncodeError if a text has half a surrogate pair, which is not a character."""
-    json.dumps(message, ensure_ascii=False).encode()
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

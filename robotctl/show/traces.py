@@ -227,7 +227,7 @@ class JournalTraces:
                 odometry = event.odometry
                 if is_finite(odometry):
                     traces.driven.add(t_s, odometry.pose.x, odometry.pose.y)
-                    self._follow_safely(odometry.pose, t_s)
+                    self._follow(odometry.pose, t_s)
                 traces.linear.add(t_s, odometry.velocity.linear)
                 traces.angular.add(t_s, odometry.velocity.angular)
             case BatteryReceived() if kernel is not None:
@@ -248,27 +248,27 @@ class JournalTraces:
             due_ns = before_ns + (event.missed + 1) * round(NS_PER_S / kernel.params.rate_hz)
             self._traces.lateness.add(t_s, (event.t_ns - due_ns) * MS_PER_NS)
 
-    def _follow_safely(self, pose: Pose, t_s: float) -> None:
-        """Call `_follow`; raise UnreadableFile if the recorded kernel has an impossible state."""
-        try:
-            self._follow(pose, t_s)
-        except KERNEL_FAILURES as error:
-            self._kernel = None
-            raise UnreadableFile(f"the wanted path cannot be drawn: {error}"[:200]) from None
-
     def _follow(self, pose: Pose, t_s: float) -> None:
-        """Add the distance of this pose from the wanted path, and the path itself if it is new."""
+        """Add the distance of this pose from the wanted path, and the path itself if it is new.
+
+        Raises:
+            UnreadableFile: The recorded kernel has an impossible state.
+        """
         state = None if self._kernel is None else self._kernel.state
         if state is None or state.drive is None or state.phase is not Phase.DRIVING:
             return
         drive = state.drive
         if not drive.path.segments:
             return
-        self._traces.error.add(t_s, drive.cross_track_m(pose))
-        if self._outlined != (drive.request_id, drive.origin):
-            self._outlined = drive.request_id, drive.origin
-            outline = map(drive.origin.compose, drive.path.outline())
-            self._traces.want([(place.x, place.y) for place in outline])
+        try:
+            self._traces.error.add(t_s, drive.cross_track_m(pose))
+            if self._outlined != (drive.request_id, drive.origin):
+                self._outlined = drive.request_id, drive.origin
+                outline = map(drive.origin.compose, drive.path.outline())
+                self._traces.want([(place.x, place.y) for place in outline])
+        except KERNEL_FAILURES as error:
+            self._kernel = None
+            raise UnreadableFile(f"the wanted path cannot be drawn: {error}"[:200]) from None
 
     def _measured(self, ended: DriveEnded) -> DriveReport:
         """Return a drive's report, without cross-track and heading errors if it had no path."""

@@ -32,7 +32,6 @@ _SECTIONS = {
     "servers": "Service Servers",
     "clients": "Service Clients",
 }
-_ACTION = "/_action/"
 
 
 @node_group.callback()
@@ -93,7 +92,7 @@ def _lines(found: GraphNode, *, every: bool) -> Iterator[str]:
     for title, key in (("Action Servers", "servers"), ("Action Clients", "clients")):
         yield f"  {title}:"
         for each in found[key]:  # type: ignore[literal-required]
-            action, _, service = each["name"].partition(_ACTION)
+            action, _, service = each["name"].partition("/_action/")
             if service == "send_goal":
                 types = ", ".join(each["types"]).replace("_SendGoal", "")
                 yield f"    {printable(action)}: {printable(types)}"

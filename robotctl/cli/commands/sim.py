@@ -29,6 +29,7 @@ from robotctl.cli.ui.output import print_answer
 from robotctl.cli.ui.status import topic_table
 from robotctl.cli.ui.text import (
     can_show_braille,
+    is_float,
     is_terminal,
     printable,
     short_path,
@@ -106,9 +107,6 @@ def sim(
         )
 
 
-KEY = "battery"
-
-
 @group.command("set")
 def change(
     setting: Annotated[str, typer.Argument(metavar="battery=LEVEL", help="0 to 1.")],
@@ -121,16 +119,13 @@ def change(
     Examples:
       robotctl sim set battery=0.1
     """
-    answer = call(robot, SIM_SET, {KEY: _level(setting), "source": request_source("sim set")})
+    answer = call(robot, SIM_SET, {"battery": _level(setting), "source": request_source("sim set")})
     print_answer(dict(answer), [printable(answer["message"])], as_json=as_json)
 
 
 def _level(setting: str) -> float:
     key, _, text = setting.partition("=")
-    try:
-        level = float(text) if key == KEY else -1.0
-    except ValueError:
-        level = -1.0
+    level = float(text) if key == "battery" and is_float(text) else -1.0
     if not 0.0 <= level <= 1.0:
         raise UsageError(f"{printable(setting)}", "use battery=0 to battery=1")
     return level
@@ -174,10 +169,8 @@ def seconds(text: str) -> float:
         UsageError: The text is no duration, or the duration is not above 0 or too long.
     """
     unit, factor = next((unit, factor) for unit, factor in _UNITS if text.endswith(unit))
-    try:
-        found = float(text.removesuffix(unit)) * factor
-    except ValueError:
-        found = math.nan
+    number = text.removesuffix(unit)
+    found = float(number) * factor if is_float(number) else math.nan
     if not 0.0 < found <= MAX_FAULT_S:
         raise UsageError(f"--for {printable(text)}", f"use 1ms to {MAX_FAULT_S:g}s")
     return found

@@ -6,6 +6,7 @@ import json
 import select
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from typing import Annotated, Any, Final
 
 import typer
@@ -176,7 +177,9 @@ def watch_on_screen(robot: str) -> None:
         while True:
             status = client.call(STATUS)
             if time.monotonic() >= path_due_s:
-                path, path_due_s = _path(client), time.monotonic() + PATH_S
+                path_due_s = time.monotonic() + PATH_S
+                with suppress(Refused):  # nothing was driven yet
+                    path = client.call(PATH)
             history.add(status)
             seen = drive_map(path, history, live.console.size.height)
             keys = Text(note or KEYS, style="dim", no_wrap=True, overflow="ellipsis")
@@ -185,13 +188,6 @@ def watch_on_screen(robot: str) -> None:
                 if key == "q":
                     return
                 note = _stopped(robot, key) or note
-
-
-def _path(client: Client) -> DrivenPath:
-    try:
-        return client.call(PATH)
-    except Refused:  # nothing was driven yet
-        return {"reference": [], "driven": []}
 
 
 def _pressed(keyboard: Keyboard) -> str:

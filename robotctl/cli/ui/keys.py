@@ -214,11 +214,11 @@ def _key(private: str, numbers: str, is_single_shift: str, final: str) -> Iterat
     codes = [part.split(":") for part in numbers.split(";")]
     modifiers, event = 1, KeyEvent.PRESSED
     if len(codes) > 1:
-        modifiers = _number(codes[1][0]) or 1
-        number = _number(codes[1][1]) if len(codes[1]) > 1 else 1
+        modifiers = int(codes[1][0] or 0) or 1
+        number = int(codes[1][1] or 0) if len(codes[1]) > 1 else 1
         event = KeyEvent(number) if number in (2, 3) else event
     with_control = bool((modifiers - 1) & _CONTROL_BIT)
-    code = _number(codes[0][0])
+    code = int(codes[0][0] or 0)
     if private:
         if (private, final) == ("?", "u"):
             yield Key(ANSWER)
@@ -226,10 +226,6 @@ def _key(private: str, numbers: str, is_single_shift: str, final: str) -> Iterat
         yield Key(_ARROWS[final], event, with_control, is_text=bool(is_single_shift))
     elif final == "u" and 0 < code < _SURROGATES_AND_ABOVE:
         yield Key(chr(code).lower(), event, with_control)
-
-
-def _number(text: str) -> int:
-    return int(text) if text else 0
 
 
 ANSWER_S: Final = 0.3

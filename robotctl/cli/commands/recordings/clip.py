@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 
 app = new_app()
 
-MAX_SECONDS = DAY_S
-
 
 *_KINDS, _LAST_KIND = CLIP_KINDS
 _ALLOWED_KINDS = f"{', '.join(_KINDS)} or {_LAST_KIND}"
@@ -110,8 +108,8 @@ def clip(
     if event is not None and at is not None:
         raise UsageError("--event and --at", "give one of them")
     for option, seconds in (("--before", before), ("--after", after)):
-        if not (math.isfinite(seconds) and 0 <= seconds <= MAX_SECONDS):
-            raise UsageError(f"{option} {seconds:g}", f"give seconds from 0 to {MAX_SECONDS:g}")
+        if not (math.isfinite(seconds) and 0 <= seconds <= DAY_S):
+            raise UsageError(f"{option} {seconds:g}", f"give seconds from 0 to {DAY_S:g}")
     source, about = _find(file, event, at, robot, folder)
     job = ClipJob(source.path, about, before, after, output)
     wait_s = remaining_s(job, source)

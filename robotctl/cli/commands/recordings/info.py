@@ -409,19 +409,17 @@ def _lines(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterato
         yield "for damaged ones, robotctl recover NAME saves what can be read"
 
 
-def _error(each: ListedRecording, name: str, what: str) -> Iterator[str]:
-    """Yield the largest error `name` of all drives if measured, with the true one if known."""
-    measured, true = each.largest(name), each.largest(f"true_{name}")
-    if measured is not None:
-        in_truth = "" if true is None else f" ({true:.3f} in truth)"
-        yield f"{measured:.3f} {what}{in_truth}"
-
-
 def _drive_figures(each: ListedRecording) -> Iterator[str]:
-    """Yield the largest errors of the drives, and their total duration."""
-    yield from _error(each, "cross_track_max_m", "m off track")
-    yield from _error(each, "heading_max_rad", "rad off heading")
-    yield from _error(each, "closure_m", "m closure")
+    """Yield the largest errors of the drives, with the true ones if known, and their duration."""
+    for name, what in (
+        ("cross_track_max_m", "m off track"),
+        ("heading_max_rad", "rad off heading"),
+        ("closure_m", "m closure"),
+    ):
+        measured, true = each.largest(name), each.largest(f"true_{name}")
+        if measured is not None:
+            in_truth = "" if true is None else f" ({true:.3f} in truth)"
+            yield f"{measured:.3f} {what}{in_truth}"
     if each.driven_s is not None:
         yield duration(each.driven_s)
 

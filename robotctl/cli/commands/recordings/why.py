@@ -99,8 +99,10 @@ def _recordings_to_search(
 
     `missing` gets a sentence about what the daemon could not write.
     """
-    if file not in (None, LAST) and _holds_recordings(recording_path(file)):
-        folder, file = recording_path(file), LAST
+    from robotctl.recording.read.files import is_bag
+
+    if file not in (None, LAST) and (given := recording_path(file)).is_dir() and not is_bag(given):
+        folder, file = (given, LAST) if any(map(is_bag, given.iterdir())) else (folder, file)
     newest = asked = None
     if file is None and folder is None:
         asked = robot or DEFAULT_ROBOT
@@ -111,13 +113,6 @@ def _recordings_to_search(
         if recorded_by not in (None, asked):
             committed_recording(recorded_by, missing)
     return with_earlier(newest) if file in (None, LAST) else [newest]
-
-
-def _holds_recordings(path: Path) -> bool:
-    """Return whether a path is a folder of recordings, and not a recording."""
-    from robotctl.recording.read.files import is_bag
-
-    return path.is_dir() and not is_bag(path) and any(map(is_bag, path.iterdir()))
 
 
 def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
