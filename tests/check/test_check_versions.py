@@ -299,3 +299,21 @@ def test_a_change_while_moving_breaks_a_promise(
 
     report = check_recording(record(tmp_path / "r", edited(parameter_drive, edit)))
     assert report.verdict in (Verdict.DIVERGED, Verdict.BROKEN)
+
+
+def test_a_broken_promise_of_another_version_stays_a_fault(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    changed, _ = altered(drive_of_3_s, "PublishTwist", '"linear":0.3', '"linear":99.3')
+    assert checked(tmp_path, changed, version="0.0.9").verdict is Verdict.BROKEN
+
+
+@pytest.mark.parametrize("version", [__version__, "0.0.9"])
+def test_an_entry_that_is_nested_too_deeply_is_named(
+    tmp_path: Path, drive_of_3_s: list[Written], version: str
+) -> None:
+    nested = '"x":' + "[" * 50_000 + "]" * 50_000 + ',"missed":'
+    changed, seq = altered(drive_of_3_s, "Tick", '"missed":', nested)
+    report = checked(tmp_path, changed, version=version)
+    assert report.verdict is Verdict.INCOMPLETE
+    assert f"journal entry {seq} cannot be" in report.missing[0]

@@ -542,3 +542,17 @@ def test_the_memory_of_a_burst_is_given_back(tmp_path: Path) -> None:
         assert len(recorder._thread.spare) <= 2
     stats = recorder.close()
     assert (stats.written, stats.dropped) == (18_000, 0)
+
+
+def test_a_folder_in_the_place_of_the_list_costs_no_message(tmp_path: Path) -> None:
+    failures: list[str] = []
+    recorder = Recorder(tmp_path / "run", on_failure=failures.append)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    (tmp_path / "run" / "metadata.yaml").mkdir()
+    stats = recorder.close()
+    assert failures == [
+        f"recording stopped: Is a directory ({stats.file}); check the disk and the folder"
+    ]
+    assert_accounted(stats, 100)
+    assert_first_numbers(stats.file, 100)

@@ -15,6 +15,7 @@ from rclpy.action.client import ActionClient
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.client import Client
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from robot_controller.action import DrivePattern
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
@@ -401,3 +402,36 @@ async def test_a_goal_begins_once_its_client_is_discovered(
     report = await goal
     server.destroy()
     assert (report["succeeded"], report["result"], begun) == (True, 7, [5])
+
+
+async def test_a_client_that_cannot_be_reached_holds_up_no_other(
+    executor: AsyncioExecutor, node: Node, topic: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replies, "PAUSE_S", 3600.0)
+    attempts: list[bool] = []
+    is_taken = replies.is_taken
+
+    def counted(send: Callable[[], None]) -> bool:
+        attempts.append(is_taken(send))
+        return attempts[-1]
+
+    monkeypatch.setattr("robotctl.ros.executor.services.is_taken", counted)
+    heard: list[bool] = []
+
+    def answer(request: Any, response: Any) -> Any:
+        heard.append(request.data)
+        return response
+
+    node.create_service(SetBool, topic, answer)
+    # The service's responses are volatile, so this reader never matches; its requests arrive.
+    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    unreachable = node.create_client(SetBool, topic, qos_profile=latched)
+    while len(heard) < 3:
+        unreachable.call_async(SetBool.Request(data=True))
+        await asyncio.sleep(0.05)
+    await until(lambda: attempts)
+    assert attempts == [False]
+    client = node.create_client(SetBool, topic)
+    await executor.wait_for_service(client, timeout_s=DEADLINE_S)
+    await executor.call(client, SetBool.Request(), timeout_s=DEADLINE_S)
+    assert attempts == [False, True]
