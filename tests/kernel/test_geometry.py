@@ -305,3 +305,8 @@ def test_a_processor_without_fused_multiply_add_drives_the_same_bit_for_bit() ->
     ]
     assert drives[0].count("\n") == len(PatternKind)
     assert drives[0] == drives[1]
+
+
+@for_each("length", [0.9, 1.1])
+def test_an_orientation_that_is_a_tenth_off_is_still_one(length: float) -> None:
+    assert yaw_of(0.0, 0.0, 0.0, length) == 0.0

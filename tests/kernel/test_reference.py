@@ -176,3 +176,28 @@ def test_no_corner_holds_a_reference_whose_ticks_come_early_and_late(seed: int) 
             ticks += 1
             assert ticks < 2000
     assert ticks < 1000
+
+
+def going(speed: float, segment: int = 0, length: float = 0.0) -> Progress:
+    """Return a progress with reference and lead at the same place, at `speed`."""
+    return Progress(segment=segment, length=length, speed=speed, lead_speed=speed)
+
+
+def braking(accel: float, left_m: float, dt_s: float) -> float:
+    """Return the speed from which braking in ticks of `dt_s` takes `left_m`, this tick included."""
+    half = 0.5 * accel * dt_s
+    return sqrt(half * half + 2.0 * accel * left_m) - half
+
+
+@for_each(("early_m", "brakes"), [(1e-6, False), (-1e-6, True)])
+def test_the_reference_brakes_no_tick_earlier_than_it_must(early_m: float, brakes: bool) -> None:
+    left_m = 0.4545 * (0.4545 + 0.45 * 0.01) / (2.0 * 0.45) + early_m
+    at = after(drive(SQUARE, going(0.45, length=1.0 - left_m)), 0.01)
+    assert isclose(at.speed, braking(0.45, left_m, 0.01) if brakes else 0.4545, rel_tol=1e-9)
+
+
+@for_each(("ahead_m", "stands"), [(2e-9, False), (1.99e-9, True)])
+def test_less_than_a_nanometre_before_a_stop_is_rounding(ahead_m: float, stands: bool) -> None:
+    """The reference does a nanometre in this tick: one or less is left."""
+    at = Progress(ahead=ahead_m, rates=(2e-9,))
+    assert advanced(at, (Leg(ahead_m, 1.0, 1.0, 0.0, 0.0),), 1, 1.0, 2)[1] is stands

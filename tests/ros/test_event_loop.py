@@ -343,3 +343,26 @@ def test_a_closed_loop_watches_nothing_any_more(run_it: Callable[[Any], Any]) ->
     ours, theirs = socket.socketpair()
     with ours, theirs:
         unwatch(in_time(main, run_it), ours.fileno())
+
+
+def test_a_watcher_may_replace_a_reader_that_is_ready_in_the_same_turn(
+    eventfds: Callable[[], int],
+) -> None:
+    called: list[str] = []
+
+    async def main() -> None:
+        loop, heard = asyncio.get_running_loop(), asyncio.Event()
+        ready, watched = eventfds(), eventfds()
+
+        def replace() -> None:
+            unwatch(loop, watched)
+            loop.remove_reader(ready)
+            loop.add_reader(ready, heard.set)
+
+        loop.add_reader(ready, called.append, "the reader of before")
+        watch(loop, watched, replace)
+        await heard.wait()
+        loop.remove_reader(ready)
+
+    in_time(main)
+    assert called == []

@@ -21,6 +21,7 @@ from std_srvs.srv import SetBool
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import RclCallFailed
 from tests.ros.open_executor import Node, populate, sources_of
+from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
 Peer = Callable[..., Awaitable[Any]]
@@ -284,3 +285,23 @@ async def test_a_client_of_a_node_that_is_not_here_is_refused(
 async def test_a_context_that_is_not_initialized_is_refused() -> None:
     with pytest.raises(RuntimeError, match=r"call rclpy\.init"):
         await AsyncioExecutor(Context()).__aenter__()
+
+
+async def test_an_executor_shut_down_before_it_opened_serves_nobody(context: Any) -> None:
+    executor = AsyncioExecutor(context)
+    assert executor.shutdown() is True
+    async with asyncio.timeout(DEADLINE_S):
+        await executor.serve()
+
+
+async def test_two_tasks_that_open_one_executor_at_once_open_it_once(
+    context: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("robotctl.ros.executor.announcements._passed", False)
+    executor = AsyncioExecutor(context)
+    first = asyncio.create_task(executor.__aenter__())
+    await asyncio.sleep(0)
+    with pytest.raises(RuntimeError, match="open already"):
+        await executor.__aenter__()
+    assert await first is executor
+    await executor.__aexit__(None, None, None)

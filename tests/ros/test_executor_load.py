@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from rclpy.action.client import ActionClient
 from rclpy.action.server import ActionServer
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
 from rclpy.task import Future
@@ -381,3 +381,48 @@ async def test_a_ros_time_timer_whose_clock_stands_still_does_not_turn_the_loop(
     assert fired == []
     clock.set_ros_time_override(Time(nanoseconds=2 * 10**9, clock_type=ClockType.ROS_TIME))
     await until(lambda: fired == [1])
+
+
+async def test_churn_of_subscriptions_under_traffic_loses_no_message_of_the_others(
+    executor: AsyncioExecutor, node: Node, topic: str
+) -> None:
+    got: list[int] = []
+    node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10_000)
+    publisher = node.create_publisher(UInt64, topic, 10_000)
+    sent = 0
+
+    def publish() -> None:
+        nonlocal sent
+        publisher.publish(UInt64(data=sent))
+        sent += 1
+
+    node.create_timer(0.0005, publish, callback_group=ReentrantCallbackGroup())
+    await until(lambda: got)
+    before = loop_descriptors()
+    for _ in range(60):
+        batch = [
+            node.create_subscription(UInt64, topic, lambda _: None, 10),
+            node.create_subscription(UInt64, topic, RawTap(lambda *_: None), 10, raw=True),
+        ]
+        seen = len(got)
+
+        def has_more(seen: int = seen) -> bool:
+            return len(got) > seen
+
+        await until(has_more)
+        for subscription in batch:
+            node.destroy_subscription(subscription)
+    await until(lambda: loop_descriptors() == before)
+    count = sent
+    await until(lambda: len(got) >= count)
+    assert got == list(range(len(got)))
+
+
+async def test_a_cancelled_timer_does_not_turn_the_loop(
+    executor: AsyncioExecutor, node: Node, comes_to_rest: ComesToRest
+) -> None:
+    fired: list[int] = []
+    timer = node.create_timer(0.005, lambda: fired.append(1))
+    await until(lambda: fired)
+    timer.cancel()
+    assert await comes_to_rest()

@@ -159,3 +159,16 @@ def test_an_entity_that_gets_no_descriptor_is_reported_and_the_others_go_on(
 ) -> None:
     ended = run_python(NO_FILES, timeout_s=DEADLINE_S)
     assert ended.stdout == "survived\n", ended.stderr
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'NoSuchExecutor'"):
+        _ = robotctl.ros.NoSuchExecutor
+
+
+async def test_a_32_bit_platform_is_refused(
+    context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ctypes, "sizeof", lambda _: 4)
+    with pytest.raises(UnsupportedPlatform, match="needs a 64-bit Python"):
+        await open_and_close(context)

@@ -10,6 +10,7 @@ import asyncio
 import os
 import threading
 import time
+from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,6 +22,7 @@ from std_msgs.msg import UInt64
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import runtime as pool_module
 from robotctl.ros.executor.event_loop import NS_PER_S, beat_before
+from robotctl.ros.executor.loop_thread import LoopThread
 from robotctl.ros.executor.runtime import Pool
 from robotctl.ros.executor.subscriptions import affordable_rest_s
 from tests.ros.open_executor import Node, sources_of
@@ -293,3 +295,92 @@ async def test_a_poll_that_raises_leaves_the_pool_working() -> None:
     pool.remove(fd)
     pool.close()
     os.close(fd)
+
+
+TURN_S = 0.1
+
+
+class _Loop:
+    """A loop that lets another thread pass in a call after the first of those that were kept."""
+
+    def __init__(self, late: threading.Thread) -> None:
+        self._late = late
+        self.called: list[object] = []
+
+    def call_soon(self, callback: object) -> None:
+        self.called.append(callback)
+        if self._late.ident is None:
+            self._late.start()
+            self._late.join(TURN_S)
+
+    def call_soon_threadsafe(self, callback: object) -> None:
+        self.called.append(callback)
+
+
+async def test_a_tap_without_latency_is_looked_at_for_every_message(
+    executor: AsyncioExecutor, node: Node, topic: str
+) -> None:
+    got: list[bytes] = []
+    tap = RawTap(lambda data, *_: got.append(data), latency_s=0.0)
+    subscription = node.create_subscription(UInt64, topic, tap, 1000, raw=True)
+    node.create_publisher(UInt64, topic, 10).publish(UInt64())
+    await until(lambda: got)
+    assert sources_of(executor)[subscription].pool is None
+
+
+async def test_taps_that_get_nothing_do_not_turn_the_loop(
+    executor: AsyncioExecutor, node: Node, topic: str, comes_to_rest: Callable[[], Awaitable[bool]]
+) -> None:
+    got: list[bytes] = []
+    for index in range(5):
+        tap = RawTap(lambda data, *_: got.append(data))
+        node.create_subscription(UInt64, f"{topic}/n{index}", tap, 1000, raw=True)
+    node.create_publisher(UInt64, f"{topic}/n0", 10).publish(UInt64())
+    await until(lambda: got)
+    assert await comes_to_rest()
+
+
+async def test_a_subscription_whose_queue_is_short_never_collects(
+    executor: AsyncioExecutor, node: Node, topic: str
+) -> None:
+    got: list[int] = []
+    subscription = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10)
+    publisher = node.create_publisher(UInt64, topic, 10)
+    await asyncio.sleep(0)
+    source: Any = sources_of(executor)[subscription]
+    async with asyncio.timeout(DEADLINE_S):
+        while len(got) < 500:
+            publisher.publish(UInt64(data=len(got)))
+            await asyncio.sleep(0)
+    assert source.pool is None
+
+
+async def test_a_tap_destroyed_while_its_pool_rests_delivers_nothing_more(
+    executor: AsyncioExecutor, node: Node, topic: str
+) -> None:
+    got: list[int] = []
+    other: list[int] = []
+    doomed = node.create_subscription(
+        UInt64, topic, RawTap(lambda data, *_: got.append(value_of(data))), 1000, raw=True
+    )
+    node.create_subscription(
+        UInt64, topic, RawTap(lambda data, *_: other.append(value_of(data))), 1000, raw=True
+    )
+    publisher = node.create_publisher(UInt64, topic, 1000)
+    publisher.publish(UInt64(data=1))
+    await until(lambda: got == other == [1])
+    publisher.publish(UInt64(data=2))
+    node.destroy_subscription(doomed)
+    await until(lambda: other == [1, 2])
+    assert got == [1]
+
+
+def test_a_call_of_another_thread_while_the_loop_is_opened_comes_after_those_kept() -> None:
+    calls = LoopThread()
+    late = threading.Thread(target=calls.call_soon, args=(bool,))
+    loop: Any = _Loop(late)
+    calls.call_soon(int)
+    calls.call_soon(str)
+    calls.open(loop)
+    late.join()
+    assert loop.called == [int, str, bool]

@@ -344,3 +344,65 @@ async def test_a_cancelled_async_callback_frees_its_group(
     assert got == [0]
     tasks[0].cancel()
     await until(lambda: got == [0, 1])
+
+
+async def test_a_guard_condition_triggered_while_its_group_is_busy_runs_afterwards(
+    executor: AsyncioExecutor, node: Node, topic: str
+) -> None:
+    release = asyncio.Event()
+    order: list[str] = []
+
+    async def hold(message: UInt64) -> None:
+        order.append("held")
+        await release.wait()
+        order.append("free")
+
+    group = MutuallyExclusiveCallbackGroup()
+    node.create_subscription(UInt64, topic, hold, 10, callback_group=group)
+    guard = node.create_guard_condition(lambda: order.append("guard"), callback_group=group)
+    seen: list[int] = []
+    free = node.create_guard_condition(
+        lambda: seen.append(1), callback_group=ReentrantCallbackGroup()
+    )
+    node.create_publisher(UInt64, topic, 10).publish(UInt64())
+    await until(lambda: order == ["held"])
+    guard.trigger()
+    free.trigger()
+    await until(lambda: seen)
+    assert order == ["held"]
+    release.set()
+    await until(lambda: order == ["held", "free", "guard"])
+
+
+async def test_a_parked_entity_may_be_destroyed(
+    executor: AsyncioExecutor, node: Node, topic: str
+) -> None:
+    release = asyncio.Event()
+    got: list[int] = []
+
+    async def callback(message: UInt64) -> None:
+        got.append(message.data)
+        await release.wait()
+
+    group = MutuallyExclusiveCallbackGroup()
+    node.create_subscription(UInt64, topic, callback, 10, callback_group=group)
+    parked = node.create_subscription(
+        UInt64, f"{topic}/parked", lambda m: got.append(-1), 10, callback_group=group
+    )
+    seen: list[int] = []
+    node.create_subscription(
+        UInt64,
+        f"{topic}/parked",
+        lambda m: seen.append(1),
+        10,
+        callback_group=ReentrantCallbackGroup(),
+    )
+    node.create_publisher(UInt64, topic, 10).publish(UInt64(data=7))
+    await until(lambda: got == [7])
+    node.create_publisher(UInt64, f"{topic}/parked", 10).publish(UInt64())
+    await until(lambda: seen)
+    node.destroy_subscription(parked)
+    await asyncio.sleep(0)
+    release.set()
+    await until(lambda: not runtime_of(executor).tasks)
+    assert got == [7]

@@ -435,3 +435,11 @@ async def test_a_client_that_cannot_be_reached_holds_up_no_other(
     await executor.wait_for_service(client, timeout_s=DEADLINE_S)
     await executor.call(client, SetBool.Request(), timeout_s=DEADLINE_S)
     assert attempts == [False, True]
+
+
+async def test_call_async_of_rclpy_can_be_awaited_as_it_is(
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
+) -> None:
+    client = await client_of(peer, executor, node, topic)
+    async with asyncio.timeout(DEADLINE_S):
+        assert (await client.call_async(SetBool.Request(data=True))).success

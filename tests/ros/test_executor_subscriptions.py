@@ -12,7 +12,9 @@ from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
 import pytest
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.waitable import NumberOfEntities, Waitable
@@ -20,9 +22,10 @@ from std_msgs.msg import String, UInt64
 
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import announcements, subscriptions
-from robotctl.ros.executor.raw_tap import SerializedTaker
-from tests.ros.open_executor import Node
+from robotctl.ros.executor.raw_tap import LARGE_BYTES, SerializedTaker
+from tests.ros.open_executor import Node, sources_of
 from tests.support.waiting import loop_until as until
+from tests.support.waiting import until as wait_until
 
 Peer = Callable[..., Awaitable[Any]]
 Feed = Callable[[Any, list[int]], Awaitable[None]]
@@ -317,3 +320,174 @@ async def test_a_foreign_waitable_that_raises_is_reported_and_disturbs_no_guard_
         monkeypatch.undo()
         await until(lambda: waitable.executed == [1])
     assert set(reported) == {"no"}
+
+
+async def test_a_match_from_before_the_node_was_added_is_told_once(
+    context: Any, node: Node, peer: Peer, topic: str
+) -> None:
+    seen: list[int] = []
+
+    def tell(event: Any) -> None:
+        seen.append(event.current_count)
+
+    await peer("listen", topic=topic)
+    callbacks = PublisherEventCallbacks(matched=tell)
+    publisher = node.create_publisher(UInt64, topic, 10, event_callbacks=callbacks)
+    await until(publisher.get_subscription_count)
+    reference: list[int] = []
+    async with AsyncioExecutor(context) as executor:
+        executor.add_node(node)
+        node.create_timer(0.01, lambda: reference.append(1))
+        await until(lambda: seen and len(reference) >= 5)
+    assert seen == [1]
+
+
+async def test_what_an_executor_of_rclpy_has_told_is_not_told_again(
+    context: Any, node: Node, peer: Peer, topic: str
+) -> None:
+    seen: list[tuple[int, int, int]] = []
+
+    def tell(event: Any) -> None:
+        seen.append((event.total_count, event.total_count_change, event.current_count_change))
+
+    callbacks = PublisherEventCallbacks(matched=tell)
+    node.create_publisher(UInt64, topic, 10, event_callbacks=callbacks)
+    await peer("listen", topic=topic)
+    theirs = SingleThreadedExecutor(context=context)
+    theirs.add_node(node)
+
+    def tells() -> bool:
+        theirs.spin_once(timeout_sec=0.01)
+        return bool(seen)
+
+    await asyncio.to_thread(wait_until, tells)
+    theirs.remove_node(node)
+    theirs.shutdown()
+    assert seen == [(1, 1, 1)]
+    local = node.create_subscription(UInt64, topic, lambda _: None, 10)
+    turns: list[int] = []
+    node.create_timer(0.01, lambda: turns.append(1))
+    async with AsyncioExecutor(context) as executor:
+        executor.add_node(node)
+        await until(lambda: len(seen) >= 2)
+    turns.clear()
+    async with AsyncioExecutor(context) as executor:  # Nor by a publisher of this process.
+        executor.add_node(node)
+        await until(lambda: len(turns) >= 5)
+    assert seen == [(1, 1, 1), (2, 1, 1)]
+    node.destroy_subscription(local)
+
+
+async def test_an_event_announced_after_it_was_taken_is_not_told_again(
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
+) -> None:
+    seen: list[int] = []
+
+    def tell(event: Any) -> None:
+        seen.append(event.total_count_change)
+
+    await meet_incompatible(node, peer, topic, tell)
+    await until(lambda: seen == [1])
+    (announced,) = (
+        source for source in sources_of(executor).values() if source.entity.callback is tell
+    )
+    announced.resume()
+    reference: list[int] = []
+    node.create_timer(0.01, lambda: reference.append(1))
+    await until(lambda: len(reference) >= 5)
+    assert seen == [1]
+
+
+async def test_a_missed_deadline_is_told(
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
+) -> None:
+    seen: list[int] = []
+    qos = QoSProfile(depth=10, deadline=Duration(nanoseconds=50_000_000))
+
+    def tell(event: Any) -> None:
+        seen.append(event.total_count_change)
+
+    callbacks = SubscriptionEventCallbacks(deadline=tell)
+    node.create_subscription(UInt64, topic, lambda _: None, qos, event_callbacks=callbacks)
+    await peer("offer", topic=topic, deadline_s=0.05)
+    await peer("publish", topic=topic, values=[1])
+    await until(lambda: sum(seen) >= 2)
+
+
+async def test_message_lost_events_are_watched_without_inventing_any(
+    executor: AsyncioExecutor, node: Node, feed: Feed, topic: str
+) -> None:
+    # This middleware never sends the event (sequence gaps show losses instead). The test shows only
+    # that it is attached and that no event is invented.
+    seen: list[object] = []
+    got: list[int] = []
+    callbacks = SubscriptionEventCallbacks(message_lost=seen.append)
+    subscription = node.create_subscription(
+        UInt64, topic, lambda m: got.append(m.data), 10, event_callbacks=callbacks
+    )
+    await feed(subscription, [1, 2, 3])
+    await until(lambda: got == [1, 2, 3])
+    assert seen == []
+    paths = [source.woken_by for source in sources_of(executor).values() if "LOST" in source.where]
+    assert paths == ["eventfd"]
+
+
+async def test_the_memory_of_a_large_message_is_looked_after_at_once(
+    executor: AsyncioExecutor, node: Node, topic: str, takes: list[bool]
+) -> None:
+    got: list[str] = []
+    node.create_subscription(String, topic, lambda message: got.append(message.data), 10)
+    publisher = node.create_publisher(String, topic, 10)
+    await until(lambda: takes == [False])
+    publisher.publish(String(data="x" * LARGE_BYTES))
+    await until(lambda: got)
+    assert takes == [False, True, False]
+
+
+async def test_messages_that_waited_for_their_callback_group_are_all_delivered(
+    executor: AsyncioExecutor, node: Node, topic: str, takes: list[bool]
+) -> None:
+    got: list[int] = []
+    busy, free = asyncio.Event(), asyncio.Event()
+
+    async def occupy(_: UInt64) -> None:
+        busy.set()
+        await free.wait()
+
+    node.create_subscription(UInt64, f"{topic}_first", occupy, 10)
+    node.create_subscription(UInt64, topic, lambda message: got.append(message.data), 10)
+    first = node.create_publisher(UInt64, f"{topic}_first", 10)
+    publisher = node.create_publisher(UInt64, topic, 10)
+    await until(lambda: takes == [False, False])
+    first.publish(UInt64())
+    await busy.wait()
+    for value in range(5):
+        publisher.publish(UInt64(data=value))
+    engine = executor._engine
+    await until(lambda: engine is not None and engine.runtime._parked)
+    assert got == []
+    free.set()
+    await until(lambda: len(got) == 5)
+    assert got == list(range(5))
+
+
+async def test_a_foreign_waitable_parked_behind_its_group_does_not_turn_the_loop(
+    foreign: ForeignWaitable, node: Node, topic: str, comes_to_rest: Callable[[], Awaitable[bool]]
+) -> None:
+    release = asyncio.Event()
+    busy: list[int] = []
+
+    async def hold(message: UInt64) -> None:
+        busy.append(1)
+        await release.wait()
+
+    node.create_subscription(UInt64, topic, hold, 10)
+    node.create_publisher(UInt64, topic, 10).publish(UInt64())
+    await until(lambda: busy)
+    publisher = node.create_publisher(UInt64, f"{topic}/foreign", 10)
+    publisher.publish(UInt64(data=1))
+    publisher.publish(UInt64(data=2))
+    assert await comes_to_rest()
+    assert foreign.executed == []
+    release.set()
+    await until(lambda: foreign.executed == [1, 2])

@@ -213,3 +213,18 @@ async def test_a_future_resolved_by_another_thread_wakes_the_loop(
         await executor.wait_for(failing, timeout_s=DEADLINE_S)
     with pytest.raises(TimeoutError):
         await executor.wait_for(Future(), timeout_s=0.01)
+
+
+def test_a_task_may_be_cancelled_after_its_loop_has_gone(context: Any) -> None:
+    tasks: list[Future] = []
+
+    async def live() -> None:
+        async with AsyncioExecutor(context) as executor:
+            tasks.append(executor.create_task(asyncio.sleep, 0))
+            tasks.append(executor.create_task(asyncio.sleep, DEADLINE_S))
+            await tasks[0]
+
+    asyncio.run(live())
+    for task in tasks:
+        task.cancel()
+    assert [task.cancelled() for task in tasks] == [False, True]

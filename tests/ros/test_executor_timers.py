@@ -266,3 +266,29 @@ async def test_tickers_of_one_rate_tick_together_and_one_with_a_lead_before_them
             third = await anext(early)
     assert (second.due_ns - first.due_ns) % one.period_ns == 0
     assert (first.due_ns - third.due_ns) % one.period_ns == 100_000
+
+
+async def test_a_second_loop_is_refused() -> None:
+    async with Ticker(1.0) as ticker:
+
+        def elsewhere() -> None:
+            async def use() -> None:
+                await anext(ticker)
+
+            with pytest.raises(RuntimeError, match="another event loop"):
+                asyncio.run(use())
+
+        await asyncio.to_thread(elsewhere)
+
+
+async def test_a_cancelled_run_calls_its_function_no_more() -> None:
+    ticks: list[Tick] = []
+    async with asyncio.timeout(DEADLINE_S), Ticker(1000.0) as ticker:
+        task = asyncio.ensure_future(ticker.run(ticks.append))
+        while not ticks:  # noqa: ASYNC110 - a ticker has no event
+            await asyncio.sleep(0)
+        task.cancel()
+        count = len(ticks)
+        await asyncio.wait({task})
+        await anext(ticker)
+    assert len(ticks) == count

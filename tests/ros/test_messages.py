@@ -451,3 +451,22 @@ def test_each_type_of_an_action_has_a_class() -> None:
     for implied in ("", "_Goal", "_FeedbackMessage", "_SendGoal_Request", "_GetResult_Event"):
         name = f"DrivePattern{implied}"
         assert message_class(f"robot_controller/action/{name}").__name__ == name
+
+
+@given(frames, frames)
+def test_odometry_is_written_as_rclpy_writes_it_but_for_padding(
+    frame_id: str, child_frame_id: str
+) -> None:
+    message = Odometry()
+    message.header.frame_id, message.child_frame_id = frame_id, child_frame_id
+    rclpys = serialize_message(message)
+
+    written = OdometryEncoder(frame_id, child_frame_id).encode(Pose(0.0, 0.0, 0.0), Twist(), 0)
+
+    assert len(written) == len(rclpys)  # rclpy leaves its padding uninitialized
+    assert deserialize_message(written, Odometry) == message
+
+
+def test_an_event_of_a_service_has_its_class() -> None:
+    name = "std_srvs/srv/SetBool_Event"
+    assert serialized_type(name) is message_class(name)
