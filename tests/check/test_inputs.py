@@ -387,3 +387,11 @@ def test_a_press_that_was_changed_is_found(
     edited = changed(pressed, kind, lambda m: replace(m, data=released) if m.sequence > 30 else m)
     report = check(tmp_path, edited)
     assert report.verdict is Verdict.BROKEN
+
+
+def test_a_message_that_is_repeated_is_missed(tmp_path: Path, heard: Contents) -> None:
+    edited = heard.copy()
+    at = next(i for i, each in enumerate(edited.messages) if each.topic == ODOMETRY) + 200
+    repeated = next(each for each in edited.messages[at:] if each.topic == ODOMETRY)
+    edited.messages.insert(at + 60, repeated)
+    assert check(tmp_path, edited).verdict is Verdict.INCOMPLETE
