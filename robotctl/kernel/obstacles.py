@@ -31,7 +31,10 @@ def look_again(scan: Scan, command: Twist, params: KernelParams) -> Scan:
     """Return `scan` with the distance to the nearest obstacle in the path of `command`."""
     reach_m, ahead_m = _reach_m(command.linear, params), inf
     if not scan.nearest_m > farthest_m(params.scan, reach_m):  # NaN is looked at, too
-        ahead_m = distance_ahead(scan.sectors, command, params.scan, reach_m)
+        far_m = _reach_m(params.limits.linear_mps, params)
+        free_m = free_beside_m(scan.sectors, params.scan, far_m)
+        if not is_free(free_m, command, params.scan, reach_m):
+            ahead_m = distance_ahead(scan.sectors, command, params.scan, reach_m)
     return scan if ahead_m == scan.ahead_m else replace(scan, ahead_m=ahead_m)
 
 
@@ -54,6 +57,21 @@ def distance_ahead(
         if abs(y) <= side_m:
             nearest_m = min(nearest_m, _along_path(x, y, command, params))
     return nearest_m if nearest_m <= reach_m else inf
+
+
+@lru_cache(maxsize=2)
+def free_beside_m(sectors: tuple[float, ...], params: ScanParams, reach_m: float) -> float:
+    """Return the least |y| [m] of all obstacles within `reach_m` along any path, inf if none."""
+    points = _points(sectors, params, farthest_m(params, reach_m))
+    return min([abs(y) for _, y in points], default=inf)
+
+
+def is_free(free_m: float, command: Twist, params: ScanParams, reach_m: float) -> bool:
+    """Return whether the path of `command` is free of obstacles with a |y| of `free_m` or more.
+
+    If this is False, an obstacle may be in the path: call `distance_ahead`.
+    """
+    return _side_m(command, params, reach_m) < free_m
 
 
 def _side_m(command: Twist, params: ScanParams, reach_m: float) -> float:

@@ -18,6 +18,8 @@ from robotctl.kernel.obstacles import (
     _side_m,
     distance_ahead,
     farthest_m,
+    free_beside_m,
+    is_free,
 )
 from robotctl.kernel.params import KernelParams, ScanParams, VelocityLimits
 from robotctl.kernel.safety_inputs import Use
@@ -108,6 +110,8 @@ def test_an_obstacle_as_far_away_as_it_may_count_counts() -> None:
     distance_m = ahead(1.0, 0.0, FORWARD)
     assert distance_ahead(seen(1.0, 0.0), FORWARD, PARAMS, distance_m) == distance_m
     assert distance_ahead(seen(1.0, 0.0), FORWARD, PARAMS, distance_m - 1e-9) == inf
+    assert free_beside_m(seen(1.5, 0.0), PARAMS, 1.0) == 0.0
+    assert free_beside_m(seen(1.5001, 0.0), PARAMS, 1.0) == inf
 
 
 def test_an_obstacle_may_be_at_the_edges_and_in_the_middle_of_its_sector() -> None:
@@ -134,6 +138,9 @@ COMMANDS = st.builds(Twist, st.floats(-1.0, 1.0), st.floats(-2.0, 2.0))
 MOUNTED = ScanParams(use=Use.OPTIONAL, half_width_m=0.2, half_length_m=0.3, x_m=0.1, yaw_rad=0.5)
 COURSES = st.builds(Twist, st.floats(-1.0, 1.0), st.floats(-0.5, 0.5) | st.just(0.0))
 WIDE = st.lists(st.floats(0.05, 3.0), min_size=SECTORS, max_size=SECTORS)
+BETWEEN_WALLS = tuple(
+    0.5 / max(abs(sin(-pi + (number + 0.5) * tau / SECTORS)), 1e-9) for number in range(SECTORS)
+)
 
 
 @given(WIDE, COURSES, st.sampled_from([PARAMS, MOUNTED]), st.floats(0.0, 1.5))
@@ -149,6 +156,8 @@ def test_what_is_left_out_beside_the_path_is_in_no_path(
         for n, r in enumerate(sectors)
     )
     assert ahead_m == alone_m
+    if is_free(free_beside_m(sectors, params, 1.5), command, params, reach_m):
+        assert ahead_m == inf
 
 
 @given(
@@ -181,6 +190,19 @@ def test_the_side_of_a_path_is_no_wider_than_its_end_needs() -> None:
     assert _side_m(Twist(0.001, 0.001), PARAMS, 0.5) < inf
     for sharp in (Twist(0.5, 0.67), Twist(-0.5, -0.67), Twist(0.0, 0.1), Twist(0.0005, 0.0001)):
         assert _side_m(sharp, PARAMS, 0.5) == inf
+
+
+def test_between_walls_a_straight_path_is_free_and_a_sharp_turn_is_looked_at() -> None:
+    free_m = free_beside_m(BETWEEN_WALLS, PARAMS, 1.0)
+    assert 0.4 < free_m < 0.5
+    assert is_free(free_m, Twist(0.3, 0.0), PARAMS, 0.5)
+    assert is_free(free_m, Twist(0.3, 0.05), PARAMS, 0.5)
+    assert not is_free(free_m, Twist(0.3, 0.6), PARAMS, 0.5)
+    assert not is_free(free_m, Twist(0.0, 0.6), PARAMS, 0.5)
+    assert not is_free(0.25, Twist(0.3, 0.0), PARAMS, 0.5)
+    assert not is_free(_side_m(FORWARD, PARAMS, 0.5), FORWARD, PARAMS, 0.5)
+    assert free_beside_m(FREE, PARAMS, 1.0) == inf
+    assert free_beside_m((), PARAMS, 1.0) == inf
 
 
 def test_a_turn_towards_a_wall_is_noticed_at_the_next_tick() -> None:

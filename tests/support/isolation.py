@@ -32,7 +32,7 @@ PURE: Final[Collection[str]] = {
     *("_aligned", "_eventfd_write", "_hash_of", "_installed_hash", "_kinds", "_libc"),
     *("_qos_lines", "_rays", "_reader", "_setter", "_take_serialized", "_type_support"),
     *("_wrong_in", "corners_of", "counts_each_message", "declarations", "decoder_of"),
-    *("function", "installed_type", "kernel_leaves", "library", "message_class"),
+    *("free_beside_m", "function", "installed_type", "kernel_leaves", "library", "message_class"),
     *("path_of", "serialized_type", "software", "software_hash"),
 }
 """Caches whose values follow from their arguments, the code and the installed packages alone."""
