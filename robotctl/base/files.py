@@ -5,10 +5,11 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -49,3 +50,15 @@ def sync_folder(folder: Path) -> None:
     """
     with open_folder(folder) as descriptor:
         os.fsync(descriptor)
+
+
+ABANDONED_S: Final = 3600.0
+"""An unfinished file that is unchanged for this time was left by a killed process."""
+
+
+def remove_abandoned(folder: Path, pattern: str) -> None:
+    """Remove the unfinished files of killed processes, whose names match the glob `pattern`."""
+    with suppress(OSError):
+        for unfinished in folder.glob(pattern):
+            if time.time() - unfinished.lstat().st_mtime > ABANDONED_S:
+                unfinished.unlink()

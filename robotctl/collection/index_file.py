@@ -11,7 +11,6 @@ import hashlib
 import json
 import os
 import re
-import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields
@@ -22,6 +21,7 @@ from tempfile import TemporaryFile
 from typing import IO, TYPE_CHECKING, Any, ClassVar, Final
 
 from robotctl.base.errors import Refused, UsageError
+from robotctl.base.files import remove_abandoned
 from robotctl.base.store.objects import is_hash
 from robotctl.recording.disk import is_being_written, replaced_file
 from robotctl.recording.format.names import INDEX_FILE, natural_order
@@ -36,9 +36,6 @@ READING: Final = "120MB"
 
 WRITING: Final = "1GB"
 """DuckDB's memory limit while it writes a file."""
-
-ABANDONED_S: Final = 3600.0
-"""An unfinished file that is unchanged for this time was left by a killed process."""
 
 
 @contextmanager
@@ -87,7 +84,10 @@ def write_parquet(
         OSError: The file cannot be written, or a source cannot be read.
         UsageError: duckdb is not installed.
     """
-    _remove_abandoned(target)
+    with suppress(OSError):
+        if target.is_symlink():
+            target.unlink()
+    remove_abandoned(target.parent, f".{escape(target.name)}.*.tmp")
     with replaced_file(target) as stream:
         path = file_of(stream)
         with database([*sources, path], WRITING) as connection:
@@ -107,16 +107,6 @@ def write_parquet(
 def file_of(stream: IO[bytes]) -> str:
     """Return a path that names an open file even after the file is renamed or replaced."""
     return f"/proc/self/fd/{stream.fileno()}"
-
-
-def _remove_abandoned(target: Path) -> None:
-    """Remove unfinished copies of `target` by killed processes, and `target` if it is a link."""
-    with suppress(OSError):
-        if target.is_symlink():
-            target.unlink()
-        for unfinished in target.parent.glob(f".{escape(target.name)}.*.tmp"):
-            if time.time() - unfinished.lstat().st_mtime > ABANDONED_S:
-                unfinished.unlink()
 
 
 def parquet(paths: Iterable[Path | str], options: str = "") -> str:

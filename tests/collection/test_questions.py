@@ -16,6 +16,7 @@ from typing import IO, Any
 
 import pytest
 
+from robotctl.base import files
 from robotctl.base.errors import Refused, UnreadableFile, UsageError
 from robotctl.base.jobs import job_command
 from robotctl.base.processes import start
@@ -420,7 +421,7 @@ def test_what_a_killed_process_left_is_removed_later(
     assert left in derived_files(folder / LAP)
     assert index_recording(folder / LAP) == ""
     assert left.exists()  # its process may be at work
-    monkeypatch.setattr(databases, "ABANDONED_S", -1.0)
+    monkeypatch.setattr(files, "ABANDONED_S", -1.0)
     assert index_recording(folder / LAP) == ""
     assert not left.exists()
 

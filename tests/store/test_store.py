@@ -21,6 +21,7 @@ from typing import Any
 
 import pytest
 
+from robotctl.base import files
 from robotctl.base.errors import UsageError
 from robotctl.base.store import MAX_READ_BYTES, RangeReader, RemoteFile, open_store, path_of
 from robotctl.base.store.bucket import RequestLoop, profile_keys
@@ -188,7 +189,9 @@ def test_an_error_leaves_nothing(target: Path) -> None:
     assert list(target.iterdir()) == []
 
 
-def test_a_writer_that_is_killed_leaves_a_hidden_file(tmp_path: Path) -> None:
+def test_a_writer_that_is_killed_leaves_a_hidden_file_that_is_removed_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     command = [sys.executable, "-c", WRITER, str(tmp_path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
         assert writer.stdout is not None
@@ -196,6 +199,11 @@ def test_a_writer_that_is_killed_leaves_a_hidden_file(tmp_path: Path) -> None:
         writer.send_signal(signal.SIGKILL)
     assert [path.name.startswith(PREFIX) for path in tmp_path.iterdir()] == [True]
     assert list(FolderStore(tmp_path).list()) == []
+    FolderStore(tmp_path).put("a", [b""])
+    assert len(list(tmp_path.iterdir())) == 2  # its writer may be at work
+    monkeypatch.setattr(files, "ABANDONED_S", -1.0)
+    FolderStore(tmp_path).put("a", [b""])
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 KIB = 1 << 10

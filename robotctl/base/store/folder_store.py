@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Final
 
-from robotctl.base.files import open_folder
+from robotctl.base.files import open_folder, remove_abandoned
 from robotctl.base.store.objects import (
     NO_STAMP,
     AccessDenied,
@@ -117,10 +117,11 @@ class FolderStore:
         """Yield the path of a new file with the content, on the disk (fsync).
 
         The path is removed after the block. A process that is killed leaves a hidden file, whose
-        name begins with PREFIX.
+        name begins with PREFIX; the next file in its folder removes it after ABANDONED_S.
         """
         folder = self._path(key).parent
         folder.mkdir(parents=True, exist_ok=True)
+        remove_abandoned(folder, f"{PREFIX}*")
         with NamedTemporaryFile(dir=folder, prefix=PREFIX, delete=False) as file:
             try:
                 file.writelines(parts)
