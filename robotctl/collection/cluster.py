@@ -225,8 +225,7 @@ class _State(NamedTuple):
 
 def _state(place: str, results: str, token: str) -> _State:
     """Return the state of this worker; runs in the worker."""
-    sees = Path(place).exists(), _sees(token, results)
-    return _State(software_hash(), software_name(), *sees)
+    return _State(software_hash(), software_name(), Path(place).exists(), _sees(token, results))
 
 
 def _judged(token: str, judging: Judging, path: Path) -> Judged:

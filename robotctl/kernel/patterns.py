@@ -141,12 +141,15 @@ class Pattern:
 
     kind: PatternKind = setting(PatternKind.SQUARE, "pattern of `set-mode moving`", Change.ANY_TIME)
     size_m: float = bounded(
-        *(1.0, MIN_SIZE_M, MAX_SIZE_M, "m"),
+        1.0,
+        MIN_SIZE_M,
+        MAX_SIZE_M,
+        "m",
         "side of a square, radius of a circle or an arc, length of a line",
         Change.ANY_TIME,
     )
     speed_mps: float = bounded(
-        *(0.5, MIN_SPEED_MPS, MAX_SPEED_MPS, "m/s"), "speed along the pattern", Change.ANY_TIME
+        0.5, MIN_SPEED_MPS, MAX_SPEED_MPS, "m/s", "speed along the pattern", Change.ANY_TIME
     )
 
     def refusal(self, course: Course = PLAIN) -> str:
@@ -225,23 +228,24 @@ SHAPES: Mapping[PatternKind, Shape] = MappingProxyType(
             SizeName.RADIUS, 0.5, lambda radius_m, course: Path((Circle(radius_m),), radius_m)
         ),
         PatternKind.FIGURE_EIGHT: Shape(
-            *(SizeName.RADIUS, 0.5),
+            SizeName.RADIUS,
+            0.5,
             lambda size_m, course: Path(
                 figure_eight_parts(figure_eight(2.0 * tau * size_m)), size_m
             ),
         ),
         PatternKind.ROUNDED_SQUARE: Shape(SizeName.SIDE, 1.0, _rounded_square_lap, has_corner=True),
         PatternKind.LINE: Shape(
-            *(
-                SizeName.LENGTH,
-                1.0,
-                lambda size_m, course: _open(Line(ORIGIN, size_m), size_m),
-            ),
+            SizeName.LENGTH,
+            1.0,
+            lambda size_m, course: _open(Line(ORIGIN, size_m), size_m),
             closed=False,
         ),
         PatternKind.ARC: Shape(SizeName.RADIUS, 0.5, _arc_lap, closed=False, has_angle=True),
         PatternKind.TURN: Shape(
-            *(None, 1.0, lambda _, course: _open(_turn(ORIGIN, course.angle_rad), MIN_SIZE_M)),
+            None,
+            1.0,
+            lambda _, course: _open(_turn(ORIGIN, course.angle_rad), MIN_SIZE_M),
             closed=False,
             has_angle=True,
         ),

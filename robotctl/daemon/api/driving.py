@@ -307,7 +307,7 @@ class DrivingMethods:
         except UsageError as error:
             raise ValueError(str(error)) from None
         event = DriveRequested(
-            *(*self._control.stamp(), pattern, goal.laps, goal.replace, source), remote=remote
+            *self._control.stamp(), pattern, goal.laps, goal.replace, source, remote=remote
         )
         ended = self._control.expect_end(event.request_id)
         return GoalDrive(
