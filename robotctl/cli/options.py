@@ -38,7 +38,7 @@ DomainId = Annotated[
 ]
 
 ROS_WORD = "--ros-word"
-"""The hidden option that carries each word of `--ros-args` through the parser."""
+"""The hidden option in which `registry.dispatch` passes each word of `--ros-args` to a command."""
 
 RosWords = Annotated[list[str] | None, typer.Option(ROS_WORD, hidden=True)]
 
@@ -82,7 +82,7 @@ ProfileName = Annotated[
 
 
 def given_options(context: typer.Context) -> dict[str, str]:
-    """Return the options that the user typed, by parameter name, such as `{"rate": "--rate"}`."""
+    """Return the parameters that the user typed, with their spelling: `{"rate": "--rate"}`."""
     given = {}
     for parameter in context.command.params:
         name = parameter.name or ""

@@ -1,4 +1,4 @@
-"""clip, recover, convert: write a part, the rest or another form of a recording."""
+"""clip, recover, convert: cut a recording, save a broken one, copy one into other files."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def clip(
 
 
 def _loss(text: str, lost: Sequence[str]) -> RecoveredWithLoss | None:
-    """Return the error for what was lost, None if nothing was."""
+    """Return an error with `text` and the sentences `lost`, None if `lost` is empty."""
     return RecoveredWithLoss(f"{text}: {'; '.join(lost)}") if lost else None
 
 
@@ -133,10 +133,11 @@ def _find(
     robot: str | None,
     folder: Path | None,
 ) -> tuple[ListedRecording, Moment]:
-    """Return the recording and the moment to clip.
+    """Return the recording to clip, and the moment: `at`, or its last `event`.
 
     Raises:
         Refused: No recording contains such a moment.
+        UnreadableFile: The recording `file` cannot be read.
     """
     from robotctl.recording.keep.listing import list_recording
     from robotctl.recording.read.files import recording_files

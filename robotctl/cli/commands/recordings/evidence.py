@@ -1,4 +1,4 @@
-"""evidence: one report of who changed what, which stops there were, and what proves it."""
+"""evidence: report who changed what, which stops there were, and what proves both."""
 
 from __future__ import annotations
 
@@ -100,9 +100,9 @@ def _recordings(
 ) -> Iterator[dict[str, Any]]:
     """Yield each recording that the journal names, then the robot's others in the same folders.
 
-    `told` is what the whole journal says, `found` what it says from `since_ns` on. A recording that
-    ended before `since_ns` is left out, unless `found` names it. If the journal names a recording
-    that is not at its path any more, it is looked for in `elsewhere`.
+    `told` has the facts of the whole journal of decisions, `found` only those since `since_ns`. A
+    recording that ended before `since_ns` is left out, unless `found` names it. A recording that
+    is no longer at the path in the journal is searched in `elsewhere`.
     """
     wanted = set(found.recordings())
     removed = {Path(str(item.get("file"))).parent.name for item in told.removed}
@@ -128,7 +128,7 @@ def _recordings(
 
 
 def _looked_at(path: Path) -> dict[str, Any]:
-    """Return the object for `--json` of a recording; `_prove` adds its verdicts later."""
+    """Return a recording's object in `--json`, without verdicts: `_prove` adds them later."""
     from robotctl.recording.keep.listing import list_recording
 
     item = {"path": str(path), "state": _MISSING, "named": True}
@@ -143,10 +143,10 @@ def _looked_at(path: Path) -> dict[str, Any]:
 
 
 def _heads(recording: Path, robot: str = "") -> Iterator[tuple[str | None, int]]:
-    """Yield a pair for each file: the digest of the journal when it began, and that time [ns].
+    """Yield the digest that each file notes, and the time when the file begins [ns].
 
-    The digest is None if an early version of robotctl wrote the file. If `robot` is given, files of
-    other robots are skipped.
+    The digest is that of the journal of decisions at this time, None in a file of an early version
+    of robotctl. If `robot` is given, files of other robots are skipped.
     """
     from robotctl.recording import read_info
     from robotctl.recording.format.names import INFO_RECORD
@@ -161,7 +161,7 @@ def _heads(recording: Path, robot: str = "") -> Iterator[tuple[str | None, int]]
 
 
 def _knows_more(recording: Path, log: LogContent) -> bool:
-    """Return whether a file of `recording` knows a digest that the journal does not have."""
+    """Return whether a file of `recording` notes a digest that the journal of decisions lacks."""
     first_ns = log.entries[0].time_ns if log.begins_later and log.entries else -1
     return any(
         head and head not in log.heads and start_ns > first_ns
@@ -230,7 +230,7 @@ def _gravest(
 
 
 MOST_SHOWN: Final = 50
-"""How many items are printed: the last of each list, but the first sentences on the journal."""
+"""The most items that are printed of a list: the last ones, of the journal's flaws the first."""
 
 _INDENT = "  "
 

@@ -32,7 +32,7 @@ app = new_app()
 
 
 class TableFormat(Enum):
-    """The format of the table; the value is also the suffix of the file."""
+    """The format of the exported table; the value is the file's suffix without the dot."""
 
     CSV = "csv"
     JSON = "json"

@@ -1,6 +1,6 @@
-"""index, find: an index of each recording, and questions to all of them.
+"""index, find: write an index of each recording, and query all indexes together.
 
-`--open N` opens a row of the answer as a report or as a clip, at the row's time.
+`find --open N` makes a report or a clip of the recording in row N, at the row's time.
 """
 
 from __future__ import annotations
@@ -217,7 +217,7 @@ def _open(
 
 
 def _offset_s(path: Path, about: Mapping[str, Any]) -> float | None:
-    """Return when the row `about` begins [s into the recording], None if it concerns all of it."""
+    """Return the start of the row `about` [s into its recording], None if it has no time."""
     from robotctl.recording import read_info
 
     start_ns = about.get("start_ns")

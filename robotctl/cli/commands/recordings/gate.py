@@ -1,4 +1,4 @@
-"""gate: decide every recording of a folder again, and fail if one is decided differently."""
+"""gate: re-run the decisions of every recording in a folder, and fail if any of them differ."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def _recordings(place: Path) -> list[Path]:
 
 
 def _check_writable(path: Path) -> None:
-    """Raise Refused if a file cannot be written, before anything is judged."""
+    """Raise Refused if the file `path` cannot be written; leave its content as it is."""
     existed = path.exists()
     try:
         with path.open("a"):
@@ -163,7 +163,7 @@ def _cannot_write(path: Path, error: OSError) -> Refused:
 
 
 def _user() -> str:
-    """Return the name of the user who accepts, or the uid: in a container it may have no name."""
+    """Return the name of this user; the uid if it has no name, as may be in a container."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):
@@ -179,7 +179,7 @@ def _accept(report: GateReport, known: Baseline, baseline: Path, by: str, why: s
 
 
 def _error(report: GateReport, problems: Sequence[RobotctlError]) -> RobotctlError | None:
-    """Return why the gate fails, None if it passes; `problems` are those of writing the results."""
+    """Return why the gate fails, None if it passes; `problems` are files that were not written."""
     also = "".join(f"; {problem}" for problem in problems)
     if failures := report.failures():
         return Divergence(f"{len(failures)} of {len(report.results)} recordings do not pass{also}")
@@ -194,7 +194,7 @@ def _error(report: GateReport, problems: Sequence[RobotctlError]) -> RobotctlErr
 
 
 MAX_NAMED = 5
-"""How many recordings are printed for each cause, and how many drives; `--json` has all."""
+"""The most recordings that are printed for a cause, and the most drives; `--json` has all."""
 
 OPEN_LOOP = "the robot does not react, so how far and how well it would drive is not known"
 
@@ -269,7 +269,7 @@ def _first(result: Judgement) -> str:
 
 
 def _change_lines(report: GateReport) -> Iterator[str]:
-    """Yield what --what-if changes in all recordings together, and in the first drives."""
+    """Yield lines on the effect of --what-if: totals of all recordings, then MAX_NAMED drives."""
     totals = report.totals()
     if totals is None:
         return

@@ -1,4 +1,4 @@
-"""info, recordings: what one recording contains, and which ones there are."""
+"""info, recordings: show what a recording contains; list, keep and remove recordings."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ _POLICIES = {
     "durability": {"1": "transient_local", "2": "volatile"},
     "history": {"1": "keep_last", "2": "keep_all", "3": "unknown"},
 }
-"""The names of the numbers that rosbag2 wrote before version 9 of its metadata (rmw/types.h). The
-history is unknown if DDS did not report it to the recorder."""
+"""The QoS policies for the numbers of rmw/types.h, which rosbag2 wrote before version 9 of its
+metadata. The history is unknown if DDS did not report it to the recorder."""
 
 _ENTRY = re.compile(r"^ *(reliability|durability|history|depth): *(\w+)", re.MULTILINE)
 
@@ -161,7 +161,7 @@ def info_lines(found: RecordingInfo) -> Iterator[str]:
 
 
 def event_lines(events: Sequence[RecordedEvent]) -> Iterator[str]:
-    """Yield a table of the last events, or nothing if there are none."""
+    """Yield a table of the last MAX_EVENTS_SHOWN events, or nothing if there are none."""
     if events:
         yield ""
         earlier = len(events) - MAX_EVENTS_SHOWN
@@ -195,8 +195,9 @@ def remove(path: Path, *, without_asking: bool) -> int:
     """Remove the recording in the folder `path`, and return its size [bytes].
 
     Raises:
-        Refused: The folder is not robotctl's, is being written, is kept, or cannot be removed.
-        UsageError: There is no terminal to ask on.
+        Refused: It is no recording of robotctl, is being recorded, is marked with `recordings
+            keep`, or cannot be read or removed.
+        UsageError: The user must be asked, and there is no terminal.
         Interrupted: The user said no.
     """
     from robotctl.recording.keep.listing import own_recording
@@ -410,7 +411,7 @@ def _lines(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterato
 
 
 def _drive_figures(each: ListedRecording) -> Iterator[str]:
-    """Yield the largest errors of the drives, with the true ones if known, and their duration."""
+    """Yield the largest error of all drives of each kind, simulated truth too, and their time."""
     for name, what in (
         ("cross_track_max_m", "m off track"),
         ("heading_max_rad", "rad off heading"),

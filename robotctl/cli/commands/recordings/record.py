@@ -1,4 +1,4 @@
-"""record, mark: control the recorder, and mark moments of the recording."""
+"""record, mark: show or split the current recording, and mark a moment in it."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def split(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 
 
 def status_lines(answer: RecordStatus) -> Iterator[str]:
-    """Yield the lines of `robotctl record status`; `answer` is its object in `--json`."""
+    """Yield the lines of `robotctl record status`; `answer` is the object of its `--json`."""
     recorder = answer["recorder"]
     written = size(recorder.get("bytes") or 0)
     yield f"{printable(recorder.get('state'))}: {short_path(recorder.get('file'))}, {written}"

@@ -1,11 +1,8 @@
-"""replay: the options, and the choice between its five commands.
+"""replay: the options of the command, which choose what it does:
 
-- `play`: publish it to ROS with its original timing, or draw it in the terminal (`--draw-only`).
-- `checks`: re-run its decisions and compare them (`--check`), re-run them with other parameters
-  (`--what-if`), or re-run its drives with a simulated robot (`--resim`).
-
-`command` declares the options and calls one of the five; `screen` shows a replay, and
-`select_recordings` finds the recordings among the given files.
+- `replay_play`: publish to ROS with the original timing, or draw in the terminal (`--draw-only`).
+- `replay_check`: re-run the decisions and compare them (`--check`), re-run them with other
+  parameters (`--what-if`), or re-run the drives with a simulated robot (`--resim`).
 """
 
 from __future__ import annotations
@@ -214,5 +211,5 @@ def replay(
 
 
 def _names(given: list[str] | None) -> tuple[str, ...]:
-    """Return the topic names, which may be given one by one or separated by commas."""
+    """Return the topic names of a repeatable option; a value may have several, with commas."""
     return tuple(name for text in given or () for name in text.split(",") if name)

@@ -31,7 +31,7 @@ def check_command(
     With `all_bytes` every byte of large recordings is read, too.
 
     Raises:
-        Divergence: A recording is decided differently, or breaks a promise (see docs/replay.md).
+        Divergence: A re-run decides differently, or a promise of docs/replay.md is broken.
         UnreadableFile: A recording could not be checked completely.
     """
     paths, skipped = select_recordings(files, robot, also_urls=True)
@@ -44,7 +44,7 @@ def check_command(
 
 
 def report_lines(report: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines to print for one check; `report` is its object in `--json`."""
+    """Yield the lines to print for one checked recording, whose object in `--json` is `report`."""
     verdict = Verdict(report["verdict"])
     yield f"{verdict.value:{LABEL_WIDTH}}{short_path(report['path'])}"
     if report["events"]:

@@ -31,7 +31,7 @@ LINE_S = 1.0
 
 
 class Screen:
-    """Shows a replay, from the reports of the player process; this base class shows nothing."""
+    """Displays what the player process reports of a replay; this base class shows nothing."""
 
     def show(self, report: dict[str, Any]) -> None:
         """Show a report: a note, the wait for subscribers, the start, or the progress."""
@@ -45,7 +45,7 @@ class Screen:
 
 @contextmanager
 def screen(robot: RecordedRobot | None, *, quiet: bool) -> Iterator[Screen]:
-    """Yield a screen: a bar on a terminal, otherwise printed notes; `quiet` shows nothing."""
+    """Yield a screen that shows `robot` if given, with a bar or notes; nothing if `quiet`."""
     if quiet:
         yield Screen()
     elif is_terminal():
@@ -85,7 +85,7 @@ class _Bar(Screen):
     def __init__(self, robot: RecordedRobot | None) -> None:
         from rich.live import Live
 
-        # Nothing else prints meanwhile, and a redirected stdout would hide its encoding.
+        # A redirected stdout hides its encoding, and nothing else prints while this is shown.
         self._live = Live(
             auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False
         )
@@ -136,7 +136,7 @@ class _Bar(Screen):
 
 
 def bar_text(progress: dict[str, Any], position_s: float, length_s: float) -> str:
-    """Return position, rate, pause and delay of a replay as one line."""
+    """Return a line with position, rate, pause, and how many messages are sent and overdue."""
     rate = progress["rate"]
     parts = [
         f"{position_s:.1f} of {duration(length_s)}",
@@ -257,7 +257,7 @@ class _Player:
                     self.send(COMMAND_OF_KEY[key].line())
 
     def suspend(self) -> None:
-        """Pause the player while this process is stopped."""
+        """Pause the player before Ctrl-Z stops this process."""
         self._was_playing = not self._paused
         self.send(Command.PAUSE.line())
         self.screen.suspend()
@@ -269,7 +269,7 @@ class _Player:
             self.send(Command.RESUME.line())
 
     def send(self, line: bytes) -> None:
-        """Send a line to the process; if that has ended, `wait_for_input` notices."""
+        """Send a line to the player process, unless it has ended: `wait_for_input` notices that."""
         with suppress(BrokenPipeError):
             self.child.send(line)
 
@@ -312,7 +312,7 @@ PERIOD_S: Final = 0.1
 
 
 def draw_command(job: Job, *, quiet: bool) -> None:
-    """Show the recording at the job's rate until its end or the quit key.
+    """Draw the recorded robot at the job's rate until the end of the time span or the quit key.
 
     Raises:
         UsageError: The rate is `max`, or the recording has nothing to draw.
@@ -346,7 +346,7 @@ def recorded_robot(job: Job) -> Iterator[tuple[RecordedRobot, Span]]:
 
 
 class _Viewer:
-    """Moves through the recording at the chosen rate, controlled by keys."""
+    """A recording that is drawn, not published: the job's rate and the keys set its position."""
 
     def __init__(self, job: Job, robot: RecordedRobot, screen: Screen) -> None:
         self.quit = False

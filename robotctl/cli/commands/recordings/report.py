@@ -1,4 +1,4 @@
-"""report, plot: a recording as a page, and as pictures."""
+"""report, plot: write a recording as an HTML page, and plot the fields of a topic."""
 
 from __future__ import annotations
 
@@ -107,13 +107,13 @@ def report(
 
 
 def page_of(path: Path) -> Path:
-    """Return the path of a recording's page: in the folder, or next to a single recorded file."""
+    """Return the path of a recording's HTML page: in its folder, or next to a single MCAP file."""
     return path / PAGE_FILE if path.is_dir() else path.with_name(f"{path.stem}.{PAGE_FILE}")
 
 
 @contextmanager
 def _replaced(target: Path, cure: str = "") -> Iterator[IO[bytes]]:
-    """Yield a stream to a new content of a file; raise Refused if it cannot be written."""
+    """Yield a stream that replaces the file `target`; raise Refused if writing fails."""
     from robotctl.recording.disk import replaced_file
 
     try:
@@ -132,7 +132,7 @@ _ROWS: Final = ("came_in", "known", "rule", "asked", "went_out", "since")
 
 
 def judge(path: Path, recorded: Recorded, *, quiet: bool) -> ReportFindings:
-    """Check, verify and explain a recording; without a journal, only verify its bytes."""
+    """Return what `replay --check`, `why` and `verify` find; without a journal only `verify`."""
     from robotctl.check.run import check_recordings
     from robotctl.cli.commands.recordings.verify import verify_together
     from robotctl.show.page import ReportFindings
@@ -189,7 +189,7 @@ def _verify_sentences(report: dict[str, Any]) -> Iterator[str]:
 
 
 def _explained(path: Path, recorded: Recorded, *, quiet: bool) -> list[Explanation]:
-    """Explain the last incident and the last emergency stops and errors, in order of time."""
+    """Return explanations of the last incident and the last stops and errors, in order of time."""
     from robotctl.check.incident import find_incident
     from robotctl.cli.commands.recordings.why import FoundIncident
     from robotctl.cli.commands.recordings.why import as_object as incident_object
@@ -224,7 +224,7 @@ WIDTH, HEIGHT = 80, 23
 MAX_WIDTH: Final = 300
 LEAST_ROWS: Final = 4
 OTHER_LINES: Final = 2
-"""The lines of a field in addition to its rows: its name, and the time axis."""
+"""The lines of a field in addition to the rows of its curve: the name, and the time axis."""
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""sync: copy finished recordings to a folder or a bucket, and remove them here after that."""
+"""sync: copy finished recordings to a folder or a bucket, and on request remove them here."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 app = new_app()
 
 BURST_S: Final = 0.5
-"""After a pause, as many bytes may be sent at once as the limit allows in this time [s]."""
+"""How much may be sent at once after a pause, as time at the limit of --limit-mbps [s]."""
 
 _BITS: Final = 8e-6
 """Megabits per byte."""
@@ -159,7 +159,7 @@ def _check_folder(target: Path, source: str) -> None:
     """Check that `target` is usable as a folder.
 
     Raises:
-        UsageError: It is a file or in `source`, or its parent is missing (disk not mounted?).
+        UsageError: `target` is a file, is in `source`, or has no parent (disk not mounted?).
     """
     from robotctl.base.store.objects import is_url
 
@@ -240,7 +240,7 @@ class SyncPace:
         self._robot = robot
         self._ended = threading.Event()
         self._look_s = self._free_s = time.monotonic()
-        """When to ask again whether the robot moves, and when the limit allows more bytes."""
+        """When to ask the daemon for its mode again, and when the limit allows more bytes."""
 
     def __enter__(self) -> Self:
         """Ask the daemon once, so that an error ends the command before anything is sent.
@@ -277,7 +277,7 @@ class SyncPace:
 
 
 def _may_be_moving(robot: str) -> bool:
-    """Return whether the robot moves; True if its daemon runs, but does not answer."""
+    """Return whether the robot moves; True if its daemon runs, but gives no status."""
     try:
         return _is_moving(robot)
     except NoDaemon as error:

@@ -1,4 +1,4 @@
-"""verify, key: the seals of recordings, and the key that makes them."""
+"""verify, key: check the seals of recordings, and show or change the keys that sign them."""
 
 from __future__ import annotations
 
@@ -174,9 +174,9 @@ def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
 
 
 def _links(file: WholeFile, start_ns: int, end_ns: int) -> dict[str, Any] | None:
-    """Return the seal's links that cover a file from `start_ns` to `end_ns`, None without any.
+    """Return the signed links of a file that cover `start_ns` to `end_ns`, None if none does.
 
-    A link seals all that was written before it, so the first link at or after `end_ns` is included.
+    A link signs all bytes before it, so the first link at or after `end_ns` is the last one.
     """
     after = [link for link in file.seal.links if link.time_ns >= start_ns]
     if not after or file.seal.links[0].time_ns > end_ns:
@@ -194,10 +194,10 @@ def _links(file: WholeFile, start_ns: int, end_ns: int) -> dict[str, Any] | None
 
 
 def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> dict[str, Any]:
-    """Verify each recording, the chain of all files, and which files this user's journals know.
+    """Verify each recording and the chain of all files, and compare them with `known_heads`.
 
     Return the object for `--json`: `recordings`, and the summary. If `head` is given, one of the
-    recordings must contain it.
+    recordings must contain this digest.
     """
     from robotctl.recording.read.whole_recording import Chain, VerifiedRecording, verify_recording
     from robotctl.recording.seal import known_heads
@@ -226,7 +226,7 @@ NOT_PROVED = (
 
 
 def _recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, Any]:
-    """Return the object of one recording; `heads` are this machine's lists of keys."""
+    """Return one recording's object in `--json`; `heads` are the sealed files known here."""
     from robotctl.recording.read.files import SUFFIX
     from robotctl.recording.read.whole_recording import RecordingProof, compare_known
 

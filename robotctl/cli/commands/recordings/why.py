@@ -1,4 +1,4 @@
-"""why: say what led to the last stop, refusal or fault."""
+"""why: explain what led to the last stop, refusal or fault."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ app = new_app()
 
 @dataclass(frozen=True, slots=True)
 class FoundIncident:
-    """The result of a search: an incident, its recording, and where no incident was found."""
+    """The incident that `why` found, and the recordings that it searched in vain."""
 
     path: Path
     """The recording of the incident."""
@@ -97,7 +97,7 @@ def _recordings_to_search(
 ) -> list[Path]:
     """Make a running daemon commit its recording; return the recordings to search, newest first.
 
-    `missing` gets a sentence about what the daemon could not write.
+    What the daemon could not write is added to `missing`, as a sentence.
     """
     from robotctl.recording.read.files import is_bag
 
