@@ -60,10 +60,7 @@ class ModeAnswer(MessageAnswer):
 
 
 class DriveAnswer(ModeAnswer, DriveFigures):
-    """The answer of `drive`, `drive_path` and `drive_velocity`.
-
-    If the request had `wait`, the drive's figures are added.
-    """
+    """The answer of `drive`, `drive_path` and `drive_velocity`; the figures only after `wait`."""
 
 
 class HoldAnswer(ModeAnswer):
@@ -120,7 +117,7 @@ class RobotFacts(TypedDict):
 
 
 class CountsAnswer(TypedDict):
-    """Message counts of a topic, or of all topics; received = written + queued + dropped."""
+    """Counts of messages; their meanings are those of `recording.format.topics.MessageCounts`."""
 
     written: int
     queued: int

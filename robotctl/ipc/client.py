@@ -86,7 +86,7 @@ class Client:
     Raises:
         NoDaemon: The socket does not exist, or no process listens on it.
         Refused: A process of another user listens on it.
-        UsageError: `robot` is not allowed, or another user could have created the socket.
+        UsageError: `robot` is not a valid name, or another user could have created the socket.
     """
 
     def __init__(self, robot: str) -> None:

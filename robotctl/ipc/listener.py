@@ -113,9 +113,9 @@ async def until_readable(sock: socket.socket) -> None:
 
 
 def has_event(sock: socket.socket, events: int) -> bool:
-    """Return whether one of `events` of `select.poll` is there, or the connection is closed.
+    """Return whether `select.poll` reports one of `events`, or the connection is closed.
 
-    With 0, only a connection that is closed in both directions counts.
+    If `events` is 0, return whether the connection is closed in both directions.
     """
     poll = select.poll()
     poll.register(sock, events)
@@ -149,7 +149,7 @@ class Listener:
         self._id = (0, 0)
         self._sock: socket.socket
         self._spare: int | None = None
-        """A reserved descriptor, closed if no other is free: a request to stop must get in."""
+        """A reserved descriptor, closed to accept a client (maybe a stop) when no other is free."""
 
     def open(self) -> None:
         """Bind and listen; from now on clients can connect.

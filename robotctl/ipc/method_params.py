@@ -45,7 +45,7 @@ Size = Annotated[float, Meta(ge=MIN_SIZE_M, le=MAX_SIZE_M)]
 
 
 class NoParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of a method without parameters: no field."""
+    """The parameters of a method that has none."""
 
 
 class AnyParams(Struct, frozen=True):
@@ -117,7 +117,7 @@ class SimFaultParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MotionParams(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What all requests for a motion say: who asks, and whether it replaces a running one."""
+    """The common parameters of requests for a motion; `wait`: reply only at the motion's end."""
 
     source: Source
     replace: bool = False

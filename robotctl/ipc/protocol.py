@@ -1,4 +1,4 @@
-"""The messages of the control socket, and the process at its other end.
+"""The messages of the control socket, and the identity of the process at its other end.
 
     bytes -> LineBuffer.receive -> LineBuffer.next_line -> parse_request / parse_response
     request / result / error -> encode_* -> bytes with their newline
@@ -136,7 +136,7 @@ def encode_request(request_id: int, method: str, params: dict[str, Any]) -> byte
     """Encode one request line.
 
     Raises:
-        ValueError: `params` holds NaN or infinity.
+        ValueError: `params` contains NaN or infinity.
     """
     return _encode({"jsonrpc": "2.0", "id": request_id, "method": method, "params": params})
 
@@ -153,7 +153,7 @@ def encode_error(
     `exit_code` is the exit code of the client's process, `details` are those of a RobotctlError.
 
     Raises:
-        ValueError: `details` holds NaN or infinity.
+        ValueError: `details` contains NaN or infinity.
     """
     error = {"code": code, "message": message, "data": {"exit_code": exit_code, **(details or {})}}
     return _encode({"jsonrpc": "2.0", "id": request_id, "error": error})

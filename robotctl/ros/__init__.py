@@ -1,6 +1,6 @@
 """ROS 2 in the asyncio loop: the only package of robotctl that imports rclpy.
 
-The names are loaded on first use, so that importing this package costs nothing by itself.
+The names of `__all__` are loaded on first use: importing this package does not import rclpy.
 """
 
 from __future__ import annotations

@@ -64,13 +64,13 @@ class PatientSender:
 
     After `in_flight` messages it waits until all are acknowledged, at most BLOCKED_S. A KEEP_ALL
     queue would do the same, but with Fast DDS 2.14 one lost message could then block a subscriber
-    forever: while the lost message is missing, newer messages fill the subscriber's queue, and so
-    it refuses the lost message each time (`DataReaderHistory::received_change_keep_last`).
+    forever: newer messages fill the subscriber's queue, and then the subscriber refuses each
+    retransmission of the lost message (`DataReaderHistory::received_change_keep_last`).
     """
 
     def __init__(self, publisher: Publisher, in_flight: int, stopped: threading.Event) -> None:
-        """Publish with `publisher`, and wait after `in_flight` messages, or its queue's depth if
-        that is less; setting `stopped` ends a wait."""
+        """Publish with `publisher`, and wait after `in_flight` messages, or after the depth of the
+        publisher's queue if that is less; setting `stopped` ends a wait."""
         self.topic = str(publisher.topic_name)
         self.given_up = 0
         """How many waits ended before all messages were acknowledged."""
@@ -144,7 +144,7 @@ _OF_RCLPY: Final = (
     *("type_support", "create_ros_message", "destroy_ros_message"),
     *("convert_from_py", "convert_to_py"),
 )
-"""What rclpy reads from a type's metaclass, which has `type_support` as `_TYPE_SUPPORT`."""
+"""What rclpy reads from a type's metaclass, where `type_support` is named `_TYPE_SUPPORT`, etc."""
 
 
 @lru_cache(maxsize=1024)

@@ -40,7 +40,7 @@ SERVICE_EVENTS = QoSProfile(depth=100)
 events: its request and its response."""
 
 REQUESTS = QoSProfile(depth=1_500)
-"""For a service that must lose no request: up to this number of requests, and of responses, wait
+"""For a service that must lose no request: this number of requests, and of responses, can wait
 before a new one overwrites the oldest. rclpy's default is 10."""
 
 PARAMETERS = QoSProfile(depth=10)
@@ -105,7 +105,7 @@ _DURABILITY = {
 
 
 def words(profile: QoSProfile) -> dict[str, str | int]:
-    """Return reliability, durability, history and depth, in the words that recordings use."""
+    """Return reliability, durability, history and depth of a profile, in the words of rosbag2."""
     return {
         "reliability": _RELIABILITY.get(profile.reliability, "unknown"),
         "durability": _DURABILITY.get(profile.durability, "unknown"),

@@ -38,7 +38,7 @@ class Session:
         node_names: Mapping[str, str],
         use_sim_time: bool,
     ) -> None:
-        """Create nodes in `namespace`, and append each to `nodes`."""
+        """Create nodes in `namespace`, and append each to `nodes`; see also `ros_session`."""
         self._context = context
         self.executor = executor
         self._namespace = namespace
@@ -56,10 +56,10 @@ class Session:
         """Exit stack that is closed after the last callback, before the nodes are destroyed."""
 
     def resolve(self, topic: str, role: str = "") -> str:
-        """Return the full name of a topic after remapping; `topic` may be relative.
+        """Return the full name of a topic or service after remapping; `topic` may be relative.
 
-        `role` is the usual name of the node that uses the topic, because a remap may be for one
-        node only. The node need not exist yet. Introspection topics are remapped as their service.
+        A remap may be for one node only: `role` is the usual name of the node that uses the topic,
+        which need not exist yet. Introspection topics are remapped as their service.
         """
         service = topic.removesuffix(SERVICE_EVENTS)
         name = self._remapped(service, self._node_names.get(role, role))
@@ -84,14 +84,14 @@ class Session:
         return full.strip("/").replace("/", ".")
 
     def helper(self) -> Node:
-        """Return the hidden node RECORDER_NODE, which several roles share; create it if needed."""
+        """Return the hidden node RECORDER_NODE, which is shared; create it if needed."""
         for node in self._nodes:
             if node.get_name() == RECORDER_NODE:
                 return node
         return self.node(RECORDER_NODE)
 
     def node(self, name: str) -> Node:
-        """Create a node in the robot's namespace, without rclpy's default services.
+        """Create and return a node with this usual name, without rclpy's default services.
 
         The type description service would take 0.1 MB per node, and no ROS tool calls it.
         """
@@ -135,9 +135,9 @@ async def ros_session(
     """Open a session in ROS domain `domain_id`; no callback runs after the block.
 
     The context is closed only with `at_end`, which must be the last step of the process (see
-    `close_context`). `remaps` are rules FROM:=TO for topics and services; `node_names` has new
-    names of nodes by their usual names. `fifo_priority` requests SCHED_FIFO (1..99) for the
-    loop's thread.
+    `close_context`). `remaps` are rules FROM:=TO for topics and services; `node_names` maps the
+    usual name of a node, which the code uses, to the name on ROS. `fifo_priority` requests
+    SCHED_FIFO (1..99) for the loop's thread.
     """
     nodes: list[Node] = []
     context = open_context(domain_id, remaps)

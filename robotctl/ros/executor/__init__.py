@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 _MODULES = ("event_loop", "rcutils", "ticker", "raw_tap", "runtime", "replies", "executor")
-"""The modules in which a name is looked for; the first ones need no rclpy."""
+"""The modules to search for a name, in this order; those before `runtime` need no rclpy."""
 
 
 def __getattr__(name: str) -> object:

@@ -2,8 +2,8 @@
 
 rcl announces new data by calling a C function in a DDS thread. A *Python* function there
 deadlocks: the DDS thread holds the reader's mutex and waits for the GIL, while the loop holds the
-GIL and waits for the mutex (rclpy 1722). So the function is glibc's own `eventfd_write`, with the
-eventfd as its user data: the DDS thread never waits for the GIL.
+GIL and waits for the mutex (rclpy issue 1722). So the function is glibc's own `eventfd_write`, with
+the eventfd as its user data: the DDS thread never waits for the GIL.
 """
 
 from __future__ import annotations
@@ -148,12 +148,12 @@ _passed = False
 
 
 async def check_announcements(context: Context) -> None:
-    """Send this process a message; check that rcl announces it, and that it is read correctly.
+    """Publish a message to this process; check that rcl announces it and that its bytes are right.
 
-    When this has passed once, calls do nothing: a process does not change platform or middleware.
+    After the first success, calls do nothing: a process does not change platform or middleware.
 
     Raises:
-        UnsupportedPlatform: The check failed; the message says at which step.
+        UnsupportedPlatform: The check failed; the error text names the step.
     """
     global _passed
     if _passed:

@@ -32,7 +32,7 @@ Decode = Callable[[bytes], Any]
 
 _PLAIN_CDR: Final = b"\x00\x01"
 _BODY: Final = 4
-"""Where the fields begin, after the encapsulation; alignment counts from here."""
+"""Offset [bytes] of the first field, after the encapsulation; alignment counts from here."""
 
 _NUMBERS: Final = {
     "boolean": "?",

@@ -62,7 +62,7 @@ BEAT_NS = 20_000_000
 """The time between two beats, 50 a second, on which timers expire together."""
 
 _START_NS = time.monotonic_ns()
-"""The first beat, which differs between the daemons on a machine, so that they take turns."""
+"""The first beat; it differs between processes, so that those of one machine take turns."""
 
 
 def beat_before(t_ns: int, period_ns: int = BEAT_NS) -> int:
@@ -141,7 +141,7 @@ class EventLoop(asyncio.SelectorEventLoop):
         super().__init__(self._calling)
 
     def watch(self, fd: int, callback: Callable[[], object]) -> None:
-        """Whenever `fd` is readable, call `callback` first, in the context of this call."""
+        """Call `callback`, before asyncio's callbacks, in each turn in which `fd` is readable."""
         self._calling.watch(fd, partial(copy_context().run, callback))
 
     def unwatch(self, fd: int) -> None:

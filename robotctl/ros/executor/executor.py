@@ -1,8 +1,8 @@
 # mypy: disallow-untyped-calls=False
 """AsyncioExecutor: rclpy's callbacks in the asyncio loop, without a spinning thread.
 
-rclpy's own executors build a wait set for every message. This one has rcl write to an eventfd
-that asyncio watches (see `announcements`). Nodes, entities and callbacks stay plain rclpy:
+rclpy's own executors build a wait set for every message. This executor makes rcl write to an
+eventfd that asyncio watches (see `announcements`). Nodes, entities and callbacks stay plain rclpy:
 
     async with AsyncioExecutor() as executor:
         executor.add_node(node)
@@ -41,8 +41,8 @@ class AsyncioExecutor:
     """Runs the callbacks of rclpy nodes in an asyncio loop while `async with` is open.
 
     It behaves as an `rclpy.executors.Executor`: `add_node`, `remove_node`, `get_nodes`,
-    `create_task`, `wake` and `shutdown` may be called from any thread. Only `spin` raises
-    RuntimeError, because the loop itself runs the callbacks.
+    `create_task`, `wake` and `shutdown` may be called from any thread. Only the `spin` methods
+    raise RuntimeError, because the loop itself runs the callbacks.
 
     An exception in a callback goes to `on_exception(error, where)`, by default to the loop's own
     exception handler; the executor continues.
@@ -124,7 +124,7 @@ class AsyncioExecutor:
     async def serve(self) -> None:
         """Wait until the executor or its context is shut down.
 
-        Callbacks run while `async with` is open, whether or not this is awaited.
+        Callbacks run while `async with` is open, whether or not `serve` is awaited.
 
         Raises:
             RuntimeError: The executor is not open, or runs in another loop.
@@ -234,7 +234,7 @@ class AsyncioExecutor:
         Raises:
             TimeoutError: No response came within `timeout_s` seconds (None: no deadline).
             ShutdownException: The client was destroyed or the executor shut down meanwhile.
-            RuntimeError: The client's node is not in this executor, or this is not its loop.
+            RuntimeError: The client's node, or the running loop, is not of this executor.
         """
         engine = self._running()
         if engine.runtime.stale:

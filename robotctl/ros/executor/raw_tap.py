@@ -82,10 +82,10 @@ def _take_serialized() -> Any:
 
 
 Taken = tuple[bytes | memoryview, int, int, int, bytes]
-"""A serialized message, the times [ns] of reception and publication, its number, its publisher.
+"""(data, received_ns, source_ns, sequence, gid) of a serialized message.
 
-The times are of the wall clock; the gid (16 bytes) identifies the publisher, whose messages are
-numbered: a gap is a lost message. A plain tuple is faster than a named one.
+The times are of the wall clock. `gid` (16 bytes) identifies the publisher, which numbers its
+messages: a gap in `sequence` is a lost message. A plain tuple is faster than a named one.
 """
 
 

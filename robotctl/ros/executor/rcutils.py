@@ -12,7 +12,7 @@ class UnsupportedPlatform(RuntimeError):
 
 
 class RclCallFailed(RuntimeError):
-    """A call of rcl failed; the text holds rcl's own message."""
+    """A call of rcl failed; the text contains rcl's own message."""
 
 
 class Allocator(ctypes.Structure):

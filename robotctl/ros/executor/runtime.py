@@ -1,9 +1,9 @@
-"""What the sources of one executor share: loop, tasks, pools and exception handler.
+"""What the sources (see `source`) of one executor share: loop, tasks, pools, exception handler.
 
 Waking up for one message costs about 50 us, reading it 2 to 10. So messages that may come late (a
 recorder's taps, a flooded topic) are collected for a while, as network drivers collect packets
-under load. The DDS threads still write to the eventfds of these topics; a second epoll watches
-them, so that they do not wake the loop.
+under load. A `Pool` watches the eventfds of these topics by an epoll of its own, which the loop
+does not watch while the pool rests: so these messages do not wake the loop.
 """
 
 from __future__ import annotations
@@ -137,7 +137,10 @@ class Pool:
 
 
 def rested_s(rest_s: float) -> float:
-    """Return the steady time [s] at the end of a rest that begins now; long rests end on a beat."""
+    """Return the monotonic time [s] at the end of a rest that begins now.
+
+    A rest above BEAT_NS is shortened to end on a beat (see `event_loop`).
+    """
     until_ns = time.monotonic_ns() + round(rest_s * NS_PER_S)
     if rest_s * NS_PER_S > BEAT_NS:
         until_ns = beat_before(until_ns)
@@ -148,14 +151,14 @@ log = logging.getLogger("robotctl.ros.executor")
 
 
 class SlowCallbacks:
-    """Warns about callbacks that hold the loop, each at most once per SLOW_WARNING_PAUSE_NS."""
+    """Warns about callbacks that block the loop, each at most once per SLOW_WARNING_PAUSE_NS."""
 
     def __init__(self) -> None:
         self._quiet_until_ns: dict[str, int] = {}
         self._unsaid: Counter[str] = Counter()
 
     def check(self, where: str, elapsed_ns: int) -> None:
-        """Warn about a callback if it held the loop for more than SLOW_CALLBACK_NS."""
+        """Warn if the callback named `where` blocked the loop for more than SLOW_CALLBACK_NS."""
         if elapsed_ns <= SLOW_CALLBACK_NS:
             return
         now = time.monotonic_ns()
@@ -176,7 +179,7 @@ class SlowCallbacks:
 
 
 class TimedSteps:
-    """Awaits a coroutine; warns about each step between two awaits that holds the loop too long."""
+    """Awaits a coroutine; warns about each step between two awaits that blocks the loop long."""
 
     __slots__ = ("_coroutine", "_slow", "_where")
 

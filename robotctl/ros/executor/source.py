@@ -1,4 +1,4 @@
-"""Base classes of sources, which pass the data of one entity from rcl to its callback; timers."""
+"""Base classes; the source of timers. A source passes an entity's data from rcl to its callback."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class Source(ABC):
 
 
 class EventFdSource(Source):
-    """A source to whose eventfd rcl writes when its entity has new data."""
+    """A source with an eventfd, to which rcl writes when the entity has new data."""
 
     woken_by = "eventfd"
     announcements: ClassVar[tuple[Announcement, ...]]

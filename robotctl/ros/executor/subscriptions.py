@@ -1,4 +1,4 @@
-"""Sources of subscriptions, whose messages are read as bytes without rclpy, and of QoS events."""
+"""Sources (see `source`) of QoS events, and of subscriptions, which are read without rclpy."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _fields(status: Any) -> dict[str, Any]:
 
 
 def _counts_of(fields: dict[str, Any]) -> dict[str, int]:
-    """Return the counts with a `_change` field; the status of an incompatible type has none."""
+    """Return the counts that also have a `_change` field; an incompatible-type status has none."""
     return {name: count for name, count in fields.items() if f"{name}_change" in fields}
 
 
@@ -204,10 +204,10 @@ class _TakenSource(EventFdSource):
 
 
 class SubscriptionSource(_TakenSource):
-    """A subscription, typed or raw, with a callback of one argument or two.
+    """A subscription, typed or raw, whose callback accepts (message) or (message, info).
 
-    While it receives more than 2 kHz, and its queue holds 100 messages or more, a pool collects its
-    messages for 2 ms, which saves a third of the CPU time.
+    While more than 2,000 messages a second arrive, and if the queue's depth is 100 or more, a pool
+    collects the messages for 2 ms, which saves a third of the CPU time.
     """
 
     def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:

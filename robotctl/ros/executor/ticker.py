@@ -1,7 +1,4 @@
-"""An absolute-time ticker: `async for tick in Ticker(hz)`.
-
-It uses ctypes, because `os.timerfd_create` came with Python 3.13.
-"""
+"""A ticker on absolute times. It uses ctypes: `os.timerfd_create` came only with Python 3.13."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Guard conditions and foreign Waitables, which rcl does not announce on an eventfd.
+"""Guard conditions, and Waitables of classes that are not rclpy's: no eventfd announces them.
 
-A thread waits for them in a wait set. The loop takes their data and runs their callbacks, while
-the thread pauses.
+A thread waits for them in a wait set. When one is ready, the thread pauses, while the loop takes
+the data and runs the callbacks.
 """
 
 from __future__ import annotations

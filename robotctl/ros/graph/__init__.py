@@ -1,1 +1,1 @@
-"""Discovered nodes, publishers and subscriptions, whose names may hold any bytes."""
+"""Discovered nodes, publishers and subscriptions, whose names may contain any bytes."""

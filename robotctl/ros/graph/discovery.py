@@ -208,7 +208,7 @@ class FoundEndpoint(NamedTuple):
 
     gid: bytes
     introduces: bool
-    """Whether it is on `ros_discovery_info`; such an endpoint need not belong to a node."""
+    """Whether the endpoint is on `ros_discovery_info`; then it need not belong to a node."""
 
     @property
     def process(self) -> bytes:
@@ -305,8 +305,8 @@ def _discovered(node: Node) -> Iterator[FoundEndpoint]:
 
 
 def count_complete(known: Iterable[FoundEndpoint], introduced: Mapping[bytes, Introduction]) -> int:
-    """Return how many processes in `introduced` are fully discovered: `known` has all endpoints
-    that the process introduced, and no further endpoint of the process's nodes."""
+    """Return how many processes of `introduced` are fully discovered: `known` has all endpoints in
+    the process's introduction, and the process's nodes have no others in `known`."""
     of_nodes: dict[bytes, set[bytes]] = {}
     all_gids: dict[bytes, set[bytes]] = {}
     for each in known:

@@ -1,6 +1,6 @@
 """The topics, publishers, subscriptions, services and nodes of the domain.
 
-Their names may hold any bytes.
+Their names may contain any bytes.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ def publisher_names(node: Node, topic: str) -> dict[bytes, str]:
 def node_of(node: Node, topic: str, gid: bytes) -> str:
     """Return the full name of the node whose publisher of a topic has this gid, "" if unknown.
 
-    A message may arrive before its publisher is discovered, but by then the publisher's process is.
+    A message may arrive when its publisher's process is discovered, but the publisher is not yet.
     So if the publisher is unknown, but its process has only one node, return this node's name.
     """
     name = publisher_names(node, topic).get(gid, "")

@@ -1,4 +1,4 @@
-"""Subscribers of battery, scans, safety inputs and the velocities that another node wants."""
+"""Subscribers of battery, scans, safety inputs and the velocities that another node requests."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def report_values(
     """Subscribe on node `_recorder` to publishers of any QoS; report each message's value.
 
     `read` returns the value of a serialized message, and must not raise. `on_value(value,
-    publisher, sequence)` gets the publisher's gid in hex, and its number of the message.
+    publisher, sequence)` gets the publisher's gid in hex and the publisher's sequence number.
     """
 
     def receive(data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes) -> None:
@@ -48,14 +48,14 @@ def report_values(
 def report_battery(
     session: Session, topic: str, on_level: Callable[[float, str, int], None]
 ) -> Subscription:
-    """Report the battery level of each message, NaN for an unreadable message."""
+    """Report each battery level as published, NaN for an unreadable message (`report_values`)."""
     return report_values(session, BatteryState, topic, read_battery_level, on_level)
 
 
 def report_scans(
     session: Session, topic: str, on_scan: Callable[[tuple[float, ...], str, int], None]
 ) -> Subscription:
-    """Report the nearest range in each sector of each scan, () for an unreadable scan."""
+    """Report the nearest range [m] in each sector of a scan, () for an unreadable scan."""
     return report_values(session, LaserScan, topic, read_sectors, on_scan)
 
 
@@ -65,7 +65,7 @@ def report_wanted_commands(
     command: CommandType,
     on_command: Callable[[Twist, str, int], None],
 ) -> Subscription:
-    """Report each velocity that a node wants, from `guard_topic`; NaN: an unreadable message."""
+    """Report each velocity that another node requests on `topic`; NaN: an unreadable message."""
 
     def read(data: bytes) -> Twist:
         try:
@@ -77,8 +77,8 @@ def report_wanted_commands(
 
 
 OnReading = Callable[[SafetyInput, float, str, str, int], None]
-"""Called with an input, the value and the text that its `Reader` returned, the publisher's gid in
-hex, and the publisher's sequence number of the message."""
+"""Called with an input, the value and the text that `messages.inputs.reader_of` reads from its
+message, the publisher's gid in hex, and the publisher's sequence number."""
 
 _CLASSES: dict[SafetyInput, Any] = {
     SafetyInput.ESTOP: Bool,
@@ -94,8 +94,8 @@ def report_safety_inputs(
 ) -> None:
     """Subscribe on node `_recorder` to each safety input in use.
 
-    Call `on_reading` for each changed value, and REPEATS_PER_TIMEOUT times per timeout for an
-    unchanged one.
+    Call `on_reading` for each changed value, and at most REPEATS_PER_TIMEOUT times per timeout of
+    the input for an unchanged value.
     """
     for kind in SafetyInput:
         if params.of(kind).use is not Use.OFF:

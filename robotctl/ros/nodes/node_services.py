@@ -73,7 +73,7 @@ class ParameterServices(ParameterService):
             )
 
     def show(self, key: str, value: Any) -> None:
-        """Show clients `value`, which was set without these services; ignore an unknown `key`."""
+        """Show `value`, which was set by other means, as the parameter; ignore an unknown `key`."""
         if key not in self._keys or self._asking:  # rclpy itself adopts what it asked for
             return
         self._showing = True

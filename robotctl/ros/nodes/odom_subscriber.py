@@ -52,7 +52,7 @@ class OdomSubscriber:
         self._on_odometry = on_odometry
         self._on_source = on_source
         self._sources: dict[bytes, int] = {}
-        """A publisher's gid -> its number; the publisher that was heard last is the last."""
+        """A publisher's gid -> its number; the key order follows from each one's last message."""
 
         self._last_source = 0
         self._last_gid: bytes | None = None
@@ -70,7 +70,7 @@ class OdomSubscriber:
         self._subscription = subscribe_raw(self._node, OdometryMessage, topic, tap, wanted)
 
         self.look: Callable[[], None] = lambda: tap.poll()
-        """Handles the messages that have arrived, without waiting until the loop does."""
+        """Passes the messages that have arrived to `on_odometry` now, not in the next loop turn."""
 
     @property
     def topic(self) -> str:

@@ -67,8 +67,8 @@ class SimulatedRobot:
     ) -> None:
         """Create the node; `command`, `odometry` and `battery` are the names of its topics.
 
-        If `battery` is "", no battery level is published. `full_level` is the number that a full
-        battery publishes.
+        If `battery` is "", no battery level is published. `full_level` is the level to publish for
+        a full battery.
         """
         self._params = params
         self._robot = Robot(params)

@@ -2,7 +2,7 @@
 
 A transient-local subscription gets latched messages, but nothing of volatile publishers; a volatile
 one gets new messages of all publishers, but no latched ones (DDS 1.4, 2.2.3.4). So a topic with
-both kinds of publisher takes two subscriptions. A new one gets the latched messages again.
+both kinds of publisher takes two subscriptions. Subscribing again delivers latched messages again.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class Sentences:
     """Collects a sentence for each topic that has a problem, and logs each sentence once."""
 
     def __init__(self, most: int, more: str) -> None:
-        """`warnings` names `most` topics, and then says how many there are that `more`."""
+        """`warnings` yields `most` sentences at most, then one such as "3 more topics MORE"."""
         self.by_topic: dict[str, str] = {}
         self._most, self._more = most, more
         self._said: set[str] = set()
@@ -51,7 +51,7 @@ class Sentences:
         self.say(sentence)
 
     def clear(self, topics: Iterable[str]) -> None:
-        """Forget the sentences about topics without a problem, or that no longer exist."""
+        """Remove the sentences about `topics`, whose problem has ended."""
         for topic in topics:
             self.by_topic.pop(topic, None)
 
@@ -126,11 +126,11 @@ def _reason(offered: QoSProfile, asked: QoSProfile) -> str:
 
 
 MAX_WARNINGS = 50
-"""Limit on the topics that `warnings` names; of the further ones it gives the number."""
+"""Limit on the topics that `warnings` names; it only counts the further ones."""
 
 
 class Unrecorded(Sentences):
-    """Says which topics are not recorded, or not whole, and why."""
+    """Collects the topics that are not recorded, or only in part, with the reason for each."""
 
     def __init__(self) -> None:
         super().__init__(MAX_WARNINGS, "are not recorded, or not whole")
@@ -178,8 +178,8 @@ LOOKS_PER_COUNT = 4
 """How many looks at the graph there are for each count of a tapped topic's publishers."""
 
 LOOKS_PER_INSPECTION = 40
-"""How many looks there are for each reading of the publishers' QoS and types. The reading is
-repeated, as one publisher may replace another. This number of looks follows each graph change."""
+"""How many looks there are for each reading of the publishers' QoS and types, which is repeated
+because one publisher may replace another. So many quick looks follow each graph change."""
 
 TOPICS_PER_TURN = 50
 """Limit on the topics that are checked in one turn of the loop, so as not to hold up the loop."""
@@ -222,7 +222,7 @@ class Tap:
         self._own: set[str] = set()
         self._tapped: dict[str, TappedSubscription] = {}
         self._left_out: dict[str, list[str]] = {}
-        """Topic that was left out -> its types then; when they change, it is tried again."""
+        """Topic that was left out -> its types then; when these change, it is tried again."""
 
         self._failed: set[str] = set()
         """Topics whose subscription failed, maybe only for a time; it is tried again."""
