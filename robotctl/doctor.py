@@ -190,8 +190,8 @@ def check_priority(fifo_priority: int) -> Iterator[Finding]:
 def _check_place(folder: Path) -> None:
     """Check that the folder exists or can be created, on a disk that can be written.
 
-    Whether we may write in a folder that exists does not matter: it may be that of another user's
-    daemon, whose client we are.
+    An existing folder need not be writable: it may belong to the daemon of another user, of which
+    this user is a client.
 
     Raises:
         OSError: The folder cannot be used.

@@ -73,7 +73,7 @@ class SimParams:
 
     Actuation errors change the motion, so odometry measures them. Odometry errors change only what
     is reported, so only a comparison with the true pose shows them. Each noise is the standard
-    deviation of random numbers with mean 1, which multiply the two factors of the same kind.
+    deviation of random numbers with mean 1, which multiply the linear and the angular factor.
     """
 
     lag_s: float = bounded(0.08, 0.0, 2.0, "s", "time constant of the drives", Change.START)
@@ -173,7 +173,7 @@ class Robot:
         self.battery = max(0.0, self.battery - dt_s / params.battery_life_s)
 
     def _jitter(self, deviation: float) -> float:
-        """Return a factor around 1: the sum of 12 uniform numbers is nearly a normal one."""
+        """Return a random factor around 1: the sum of 12 uniform numbers is nearly normal."""
         return 1.0 + deviation * (fsum(self._random.random() for _ in range(12)) - 6.0)
 
 

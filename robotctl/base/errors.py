@@ -104,7 +104,7 @@ class NotSealed(RobotctlError):
 
 
 class AlreadyRunning(RobotctlError):
-    """A start was refused: another process has the robot's lock or socket. Its pid may be given."""
+    """A start was refused: another process has the robot's lock or socket."""
 
     exit_code = 5
     kind = "already_running"

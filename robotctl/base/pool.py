@@ -1,4 +1,4 @@
-"""Runs one function over many recordings, behind the interface of `concurrent.futures`."""
+"""Runs one function over many recordings, in any executor of `concurrent.futures`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Processes = Callable[[int], AbstractContextManager[Executor]]
 """Starts an executor; the argument is the number of jobs."""
 
 Done = Callable[[int, int], None]
-"""Receives how many jobs are done, and the total."""
+"""A callback for progress: the number of jobs that are done, and of all jobs."""
 
 
 THREADS: Final = 16

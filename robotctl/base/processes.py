@@ -226,7 +226,7 @@ class Child:
         os.close(self._reports)
 
     def close(self, patience_s: float = 0.0) -> int:
-        """Close the pipes; kill the child if it runs on for `patience_s`; return its exit code."""
+        """Close the pipes; kill the child if it lives after `patience_s`; return its exit code."""
         self.detach()
         exit_code = self.wait(patience_s)
         while exit_code is None:

@@ -1,7 +1,7 @@
 """The catalogue of a folder: the indexes of all its recordings in one file, without the samples.
 
-Opening 10,000 small files takes seconds; the catalogue is one file. It stores the stamp of each
-recording, so only changed recordings are indexed again.
+Opening 10,000 small files takes seconds; the catalogue is one file. It stores for each recording a
+stamp of its files (`index_file.stamp_of`), so only changed recordings are indexed again.
 """
 
 from __future__ import annotations
@@ -273,8 +273,8 @@ def _opened(path: Path, stack: ExitStack) -> str | None:
 def _stamps(folder: Path, known: Stamps) -> tuple[Stamps, list[str]]:
     """Return the stamp of each recording directly in a folder, and sentences on those left out.
 
-    If a recording is still being made, its stamp covers only its closed files. If the stamp of all
-    files is already in `known`, no file is opened to find that out. Links are not followed.
+    If a recording is still being made, its stamp covers only its closed files. The files of a
+    recording whose stamp is in `known` are all closed and need no check. Links are not followed.
     """
     stamps: Stamps = {}
     left_out = []

@@ -1,4 +1,4 @@
-"""Runs the gate's jobs on a Dask cluster, whose workers may join, leave or be killed meanwhile."""
+"""Runs the jobs of `robotctl gate` on a Dask cluster; its workers may join, leave or be killed."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ from robotctl.recording.disk import replaced_file
 MAX_BYTES: Final = 64 << 20
 
 FORMAT: Final = 2
-"""The format of a baseline. A file without one is older, and may accept changes nobody has seen."""
+"""The format of a baseline file. A file without this number is older and is refused."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """The index of a recording: one Parquet file with rows about its content.
 
-It has a stamp of the files' names, sizes and mtimes; if this differs, the index is made again.
+The index has a stamp of the recording's files; when the stamp is outdated, the index is made again.
 Times `..._ns` are since the epoch. None means not known. The column `kind` names the class of a
 row; columns that the class lacks are NULL.
 """
@@ -350,5 +350,5 @@ def _lines(rows: Iterable[IndexRow], first: dict[str, str]) -> Iterable[bytes]:
 
 
 def table_columns() -> dict[str, str]:
-    """Return the columns of an index file, with SQL types: name, stamp, and `all_columns`."""
+    """Return the columns of an index with SQL types: `recording`, `stamp`, and `all_columns`."""
     return {"recording": "VARCHAR", "stamp": "VARCHAR", **all_columns()}

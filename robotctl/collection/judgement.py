@@ -165,9 +165,9 @@ def totals_of(changes: Iterable[Change]) -> dict[str, Any]:
 
 
 def ends_otherwise(drive: Mapping[str, Any]) -> bool:
-    """Return whether a drive began with only one kernel, or ended in another way in the two.
+    """Return whether only one of the two kernels began the drive, or they ended it differently.
 
-    The text `ended` does not count.
+    The text `ended` is not compared.
     """
     mine, theirs = drive["recorded"], drive["what_if"]
     if mine is None or theirs is None:
@@ -211,7 +211,7 @@ def outcome_of(
 
 
 def _missing(report: Report) -> list[str]:
-    """Return what could not be checked, without the divergence that another version adds to it."""
+    """Return what could not be checked, except the divergence, which may be repeated there."""
     found = "" if report.divergence is None else report.divergence.sentence()
     sentences = [_OTHER_RULES.sub("", each) for each in report.missing]
     return [each for each in sentences if each != found]
@@ -237,7 +237,7 @@ _NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What the gate knows of one recording.
+    """The result of the gate for one recording.
 
     - `recording`: the SHA-256 of its files. `software`: the SHA-256 of robotctl.
     - `says`: the first finding as a sentence, "" if nothing is wrong.

@@ -1,4 +1,7 @@
-"""The job of the gate for one recording: judge it, unless its result is stored. Runs anywhere."""
+"""The job of the gate for one recording: judge it, unless its result is stored.
+
+A job may run in another process, or on another machine.
+"""
 
 from __future__ import annotations
 
@@ -124,11 +127,7 @@ def _sealed(result: Judgement) -> bytes:
 
 
 def _opened(data: bytes) -> Judgement:
-    """Return the result in a stored object.
-
-    Raises:
-        ValueError: It is damaged.
-    """
+    """Return the result in the bytes of a stored file; raise ValueError if they are damaged."""
     try:
         found = _sealed_result(json.loads(data))
         if _hash(found.result) != found.sha256:

@@ -1,8 +1,8 @@
 """Answers questions over the catalogue of a folder: a condition over rows, or SQL.
 
-A condition is such as `laps >= 1 and max_error_m > 0.1`. Its language is Python's for comparisons:
-names of columns, numbers, texts, True, False and None, `+ - * /`, `< <= == != >= >`, `and or not`
-and parentheses. It is translated to SQL with parameters; Python never evaluates it.
+An example of a condition is `laps >= 1 and max_error_m > 0.1`. The syntax is Python's: names of
+columns, numbers, texts, True, False and None, `+ - * /`, `< <= == != >= >`, `and or not` and
+parentheses. A condition is translated to SQL with parameters; Python never evaluates it.
 """
 
 from __future__ import annotations

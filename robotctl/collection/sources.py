@@ -34,7 +34,7 @@ REPLACED: Final = (METADATA_FILE, INDEX_FILE)
 """Files that are generated from the data; a newer one replaces an older copy."""
 
 YOUNG_NS: Final = 60 * NS_PER_S
-"""Other recorders hold no lock: a file without end is finished if unchanged for this time."""
+"""Other recorders lock no file: one without its closing bytes is finished after this time."""
 
 OF_THE_SYSTEM: Final = "lost+found"
 """A folder at the top of many disks that only root can read; it is no recording."""

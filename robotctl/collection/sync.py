@@ -1,7 +1,7 @@
 """Copies recordings between folders and buckets; removes local files whose copies were read back.
 
-A copy has the layout of the recording: RECORDING/FILE. A file counts as copied if the store has one
-of its name and size. Copies in the earlier layout RECORDING/SHA256/FILE count as well.
+A copy has the layout of the recording: RECORDING/FILE. A file counts as copied if the store has an
+object of its name and size. Copies in the earlier layout RECORDING/SHA256/FILE count as well.
 """
 
 from __future__ import annotations
@@ -232,7 +232,7 @@ def _is_replaced(key: str) -> bool:
 def _has_as_new(there: Sequence[StoredObject], here: LocalFile | StoredFile) -> bool:
     """Return whether one of the objects has the size of the file, and is not older than the file.
 
-    A listed file in a store has the time of its storing; its stamp has the time of its writing.
+    The listing of a store has the time when an object was stored; its stamp, when it was written.
     """
     same = [each for each in there if each.size_bytes == here.size_bytes]
     if isinstance(here, StoredFile) and any(each.modified_ns < here.modified_ns for each in same):
@@ -258,7 +258,7 @@ def prune(
 ) -> Pruned:
     """Remove the files in the folder `recordings` that exceed `policy`, the oldest first.
 
-    A file is kept unless the name of its recording is in `complete`, and the store, asked now,
+    A file is removed only if the name of its recording is in `complete`, and the store, read now,
     returns exactly the bytes of the file. `now_s` is in seconds since the epoch.
 
     Raises:

@@ -160,7 +160,7 @@ def apply_arguments(
 
 
 def _given_values(given: RosArguments, namespace: str) -> dict[str, object]:
-    """Return the parameters of the arguments and their files; of two values, the later counts."""
+    """Return the parameters from the arguments and their files; of two values, the later wins."""
     for node in given.node_names:
         _check_node(node, f"{node}:__node" if node else "__node")
     names = {node: f"{namespace}/{given.node_names.get(node, node)}" for node in NODES}

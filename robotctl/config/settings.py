@@ -130,7 +130,7 @@ class Config:
         Change.START,
         choices=("warn", "refuse"),
     )
-    """Whether such a topic, if it is of another node, causes a warning or refuses the start."""
+    """Whether such a topic of another node only causes a warning, or prevents the start."""
 
 
 _TOPIC = re.compile(r"(?!.*__)(?=.{1,200}\Z)/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -161,7 +161,7 @@ _TEXTS: Final[Mapping[str, tuple[Callable[[str], object], str, str]]] = {
     ),
     "corners": (_are_corners, "3 to 64 corners, such as 0,0 2,0 2,1", ""),
 }
-"""The kinds of text: whether a text is one, which texts are, and that "" is allowed."""
+"""For each kind of text: its check, what is allowed in words, and a phrase if "" is, too."""
 
 
 def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any]) -> object:
@@ -283,7 +283,7 @@ def with_setting(config: Config, key: str, value: object) -> Config:
 
 
 def check_all(config: Config) -> None:
-    """Check every value of a configuration that a program made, and not `load`.
+    """Check every value of a configuration that a program made without `load`.
 
     Raises:
         ConfigError: A value is not allowed.

@@ -298,7 +298,7 @@ def head_of(folder: Path) -> str:
 
 @dataclass(frozen=True, slots=True)
 class OpenedLine:
-    """An OPENED entry at `place`; its `digests` must equal `before` ("" for a missing file)."""
+    """An OPENED entry at `place`; its value `journal` must match the digests `before` it."""
 
     entry: Entry
     place: str
@@ -319,7 +319,7 @@ class LogContent:
     notes: list[str] = field(default_factory=list)
     """Sentences about harmless findings: torn lines, and files that robotctl removed."""
     heads: set[str] = field(default_factory=set)
-    """All digests that a recording may store: of a file up to each line; early, of each line."""
+    """All digests that recordings may store: of a file up to any line; early, of a single line."""
 
     @property
     def begins_later(self) -> bool:

@@ -63,8 +63,8 @@ _log = logging.getLogger(__name__)
 class DecisionLog:
     """Writes the journal of one robot. `add` may be called from any thread, and does not block.
 
-    It writes at most DAY_BYTES a day on average, and at most DAY_BYTES in one burst. Further
-    entries are only counted, by kind; a later entry of the kind MORE has the counts.
+    A budget limits the file: DAY_BYTES a day on average, and at most DAY_BYTES in one burst.
+    Further entries are only counted, by kind; a later entry of the kind MORE has the counts.
     """
 
     def __init__(
@@ -167,9 +167,9 @@ class DecisionLog:
                 is_done = True
 
     def _write(self, entry: Entry) -> None:
-        """Write an entry, or only count it if it exceeds the limit.
+        """Write an entry, or only count it if it exceeds the budget.
 
-        A SOFTWARE or CONFIGURATION entry that `_is_known` is left out.
+        A SOFTWARE or CONFIGURATION entry is skipped if `_is_known`.
         """
         if self._unqueued:
             unqueued, self._unqueued = self._unqueued, 0
@@ -211,7 +211,7 @@ class DecisionLog:
             self._file = path
 
     def _used(self) -> int:
-        """Return how many bytes of the limit were written in the last 24 h."""
+        """Return how many bytes that count towards the budget were written in the last 24 h."""
         now_s = self._now_ns() / NS_PER_S
         return sum(
             len(entry.line())

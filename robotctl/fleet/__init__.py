@@ -1,4 +1,4 @@
-"""The gate under the names it had before 0.2: `robotctl.collection` has it now."""
+"""Old import paths of modules of `robotctl.collection`, for users of the library before 0.2."""
 
 import sys
 

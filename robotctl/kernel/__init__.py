@@ -133,7 +133,7 @@ __all__ = [
 ]
 
 _MODULES = ("types", "patterns", "params", "state", "kernel", "codec")
-"""The modules in which a name is looked for."""
+"""Where `__getattr__` searches for a public name, in this order."""
 
 
 def __getattr__(name: str) -> object:

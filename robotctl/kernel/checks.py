@@ -88,7 +88,7 @@ def battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
 def odometry_wrong(health: Health, params: KernelParams, t_ns: int) -> str:
     """Return a sentence if the received odometry is unusable, else "".
 
-    A wrong frame (`odometry.frame_id`) counts at once, a fault when no usable sample is recent.
+    A wrong frame counts at once; an impossible sample counts only if `odometry_lost` applies too.
     """
     wanted, sources = params.odometry.frame_id, health.odometry_sources
     if wanted:

@@ -161,7 +161,7 @@ class Proof:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The state of a kernel between two events; `made_by` says what computed its numbers.
+    """The state of a kernel between two events; `made_by` names the Python that computed it.
 
     `proof` is None in a recording of version 0.1.0.
     """

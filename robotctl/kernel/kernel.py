@@ -169,7 +169,7 @@ class Kernel:
     # Health
 
     def _learn(self, t_ns: int, **changes: object) -> None:
-        """Change fields of the health; if a fault follows from them, raise it at once."""
+        """Change fields of the health; change the mode if the new health is a fault."""
         self._notice_gap(t_ns)
         self.state = changed(self.state, health=changed(self.state.health, **changes))
         self._raise_fault(t_ns)
@@ -177,7 +177,7 @@ class Kernel:
     def _notice_gap(self, t_ns: int) -> None:
         """Record a gap between ticks before anything else is checked.
 
-        Data that became stale during the gap is its consequence and must not be named as cause.
+        Data that became stale during the gap must not be named as the cause of a stop.
         """
         gap_s, health = self._tick_gap_s(t_ns), self.state.health
         late_s = gap_s if abs(gap_s) > self.params.max_tick_gap_s else 0.0
@@ -198,7 +198,7 @@ class Kernel:
         return tuple(entry for entry in self.state.health.reported if entry[0] is not cause)
 
     def _stalled(self, event: LoopStalled) -> None:
-        """Continue from the zeros of the watchdog; in MOVING, a long stall is a fault."""
+        """Continue from the zeros that the watchdog sent; in MOVING, a long stall is a fault."""
         state, limit_s = self.state, self.params.max_tick_gap_s
         stalls = Stalls(state.health.stalls.count + 1, event.t_ns, event.stalled_s, event.detail)
         drive = None if state.drive is None else state.drive.from_standstill()
@@ -233,7 +233,7 @@ class Kernel:
         return 0.0 if tick_t_ns is None else (t_ns - tick_t_ns) / NS_PER_S
 
     def _step_s(self, t_ns: int) -> float:
-        """Return the time for which a command may change: since the last tick, <= 2 periods [s]."""
+        """Return the time since the last tick, 0 to 2 periods [s]; it limits a command's change."""
         return min(max(self._tick_gap_s(t_ns), 0.0), 2.0 / self.params.rate_hz)
 
     def _rise_ticks(self) -> int:
@@ -432,7 +432,7 @@ class Kernel:
         return finding is None
 
     def _set_moving(self, reason: str, drive: Drive | None, guarded: Guarded | None) -> None:
-        """Begin a motion; the robot's pose at the first one becomes the origin of the fence."""
+        """Begin a motion; the pose at the start of the first motion becomes the fence's origin."""
         health = self.state.health
         if health.fence_origin is None and health.odometry is not None:
             health = replace(health, fence_origin=health.odometry.pose)

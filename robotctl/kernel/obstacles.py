@@ -77,7 +77,7 @@ def is_free(free_m: float, command: Twist, params: ScanParams, reach_m: float) -
 def _side_m(command: Twist, params: ScanParams, reach_m: float) -> float:
     """Return the largest |y| at which the robot can touch something [m]; inf in a sharp turn.
 
-    On an arc of radius r, it moves sideways by r * (1 - cos(s / r)) <= s^2 / 2r over the length s.
+    On an arc of radius r and length s, a robot moves sideways by r * (1 - cos(s / r)) <= s^2 / 2r.
     """
     way_m = reach_m + params.half_length_m
     radius_m = abs(command.linear / command.angular) if command.angular else inf

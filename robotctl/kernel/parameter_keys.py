@@ -54,7 +54,7 @@ def with_value(section: Any, path: tuple[str, ...], value: object) -> Any:
 
 
 def text_of(value: object) -> str:
-    """Return the text of a value, as events carry it."""
+    """Return the text of a value, in the form of `ParameterRequested`."""
     return str(value.value if isinstance(value, Enum) else value)
 
 

@@ -26,7 +26,7 @@ from robotctl.kernel.ranges import Change, bounded, setting
 from robotctl.kernel.trigonometry import atan2, hypot, tan
 
 START_M, START_RAD = 0.02, 0.02
-"""A path that would begin nearer to the robot begins at the robot: tracking corrects the rest."""
+"""A path that begins within this distance and angle of the robot's pose begins at this pose."""
 
 MIN_RADIUS_M, GENTLE_RAD = 0.02, 0.35
 """A corner of a smaller radius and a larger angle than these becomes a turn on the spot."""
@@ -98,7 +98,7 @@ def _leg(begin: Point, end: Point) -> Line:
 
 
 def _room_m(before: Line, after: Line, bend: float, corner_m: float) -> float:
-    """Return how far from the corner its arc begins and ends [m], 0 for no bend or a turn."""
+    """Return how far from the corner its arc begins and ends [m], 0 if there is no arc."""
     if abs(bend) <= STRAIGHT_RAD:
         return 0.0
     room_m = min(corner_m, 0.5 * before.length, 0.5 * after.length)

@@ -25,7 +25,7 @@ ACCEL_SHARE, GENTLE_SHARE = 0.7, 0.9
 """The usable shares of the acceleration limits: in curves; on lines and turns on the spot."""
 
 JOINT_S = 0.09
-"""If the curvature jumps, the turning rate may jump by its acceleration limit times this."""
+"""Where the curvature jumps, the turning rate may jump by its acceleration limit times this [s]."""
 
 
 @dataclass(frozen=True, slots=True)

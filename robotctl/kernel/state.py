@@ -127,13 +127,13 @@ UNKNOWN = Health()
 
 @dataclass(frozen=True, slots=True)
 class Guarded:
-    """A guarded motion: the last velocity wanted, and its time (None: no velocity so far)."""
+    """A motion that another node steers: the last velocity it asked for, and when (None: never)."""
 
     twist: Twist = ZERO
     t_ns: int | None = None
 
     def wanted(self, t_ns: int, timeout_s: float) -> Twist | None:
-        """Return the wanted velocity, None if there is none, or it is not finite or too old."""
+        """Return the last velocity asked for; None if there is none, or it is old or not finite."""
         if self.t_ns is None or abs(t_ns - self.t_ns) / NS_PER_S > timeout_s:
             return None
         twist = self.twist

@@ -57,7 +57,7 @@ def within(command: Twist, limits: VelocityLimits) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The reference of a drive: the pose that the robot should have now, and its motion.
+    """Where the robot should be on its path now, and how it should move there.
 
     `linear` is the speed along the path [m/s], `curvature` the curvature of the path [1/m], and
     `turning` the rate of a turn on the spot [rad/s].
@@ -70,7 +70,7 @@ class Reference:
 
 
 def track(reference: Reference, pose: Pose, gains: TrackingParams, limits: VelocityLimits) -> Twist:
-    """Return the command that brings a robot at `pose` to the moving reference."""
+    """Return a command that brings a robot at `pose` to the reference; `angular` is not limited."""
     error = pose.express(reference.pose)
     ahead, aside = direction(error.theta)
     sinc = aside / error.theta if abs(error.theta) > 1e-6 else 1.0

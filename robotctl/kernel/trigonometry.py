@@ -1,9 +1,9 @@
-"""The elementary functions of the kernel: each processor and C library gets the same bits.
+"""Elementary functions with the same result, bit for bit, on every processor and C library.
 
-The functions of `math` come from the C library, whose last bit depends on whether the processor
-has fused multiply-add. These use + - * / and `sqrt` alone, which IEEE 754 rounds exactly. Method
-and constants: fdlibm 5.3 (Sun Microsystems 1993), `k_sin.c`, `k_cos.c`, `e_rem_pio2.c`, `s_atan.c`,
-`e_exp.c`. They are within 1 ulp of the exact value, `tan` and `hypot` within 2.
+The functions of `math` call the C library, where the last bit of a result depends on whether the
+processor has fused multiply-add. These functions use + - * / and `sqrt` alone, which IEEE 754
+rounds exactly. Method and constants: fdlibm 5.3 (Sun Microsystems 1993), `k_sin.c`, `k_cos.c`,
+`e_rem_pio2.c`, `s_atan.c`, `e_exp.c`. Errors are at most 1 ulp, those of `tan` and `hypot` 2 ulp.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _PARTS_BELOW = (
     (6.07710050630396597660e-11, 2.02226624879595063154e-21),
     (2.02226624871116645580e-21, 8.47842766036889956997e-32),
 )
-"""The leading 33 bits of that rest and what is left of it, twice."""
+"""The same split of that rest, then of its own rest: the leading 33 bits, and what remains."""
 
 _QUARTER_PI, _MANY_TURNS_RAD = 0.25 * pi, 2.0**19
 
@@ -57,9 +57,9 @@ def tan(angle_rad: float) -> float:
 
 
 def _reduced(angle_rad: float) -> tuple[int, float, float]:
-    """Return the angle without its quarter turns: their number, and head and tail of the rest.
+    """Return the number of quarter turns in an angle, and the rest as a sum of head and tail [rad].
 
-    An angle of more than 2^19 rad loses whole turns of `tau` first.
+    From an angle beyond 2^19 rad, whole turns are removed first and not counted.
     """
     if -_QUARTER_PI <= angle_rad <= _QUARTER_PI:
         return 0, angle_rad, 0.0

@@ -2,7 +2,7 @@
 
 Every event carries its steady time `t_ns` in nanoseconds: the kernel has no clock.
 
-A remedy is only a name; `robotctl.ipc.advice` returns its text, with the commands for one robot.
+A `Remedy` is only a name; `robotctl.ipc.advice` has the texts, with the commands for one robot.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ZERO = Twist()
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """A sample of odometry: pose in the `odom` frame, velocity in the robot's frame, stamp."""
+    """An odometry sample: pose in the `odom` frame, velocity in the robot's frame, header stamp."""
 
     pose: Pose
     velocity: Twist
@@ -101,7 +101,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """The client that holds the lease, its name as `source`, and why it holds the lease."""
+    """The right to start motion, which one client has alone: its number, its name, its reason."""
 
     client: int
     source: str
@@ -110,7 +110,7 @@ class Lease:
 
 @dataclass(frozen=True, slots=True)
 class LeaseRequested:
-    """A request to get the lease (`take`) or to release it; it gets one `Reply`."""
+    """A request to take the lease, or, without `take`, to release it; answered by one `Reply`."""
 
     t_ns: int
     request_id: int
@@ -133,8 +133,8 @@ class LeaseLost:
 class ParameterRequested:
     """A request to change the parameter `key` from the text `old` to the text `new`.
 
-    It gets one `Reply`. The text of a float is its repr. The kernel checks the values of its own
-    parameters; the daemon has already checked all others.
+    The kernel answers with one `Reply`. The text of a float is its repr. The kernel checks the
+    values of its own parameters; the daemon has already checked all others.
     """
 
     t_ns: int
@@ -255,9 +255,9 @@ class ScanReceived:
 
 @dataclass(frozen=True, slots=True)
 class ModeRequested:
-    """A request for a mode by its number, valid or not; it gets one `Reply`.
+    """A request for the mode number `requested`, possibly invalid; answered by one `Reply`.
 
-    `client` is the client's number, as in `Lease`, 0 without an identity. `reason` is the client's
+    `client` is the number of a client with a lease, as in `Lease`, else 0. `reason` is the client's
     text. `remote` means that the request may come from another host.
     """
 
@@ -272,7 +272,7 @@ class ModeRequested:
 
 @dataclass(frozen=True, slots=True)
 class ResetRequested:
-    """A request to leave EMERGENCY_STOP or ERROR; it gets one `Reply`."""
+    """A request to leave EMERGENCY_STOP or ERROR; answered by one `Reply`."""
 
     t_ns: int
     request_id: int
@@ -282,7 +282,7 @@ class ResetRequested:
 
 @dataclass(frozen=True, slots=True)
 class DriveRequested:
-    """A request to drive `laps` laps (0: until stopped) of a pattern; it gets one `Reply`.
+    """A request to drive `laps` laps (0: until stopped) of a pattern; answered by one `Reply`.
 
     `client`, `reason` and `remote` are as in `ModeRequested`. With `replace`, the drive may replace
     a running drive. `course` may replace the pattern by waypoints or a held velocity.
@@ -344,7 +344,7 @@ class CommandListenersSeen:
 
 @dataclass(frozen=True, slots=True)
 class GuardedCommandReceived:
-    """Another node wants this velocity in a guarded motion; the values are unchecked, even NaN.
+    """The velocity that another node wants in a motion that it steers; unchecked, even NaN.
 
     `publisher` and `sequence` are as in `BatteryReceived`.
     """
@@ -357,10 +357,10 @@ class GuardedCommandReceived:
 
 @dataclass(frozen=True, slots=True)
 class LoopStalled:
-    """The control loop stalled for `stalled_s` seconds, and the watchdog sent zeros meanwhile.
+    """The control loop stalled for `stalled_s` seconds.
 
-    The watchdog sent `zeros` zero commands on its own, and `withheld` commands of the kernel were
-    not sent. `detail` says what blocked the loop.
+    Meanwhile a watchdog sent `zeros` zero commands, and `withheld` commands of the kernel were not
+    sent. `detail` says what blocked the loop.
     """
 
     t_ns: int
@@ -546,7 +546,7 @@ Decision = (
     | Reply
     | ParameterChanged
 )
-"""The effects in which kernels of different versions must agree on the same journal."""
+"""The effects that must be the same in all versions of the kernel, given the same events."""
 
 Effect = Decision | DriveEnded
 """Everything that `Kernel.step` returns."""

@@ -1,4 +1,4 @@
-"""Reads and writes CDR, the serialized form of ROS messages, without ROS; names of common types."""
+"""A reader and a writer of CDR, the serialized form of ROS messages; names of common types."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class CdrReader:
 
 @lru_cache(maxsize=1024)
 def _aligned(order: str, codes: str, phase: int) -> struct.Struct:
-    """Return the layout, with padding, of numbers from `phase` bytes after a multiple of 8 on."""
+    """Return the layout, with padding, of numbers that begin `phase` bytes after an 8-byte unit."""
     layout, position = [order], phase
     for code in codes:
         size = struct.calcsize(f"<{code}")
@@ -126,7 +126,7 @@ class CdrWriter:
         self.data += struct.pack(f"<{len(numbers)}{code}", *numbers)
 
     def text(self, text: str) -> None:
-        """Add a string; characters that UTF-8 lacks are written as escapes."""
+        """Add a string; characters that UTF-8 cannot encode are written as escapes."""
         content = text.encode(errors="backslashreplace") + b"\0"
         self.put("I", len(content))
         self.data += content

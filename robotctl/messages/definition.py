@@ -1,8 +1,8 @@
 """The definition of a ROS type: read from ros2msg text or a description, written, and hashed.
 
 A description has the form of type_description_interfaces/msg/TypeDescription as plain values, as in
-the .json files of installed types. Texts and descriptions come from files and from other processes:
-one that exceeds a limit is refused before more of it is read.
+the .json files of installed types. Texts and descriptions come from files and from other processes,
+so each has limits; a larger one is refused early, with UnreadableType.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ MAX_BYTES: Final = 256_000
 MAX_TYPES: Final = 200
 MAX_FIELDS: Final = 2_000
 MAX_DEPTH: Final = 64
-"""Limits on one definition: its text, its types, the fields of all its types, and how many types
-contain each other. The largest type of ROS itself has 16 kB, 20 types and 81 fields, 9 deep."""
+"""Limits on one definition: its text [bytes], its types, the fields of all its types together, and
+the depth of nesting. The largest type of ROS itself has 16 kB, 20 types and 81 fields, 9 deep."""
 
 MAX_SPLIT: Final = 64
 MAX_LEAVES: Final = 4096
-"""Limit on the leaves of a message: a short text may describe 2^64 of them."""
+"""Limit on the leaves of a message (`leaf_count`): a short text may describe 2^64 of them."""
 
 MAX_LENGTH: Final = 2**32 - 1
 """Limit on the length of an array or text: CDR counts with 32 bits."""
@@ -106,7 +106,7 @@ class Field:
 
     @property
     def item(self) -> Field:
-        """The field that one of its values would be."""
+        """A field like this one, but for a single value."""
         return Field(self.name, self.type_name, text_bound=self.text_bound)
 
     @property
@@ -232,18 +232,18 @@ def fields_in(owner: str, text: str, most: int) -> Iterator[Field]:
 
 
 def _length(length: object) -> int:
-    """Return the length of an array or text, or a bound, if it is one."""
+    """Return a length or bound; raise UnreadableType unless it is from 1 to MAX_LENGTH."""
     if not isinstance(length, int) or not 0 < length <= MAX_LENGTH:
         raise UnreadableType(f"a length of {str(length)[:20]} is not in 1 to {MAX_LENGTH}")
     return length
 
 
 def _checked(root: str, all_types: Mapping[str, tuple[Field, ...]]) -> Definition:
-    """Return the definition of `root` with those of the types that it needs.
+    """Return the definition of `root` with the types that it needs, out of `all_types`.
 
     Raises:
-        UnreadableType: A type is missing, contains itself or has two fields of one name, more than
-            MAX_DEPTH types contain each other, or a message has more than MAX_LEAVES leaves.
+        UnreadableType: A type is missing, contains itself or has two fields of one name, types are
+            nested more than MAX_DEPTH deep, or a message has more than MAX_LEAVES leaves.
     """
     types: dict[str, tuple[Field, ...]] = {}
     depths: dict[str, int] = {}
@@ -309,7 +309,7 @@ def description_of(type_name: str, definition: Definition) -> dict[str, Any]:
         if field.text_bound is not None:
             number += _BOUNDED_TEXT
         if field.shape is FieldShape.SEQUENCE and length is None and kind == WIDE_TEXT:
-            length = field.text_bound  # rosidl takes the text's bound for one of the sequence
+            length = field.text_bound  # as rosidl does, by mistake
         if field.shape is FieldShape.ARRAY:
             number += _SHAPE
         elif field.shape is FieldShape.SEQUENCE:
@@ -335,11 +335,11 @@ def description_of(type_name: str, definition: Definition) -> dict[str, Any]:
 
 
 def read_description(type_name: str, description: Mapping[str, Any]) -> Definition:
-    """Return the definition of the type that is described, or of one that it needs.
+    """Return the definition of `type_name`: the described type, or a type that it needs.
 
     Raises:
         UnreadableType: The description exceeds a limit, has a type that ros2msg cannot express
-            (long double, fixed strings), is not in its form, or is wrong like a text may be.
+            (long double, fixed strings), has another form, or a fault that `_checked` finds.
     """
     try:
         known = [description["type_description"], *description["referenced_type_descriptions"]]

@@ -1,7 +1,7 @@
-"""Fields of a message: the paths to them, and the leaves of a type, which a table has as columns.
+"""Paths to the fields of a message, and the leaves of a type: the columns of a table of messages.
 
-A leaf is a number, a text, or a list. An array of up to 64 values is no leaf but has a leaf for
-each, `ranges[0]` and so on; an array of bytes is one leaf.
+A leaf is a number, a text, or a list. An array of fixed length with at most 64 leaves in total is
+split into these leaves, such as `ranges[0]`; an array of bytes is always one leaf.
 """
 
 from __future__ import annotations
@@ -132,9 +132,9 @@ def value_at(values: Mapping[str, Any], steps: Steps) -> Any:
 
 
 def leaves(definition: Definition, below: FieldPath | None = None) -> Iterator[FieldPath]:
-    """Yield the leaves of a type, or of the field at a path, in the order of definition.
+    """Yield the leaves of a type, or of the field at the path `below`, in the order of definition.
 
-    They are the columns of a table, but for messages without fields, which have no value.
+    A message without fields is yielded, too; it has no value and is no column of a table.
     """
     path = below or FieldPath((), Field("", definition.root))
     field, steps = path.field, path.steps

@@ -3,9 +3,9 @@
 Odometry is read at the control rate: rclpy needs 50 us to make an Odometry object with its two
 covariances; reading the six numbers that the robot needs from the bytes takes 2 us.
 
-The other inputs are battery, scan, buttons, gamepad, bumper, tilt and diagnoses. Their readers get
-a serialized message and return two values: the number that `SafetyInput` defines, NaN if the
-message is unreadable, and the sender's text or "".
+`reader_of` returns the reader of a safety input: a function from a serialized message to two
+values, the number that `SafetyInput` defines (NaN if the message is unreadable), and the sender's
+text or "".
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ def frame_bytes(data: bytes) -> bytes:
 
 
 def frame_id_of(data: bytes) -> str:
-    """Return the frame_id of a message that begins with a header, "" if it is not little endian."""
+    """Return the frame_id of a message that begins with a header; "" unless it is little endian."""
     if data[:2] != LITTLE_ENDIAN:
         return ""
     return frame_bytes(data)[_LENGTH.size :].removesuffix(b"\0").decode(errors="replace")
@@ -273,10 +273,10 @@ MESSAGE_TYPES = {
 }
 
 MAX_DIAGNOSES = 256
-"""Limit on the diagnoses that are kept; beyond it the least severe one is forgotten."""
+"""Limit on the DiagnosticStatus names that are kept; beyond it, the least severe one is dropped."""
 
 MAX_STATUSES = 2_000
-"""Limit on the diagnoses in one message; a message with more is unreadable."""
+"""Limit on the DiagnosticStatus entries of a message; a message with more is unreadable."""
 
 MAX_VALUES = 20_000
 """Limit on the key-value pairs in one message: reading this many takes about 20 ms."""
@@ -288,8 +288,8 @@ UNIT_TOLERANCE = 0.1
 def reader_of(kind: SafetyInput, *, button: int, robot: str) -> Reader:
     """Return the reader of an input.
 
-    That of JOY reads the button with the number `button`; that of DIAGNOSTICS ignores the diagnoses
-    that `robot` itself sends.
+    The reader of JOY reads the button with the number `button`. The reader of DIAGNOSTICS ignores
+    the diagnostics of `robot` itself.
     """
     readers: dict[SafetyInput, Reader] = {
         SafetyInput.ESTOP: _bool,
@@ -340,7 +340,7 @@ def _tilt(data: bytes) -> tuple[float, str]:
 
 
 def statuses(robot: str, data: bytes) -> Iterator[tuple[str, float, str]]:
-    """Yield name, level and `name: text` of each diagnosis that `robot` did not send itself.
+    """Yield name, level and `name: text` of each DiagnosticStatus that `robot` did not send itself.
 
     Raises:
         struct.error: The message is cut short, not in plain CDR, or too long.
@@ -367,7 +367,7 @@ def _count(message: CdrReader, most: int) -> int:
 
 
 class Diagnoses:
-    """The last level of each diagnosis that robotctl did not send itself."""
+    """The last level of each DiagnosticStatus name, except those that the robot itself sends."""
 
     def __init__(self, robot: str) -> None:
         self._robot = robot

@@ -71,7 +71,7 @@ def parse_type_name(type_name: str) -> TypeName:
 
 
 class InstalledType(NamedTuple):
-    """A type's definition as ros2msg text and its RIHS01 hash, each "" if it is not installed."""
+    """A type's definition as ros2msg text, and its RIHS01 hash; each is "" if it was not found."""
 
     text: str
     type_hash: str
@@ -87,9 +87,9 @@ NOT_INSTALLED: Final = InstalledType("", "")
 
 @lru_cache(maxsize=1024)
 def installed_type(type_name: str) -> InstalledType:
-    """Return what is installed of `pkg/msg/T`, or of a type such as `pkg/srv/T_Event`.
+    """Return text and hash of an installed type, such as `pkg/msg/T` or `pkg/srv/T_Event`.
 
-    The text of a message has the form of rosbag2: each .msg file as it is.
+    The text of a message has the form of rosbag2 and contains each .msg file unchanged.
     """
     try:
         name = parse_type_name(type_name)

@@ -33,7 +33,7 @@ class Decoder:
         self.columns = tuple(
             each for each in leaves(definition) if each.kind is not ValueKind.MESSAGE
         )
-        """The columns of a row."""
+        """The path of each column of `row`."""
 
     def row(self, data: bytes) -> list[Any]:
         """Return the value of each column.
@@ -144,7 +144,7 @@ def _write(definition: Definition, field: Field, value: Any, writer: CdrWriter) 
 
 
 def zero(definition: Definition, field: Field) -> Any:
-    """Return the value of a field that has numbers 0, bools False, empty texts and sequences."""
+    """Return the default value of a field: numbers 0, bools False, texts and sequences empty."""
     if field.shape is FieldShape.SEQUENCE:
         return []
     if field.shape is FieldShape.ARRAY:

@@ -2,7 +2,7 @@
 
 Each report is one line of JSON with one of the keys "note", "waiting", "start", "progress" and
 "summary", or with "error", "exit_code" and details. More lines on stdin control the replay
-(robotctl.replay.playback_control). The end of stdin stops it: a replay never outlives its parent.
+(robotctl.replay.playback_control). When stdin ends, the replay stops, so it ends with its parent.
 """
 
 from __future__ import annotations

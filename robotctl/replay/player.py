@@ -181,7 +181,7 @@ class Player:
         """Recorded time of the last message that was sent."""
 
         self.late_ns = 0
-        """How late the last message was sent that had a due time [ns]."""
+        """How late the last message with a due time was sent [ns]."""
 
         self._batches = batches
         self._clock = clock

@@ -99,7 +99,7 @@ COMMAND_NAME: Final = "cmd_vel"
 
 
 class DomainGraph(Protocol):
-    """Tells the guard which robots have a daemon in the ROS domain."""
+    """The part of the ROS graph that the guard needs: which robots have a daemon in the domain."""
 
     def robots_with_daemon(self) -> list[str]:
         """Return the names of the robots whose daemons, of any user, are in the domain."""

@@ -42,7 +42,7 @@ _HEADER = struct.pack("<4siII1s3x", ENCAPSULATION, 0, 0, 1, b"\0")
 
 
 def safety_message(kind: SafetyInput, value: float, detail: str = "") -> bytes:
-    """Return the message of an input, b"" if `value` is NaN; `detail` is a diagnosis NAME: TEXT."""
+    """Return an input's message, b"" if `value` is NaN; `detail` is a diagnostic NAME: TEXT."""
     if isnan(value):
         return b""
     if kind is SafetyInput.JOY:
@@ -83,7 +83,7 @@ def _scan(sectors: tuple[float, ...]) -> bytes:
 class HearingKernel(Kernel):
     """A kernel that serializes and numbers the message of each input before it decides.
 
-    `heard` is the last event that was decided; `messages` has the messages, by topic and number.
+    `heard` is the event of the last step; `messages` has the messages, by topic and number.
     """
 
     def __init__(self, config: Config) -> None:

@@ -40,7 +40,7 @@ MOST_TURNS = 1000
 
 
 class Bench:
-    """A kernel with a clock that the test moves; it keeps all events and effects."""
+    """A kernel and the clock that the test advances; `events` and `effects` keep everything."""
 
     def __init__(self, params: KernelParams | None = None, state: State | None = None) -> None:
         self.kernel = Kernel(params or KernelParams(), state)
@@ -169,7 +169,7 @@ def stopped_by(bench: Bench, cause: Cause, mode: Mode) -> bool:
 
 
 def while_moving(bench: Bench) -> Iterator[None]:
-    """Yield again and again while the robot is MOVING; the loop's body must step the kernel.
+    """Yield repeatedly while the robot is MOVING; the loop's body must step the kernel.
 
     Raises:
         AssertionError: The robot is still MOVING after MOST_TURNS iterations.

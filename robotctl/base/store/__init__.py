@@ -4,8 +4,8 @@ store = open_store("s3://bucket/robots/one")
 for found in store.list():
     store.get_range(found, 0, 100)
 
-One file at a URL is a `Path`, so that the readers of recordings can read ranges of it. The modules
-`bucket` and `folder_store` are loaded when a store is opened.
+`RemoteFile` is the `Path` of one MCAP file at a URL, of which the readers of recordings can read
+ranges. The modules `bucket` and `folder_store` are loaded when a store is opened.
 """
 
 from __future__ import annotations
