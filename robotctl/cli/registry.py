@@ -185,7 +185,7 @@ def dispatch(arguments: list[str]) -> None:
     """Parse and run one command line.
 
     Raises:
-        UsageError: typer could not parse it; the error names the help to read.
+        UsageError: typer could not parse it; the error names the help, or what replaces an option.
     """
     command = typer.main.get_command(app)
     arguments, ros_words = ros_arguments.split(arguments)

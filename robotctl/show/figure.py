@@ -9,7 +9,7 @@ from typing import Final
 
 RELATIVE_SPAN: Final = 1e-9
 SMALLEST_SPAN: Final = 1e-300
-"""A shorter axis has no finite scale."""
+"""The least span of an axis: relative to its values, and absolute, so that its scale is finite."""
 
 MIN_SPAN_M: Final = 0.1
 """The smallest span of an axis on the ground, for a robot that did not move."""
@@ -26,7 +26,7 @@ DIGIT_PX: Final = 7.5
 Point = tuple[float, float]
 Span = tuple[float, float]
 Path2D = Iterable[Sequence[float]]
-"""Places on the ground, x and y in metres."""
+"""Points on the ground, x and y in metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +194,7 @@ def x_ticks(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
 
 
 def _around(span: Span, length: float) -> Span:
-    """Return a span of this length with the same middle."""
+    """Return the span of this `length` that has the same middle as `span`."""
     middle = (span[0] + span[1]) / 2.0
     return middle - length / 2.0, middle + length / 2.0
 

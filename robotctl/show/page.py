@@ -1,4 +1,4 @@
-"""The HTML page of one recording, with its tables; complete without network and script."""
+"""The HTML page of one recording, with its tables; it works without network and script."""
 
 from __future__ import annotations
 
@@ -206,7 +206,7 @@ class CommandVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Why the robot was stopped, or why something was refused: rows of a label and a sentence."""
+    """Why the robot was stopped or refused something at `t_s`: rows of a label and a sentence."""
 
     t_s: float
     what: str

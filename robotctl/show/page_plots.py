@@ -1,4 +1,4 @@
-"""The plots of a page, and the data with which its script moves their cursor."""
+"""The plots of a report page, and the data with which the page's script moves their cursor."""
 
 from __future__ import annotations
 

@@ -162,7 +162,7 @@ class ThinnedPath:
 
 
 MAX_LISTS: Final = 24
-"""Limit on the sequences of messages that are searched: a short text may nest 2^64 of them."""
+"""Limit on the sequences of messages that are searched: a short definition may nest 2^64."""
 MAX_NAMED: Final = 24
 """Limit on the fields that an error names."""
 MAX_FIELDS: Final = 8
@@ -262,9 +262,9 @@ def _is_plain_number(path: FieldPath) -> bool:
 def _with_lists(
     definition: Definition, found: Iterable[FieldPath], room: Iterator[int] | None = None
 ) -> Iterator[FieldPath]:
-    """Yield the leaves; each sequence of messages is followed by the leaves of its first item.
+    """Yield `found`, and after each sequence of messages the fields of its first item.
 
-    Each value in `room` stands for one sequence: by default, the first MAX_LISTS are followed.
+    `room` limits how many sequences are entered: one for each value that it yields.
     """
     room = iter(range(MAX_LISTS)) if room is None else room
     for each in found:
@@ -275,7 +275,7 @@ def _with_lists(
 
 
 def _names(found: Iterable[FieldPath]) -> list[str]:
-    """Return the path of each number among the leaves; for a list, the path of the first number."""
+    """Return the path of each number in `found`; for a list, the path of its first number."""
     names = []
     for each in found:
         if _is_plain_number(each) or (each.kind is ValueKind.NUMBER and each.steps[-1] == 0):

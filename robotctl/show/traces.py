@@ -179,8 +179,8 @@ MS_PER_NS: Final = 1e-6
 class JournalTraces:
     """Fills traces from the entries of a journal, in their order.
 
-    Commands, modes and ends of drives are as recorded. Only a kernel knows the wanted path, so a
-    kernel repeats the decisions; after missing entries, a new kernel begins at a snapshot.
+    Commands, modes and ends of drives are as recorded. The wanted path is not: a kernel repeats the
+    decisions to compute it. After missing entries, a new kernel begins at the next snapshot.
     """
 
     def __init__(self, traces: Traces) -> None:
@@ -271,7 +271,7 @@ class JournalTraces:
             raise UnreadableFile(f"the wanted path cannot be drawn: {error}"[:200]) from None
 
     def _measured(self, ended: DriveEnded) -> DriveReport:
-        """Return a drive's report, without cross-track and heading errors if it had no path."""
+        """Return a drive's report, without tracking errors if the kernel followed no path."""
         followed = self._outlined is not None and self._outlined[0] == ended.request_id
         known = followed or self._kernel is None
         return ended.report if known else ended.report.without_errors()
@@ -305,7 +305,7 @@ Taker = Callable[[Traces, float, bytes], None]
 
 
 def topic_takers(topics: Sequence[TopicInfo]) -> dict[tuple[str, str], Taker]:
-    """Choose the odometry, command and battery topic with most messages; return their takers.
+    """Return takers of the odometry, the command and the battery topic with the most messages.
 
     The keys are the name and the type of each topic.
     """
@@ -471,7 +471,7 @@ def _distance(traces: Traces) -> float | None:
 
 
 def _cross_track(traces: Traces) -> tuple[float | None, float | None]:
-    """Return two cross-track errors [m]: RMS of all drives, weighted by duration, and largest."""
+    """Return the RMS over all drives and the largest cross-track error [m], None if unknown."""
     reports = [
         report
         for report in (drive.report for drive in traces.drives)

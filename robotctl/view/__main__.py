@@ -1,7 +1,7 @@
 """`python -m robotctl.view --report-fd N`: serve the view that the first line on stdin asks for.
 
-The line is a `ViewJob`. The reports are {"ready"} with `url`, `open` and `port`, {"note"},
-{"ended"} with the reason, and {"error", "exit_code"} with details of the error.
+The line is a `ViewJob`. The reports on descriptor N are {"ready"} with `url`, `open` and `port`,
+{"note"}, {"ended"} with the reason, and {"error", "exit_code"} with details of the error.
 The process ends on a signal, with the daemon, and when stdin is closed (see `outlives_stdin`).
 """
 

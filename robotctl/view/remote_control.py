@@ -40,8 +40,8 @@ _MODES: Final = {ESTOP.id: EMERGENCY_STOP_MODE, STOP.id: IDLE_MODE}
 _STAND: Final = (0.0, 0.0)
 
 LET_GO_S: Final = 1.0
-"""After a motion was refused or ended, the operator must send nothing for this time before the next
-one. Delays of a slow network are shorter, and do not count as letting go."""
+"""After a motion was refused or ended, the operator must send nothing for this time [s] before a
+new motion. Delays of a slow network are shorter, and do not count as letting go."""
 
 MAX_CALLS: Final = {ESTOP.id: 3, STOP.id: 1}
 """Limit on the unanswered calls of each service. With one call for the velocity they fill the five
@@ -73,7 +73,7 @@ class RemoteControl:
     # Services
 
     def _call(self, viewer: Viewer, request: ServiceCall) -> None:
-        """Forward a call and send its answer; if it cannot be forwarded, answer at once."""
+        """Start to forward a service call to the daemon, or answer why it cannot be forwarded."""
         failure = ""
         if request.service_id not in _MODES:
             failure = "there is no such service"

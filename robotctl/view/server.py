@@ -1,4 +1,4 @@
-"""The server: its socket, its viewers, the channels it offers, and the messages for each."""
+"""The WebSocket server of a view: its socket, its viewers, and the channels that it offers."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ MAX_SUBSCRIPTIONS: Final = 10_000
 
 
 MAX_VIEWERS: Final = 128
-"""Limit on viewers; the connections of further ones are closed with the code TRY_LATER."""
+"""Limit on viewers; the connection of a further viewer is closed with the code TRY_LATER."""
 
 MAX_CONNECTIONS: Final = 2 * MAX_VIEWERS
 """Limit on connections; further ones are closed at once, without reading from them."""
@@ -213,7 +213,7 @@ class ViewServer:
         self._unflushed.update(subscribers)
 
     def note(self, id: str, message: str) -> None:  # noqa: A002 - the field's name
-        """Show a message to all present and later viewers; "" removes it."""
+        """Show `message` to all present and later viewers; "" removes the note with this `id`."""
         if message and self._notes.get(id) != message:
             self._notes[id] = message
             self._tell_all(warning(message, id))

@@ -1,4 +1,4 @@
-"""Runs one view: feeds the server with the topics of a ROS domain, and ends both."""
+"""Runs one view: offers the topics of a ROS domain through a `ViewServer`, until it must end."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ SAID_AGAIN_S: Final = 60.0
 
 
 def loop_failures() -> Callable[[asyncio.AbstractEventLoop, dict[str, Any]], None]:
-    """Return the handler for exceptions of the loop: it prints one line if no descriptor is free.
+    """Return an exception handler for the loop, which prints a line if no descriptor is free.
 
-    Until one is free, new viewers have to wait. Any other failure is left to asyncio.
+    Until a descriptor is free, new viewers have to wait. Any other failure is left to asyncio.
     """
     said_s = -SAID_AGAIN_S
 
@@ -119,7 +119,7 @@ def _controlled_server(job: ViewJob, admission: Admission) -> ViewServer:
 
 
 def _address(host: str, port: int, token: str) -> dict[str, Any]:
-    """Return the URL to connect to, and the one that opens the desktop application."""
+    """Return the report `ready`: the `url`, the port, and `open`, a URL for the desktop program."""
     host = socket.gethostname() if host in _WILDCARDS else host
     host = f"[{host}]" if ":" in host else host
     url = f"ws://{host}:{port}/?token={token}"
@@ -169,7 +169,7 @@ class LiveView:
     # From the server
 
     def _subscribed(self, channel_id: int) -> None:
-        """Subscribe to the topic again for a new viewer, which needs the latched messages."""
+        """Subscribe to the topic, again for each new viewer: it needs the latched messages."""
         self._tap.want(self._topics[channel_id], partial(self._forward, channel_id))
 
     def _unwatched(self, channel_id: int) -> None:

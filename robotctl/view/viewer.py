@@ -229,7 +229,7 @@ SOCKET_BYTES: Final = 128 << 10
 """The socket's send buffer for a viewer; Linux doubles it, and would use megabytes by default."""
 
 TRY_LATER: Final = 1013
-"""The close code for a viewer beyond MAX_VIEWERS (RFC 6455, IANA registry)."""
+"""The close code for a viewer beyond MAX_VIEWERS (IANA's registry for RFC 6455)."""
 
 _LOGGER: Final = logging.getLogger("robotctl.view.websocket")
 _LOGGER.disabled = True  # or any client could fill the terminal with warnings
@@ -270,7 +270,7 @@ class Viewer(asyncio.Protocol):
         """The number of dropped messages that was last sent to the viewer."""
 
         self.since_s = time.monotonic()
-        """The steady time when it connected, or when its socket last became full."""
+        """When the viewer connected, or its socket last became full [s, time.monotonic]."""
 
         self.admitted = False
         self._host = host
@@ -313,7 +313,7 @@ class Viewer(asyncio.Protocol):
         self.since_s = time.monotonic()
 
     def resume_writing(self) -> None:
-        """Schedule `flush`; a transport that `flush` closes in this call would be ended twice."""
+        """Schedule `flush`: a transport that is closed within this call would be ended twice."""
         self.is_stalled = False
         asyncio.get_running_loop().call_soon(self.flush)
 

@@ -58,7 +58,7 @@ STANDING_S = 1.5
 """How long the robot stands before and after each motion [s]."""
 
 RESERVE = 1.5
-"""The room that the motions need, as a multiple of what is planned."""
+"""The free room that the operator is asked for, as a multiple of the planned way and angle."""
 
 _LATEST_S = DRIVEN_S + 10.0
 """A motion that waits for a zero command ends by itself after this time [s] if none comes."""

@@ -1,8 +1,6 @@
 """drive: drive a pattern, a velocity, or a path from a file, a recording or a topic.
 
-- `command`: declares the options and makes the request.
-- `paths`: reads the points of a path from a file, a recording or a topic.
-- `running`: waits for the end of a drive, and draws its picture.
+`drive_paths` reads the points of a path.
 """
 
 from __future__ import annotations
@@ -99,8 +97,8 @@ def drive_and_wait(
 ) -> dict[str, Any]:
     """Request a drive, wait until it ends, and return the daemon's answer with the key `picture`.
 
-    On a terminal, the drive is shown live, unless `as_json`. If the drive was stopped, its figures
-    are printed before the error is raised.
+    On a terminal, the drive is shown live, unless `as_json`. If the drive was stopped, the lines of
+    `tracking_lines` are printed before the error is raised.
 
     Raises:
         Interrupted: Ctrl-C or a signal ended the drive; the robot stands.
@@ -189,7 +187,7 @@ _OWNERS = {
     "corner": "a rounded-square or a path",
     "angle": "an arc or a turn",
 }
-"""The motions to which an option belongs, in the words of the error."""
+"""What an option is for, in the words of the error when another motion gets the option."""
 
 
 def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") -> list[str]:

@@ -153,7 +153,7 @@ def _point(name: str, number: int, row: _WrittenPoint) -> Point:
 
 
 def last_path(robot: str, frame: Frame) -> tuple[Point, ...]:
-    """Return the path of the newest recording in which the robot drove.
+    """Return the points of the last motion in the newest recording in which the robot drove.
 
     If later recordings have no drive, a note on stderr names the recording that is used. A running
     daemon first commits its recording.
@@ -184,10 +184,10 @@ def _note(path: Path, sentence: str) -> None:
 PATH_TYPE: Final = "nav_msgs/msg/Path"
 
 MAX_MESSAGE_BYTES: Final = 512 * MAX_POINTS
-"""Limit on a message; no path needs so much, as a pose takes about 100 bytes."""
+"""Limit on a serialized path [bytes]: a pose has about 100 bytes."""
 
 NOTE_S: Final = 2.0
-"""Without a message for this time, a line on stderr says that the command still waits."""
+"""How long to wait for a message before a line on stderr says that the command still waits [s]."""
 
 ODOMETRY_FRAME: Final = "odom"
 """The frame of odometry (REP 105), unless `odometry.frame_id` names another."""

@@ -71,7 +71,7 @@ def logs(
     time_ns: int | None = None
     for coloured in _lines(path, follow=follow, begin=begin):
         text = line = without_colours(coloured)
-        level = logger = None  # and the time of the line before: this one may continue it
+        level = logger = None  # a line without a header continues an entry, and keeps its time
         if match := _LINE.fullmatch(line):
             when, level, logger, text = match.groups()
             time_ns = _time_ns(when)

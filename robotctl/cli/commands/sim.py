@@ -1,4 +1,4 @@
-"""sim, demo: a simulated robot alone, and driven over one recorded lap."""
+"""sim, demo: run a simulated robot alone, or drive one over a recorded lap."""
 
 from __future__ import annotations
 
@@ -244,7 +244,7 @@ def demo(
 
 @contextmanager
 def _daemon(robot: str, command: Sequence[str], *, keep: bool) -> Iterator[None]:
-    """Run a daemon during the block; with `keep`, it continues after a block without error."""
+    """Run a daemon during the block; with `keep`, it stays running if the block raises nothing."""
     with interrupted_by(INTERRUPTIONS):
         try:
             for note in launch(robot, command).get("notes") or []:

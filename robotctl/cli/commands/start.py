@@ -1,4 +1,4 @@
-"""start, stop: the daemon, in the background or in this terminal."""
+"""start, stop: start the daemon in the background or in this terminal, and end it."""
 
 from __future__ import annotations
 

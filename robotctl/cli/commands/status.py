@@ -1,4 +1,4 @@
-"""status, ps, watch, view: what a robot does, what all robots do, and one of them live."""
+"""status, ps, watch, view: show a robot's status, list all robots, and show one live."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ def watch_on_screen(robot: str) -> None:
 
 
 def _pressed(keyboard: Keyboard) -> str:
-    """Wait for keys, at most POLL_S; return them, or `q` if the terminal has ended."""
+    """Wait for keys, at most POLL_S; return the pressed keys, or `q` if the terminal is closed."""
     if not keyboard.sources:
         time.sleep(POLL_S)
         return ""

@@ -1,7 +1,6 @@
 """teleop: drive by hand, with keys or a gamepad that must be held.
 
-- `command`: declares the options, runs the session, and draws its screen.
-- `controls`: turns keys or a gamepad into the wanted motion, and requests it from the daemon.
+`teleop_controls` turns keys or a gamepad into the wanted motion, and requests it from the daemon.
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ END_S: Final = 1.0
 
 
 class TeleopScreen:
-    """A context that draws the lines that `lines()` returns, with the robot's status below."""
+    """A context that draws the status of the robot below `lines()`; a thread calls both."""
 
     def __init__(self, robot: str, lines: Callable[[], list[str]]) -> None:
         self._robot = robot
@@ -110,7 +109,7 @@ class TeleopScreen:
     def _draw(self) -> None:
         from rich.live import Live
 
-        # Nothing else prints meanwhile, and a redirected stdout would hide its encoding.
+        # A redirected stdout hides its encoding, and nothing else prints while this is shown.
         with (
             Client(self._robot) as client,
             Live(auto_refresh=False, redirect_stdout=False, redirect_stderr=False) as live,

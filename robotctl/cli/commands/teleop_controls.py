@@ -78,7 +78,8 @@ class HandsWithReleases:
     as let go if no key repeats any more. A terminal repeats only the key that was pressed last, and
     no key after its release. Text does not count as a press: no release would follow.
 
-    With each answer of the terminal the wish is sent again. Without answers, the robot stops.
+    `take` repeats the wish with each ANSWER of the terminal: if the terminal is dead, none is sent,
+    and the robot stops.
     """
 
     def __init__(self) -> None:
@@ -89,7 +90,7 @@ class HandsWithReleases:
         self._patience_s = 0.0
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the wish of all held keys; None if it is unchanged and `keys` has no ANSWER."""
+        """Return the sum of all held keys; None if it is unchanged and `keys` has no ANSWER."""
         for key in keys:
             if key.name != ANSWER and not key.is_text:
                 self._hear(key, now_s)

@@ -101,10 +101,10 @@ class Printer:
             raise UsageError(str(error)) from None
 
     def print(self, data: bytes, time_ns: int, publish_ns: int, *, with_time: bool) -> None:
-        """Print one line of JSON with the whole `message`, or the `value` of the field.
+        """Print a serialized message, or its field: one line of JSON, or YAML that `---` ends.
 
-        Without JSON: YAML and `---`, or one line if the field has a single value. `with_time`, the
-        time comes first, as seconds: in a YAML comment or on the value's line.
+        A field with a single value is printed as one line. Without JSON, the time [s] is printed
+        only `with_time`: in a YAML comment before the message, or on the value's line.
         """
         value = self._value(data)
         if self._as_json:
@@ -151,7 +151,7 @@ TypeName = Annotated[
 
 
 NOTE_S = 2.0
-"""Without a message for this time, a line on stderr says that the command still waits."""
+"""How long to wait for a message before a line on stderr says that the command still waits [s]."""
 
 
 @group.command()
@@ -380,9 +380,9 @@ def hz(
 
 
 def statistics(times_ns: Sequence[int]) -> dict[str, Any] | None:
-    """Return the mean rate [Hz] of messages with these times, None if they span no time.
+    """Return the mean rate [Hz] of messages received at `times_ns`, None if they span no time.
 
-    Also return the shortest and longest time between messages, and the standard deviation [s].
+    The other figures are the shortest and longest period, its standard deviation, and the count.
     """
     times = list(times_ns)
     periods_s = [(after - before) / NS_PER_S for before, after in pairwise(times)]

@@ -1,6 +1,6 @@
-"""End a drive when the command that waits for it ends; hold the robot's lease.
+"""End a drive when the command that waits for it is interrupted; hold the robot's lease.
 
-The command ends by Ctrl-C, by a signal, or when the reader of its stdout closes the pipe.
+A command is interrupted by Ctrl-C, by a signal, or when the reader of its stdout closes the pipe.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ T = TypeVar("T")
 
 
 class Background(threading.Thread, Generic[T]):
-    """A thread that runs `work` and keeps its result; it does not outlive the process.
+    """A thread that runs `work` and keeps its result; the process may end before the thread.
 
-    It is not a future: if Ctrl-C interrupts a call of a future, the future's lock may stay locked,
-    and the thread, which needs that lock, never ends.
+    Not a future: if Ctrl-C interrupts a method of a future, the future's lock may stay locked, and
+    the thread, which needs that lock, never ends.
     """
 
     def __init__(self, work: Callable[[], T]) -> None:
@@ -135,9 +135,10 @@ def wait_while_stdout_open(driving: Background[DriveAnswer], at_most_s: float = 
 
 
 def stop_drive(robot: str, driving: Background[DriveAnswer]) -> Interrupted:
-    """Ramp the robot down, and return the error to raise; another Ctrl-C is an emergency stop.
+    """Ramp the robot down, and return the error to raise, with the numbers of the drive.
 
-    Other signals are ignored during the ramp, because a terminal that closes sends several.
+    Another Ctrl-C is an emergency stop. Other signals are ignored during the ramp, because a
+    terminal that closes sends several.
 
     Raises:
         RobotctlError: The daemon could not be reached, or refused to stop the robot.
@@ -180,8 +181,8 @@ class HeldLease:
     If this process freezes or is killed, the lease ends in about a second: the robot ramps down.
 
     Raises:
-        Refused: Another client holds the lease, or the robot moves already.
-        NoDaemon: No daemon runs.
+        Refused: At the start of the block, another client holds the lease, or the robot moves.
+        NoDaemon: At the start of the block, no daemon runs.
     """
 
     def __init__(self, robot: str, command: str, reason: str = "") -> None:

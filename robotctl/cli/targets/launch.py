@@ -67,9 +67,10 @@ def launch(
     command: Sequence[str],
     on_ready: Callable[[StartSummary], None] = lambda ready: None,
 ) -> StartSummary:
-    """Run the daemon's `command` in its own session; pass its report to `on_ready`; return it.
+    """Start a daemon by `command`, in a new session; when it is ready, call `on_ready`.
 
-    If a signal comes before `on_ready` has returned, the daemon ends: it never runs unnoticed.
+    Return the daemon's report, which `on_ready` gets, too. If a signal interrupts this function or
+    `on_ready`, the daemon ends: no daemon runs unnoticed.
 
     Raises:
         RobotctlError: The daemon did not start; the error has its reason and exit code.
@@ -84,7 +85,7 @@ def launch(
             "set XDG_STATE_HOME to a folder of yours",
             sentence=IN_PARENTHESES,
         ) from error
-    # A name of its own, until it is clear that no other daemon writes to the robot's log.
+    # A separate file, until it is clear that no other daemon writes to the robot's log.
     own_log = log.with_name(f"{log.name}.{os.getpid()}")
     # A Ctrl-C between the start of the child and the `try` would leave the child behind.
     unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPTIONS)
@@ -166,7 +167,7 @@ END_S: Final = 10.0
 def live_target(robot: str) -> LiveTarget:
     """Return the process, namespace and ROS domain of a robot's running daemon.
 
-    If this shell sets no discovery range, this process uses the daemon's from now on.
+    If no discovery range is set in the environment, set that of the daemon.
 
     Raises:
         NoDaemon: No daemon runs.

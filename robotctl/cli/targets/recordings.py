@@ -66,8 +66,8 @@ RecordedBy = Annotated[
 def recordings_folder(robot: str | None, given: Path | None) -> Path:
     """Return the folder `given`, or else ./recordings if it holds a recording of `robot`.
 
-    If ./recordings holds none, return the latest existing folder of a daemon of `robot`; if there
-    is no such folder, return ./recordings all the same. If `robot` is None, any robot counts.
+    If ./recordings holds none, return the folder in which the last daemon of `robot` recorded, if
+    it still exists, or else ./recordings all the same. If `robot` is None, any robot counts.
 
     Raises:
         UsageError: `given` is not a folder, or another user could have changed the file in
@@ -86,10 +86,10 @@ def recordings_folder(robot: str | None, given: Path | None) -> Path:
 
 
 def file_path(text: str) -> Path:
-    """Return a path to open the file that `text` names by a path or by a URL.
+    """Return `text`, a path or the URL of an MCAP file, as a Path that can be opened.
 
     Raises:
-        UsageError: The URL does not name one file in a store.
+        UsageError: The URL does not name an MCAP file, or its scheme is not supported.
     """
     from robotctl.base.store import path_of
 
@@ -184,7 +184,7 @@ def _recordings_at(path: Path) -> list[Path]:
 
 
 def cure_of_damage(path: Path) -> str:
-    """Return what to do about a recording that cannot be read completely."""
+    """Return the advice for a recording that cannot be read completely."""
     if "://" in str(path):
         return "download it, and save what can be read with robotctl recover"
     return f"save what can be read: robotctl recover {quote(short_path(path))}"
@@ -246,11 +246,11 @@ MAX_RECORDINGS = 20
 """How many recordings are searched; reading a journal takes seconds per recorded hour."""
 
 COMMIT_DEADLINE_S = 8.0
-"""Timeout of a commit: longer than the daemon's own, whose answer names what was not written."""
+"""Timeout of a commit [s]: after its own, shorter one, the daemon reports what is not written."""
 
 
 def committed_recording(robot: str, missing: list[str]) -> Path | None:
-    """Make the robot's daemon commit its recording; return its folder, None on failure.
+    """Make the daemon commit its recording to disk; return the recording's folder, None on failure.
 
     A sentence about messages that the daemon did not write is added to `missing`.
     """
@@ -282,7 +282,7 @@ def with_earlier(newest: Path) -> list[Path]:
 
 @contextmanager
 def open_catalogue(given: str | None, *, quiet: bool) -> Iterator[tuple[Path, Catalogue]]:
-    """Yield a folder and its catalogue; recordings without an index are indexed first.
+    """Yield a folder and the catalogue of its indexes; missing and old indexes are made first.
 
     Raises:
         UsageError: There is no such folder, or duckdb is not installed.

@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 class RobotDaemon(NamedTuple):
-    """A daemon: its `status`, or None and the `problem` that prevented an answer."""
+    """A running daemon and its `status`; if that is None, `problem` says why it sent none."""
 
     robot: str
     status: Status | None
@@ -81,8 +81,8 @@ def _look(robot: str) -> RobotDaemon | None:
 def stop_all(params: dict[str, str]) -> tuple[list[dict[str, Any]], RobotctlError | None]:
     """Latch the emergency stop of all robots in parallel; return results and first failure or None.
 
-    A result is the object that `estop --all --json` prints: `robot`, `ok`, and `message`, which
-    says why it failed, unless `ok`.
+    A result has `robot`, `ok`, and `message`: the daemon's answer, or why the stop failed. A robot
+    without a daemon is left out.
 
     Raises:
         NoDaemon: There is no daemon.

@@ -1,6 +1,6 @@
-"""Query ROS for a command: through the daemon if one runs, otherwise through a new process.
+"""Query ROS for a command: the graph through the daemon, all else through a new process.
 
-That process (robotctl.ros.queries) is in the ROS domain for as long as the command takes.
+Without a daemon, the process (robotctl.ros.queries) reads the graph, too. It ends with the command.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ QUERY: Final = "robotctl.ros.queries"
 """The module of the process that queries ROS."""
 
 END_S: Final = 10.0
-"""How long that process may take to leave its domain."""
+"""How long that process may take to leave its ROS domain and exit."""
 
 ANSWER_S: Final = 30.0
 """How long the process may take for an answer: it waits up to 3.5 s for discovery, and a busy
@@ -35,9 +35,9 @@ machine starts it slowly."""
 
 @dataclass(frozen=True, slots=True)
 class RosView:
-    """Answers a command's questions about one ROS domain.
+    """Queries one ROS domain; `full_name` resolves relative names in the robot's `namespace`.
 
-    Relative names are resolved in the robot's `namespace`, which is "" for none.
+    The namespace begins with a slash, or is "".
     """
 
     robot: str

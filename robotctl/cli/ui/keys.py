@@ -1,4 +1,4 @@
-"""The keys of a terminal: pressed, released and pasted, and whether it still answers."""
+"""The keys of a terminal: presses, releases and pasted text; checks that the terminal answers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Keyboard:
                 signal.SIGTSTP: signal.signal(signal.SIGTSTP, self._ask_to_stop),
                 signal.SIGCONT: signal.signal(signal.SIGCONT, lambda *_: self._take()),
             }
-            self._take()  # and after Ctrl-Z, as the process may have run in the background
+            self._take()  # again on SIGCONT: until then, the process may be in the background
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -77,7 +77,7 @@ class Keyboard:
         return os.read(self._file, 64).decode(errors="ignore") if self._file in ready else ""
 
     def has_ended(self, ready: Sequence[object]) -> bool:
-        """Return whether the terminal has ended. Call this only if `read` has returned "".
+        """Return whether the terminal is closed. Call this only if `read` has returned "".
 
         `ready` are the `sources` that were readable before `read` was called.
         """
@@ -127,7 +127,7 @@ MAX_STRING_S: Final = 0.1
 """Limits on an OSC or DCS string [characters, s]; beyond them, a key such as Alt-] was pressed."""
 
 ANSWER: Final = "answer"
-"""The name of the key that stands for an answer to `CSI ? u`."""
+"""The `Key.name` of a terminal's answer to the query `CSI ? u`, which is parsed like a key."""
 
 _SEQUENCE = re.compile(r"\x1b(?:\[([?<>=]?)([\d:;]*)|(O))([@-~])")
 _BEGUN = re.compile(r"\x1b(?:\[[?<>=]?[\d:;]*|O)?")
@@ -163,8 +163,8 @@ class Key(NamedTuple):
 class KeyParser:
     """Turns the text that is read from a terminal into keys.
 
-    It reads the forms of xterm and of the kitty keyboard protocol. It skips all other sequences,
-    strings of the terminal (OSC, DCS), and the text between the marks of a paste.
+    It knows the escape sequences of xterm and of the kitty keyboard protocol. It skips all others,
+    control strings (OSC, DCS), and pasted text between the marks of bracketed paste.
     """
 
     def __init__(self) -> None:
@@ -248,9 +248,9 @@ _IS_ANSWERED: Final = re.compile(rb"\x1b\[\?[\d;]*c")
 
 
 class ReleaseEvents:
-    """A context in which the terminal reports key releases, if it can; `told` says whether it can.
+    """A context in which the terminal reports key releases; `told` is False if it cannot.
 
-    If the terminal can mark pasted text, it does so. Keys must arrive one by one (`Keyboard`).
+    A terminal that can mark pasted text does so, too. Use this within a `Keyboard` context.
     `suspend` and `resume` enclose the time in which another program uses the terminal.
     """
 
@@ -298,7 +298,7 @@ class ReleaseEvents:
 
 
 ASK_EACH_S: Final = 0.025
-"""The least time between questions [s]: a fifth of the longest silence that teleop may have."""
+"""The least time between questions [s]: a fifth of MAX_SILENCE_S, after which teleop stands."""
 
 _ASK_FLAGS: Final = b"\x1b[?u"
 """Asks for the keyboard flags: only a terminal that can report releases answers."""

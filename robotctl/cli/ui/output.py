@@ -1,4 +1,4 @@
-"""What a command prints: its answer, why it failed, and a bar while it works."""
+"""What a command prints: its answer, its error, and a progress bar."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def report(error: BaseException, *, as_json: bool) -> int:
     """Print why a command failed, and return the exit code of its process.
 
     The sentence for people goes to stderr. With `as_json`, stdout gets one object as well: the
-    partial answer, and `error`.
+    partial answer that the error carries, with the key `error`.
     """
     failure = _as_robotctl_error(error)
     if as_json:

@@ -100,7 +100,7 @@ HISTORY: Final = 20
 
 _OTHER_LINES: Final = 16
 _MAP_ROWS: Final = range(5, 15)
-"""How high the map may be [lines]; its width is twice that."""
+"""Limits on the height of the map [lines]; its width is at most twice as many columns."""
 
 
 class History:
@@ -148,7 +148,7 @@ def _finite(value: Any) -> float:
 
 
 _PATH_ROWS = 12
-"""The height of the path [lines], with which view and bar fit in a terminal of 24 lines."""
+"""The height of the path [lines]: view and progress bar then fit in a terminal of 24 lines."""
 
 
 def recorded_view(robot: RecordedRobot) -> RenderableType:

@@ -20,8 +20,8 @@ def is_hidden(name: str) -> bool:
 def print_names(graph: Any, kind: str, *, every: bool, as_json: bool, types: bool = False) -> None:
     """Print the names of a `kind` in a Graph: topics, services or nodes.
 
-    Hidden names are left out unless `every`; with `types`, each name has its types in brackets. A
-    last line says how many names the daemon has left out, if any.
+    Hidden names are left out unless `every`; with `types`, each name has its types in brackets. If
+    the graph was too large for the answer, a last line says how many names it left out.
     """
     found = [(each if kind == "nodes" else each["name"], each) for each in graph[kind]]
     listed = [(name, each) for name, each in found if every or not is_hidden(name)]
@@ -35,7 +35,7 @@ def print_names(graph: Any, kind: str, *, every: bool, as_json: bool, types: boo
 
 
 SHOWN_LENGTH: Final = 128
-"""How much of a list or a text is shown, as in `ros2 topic echo`."""
+"""How many items of a list, or characters of a text, are shown, as in `ros2 topic echo`."""
 
 _CUT: Final = "..."
 _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_/]*")
