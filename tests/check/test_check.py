@@ -36,28 +36,27 @@ from robotctl.testing.drives import (
     JOURNAL,
     START_NS,
     TWIST,
-    Written,
     drive,
     drive_requested,
     record,
 )
-from tests.support.checked_drives import checked
+from tests.support.checked_drives import checked, drive_of_3_s, entries_of, from_snapshot
 from tests.support.waiting import until
 
 
-def test_the_same_kernel_decides_the_same(tmp_path: Path, drive_of_3_s: list[Written]) -> None:
-    report = checked(tmp_path, drive_of_3_s)
+def test_the_same_kernel_decides_the_same(tmp_path: Path) -> None:
+    report = checked(tmp_path, drive_of_3_s())
     assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
     assert report.bitwise
-    journal = [each for each in drive_of_3_s if isinstance(each, JournalEntry)]
+    journal = entries_of(drive_of_3_s())
     assert report.events == sum(entry.kind is EntryKind.EVENT for entry in journal)
     assert report.effects == sum(entry.kind is EntryKind.EFFECT for entry in journal)
-    assert report.commands == len(drive_of_3_s) - len(journal)
+    assert report.commands == len(drive_of_3_s()) - len(journal)
     assert report.duration_s == pytest.approx(3.0, abs=0.1)
 
 
 def test_a_kernel_with_another_gain_diverges(
-    tmp_path: Path, drive_of_3_s: list[Written], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def stronger(
         reference: Reference, pose: Pose, gains: TrackingParams, limits: VelocityLimits
@@ -65,7 +64,7 @@ def test_a_kernel_with_another_gain_diverges(
         return track(reference, pose, replace(gains, k_x=gains.k_x * 1.001), limits)
 
     monkeypatch.setattr(drive_module, "track", stronger)
-    report = checked(tmp_path, drive_of_3_s)
+    report = checked(tmp_path, drive_of_3_s())
     assert report.verdict is Verdict.DIVERGED
     assert report.divergence is not None
     assert report.divergence.event.startswith("Tick ")
@@ -79,11 +78,9 @@ def test_a_recording_without_a_journal_is_not_called_the_same(tmp_path: Path) ->
     assert "holds no snapshot" in report.missing[0]
 
 
-def test_what_a_gap_leaves_is_checked_and_the_gap_is_named(
-    tmp_path: Path, drive_of_3_s: list[Written]
-) -> None:
+def test_what_a_gap_leaves_is_checked_and_the_gap_is_named(tmp_path: Path) -> None:
     position = 40
-    report = checked(tmp_path, drive_of_3_s[:position] + drive_of_3_s[position + 3 :])
+    report = checked(tmp_path, drive_of_3_s()[:position] + drive_of_3_s()[position + 3 :])
     assert report.verdict is Verdict.INCOMPLETE
     assert report.missing[0].startswith("the journal lacks")
 
@@ -115,17 +112,15 @@ def test_every_file_of_a_recording_can_be_checked_alone(tmp_path: Path) -> None:
     assert reports[0].events == reports[1].events + reports[2].events
 
 
-def test_a_recording_that_goes_on_is_checked_as_far_as_it_is(
-    tmp_path: Path, drive_of_3_s: list[Written]
-) -> None:
+def test_a_recording_that_goes_on_is_checked_as_far_as_it_is(tmp_path: Path) -> None:
     recorder = recording_to(tmp_path / "run", RecorderOptions(flush_s=0.01))
     journal, commands = recorder.add_topic(JOURNAL), recorder.add_topic(TWIST)
-    entries = [each for each in drive_of_3_s if isinstance(each, JournalEntry)]
+    entries = entries_of(drive_of_3_s())
     while entries.pop().kind is not EntryKind.EFFECT:
         pass  # the effect of the last tick is still to come
     for each in entries:
         recorder.write(journal, encode(each), START_NS, START_NS, each.seq + 1, GID)
-    sent = [each for each in drive_of_3_s if isinstance(each, Twist)]
+    sent = [each for each in drive_of_3_s() if isinstance(each, Twist)]
     for number, twist in enumerate(sent, 1):
         recorder.write(commands, encode_twist(twist), START_NS, START_NS, number, GID)
     until(lambda: recorder.stats().queued == 0)
@@ -137,10 +132,8 @@ def test_a_recording_that_goes_on_is_checked_as_far_as_it_is(
 
 
 @pytest.mark.parametrize("damage", ["cut", "hole"])
-def test_a_damaged_file_is_never_called_the_same(
-    tmp_path: Path, drive_of_3_s: list[Written], damage: str
-) -> None:
-    (file,) = record(tmp_path / "run", drive_of_3_s).glob("*.mcap")
+def test_a_damaged_file_is_never_called_the_same(tmp_path: Path, damage: str) -> None:
+    (file,) = record(tmp_path / "run", drive_of_3_s()).glob("*.mcap")
     data = bytearray(file.read_bytes())
     if damage == "cut":
         del data[len(data) // 2 :]
@@ -197,12 +190,11 @@ def test_an_impossible_snapshot_is_reported_by_every_command(
 ) -> None:
     stop = ModeRequested(BEGIN_NS + 1_500_000_000, 2, 3, "operator")
     written = drive(2.0, requests=[drive_requested(), stop], snapshots_s=(1.0,))
-    begin = next(i for i, each in enumerate(written) if "Snapshot" in str(each))
-    snapshot = written[begin]
+    snapshot, *rest = from_snapshot(written, 0)
     assert isinstance(snapshot, JournalEntry)
     assert old in snapshot.data
     changed = snapshot._replace(data=snapshot.data.replace(old, new))
-    folder = record(tmp_path / "run", [changed, *written[begin + 1 :]])
+    folder = record(tmp_path / "run", [changed, *rest])
     assert check_recording(folder).verdict is not Verdict.SAME
     for look in (
         lambda: what_if(folder, {"tracking.k_y": "8"}),
@@ -222,9 +214,9 @@ def told_why(folder: Path) -> None:
 
 @pytest.mark.parametrize("robot", ["robot", "r2"])
 def test_a_file_of_another_recording_is_named_and_checked_on_its_own(
-    tmp_path: Path, drive_of_3_s: list[Written], robot: str
+    tmp_path: Path, robot: str
 ) -> None:
-    folder = record(tmp_path / "run", drive_of_3_s)
+    folder = record(tmp_path / "run", drive_of_3_s())
     (other,) = record(tmp_path / "other", drive(1.0), robot=robot).glob("*.mcap")
     shutil.copy(other, folder)
     report = check_recording(folder)
@@ -236,18 +228,16 @@ def test_a_file_of_another_recording_is_named_and_checked_on_its_own(
     assert report.events == check_recording(folder / "run_0.mcap").events
 
 
-def test_a_command_that_was_published_and_not_decided_is_found(
-    tmp_path: Path, drive_of_3_s: list[Written]
-) -> None:
-    report = checked(tmp_path, [*drive_of_3_s, Twist(0.3, 0.0)])
+def test_a_command_that_was_published_and_not_decided_is_found(tmp_path: Path) -> None:
+    report = checked(tmp_path, [*drive_of_3_s(), Twist(0.3, 0.0)])
     assert report.verdict is Verdict.BROKEN
     assert "1 commands without a decision, such as 0.3 m/s" in report.violations[0].text
 
 
 def test_a_kernel_that_fails_in_itself_diverges(
-    tmp_path: Path, drive_of_3_s: list[Written], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(kernel_module, "within", lambda command, limits: command.linear < 0.1)
-    report = checked(tmp_path, drive_of_3_s)
+    report = checked(tmp_path, drive_of_3_s())
     assert report.divergence is not None
     assert report.divergence.decided.startswith("AssertionError")

@@ -7,7 +7,6 @@ one.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,14 +33,20 @@ from robotctl.testing.drives import (
     installed_topic,
     record,
 )
-from tests.support.checked_drives import altered, checked, rechained
-from tests.support.edited_recordings import Contents, recorded, write_contents
+from tests.support.checked_drives import (
+    altered,
+    checked,
+    drive_of_3_s,
+    entries_of,
+    with_entries,
+    with_snapshots,
+)
+from tests.support.edited_recordings import Contents, recorded
+from tests.tampering.edits import check_edited
 
 
-def test_a_recording_of_another_version_says_so_and_compares_decisions(
-    tmp_path: Path, drive_of_3_s: list[Written]
-) -> None:
-    changed, _ = altered(drive_of_3_s, "Reply", "Mode changed to MOVING", "OK, moving")
+def test_a_recording_of_another_version_says_so_and_compares_decisions(tmp_path: Path) -> None:
+    changed, _ = altered(drive_of_3_s(), "Reply", "Mode changed to MOVING", "OK, moving")
     report = checked(tmp_path, changed, version="0.0.9")
     assert report.verdict is Verdict.SAME
     assert not report.bitwise
@@ -53,9 +58,9 @@ OTHER_RULES = f"decided by the rules of another version (0.0.9, this is {__versi
 
 
 def test_what_another_version_decides_otherwise_is_incomplete_and_not_a_fault(
-    tmp_path: Path, drive_of_3_s: list[Written]
+    tmp_path: Path,
 ) -> None:
-    changed, seq = altered(drive_of_3_s, "PublishTwist", '"linear":0.54', '"linear":0.5400001')
+    changed, seq = altered(drive_of_3_s(), "PublishTwist", '"linear":0.54', '"linear":0.5400001')
     report = checked(tmp_path, changed, version="0.0.9")
     assert report.violations == []
     assert (report.verdict, report.verdict.exit_code) == (Verdict.INCOMPLETE, 6)
@@ -76,9 +81,9 @@ def test_what_another_version_decides_otherwise_is_incomplete_and_not_a_fault(
     ],
 )
 def test_a_field_of_another_version_that_is_not_known_is_named(
-    tmp_path: Path, drive_of_3_s: list[Written], name: str, old: str, new: str, unknown: str
+    tmp_path: Path, name: str, old: str, new: str, unknown: str
 ) -> None:
-    changed, seq = altered(drive_of_3_s, name, old, new)
+    changed, seq = altered(drive_of_3_s(), name, old, new)
     report = checked(tmp_path, changed, version="0.0.9")
     assert report.verdict is Verdict.INCOMPLETE
     assert report.missing == [f"{OTHER_RULES}entry {seq}: {unknown}"]
@@ -86,17 +91,12 @@ def test_a_field_of_another_version_that_is_not_known_is_named(
 
 
 @pytest.mark.parametrize("name", ["Tick", "PublishTwist", "Snapshot"])
-def test_a_name_of_another_version_that_is_not_known_is_named(
-    tmp_path: Path, drive_of_3_s: list[Written], name: str
-) -> None:
-    changed, seq = altered(drive_of_3_s, name, "{", "{")
-    changed = [
-        each._replace(name="Unheard")
-        if isinstance(each, JournalEntry) and each.seq == seq
-        else each
-        for each in changed
-    ]
-    report = checked(tmp_path, rechained(changed), version="0.0.9")
+def test_a_name_of_another_version_that_is_not_known_is_named(tmp_path: Path, name: str) -> None:
+    _, seq = altered(drive_of_3_s(), name, "{", "{")
+    changed = with_entries(
+        drive_of_3_s(), lambda each: each._replace(name="Unheard") if each.seq == seq else each
+    )
+    report = checked(tmp_path, changed, version="0.0.9")
     assert report.verdict is Verdict.INCOMPLETE
     assert report.missing[0].startswith(f"{OTHER_RULES}journal entry {seq} cannot be read: ")
     assert "'Unheard'" in report.missing[0]
@@ -110,24 +110,18 @@ def test_a_name_of_another_version_that_is_not_known_is_named(
     ],
 )
 def test_a_journal_with_other_fields_is_of_another_version_and_not_diverged(
-    tmp_path: Path, drive_of_3_s: list[Written], old: str, new: str, how: str
+    tmp_path: Path, old: str, new: str, how: str
 ) -> None:
-    changed = [
-        each._replace(data=each.data.replace(old, new, 1))
-        if isinstance(each, JournalEntry) and each.kind is EntryKind.SNAPSHOT
-        else each
-        for each in drive_of_3_s
-    ]
-    report = checked(tmp_path, rechained(changed))
+    report = checked(tmp_path, with_snapshots(drive_of_3_s(), old, new))
     assert report.verdict is Verdict.INCOMPLETE
-    written = f"written by another version that calls itself {__version__}: its state {how}"
-    assert report.missing[0] == written
+    named = f"written by another version that calls itself {__version__}: its state {how}"
+    assert report.missing[0] == named
     assert report.violations == []
 
 
 @pytest.mark.parametrize("cause", retired.CAUSES)
-def test_a_retired_cause_is_named(tmp_path: Path, drive_of_3_s: list[Written], cause: str) -> None:
-    changed, seq = altered(drive_of_3_s, "Snapshot", '"cause":null', f'"cause":"{cause}"')
+def test_a_retired_cause_is_named(tmp_path: Path, cause: str) -> None:
+    changed, seq = altered(drive_of_3_s(), "Snapshot", '"cause":null', f'"cause":"{cause}"')
     report = checked(tmp_path, changed)
     assert report.verdict is Verdict.INCOMPLETE
     assert report.missing[0] == (
@@ -140,19 +134,13 @@ def test_a_retired_cause_is_named(tmp_path: Path, drive_of_3_s: list[Written], c
 @pytest.mark.parametrize("value", ["false", "true"])
 def test_a_retired_field_is_ignored_at_its_default_and_named_at_another_value(
     tmp_path: Path,
-    drive_of_3_s: list[Written],
     monkeypatch: pytest.MonkeyPatch,
     version: str,
     value: str,
 ) -> None:
     monkeypatch.setattr(retired, "JOURNAL_FIELDS", {"Snapshot.state.moody": False})
-    changed = [
-        each._replace(data=each.data.replace('"mode":', f'"moody":{value},"mode":', 1))
-        if isinstance(each, JournalEntry) and each.kind is EntryKind.SNAPSHOT
-        else each
-        for each in drive_of_3_s
-    ]
-    report = checked(tmp_path, rechained(changed), version=version)
+    changed = with_snapshots(drive_of_3_s(), '"mode":', f'"moody":{value},"mode":')
+    report = checked(tmp_path, changed, version=version)
     if value == "false":
         assert (report.verdict, report.missing) == (Verdict.SAME, [])
     else:
@@ -162,18 +150,15 @@ def test_a_retired_field_is_ignored_at_its_default_and_named_at_another_value(
 
 @pytest.mark.parametrize(("digits", "same"), [("e-13", True), ("e-7", False)])
 def test_floats_that_a_c_library_rounded_may_differ_by_a_billionth(
-    tmp_path: Path, drive_of_3_s: list[Written], digits: str, same: bool
+    tmp_path: Path, digits: str, same: bool
 ) -> None:
-    changed: list[Written] = []
-    for each in drive_of_3_s:
-        if isinstance(each, JournalEntry) and each.kind is EntryKind.SNAPSHOT:
-            changed.append(each._replace(data=each.data.replace(MADE_BY, "another")))
-        elif isinstance(each, JournalEntry) and '"linear":0.0,' in each.data and each.seq < 20:
-            data = each.data.replace('"linear":0.0,', f'"linear":1{digits},')
-            changed.append(each._replace(data=data) if each.name == "PublishTwist" else each)
-        else:
-            changed.append(each)
-    report = checked(tmp_path, changed)
+    def rounded(entry: JournalEntry) -> JournalEntry:
+        is_early = entry.name == "PublishTwist" and entry.seq < 20
+        data = entry.data.replace('"linear":0.0,', f'"linear":1{digits},')
+        return entry._replace(data=data) if is_early else entry
+
+    elsewhere = with_snapshots(drive_of_3_s(), MADE_BY, "another")
+    report = checked(tmp_path, with_entries(elsewhere, rounded))
     assert (report.divergence is None) is same
     assert not report.bitwise
     assert report.notes[0].startswith("made with another, whose C library ")
@@ -210,8 +195,8 @@ ANOTHER = (
 
 
 @pytest.fixture
-def honest(tmp_path: Path, drive_of_3_s: list[Written]) -> Contents:
-    return recorded(tmp_path / "honest", drive_of_3_s)
+def honest(tmp_path: Path) -> Contents:
+    return recorded(tmp_path / "honest", drive_of_3_s())
 
 
 def checked_with(folder: Path, contents: Contents, type_hash: str) -> Report:
@@ -221,7 +206,7 @@ def checked_with(folder: Path, contents: Contents, type_hash: str) -> Report:
     other = contents.copy()
     others = [each for each in contents.types if each[0] is not channel]
     other.types = [(replace(channel, metadata=metadata), schema), *others]
-    return check_recording(write_contents(folder / "run", other))
+    return check_edited(folder, other)
 
 
 @pytest.mark.parametrize(("type_hash", "said"), [(OTHER_HASH, ANOTHER), ("", UNTOLD)])
@@ -255,17 +240,11 @@ def parameter_drive() -> list[Written]:
     return drive(3.5, requests=requests(), snapshots_s=(0.0, 1.5, 3.0))
 
 
-def edited(written: list[Written], edit: Callable[[JournalEntry], JournalEntry]) -> list[Written]:
-    return [edit(each) if isinstance(each, JournalEntry) else each for each in written]
-
-
 def test_a_drive_with_a_change_is_the_same(tmp_path: Path, parameter_drive: list[Written]) -> None:
     report = check_recording(record(tmp_path / "r", parameter_drive))
     assert (report.verdict, report.missing, report.violations) == (Verdict.SAME, [], [])
-    changes = [
-        e for e in parameter_drive if isinstance(e, JournalEntry) and e.name == "ParameterChanged"
-    ]
-    assert [json.loads(e.data) for e in changes] == [
+    changes = [each for each in entries_of(parameter_drive) if each.name == "ParameterChanged"]
+    assert [json.loads(each.data) for each in changes] == [
         {"key": KEY, "old": "0.6", "new": "0.3", "source": "operator"}
     ]
 
@@ -274,14 +253,9 @@ def test_a_drive_with_a_change_is_the_same(tmp_path: Path, parameter_drive: list
 def test_a_snapshot_with_another_parameter_is_found_in_every_version(
     tmp_path: Path, parameter_drive: list[Written], version: str
 ) -> None:
-    snapshots = [e for e in parameter_drive if isinstance(e, JournalEntry) and e.name == "Snapshot"]
-
-    def edit(entry: JournalEntry) -> JournalEntry:
-        if entry is not snapshots[1]:
-            return entry
-        return entry._replace(data=entry.data.replace('"linear_mps":0.6', '"linear_mps":0.9'))
-
-    report = check_recording(record(tmp_path / "r", edited(parameter_drive, edit), version=version))
+    old, new = '"linear_mps":0.6', '"linear_mps":0.9'  # the last one before the limit changes
+    changed, _ = altered(parameter_drive, "Snapshot", old, new)
+    report = checked(tmp_path, changed, version=version)
     assert report.divergence is not None
     assert report.verdict is not Verdict.SAME
 
@@ -297,23 +271,19 @@ def test_a_change_while_moving_breaks_a_promise(
             return entry._replace(name="ParameterChanged", data=text)
         return entry
 
-    report = check_recording(record(tmp_path / "r", edited(parameter_drive, edit)))
+    report = checked(tmp_path, with_entries(parameter_drive, edit))
     assert report.verdict in (Verdict.DIVERGED, Verdict.BROKEN)
 
 
-def test_a_broken_promise_of_another_version_stays_a_fault(
-    tmp_path: Path, drive_of_3_s: list[Written]
-) -> None:
-    changed, _ = altered(drive_of_3_s, "PublishTwist", '"linear":0.3', '"linear":99.3')
+def test_a_broken_promise_of_another_version_stays_a_fault(tmp_path: Path) -> None:
+    changed, _ = altered(drive_of_3_s(), "PublishTwist", '"linear":0.3', '"linear":99.3')
     assert checked(tmp_path, changed, version="0.0.9").verdict is Verdict.BROKEN
 
 
 @pytest.mark.parametrize("version", [__version__, "0.0.9"])
-def test_an_entry_that_is_nested_too_deeply_is_named(
-    tmp_path: Path, drive_of_3_s: list[Written], version: str
-) -> None:
+def test_an_entry_that_is_nested_too_deeply_is_named(tmp_path: Path, version: str) -> None:
     nested = '"x":' + "[" * 50_000 + "]" * 50_000 + ',"missed":'
-    changed, seq = altered(drive_of_3_s, "Tick", '"missed":', nested)
+    changed, seq = altered(drive_of_3_s(), "Tick", '"missed":', nested)
     report = checked(tmp_path, changed, version=version)
     assert report.verdict is Verdict.INCOMPLETE
     assert f"journal entry {seq} cannot be" in report.missing[0]

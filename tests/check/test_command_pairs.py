@@ -17,11 +17,12 @@ from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.state import Health
 from robotctl.kernel.types import ForeignCommandHeard, LoopStalled, ModeRequested, Tick, Twist
 from robotctl.messages.inputs import encode_twist
-from robotctl.recording.format.journal import EntryKind, JournalEntry
+from robotctl.recording.format.journal import JournalEntry
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested
 from tests.support.cases import for_each
-from tests.support.checked_drives import altered, checked, rechained
+from tests.support.checked_drives import altered, checked, from_snapshot, rechained
 from tests.support.edited_recordings import Contents, edit, recorded, write_contents
+from tests.tampering.edits import check_edited
 
 COMMANDS = "/cmd_vel"
 
@@ -77,7 +78,7 @@ def test_removed_commands_are_found_by_their_number(
 ) -> None:
     gone = range(60, 60 + count)
     edited = edit(contents, COMMANDS, lambda at, each: None if at in gone else each)
-    report = check_recording(write_contents(tmp_path / "run", edited))
+    report = check_edited(tmp_path, edited)
     assert report.verdict is Verdict.BROKEN
     assert report.violations[0].text.startswith(
         f"{count} decided commands are missing, the first is command 61 "
@@ -95,7 +96,7 @@ def test_another_publisher_explains_what_it_sent_and_nothing_else(tmp_path: Path
     ):
         edited = own.copy()
         edited.messages.insert(place, foreign)
-        report = check_recording(write_contents(tmp_path / folder, edited))
+        report = check_edited(tmp_path / folder, edited)
         assert report.verdict is verdict
         assert ("/teleop published as well" in " ".join(report.notes)) is (folder == "near")
 
@@ -136,27 +137,23 @@ def test_commands_of_the_file_before_may_be_recorded_after_the_snapshot(tmp_path
 
 
 def test_what_was_found_before_a_message_that_is_cut_short_stays_found(tmp_path: Path) -> None:
-    written = [
-        each._replace(data=re.sub(r'"journal_crc":[1-9]', '"journal_crc":', each.data))
-        if isinstance(each, JournalEntry)
-        else each
-        for each in drive(3.0, snapshots_s=(0.0, 1.0))
-    ]
+    written = drive(3.0, snapshots_s=(0.0, 1.0))
+    for at, each in enumerate(written):
+        if isinstance(each, JournalEntry):
+            data = re.sub(r'"journal_crc":[1-9]', '"journal_crc":', each.data)
+            written[at] = each._replace(data=data)
     whole = recorded(tmp_path / "made", written)
     cut = edit(whole, COMMANDS, lambda n, each: replace(each, data=b"") if n == 120 else each)
-    assert check_recording(write_contents(tmp_path / "run", cut)).verdict is Verdict.BROKEN
+    assert check_edited(tmp_path, cut).verdict is Verdict.BROKEN
 
 
 def counting_one_more(written: list[Written], snapshot: int) -> list[Written]:
     """Return the recording with one more command counted by a snapshot, and that zero before it."""
-    at = [n for n, each in enumerate(written) if isinstance(each, JournalEntry)]
-    at = [n for n in at if written[n].kind is EntryKind.SNAPSHOT]  # type: ignore[union-attr]
-    entry = written[at[snapshot]]
+    entry, *rest = from_snapshot(written, snapshot)
     assert isinstance(entry, JournalEntry)
     data = re.sub(r'"commands":(\d+)', lambda found: f'"commands":{int(found[1]) + 1}', entry.data)
-    return rechained(
-        [*written[: at[snapshot]], Twist(), entry._replace(data=data), *written[at[snapshot] + 1 :]]
-    )
+    before = written[: -1 - len(rest)]
+    return rechained([*before, Twist(), entry._replace(data=data), *rest])
 
 
 def test_the_last_zero_of_a_daemon_that_failed_is_explained_by_the_last_snapshot_alone(

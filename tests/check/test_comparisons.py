@@ -29,9 +29,10 @@ from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
 from robotctl.recording.read.messages import Message
 from robotctl.testing.drives import BEGIN_NS, START_NS, Written, drive_requested, record
 from tests.support.cases import for_each
+from tests.support.checked_drives import drive_of_3_s
 from tests.support.edited_recordings import Contents, Stored, contents_of, edit, write_contents
 from tests.support.heard_drives import SET_MODE, STATUS, heard_drive, received, sent
-from tests.tampering.edits import journal
+from tests.tampering.edits import check_edited, journal
 
 
 @pytest.fixture(scope="module")
@@ -49,17 +50,16 @@ def test_the_status_of_before_the_journal_may_show_another_mode(
         other = replace(message, data=with_mode(message, 3), publish_ns=publish_ns)
         return message if number else other
 
-    report = check_recording(write_contents(tmp_path / "run", edit(heard, STATUS, another)))
+    report = check_edited(tmp_path, edit(heard, STATUS, another))
     assert report.verdict is Verdict.SAME, report
 
 
 def test_a_status_that_is_missing_was_lost_where_losses_are_not_counted(
     tmp_path: Path, heard: Contents
 ) -> None:
-    for name, closed, verdict in (("closed", 1, Verdict.BROKEN), ("killed", 0, Verdict.SAME)):
-        edited = edit(heard, STATUS, lambda at, each: None if at == 1 else each)
-        edited.metadata = [each for each in edited.metadata if closed or each[0] != LEDGER_RECORD]
-        assert check_recording(write_contents(tmp_path / name, edited)).verdict is verdict
+    edited = edit(heard, STATUS, lambda at, each: None if at == 1 else each)
+    assert check_edited(tmp_path / "closed", edited).verdict is Verdict.BROKEN
+    assert check_edited(tmp_path / "killed", edited.unclosed()).verdict is Verdict.SAME
 
 
 @pytest.mark.parametrize("set_s", [-3600, -1, 1, 3600])
@@ -76,7 +76,7 @@ def test_a_wall_clock_that_is_set_is_held_against_no_status(
         )
         for each in heard.messages
     ]
-    report = check_recording(write_contents(tmp_path / "run", edited))
+    report = check_edited(tmp_path, edited)
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
 
 
@@ -86,7 +86,7 @@ def test_a_status_that_a_file_repeats_before_it_was_sent_is_no_difference(
     edited = heard.copy()
     first = next(each for each in heard.messages if each.topic == STATUS)
     edited.messages.insert(0, replace(first, log_ns=first.log_ns - 1))
-    report = check_recording(write_contents(tmp_path / "run", edited))
+    report = check_edited(tmp_path, edited)
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
 
 
@@ -116,7 +116,7 @@ def test_a_status_topic_with_another_name_is_compared(
         "/shown",
         lambda at, each: replace(each, data=with_mode(each, mode)) if at == 2 else each,
     )
-    report = check_recording(write_contents(tmp_path / "run", edited))
+    report = check_edited(tmp_path, edited)
     assert (report.verdict, report.missing) == (verdict, [])
 
 
@@ -128,9 +128,7 @@ def with_mode(message: Stored, mode: int) -> bytes:
 def test_a_status_topic_that_is_told_and_not_recorded_is_missed(
     tmp_path: Path, heard: Contents
 ) -> None:
-    edited = edit(heard, STATUS, lambda at, each: None)
-    edited.types = [each for each in heard.types if each[0].topic != STATUS]
-    report = check_recording(write_contents(tmp_path / "run", edited))
+    report = check_edited(tmp_path, heard.without(STATUS))
     assert report.verdict is Verdict.INCOMPLETE
     assert "its topic of robot statuses, /robot_status, is not recorded" in report.missing
 
@@ -152,12 +150,8 @@ def with_battery_moved(heard: Contents, by: int) -> Contents:
     return journal(change, careful=True)(heard, Random(1))
 
 
-def check(tmp_path: Path, contents: Contents) -> Report:
-    return check_recording(write_contents(tmp_path / "run", contents))
-
-
 def test_a_measurement_that_was_moved_is_found(tmp_path: Path, measured: Contents) -> None:
-    report = check(tmp_path, with_battery_moved(measured, 3))
+    report = check_edited(tmp_path, with_battery_moved(measured, 3))
     assert report.verdict is Verdict.BROKEN
     assert report.violations[0].text.startswith("1 measurements are earlier than one before them")
 
@@ -217,29 +211,27 @@ def set_by(folder: Path, written: list[Written], steps_s: Sequence[float]) -> Re
 
 
 @pytest.mark.parametrize(("step_s", "told"), [(-3600.0, "-3600.00"), (0.7, "+0.70")])
-def test_a_clock_that_was_set_once_is_a_note(
-    tmp_path: Path, drive_of_3_s: list[Written], step_s: float, told: str
-) -> None:
-    report = set_by(tmp_path, drive_of_3_s, [step_s])
+def test_a_clock_that_was_set_once_is_a_note(tmp_path: Path, step_s: float, told: str) -> None:
+    report = set_by(tmp_path, drive_of_3_s(), [step_s])
     (note,) = report.notes
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
     assert note.startswith(f"the clock was set once, first by {told} s")
 
 
 def test_a_file_that_was_sorted_by_time_after_the_clock_was_set_back_is_not_broken(
-    tmp_path: Path, drive_of_3_s: list[Written]
+    tmp_path: Path,
 ) -> None:
     def clock(time_ns: int) -> int:
         return time_ns - NS_PER_S * (time_ns > START_NS + BEGIN_NS + 1_200 * MS)
 
-    (file,) = record(tmp_path / "made", drive_of_3_s, clock=clock).glob("*.mcap")
+    (file,) = record(tmp_path / "made", drive_of_3_s(), clock=clock).glob("*.mcap")
     contents = contents_of(file)
     contents.messages.sort(key=lambda each: each.log_ns)
-    assert check_recording(write_contents(tmp_path / "run", contents)).violations == []
+    assert check_edited(tmp_path, contents).violations == []
 
 
-def test_each_setting_of_the_clock_is_counted(tmp_path: Path, drive_of_3_s: list[Written]) -> None:
-    report = set_by(tmp_path, drive_of_3_s, (0.5, 0.6, -0.7))
+def test_each_setting_of_the_clock_is_counted(tmp_path: Path) -> None:
+    report = set_by(tmp_path, drive_of_3_s(), (0.5, 0.6, -0.7))
     (note,) = report.notes
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
     assert note.startswith("the clock was set 3 times")
@@ -272,11 +264,10 @@ def test_a_call_at_the_end_may_have_its_request_after_it_unless_the_recording_wa
     tmp_path: Path, before_end_s: float, closed: bool, verdict: Verdict
 ) -> None:
     contents = heard_drive(tmp_path / "heard", 2.0, requests=[drive_requested(BEGIN_NS)])
-    if not closed:
-        contents.metadata = [each for each in contents.metadata if each[0] != LEDGER_RECORD]
+    contents = contents if closed else contents.unclosed()
     at_ns = contents.messages[-1].log_ns - round(before_end_s * 1e9)
     contents.messages.append(Stored(SET_MODE, received(1, 2), at_ns, at_ns, 1))
-    report = check_recording(write_contents(tmp_path / "run", contents))
+    report = check_edited(tmp_path, contents)
     assert (report.verdict, report.missing) == (verdict, [])
 
 

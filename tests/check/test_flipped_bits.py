@@ -17,6 +17,7 @@ from robotctl.check.run import check_recording
 from robotctl.recording import Compression, RecorderOptions
 from robotctl.recording.format.journal import JournalEntry, decode, encode
 from robotctl.testing.drives import Written, drive, record
+from tests.support.checked_drives import entries_of
 
 EVERY = 23
 """Only each 23rd bit is flipped, to be quick; that reaches every position within a byte."""
@@ -66,7 +67,7 @@ def test_every_bit_that_flips_on_the_disk_is_found_and_its_place_is_named(
 def test_behind_a_repaired_checksum_only_numbers_that_change_nothing_escape(
     short_drive: list[Written], name: str
 ) -> None:
-    entries = [each for each in short_drive if isinstance(each, JournalEntry)]
+    entries = entries_of(short_drive)
     _, event = last(short_drive, name)
     position = entries.index(event)
     found = 0

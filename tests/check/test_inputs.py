@@ -10,10 +10,11 @@ from collections.abc import Callable, Container
 from dataclasses import replace
 from math import inf, nan
 from pathlib import Path
+from random import Random
 
 import pytest
 
-from robotctl.check.report import Report, Verdict
+from robotctl.check.report import Verdict
 from robotctl.check.run import check_recording
 from robotctl.config import Config
 from robotctl.kernel.modes import Mode
@@ -38,22 +39,18 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.messages.inputs import encode_twist
-from robotctl.recording.format.journal import EntryKind, decode
-from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
+from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
+from robotctl.recording.format.names import INFO_RECORD
 from robotctl.testing.drives import BEGIN_NS, drive_requested
 from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, TOPICS, WANTED, safety_message
 from tests.support.edited_recordings import Contents, Stored, edit, write_contents
 from tests.support.heard_drives import JOURNAL, heard_drive
-from tests.tampering.edits import journal
+from tests.tampering.edits import check_edited, entries_dropped
 
 
 @pytest.fixture(scope="module")
 def heard(tmp_path_factory: pytest.TempPathFactory) -> Contents:
     return heard_drive(tmp_path_factory.mktemp("heard") / "run", 6.0, snapshots_s=(0.0, 3.0))
-
-
-def check(tmp_path: Path, contents: Contents) -> Report:
-    return check_recording(write_contents(tmp_path / "run", contents))
 
 
 CLEAR = (inf,) * 63
@@ -101,7 +98,7 @@ def drives(heard: Contents, scanned: Contents, guarded: Contents) -> dict[str, C
 def test_what_was_heard_and_recorded_is_the_same(
     tmp_path: Path, drives: dict[str, Contents], topic: str, count: int
 ) -> None:
-    report = check(tmp_path, drives[topic])
+    report = check_edited(tmp_path, drives[topic])
     assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
     assert drives[topic].counts[topic] == count
 
@@ -122,7 +119,7 @@ def nearer(data: bytes) -> bytes:
 def test_losses_that_were_counted_are_a_note(tmp_path: Path, heard: Contents) -> None:
     edited = edit(heard, ODOMETRY, lambda at, each: None if at in range(50, 60) else each)
     edited.lose(ODOMETRY, 10)
-    report = check(tmp_path, edited)
+    report = check_edited(tmp_path, edited)
     assert report.verdict is Verdict.SAME
     assert "10 were counted as lost" in report.notes[0]
 
@@ -135,10 +132,9 @@ def test_the_first_messages_may_lack_where_no_losses_are_known(
     tmp_path: Path, heard: Contents, count: int, closed: bool, verdict: Verdict
 ) -> None:
     """The recorder finds a publisher later than the control loop; 120 messages take 2.4 s."""
-    edited = edit(heard, ODOMETRY, lambda at, each: each if at >= count else None)
-    if not closed:
-        edited.metadata = [each for each in edited.metadata if each[0] != LEDGER_RECORD]
-    report = check(tmp_path, edited)
+    source = heard if closed else heard.unclosed()
+    edited = edit(source, ODOMETRY, lambda at, each: each if at >= count else None)
+    report = check_edited(tmp_path, edited)
     assert report.verdict is verdict, report
 
 
@@ -148,13 +144,12 @@ def test_a_stall_before_the_end_holds_up_the_last_messages(
 ) -> None:
     stall = LoopStalled(BEGIN_NS + 2_900_000_000, stalled_s, 0, 0, "the machine was busy")
     requests: list[Event] = [drive_requested(), stall]
-    contents = heard_drive(tmp_path / "made", 3.0, requests=requests)
+    contents = heard_drive(tmp_path / "made", 3.0, requests=requests).unclosed()
     end_ns = contents.messages[-1].log_ns
     edited = edit(
         contents, ODOMETRY, lambda at, each: None if end_ns - each.log_ns < 7 * 10**8 else each
     )
-    edited.metadata = [each for each in edited.metadata if each[0] != LEDGER_RECORD]
-    assert check(tmp_path, edited).verdict.value == verdict
+    assert check_edited(tmp_path, edited).verdict.value == verdict
 
 
 @pytest.mark.parametrize(("count", "verdict"), [(5, Verdict.SAME), (40, Verdict.BROKEN)])
@@ -185,7 +180,7 @@ def test_a_flood_of_messages_that_were_not_heard_is_no_violation(
     edited.messages[at + 1 : at + 1] = [
         replace(last, sequence=last.sequence + 100_000 + number) for number in range(20_000)
     ]
-    report = check(tmp_path, edited)
+    report = check_edited(tmp_path, edited)
     assert (report.verdict, report.violations) == (Verdict.INCOMPLETE, [])
 
 
@@ -235,28 +230,20 @@ def changed(
     return edit(contents, TOPICS[kind], lambda at, each: change(each))
 
 
-def is_event_of(entry_name: str, data: str, kind: SafetyInput) -> bool:
-    return entry_name == "SafetyInputReceived" and json.loads(data)["kind"] == kind.value
-
-
 def without_events(contents: Contents, kind: SafetyInput, numbers: Container[int]) -> Contents:
     """Return the contents without the events of these messages, as best effort may lose them."""
-    gone = {
-        at
-        for at, each in enumerate(e for e in contents.messages if e.topic == JOURNAL)
-        if is_event_of((entry := decode(each.data)).name, entry.data, kind)
-        and json.loads(entry.data)["sequence"] in numbers
-    }
-    return journal(
-        lambda entries, _: [None if at in gone else each for at, each in enumerate(entries)],
-        careful=True,
-    )(contents, None)  # type: ignore[arg-type]
+
+    def is_lost(entry: JournalEntry) -> bool:
+        values = json.loads(entry.data) if entry.name == "SafetyInputReceived" else {"kind": None}
+        return values["kind"] == kind.value and values["sequence"] in numbers
+
+    return entries_dropped(is_lost)(contents, Random(1))
 
 
 def test_the_recorded_messages_say_what_the_journal_holds(
     tmp_path: Path, pressed: Contents
 ) -> None:
-    report = check(tmp_path, pressed)
+    report = check_edited(tmp_path, pressed)
     assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
     assert [pressed.counts[topic] for topic in TOPICS.values()] == [50] * 5
 
@@ -268,7 +255,7 @@ def test_a_change_that_the_journal_never_saw_is_named(
     other = safety_message(kind, STOPS[kind], detail_of(kind))
     edited = without_events(pressed, kind, range(5, 15))
     edited = changed(edited, kind, lambda m: replace(m, data=other) if 5 <= m.sequence < 15 else m)
-    report = check(tmp_path, edited)
+    report = check_edited(tmp_path, edited)
     assert report.verdict is Verdict.INCOMPLETE
     assert "the journal does not hold messages 5 to 11 of the " in str(report.missing)
 
@@ -283,7 +270,7 @@ def test_equal_messages_need_not_be_events(
     for number in rest:
         if number % 2:
             edited = without_events(edited, kind, range(number, number + 1))
-    report = check(tmp_path, edited)
+    report = check_edited(tmp_path, edited)
     assert (report.verdict, report.notes) == (Verdict.SAME, [])
 
 
@@ -295,7 +282,7 @@ def test_an_unreadable_message_is_an_input_too(tmp_path: Path) -> None:
         SafetyInputReceived(BEGIN_NS + n * 100_000_000, SafetyInput.ESTOP, nan) for n in (1, 2, 3)
     ]
     contents = heard_drive(tmp_path / "made", 2.0, requests=requests, config=config)
-    assert check(tmp_path, contents).verdict is Verdict.SAME
+    assert check_edited(tmp_path, contents).verdict is Verdict.SAME
 
 
 @pytest.mark.parametrize("text", ["fast", "nan", "1e400", ""])
@@ -307,7 +294,7 @@ def test_a_parameter_that_is_no_number_fails_no_check(
         if name == INFO_RECORD:
             values["parameter.inputs.joy.button"] = text
             values["parameter.inputs.estop.timeout_s"] = text
-    assert check(tmp_path, edited).verdict is not Verdict.BROKEN
+    assert check_edited(tmp_path, edited).verdict is not Verdict.BROKEN
 
 
 def test_messages_that_are_recorded_late_were_heard(tmp_path: Path, pressed: Contents) -> None:
@@ -321,7 +308,7 @@ def test_messages_that_are_recorded_late_were_heard(tmp_path: Path, pressed: Con
     end_ns = pressed.messages[-1].log_ns
     edited.messages = [m for m in edited.messages if m.topic != topic or m.log_ns <= end_ns]
     edited.lose(topic, 20)
-    assert check(tmp_path, edited).verdict is Verdict.SAME
+    assert check_edited(tmp_path, edited).verdict is Verdict.SAME
 
 
 def test_a_gap_in_which_nothing_could_be_heard_does_not_count(
@@ -334,7 +321,7 @@ def test_a_gap_in_which_nothing_could_be_heard_does_not_count(
     edited.messages.sort(key=lambda each: each.log_ns)
     edited = without_events(edited, SafetyInput.ESTOP, set(range(21, 28)))
     edited.lose(topic, 7)
-    assert check(tmp_path, edited).verdict is Verdict.SAME
+    assert check_edited(tmp_path, edited).verdict is Verdict.SAME
 
 
 def one_bit_flipped(data: bytes) -> bytes:
@@ -347,7 +334,7 @@ def test_messages_that_were_removed_are_missed(
     tmp_path: Path, drives: dict[str, Contents], topic: str
 ) -> None:
     edited = edit(drives[topic], topic, lambda at, each: each if at not in (2, 3) else None)
-    report = check(tmp_path, edited)
+    report = check_edited(tmp_path, edited)
     assert report.verdict is Verdict.BROKEN
     assert report.violations[0].text.startswith("2 messages of ")
     assert ", message 3" in report.violations[0].text
@@ -372,7 +359,7 @@ def test_a_message_that_was_changed_is_found(
     edited = edit(
         drives[topic], topic, lambda n, m: replace(m, data=change(m.data)) if n == 4 else m
     )
-    report = check(tmp_path, edited)
+    report = check_edited(tmp_path, edited)
     assert report.verdict is Verdict.BROKEN
     assert report.violations[0].text.startswith(
         f"1 messages are not what the control loop received as {name}"
@@ -385,7 +372,7 @@ def test_a_press_that_was_changed_is_found(
 ) -> None:
     released = safety_message(kind, 0.0, detail_of(kind))
     edited = changed(pressed, kind, lambda m: replace(m, data=released) if m.sequence > 30 else m)
-    report = check(tmp_path, edited)
+    report = check_edited(tmp_path, edited)
     assert report.verdict is Verdict.BROKEN
 
 
@@ -394,4 +381,4 @@ def test_a_message_that_is_repeated_is_missed(tmp_path: Path, heard: Contents) -
     at = next(i for i, each in enumerate(edited.messages) if each.topic == ODOMETRY) + 200
     repeated = next(each for each in edited.messages[at:] if each.topic == ODOMETRY)
     edited.messages.insert(at + 60, repeated)
-    assert check(tmp_path, edited).verdict is Verdict.INCOMPLETE
+    assert check_edited(tmp_path, edited).verdict is Verdict.INCOMPLETE

@@ -19,7 +19,7 @@ from mcap.records import Channel, Schema
 from mcap.writer import Writer
 
 from robotctl.check.ends import NOT_COMPARED, SINGLE_FILE
-from robotctl.check.report import Report, Verdict
+from robotctl.check.report import Verdict
 from robotctl.check.run import UNNUMBERED, check_recording
 from robotctl.check.topics import MAX_TEXT
 from robotctl.kernel.constants import NS_PER_S
@@ -36,8 +36,10 @@ from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS, heard_drive, s
 from tests.tampering.edits import (
     MOTION,
     Kind,
+    all_changed,
     appended,
     changed,
+    check_edited,
     dropped,
     metadata,
     moves,
@@ -45,7 +47,7 @@ from tests.tampering.edits import (
     repeated_at_the_end,
     still,
 )
-from tests.tampering.kinds import FOUND, OBSERVED, UNNAMED
+from tests.tampering.kinds import FOUND
 
 
 def halves(contents: Contents, *, queued: int = 0) -> tuple[Contents, Contents]:
@@ -86,17 +88,20 @@ def closed(tmp_path_factory: pytest.TempPathFactory) -> Contents:
 
 @pytest.fixture(scope="module")
 def killed(closed: Contents) -> Contents:
-    contents = closed.copy()
-    contents.metadata = [each for each in closed.metadata if each[0] != LEDGER_RECORD]
+    contents = closed.unclosed()
     contents.messages = closed.messages[:-20]
     return contents
 
 
-def checked(tmp_path: Path, contents: Contents, *kinds: Kind) -> Report:
-    for kind in kinds:
-        contents = kind(contents, Random(1))
-    return check_recording(write_contents(tmp_path / "run", contents))
-
+OBSERVED = (
+    metadata("robotctl", "mode", "observing"),
+    all_changed(JOURNAL, lambda each: replace(each, publish_ns=each.publish_ns - 1000)),
+    *(
+        metadata("robotctl", key, None)
+        for key in ("topic.robot_status", "service.set_mode", "service.estop")
+    ),
+)
+"""An observer receives the journal, and notes no names of topics and services."""
 
 STALL = appended(COMMANDS, (8, 8), still, every_s=0.05, after_s=0.12)
 """The zeros of a stall."""
@@ -105,7 +110,7 @@ STALL = appended(COMMANDS, (8, 8), still, every_s=0.05, after_s=0.12)
 def test_a_kill_right_after_a_stall_leaves_zeros_that_a_note_explains(
     tmp_path: Path, killed: Contents
 ) -> None:
-    report = checked(tmp_path, killed, STALL)
+    report = check_edited(tmp_path, killed, STALL)
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
     assert any("the last 8 zeros have no decision" in note for note in report.notes)
 
@@ -114,8 +119,8 @@ def test_the_last_zeros_of_a_daemon_that_fails_are_no_more_than_two(
     tmp_path: Path, killed: Contents
 ) -> None:
     two, three = (appended(COMMANDS, (count, count), still) for count in (2, 3))
-    assert checked(tmp_path / "two", killed, two).verdict is Verdict.SAME
-    assert checked(tmp_path / "three", killed, three).verdict is Verdict.BROKEN
+    assert check_edited(tmp_path / "two", killed, two).verdict is Verdict.SAME
+    assert check_edited(tmp_path / "three", killed, three).verdict is Verdict.BROKEN
 
 
 @pytest.mark.parametrize(("count", "verdict"), [(2, Verdict.SAME), (30, Verdict.INCOMPLETE)])
@@ -134,7 +139,7 @@ def test_messages_that_were_lost_before_the_end_are_few(
         ]
         return edited
 
-    report = checked(tmp_path, closed, early)
+    report = check_edited(tmp_path, closed, early)
     assert report.verdict is verdict
     lost = any(f"{count} messages of the battery did not reach" in note for note in report.notes)
     assert lost is (verdict is Verdict.SAME)
@@ -144,8 +149,6 @@ def test_what_others_send_after_the_observed_daemon_died_is_held_against_nobody(
     tmp_path: Path, closed: Contents
 ) -> None:
     """An observer receives the journal, and outlives it."""
-    observed = UNNAMED(OBSERVED(closed, Random(1)), Random(1))
-    observed.metadata = [each for each in observed.metadata if each[0] != LEDGER_RECORD]
     later = [
         appended(topic, (100, 100), first=10, every_s=0.1, after_s=1.0)
         for topic in (ODOMETRY, BATTERY)
@@ -153,11 +156,11 @@ def test_what_others_send_after_the_observed_daemon_died_is_held_against_nobody(
     teleop = appended(
         COMMANDS, (100, 100), lambda each: replace(each, data=MOTION), first=-40, after_s=9.0
     )
-    report = checked(tmp_path / "observed", observed, *later, teleop)
+    report = check_edited(tmp_path / "observed", closed.unclosed(), *OBSERVED, *later, teleop)
     assert (report.verdict, report.missing) == (Verdict.SAME, []), report
     assert any("100 commands are later than the journal" in note for note in report.notes)
     assert NOT_COMPARED in report.notes
-    assert checked(tmp_path / "own", closed, *later, teleop).verdict is Verdict.BROKEN
+    assert check_edited(tmp_path / "own", closed, *later, teleop).verdict is Verdict.BROKEN
 
 
 def test_files_that_were_put_together_repeat_the_last_status(
@@ -165,8 +168,8 @@ def test_files_that_were_put_together_repeat_the_last_status(
 ) -> None:
     """Two snapshots: the second file began with the last status of the first."""
     again = repeated_at_the_end(STATUS, (1, 1), lambda each: each)
-    assert checked(tmp_path / "once", closed, again).verdict is Verdict.SAME
-    often = checked(tmp_path / "often", closed, again, again, again)
+    assert check_edited(tmp_path / "once", closed, again).verdict is Verdict.SAME
+    often = check_edited(tmp_path / "often", closed, again, again, again)
     assert often.missing == ["1 robot statuses are repeated where no file begins"]
 
 
@@ -272,8 +275,8 @@ def filtered(tmp_path_factory: pytest.TempPathFactory) -> Contents:
 def test_only_what_the_patterns_leave_out_may_lack(
     tmp_path: Path, filtered: Contents, key: str, patterns: str, topic: str, verdict: Verdict
 ) -> None:
-    named = metadata("robotctl", f"parameter.recording.{key}", patterns)(filtered, Random(1))
-    report = check_recording(write_contents(tmp_path / "run", removed(topic)(named, Random(1))))
+    configured = metadata("robotctl", f"parameter.recording.{key}", patterns)
+    report = check_edited(tmp_path, filtered, configured, removed(topic))
     assert report.verdict is verdict
     assert any("as configured" in note for note in report.notes) is (verdict is Verdict.SAME)
 
@@ -303,16 +306,12 @@ def by_rosbag2(contents: Contents, *, keeps_metadata: bool = False) -> Contents:
     return bag
 
 
-def checked_contents(folder: Path, contents: Contents) -> Report:
-    return check_recording(write_contents(folder / "run", contents))
-
-
 @pytest.mark.parametrize("keeps_metadata", [False, True])
 def test_a_bag_of_rosbag2_is_incomplete_because_it_has_no_numbers(
     tmp_path: Path, honest: Contents, keeps_metadata: bool
 ) -> None:
     bag = by_rosbag2(honest, keeps_metadata=keeps_metadata)
-    report = checked_contents(tmp_path, bag)
+    report = check_edited(tmp_path, bag)
     assert (report.verdict, report.missing) == (Verdict.INCOMPLETE, [UNNUMBERED])
     assert report.effects > 100
     assert not any("status" in note and "missing" in note for note in report.notes)
@@ -329,7 +328,7 @@ def test_a_decision_that_was_changed_in_such_a_bag_is_found(
         if b'"linear":0.2' in each.data
     )
     bag.messages[at] = replace(entry, data=entry.data.replace(b'"linear":0.2', b'"linear":0.1'))
-    assert checked_contents(tmp_path, bag).verdict is Verdict.DIVERGED
+    assert check_edited(tmp_path, bag).verdict is Verdict.DIVERGED
 
 
 def foreign(name: bytes, first: int) -> Kind:
@@ -356,7 +355,7 @@ def foreign(name: bytes, first: int) -> Kind:
 def test_statuses_of_another_node_are_a_note(
     tmp_path: Path, honest: Contents, name: bytes, first: int
 ) -> None:
-    report = checked_contents(tmp_path, foreign(name, first)(honest, Random(1)))
+    report = check_edited(tmp_path, honest, foreign(name, first))
     assert (report.verdict, report.missing) == (Verdict.SAME, []), report
     assert any("another node published robot statuses as well" in each for each in report.notes)
 
@@ -413,8 +412,8 @@ def test_a_message_that_may_have_been_lost_excuses_no_change_of_another_topic(
     tmp_path: Path, killed: Contents
 ) -> None:
     lost, moved = dropped(COMMANDS, 1, moves), FOUND["odometry: one moved"]
-    assert checked(tmp_path / "lost", killed, lost).verdict is Verdict.INCOMPLETE
-    assert checked(tmp_path / "both", killed, lost, moved).verdict is Verdict.BROKEN
+    assert check_edited(tmp_path / "lost", killed, lost).verdict is Verdict.INCOMPLETE
+    assert check_edited(tmp_path / "both", killed, lost, moved).verdict is Verdict.BROKEN
 
 
 @pytest.mark.parametrize("queued", [0, 1])

@@ -33,12 +33,12 @@ from robotctl.kernel.types import (
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.testing.drives import drive
 from tests.support.cases import for_each
+from tests.support.checked_drives import entries_of
 
 
 def a_journal() -> list[JournalEntry]:
     """Return the journal of a drive up to the command of a tick."""
-    written = drive(2.0, snapshots_s=(0.0, 1.0))
-    journal = [each for each in written if isinstance(each, JournalEntry)]
+    journal = entries_of(drive(2.0, snapshots_s=(0.0, 1.0)))
     while journal[-1].name != "PublishTwist":
         journal.pop()
     return journal

@@ -30,10 +30,9 @@ from robotctl.kernel.types import (
     LifecycleState,
     ModeRequested,
 )
-from robotctl.recording.format.journal import JournalEntry
 from robotctl.show.traces import figures_of, read_recorded
 from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record
-from tests.support.checked_drives import make_history
+from tests.support.checked_drives import from_snapshot, make_history
 
 
 @pytest.fixture(scope="module")
@@ -87,12 +86,7 @@ def test_a_key_that_changes_nothing_is_refused() -> None:
 def test_a_simulation_goes_on_where_a_file_begins(tmp_path: Path) -> None:
     stop = ModeRequested(BEGIN_NS + 6_000_000_000, 2, 0, "operator")
     written = drive(8.0, requests=[drive_requested(), stop], snapshots_s=(4.0,))
-    at = next(
-        position
-        for position, each in enumerate(written)
-        if isinstance(each, JournalEntry) and each.name == "Snapshot"
-    )
-    found = resimulate(record(tmp_path / "run", written[at:]), {})
+    found = resimulate(record(tmp_path / "run", from_snapshot(written, 0)), {})
     (one,) = found["drives"]
     assert one["recorded"]["reason"] == one["simulated"]["reason"] == "requested by operator"
     assert one["simulated"]["distance_m"] == pytest.approx(one["recorded"]["distance_m"], rel=0.05)
@@ -107,12 +101,7 @@ def test_a_simulated_robot_is_alone_even_if_other_nodes_were_recorded(tmp_path: 
         CommandListenersSeen(at + 1, 1, ()),
     ]
     written = drive(4.0, requests=[*others, drive_requested(1.0)], snapshots_s=(0.25,))
-    begins = next(
-        position
-        for position, each in enumerate(written)
-        if isinstance(each, JournalEntry) and each.name == "Snapshot"
-    )
-    (one,) = resimulate(record(tmp_path / "run", written[begins:]), {})["drives"]
+    (one,) = resimulate(record(tmp_path / "run", from_snapshot(written, 0)), {})["drives"]
     assert one["simulated"]["reason"] == "under way at the end"
 
 

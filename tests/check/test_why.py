@@ -32,9 +32,9 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
-from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.write.bag_writer import RecordingFile
 from robotctl.testing.drives import BEGIN_NS, START_NS, drive, drive_requested, record
+from tests.support.checked_drives import from_snapshot
 
 
 def at(seconds: float) -> int:
@@ -137,8 +137,7 @@ RAMP = drive(
 
 
 def test_a_ramp_that_began_in_an_earlier_file_is_told_as_such(tmp_path: Path) -> None:
-    snapshots = [at for at, each in enumerate(RAMP) if getattr(each, "name", "") == "Snapshot"]
-    told = explain(incident(record(tmp_path / "run", RAMP[snapshots[1] :])))
+    told = explain(incident(record(tmp_path / "run", from_snapshot(RAMP, 1))))
     assert told.came_in == "requested by operator: the ramp began before this recording"
 
 
@@ -206,12 +205,7 @@ def test_what_is_nearest_to_a_time_is_told_with_what_came_of_it(tmp_path: Path) 
 
 def test_a_stop_after_a_later_snapshot_is_explained_from_there(tmp_path: Path) -> None:
     written = drive(3.0, requests=[drive_requested(), ESTOP], snapshots_s=(0.0, 1.0))
-    begin = next(
-        position
-        for position, each in enumerate(written)
-        if isinstance(each, JournalEntry) and each.name == "Snapshot" and each.seq
-    )
-    found = incident(record(tmp_path / "run", written[begin:]))
+    found = incident(record(tmp_path / "run", from_snapshot(written, 1)))
     assert found.before is not None
     assert found.before.drive is not None
     assert explain(found).asked == "a square: operator"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Callable, Mapping
+from functools import cache, partial
 from pathlib import Path
 
 from robotctl import __version__
@@ -39,6 +39,44 @@ from robotctl.kernel.types import (
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, encode
 from robotctl.recording.keep.listing import recordings_in
 from robotctl.testing.drives import BEGIN_NS, Written, drive, record
+
+
+@cache
+def drive_of_3_s() -> list[Written]:
+    """Return the drive that most tests of checks change; it is not to be changed in place."""
+    return drive(3.0, snapshots_s=(0.0, 1.5))
+
+
+def entries_of(written: list[Written]) -> list[JournalEntry]:
+    """Return the journal."""
+    return [each for each in written if isinstance(each, JournalEntry)]
+
+
+def from_snapshot(written: list[Written], number: int) -> list[Written]:
+    """Return what is written from a snapshot on, which has this number, as a later file has it."""
+    snapshots = [
+        at
+        for at, each in enumerate(written)
+        if isinstance(each, JournalEntry) and each.kind is EntryKind.SNAPSHOT
+    ]
+    return written[snapshots[number] :]
+
+
+def with_entries(
+    written: list[Written], change: Callable[[JournalEntry], JournalEntry]
+) -> list[Written]:
+    """Return what is written with each journal entry changed, and the CRCs computed anew."""
+    return rechained([change(each) if isinstance(each, JournalEntry) else each for each in written])
+
+
+def with_snapshots(written: list[Written], old: str, new: str) -> list[Written]:
+    """Return what is written with another text in each snapshot."""
+
+    def change(entry: JournalEntry) -> JournalEntry:
+        is_snapshot = entry.kind is EntryKind.SNAPSHOT
+        return entry._replace(data=entry.data.replace(old, new, 1)) if is_snapshot else entry
+
+    return with_entries(written, change)
 
 
 def checked(folder: Path, written: list[Written], version: str = __version__) -> Report:

@@ -55,6 +55,18 @@ class Contents:
                 counts = json.loads(values[topic])
                 values[topic] = json.dumps({**counts, "lost": counts["lost"] + count})
 
+    def unclosed(self) -> Contents:
+        """Return a copy without a ledger, as a recording that was not closed has none."""
+        edited = self.copy()
+        edited.metadata = [each for each in edited.metadata if each[0] != LEDGER_RECORD]
+        return edited
+
+    def without(self, topic: str) -> Contents:
+        """Return a copy without a topic, its messages and its channel."""
+        edited = edit(self, topic, lambda at, each: None)
+        edited.types = [each for each in edited.types if each[0].topic != topic]
+        return edited
+
     def copy(self) -> Contents:
         """Return a copy; messages are immutable."""
         metadata = [(name, dict(values)) for name, values in self.metadata]

@@ -16,7 +16,6 @@ from robotctl.kernel.types import (
     ResetRequested,
     SafetyInputReceived,
 )
-from robotctl.recording.format.names import LEDGER_RECORD
 from robotctl.testing.drives import BEGIN_NS, drive_requested
 from tests.support.edited_recordings import Contents
 from tests.support.heard_drives import heard_drive
@@ -69,8 +68,7 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Contents]:
         )
         for name, requests in REQUESTS.items()
     }
-    killed = made["stopped"].copy()
-    killed.metadata = [each for each in killed.metadata if each[0] != LEDGER_RECORD]
+    killed = made["stopped"].unclosed()
     last = max(i for i, each in enumerate(killed.messages) if b"Snapshot" in each.data[:60])
     del killed.messages[last]
     return {**made, "killed": killed}

@@ -7,21 +7,45 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from random import Random
+from typing import Concatenate, ParamSpec
 
 from mcap.records import Channel, Schema
 
+from robotctl.check.report import Report
+from robotctl.check.run import check_recording
 from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
 from robotctl.messages.definition import parse_definition, rihs01_hash
 from robotctl.messages.inputs import decode_twist, encode_twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, decode, encode
 from robotctl.recording.format.names import LEDGER_RECORD
-from tests.support.edited_recordings import Contents, Stored, edit
+from tests.support.edited_recordings import Contents, Stored, edit, write_contents
 from tests.support.heard_drives import JOURNAL, received
 
 Kind = Callable[[Contents, Random], Contents]
 """An edit; the generator chooses its place."""
+
+Entries = Sequence[JournalEntry | None]
+"""A journal; an entry in the place of None is dropped."""
+
+EntriesEdit = Callable[[list[JournalEntry], Random], Entries]
+P = ParamSpec("P")
+
+
+def kind(make: Callable[Concatenate[Contents, Random, P], Contents]) -> Callable[P, Kind]:
+    """Make of an edit with arguments the function that binds these."""
+    return lambda *args, **options: (
+        lambda contents, random: make(contents, random, *args, **options)
+    )
+
+
+def check_edited(folder: Path, contents: Contents, *edits: Kind) -> Report:
+    """Check a recording after edits, one after the other."""
+    for each in edits:
+        contents = each(contents, Random(1))
+    return check_recording(write_contents(folder / "run", contents))
 
 
 def positions(contents: Contents, topic: str, wanted: Callable[[Stored], bool]) -> list[int]:
@@ -41,145 +65,129 @@ def moves(message: Stored) -> bool:
     return bool(twist.linear or twist.angular)
 
 
-def dropped(topic: str, count: int = 1, wanted: Callable[[Stored], bool] = anywhere) -> Kind:
+@kind
+def dropped(
+    contents: Contents,
+    random: Random,
+    topic: str,
+    count: int = 1,
+    wanted: Callable[[Stored], bool] = anywhere,
+) -> Contents:
     """Drop messages in a row."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        first = random.choice(positions(contents, topic, wanted)[: -count or None])
-        gone = range(first, first + count)
-        return edit(contents, topic, lambda at, each: None if at in gone else each)
-
-    return make
+    first = random.choice(positions(contents, topic, wanted)[: -count or None])
+    gone = range(first, first + count)
+    return edit(contents, topic, lambda at, each: None if at in gone else each)
 
 
-def dropped_and_renumbered(topic: str, wanted: Callable[[Stored], bool] = anywhere) -> Kind:
+@kind
+def dropped_and_renumbered(
+    contents: Contents, random: Random, topic: str, wanted: Callable[[Stored], bool] = anywhere
+) -> Contents:
     """Drop a message, and close the gap in the numbers."""
+    first = random.choice(positions(contents, topic, wanted))
 
-    def make(contents: Contents, random: Random) -> Contents:
-        first = random.choice(positions(contents, topic, wanted))
+    def change(at: int, each: Stored) -> Stored | None:
+        if at == first:
+            return None
+        return replace(each, sequence=each.sequence - 1) if at > first else each
 
-        def change(at: int, each: Stored) -> Stored | None:
-            if at == first:
-                return None
-            return replace(each, sequence=each.sequence - 1) if at > first else each
-
-        return edit(contents, topic, change)
-
-    return make
+    return edit(contents, topic, change)
 
 
+@kind
 def changed(
-    topic: str, change: Callable[[Stored, Random], Stored], wanted: Callable[[Stored], bool]
-) -> Kind:
+    contents: Contents,
+    random: Random,
+    topic: str,
+    change: Callable[[Stored, Random], Stored],
+    wanted: Callable[[Stored], bool],
+) -> Contents:
     """Change one message."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        chosen = random.choice(positions(contents, topic, wanted))
-        return edit(
-            contents, topic, lambda at, each: change(each, random) if at == chosen else each
-        )
-
-    return make
+    chosen = random.choice(positions(contents, topic, wanted))
+    return edit(contents, topic, lambda at, each: change(each, random) if at == chosen else each)
 
 
-def all_changed(topic: str, change: Callable[[Stored], Stored | None]) -> Kind:
+@kind
+def all_changed(
+    contents: Contents, random: Random, topic: str, change: Callable[[Stored], Stored | None]
+) -> Contents:
     """Change every message of a topic."""
-    return lambda contents, random: edit(contents, topic, lambda at, each: change(each))
+    return edit(contents, topic, lambda at, each: change(each))
 
 
-def last_second_dropped(topic: str) -> Kind:
+@kind
+def last_second_dropped(contents: Contents, random: Random, topic: str) -> Contents:
     """Drop the messages of the last second."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        end_ns = max(each.log_ns for each in contents.messages)
-        return edit(
-            contents, topic, lambda at, each: each if end_ns - each.log_ns > 10**9 else None
-        )
-
-    return make
+    end_ns = max(each.log_ns for each in contents.messages)
+    return edit(contents, topic, lambda at, each: each if end_ns - each.log_ns > 10**9 else None)
 
 
-def repeated(topic: str, wanted: Callable[[Stored], bool] = anywhere) -> Kind:
+@kind
+def repeated(
+    contents: Contents, random: Random, topic: str, wanted: Callable[[Stored], bool] = anywhere
+) -> Contents:
     """Record a message twice."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        edited = contents.copy()
-        places = [
-            i for i, each in enumerate(edited.messages) if each.topic == topic and wanted(each)
-        ]
-        chosen = random.choice(places)
-        edited.messages.insert(chosen + random.randrange(1, 30), edited.messages[chosen])
-        return edited
-
-    return make
+    edited = contents.copy()
+    places = [i for i, each in enumerate(edited.messages) if each.topic == topic and wanted(each)]
+    chosen = random.choice(places)
+    edited.messages.insert(chosen + random.randrange(1, 30), edited.messages[chosen])
+    return edited
 
 
-def swapped(topic: str, wanted: Callable[[Stored], bool]) -> Kind:
+@kind
+def swapped(
+    contents: Contents, random: Random, topic: str, wanted: Callable[[Stored], bool]
+) -> Contents:
     """Exchange the contents of two messages that differ."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        of_topic = [each for each in contents.messages if each.topic == topic]
-        first = random.choice(positions(contents, topic, wanted))
-        other = random.choice(
-            [at for at, each in enumerate(of_topic) if each.data != of_topic[first].data]
-        )
-        data = {first: of_topic[other].data, other: of_topic[first].data}
-        return edit(contents, topic, lambda at, each: replace(each, data=data.get(at, each.data)))
-
-    return make
+    of_topic = [each for each in contents.messages if each.topic == topic]
+    first = random.choice(positions(contents, topic, wanted))
+    other = random.choice(
+        [at for at, each in enumerate(of_topic) if each.data != of_topic[first].data]
+    )
+    data = {first: of_topic[other].data, other: of_topic[first].data}
+    return edit(contents, topic, lambda at, each: replace(each, data=data.get(at, each.data)))
 
 
-def added(topic: str, data: bytes) -> Kind:
+@kind
+def added(contents: Contents, random: Random, topic: str, data: bytes) -> Contents:
     """Add a message with the next number, and shift the numbers after it."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        places = [i for i, each in enumerate(contents.messages) if each.topic == topic]
-        chosen = random.choice(places[:-1])
-        edited = edit(contents, topic, lambda at, each: each)
-        before = contents.messages[chosen]
-        edited.messages = [
-            replace(each, sequence=each.sequence + 1)
-            if each.topic == topic and each.sequence > before.sequence
-            else each
-            for each in contents.messages
-        ]
-        extra = replace(before, data=data, sequence=before.sequence + 1)
-        edited.messages.insert(chosen + 1, extra)
-        return edited
-
-    return make
+    places = [i for i, each in enumerate(contents.messages) if each.topic == topic]
+    chosen = random.choice(places[:-1])
+    edited = edit(contents, topic, lambda at, each: each)
+    before = contents.messages[chosen]
+    edited.messages = [
+        replace(each, sequence=each.sequence + 1)
+        if each.topic == topic and each.sequence > before.sequence
+        else each
+        for each in contents.messages
+    ]
+    extra = replace(before, data=data, sequence=before.sequence + 1)
+    edited.messages.insert(chosen + 1, extra)
+    return edited
 
 
-def removed(topic: str) -> Kind:
+@kind
+def removed(contents: Contents, random: Random, topic: str) -> Contents:
     """Remove a topic that has messages, with its channel."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        random.choice(positions(contents, topic, anywhere))
-        edited = edit(contents, topic, lambda at, each: None)
-        edited.types = [each for each in contents.types if each[0].topic != topic]
-        return edited
-
-    return make
+    random.choice(positions(contents, topic, anywhere))
+    return contents.without(topic)
 
 
-def renamed(topic: str) -> Kind:
+@kind
+def renamed(contents: Contents, random: Random, topic: str) -> Contents:
     """Give a topic that has messages another name, also in the ledger."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        random.choice(positions(contents, topic, anywhere))
-        name = f"/other{topic}"
-        edited = edit(contents, topic, lambda at, each: replace(each, topic=name))
-        edited.types = [
-            (replace(channel, topic=name) if channel.topic == topic else channel, schema)
-            for channel, schema in edited.types
-        ]
-        edited.counts = Counter(each.topic for each in edited.messages)
-        for record, values in edited.metadata:
-            if record == LEDGER_RECORD:
-                values[name] = values.pop(topic)
-        return edited
-
-    return make
+    random.choice(positions(contents, topic, anywhere))
+    name = f"/other{topic}"
+    edited = edit(contents, topic, lambda at, each: replace(each, topic=name))
+    edited.types = [
+        (replace(channel, topic=name) if channel.topic == topic else channel, schema)
+        for channel, schema in edited.types
+    ]
+    edited.counts = Counter(each.topic for each in edited.messages)
+    for record, values in edited.metadata:
+        if record == LEDGER_RECORD:
+            values[name] = values.pop(topic)
+    return edited
 
 
 def still(message: Stored) -> Stored:
@@ -194,35 +202,37 @@ MOTION = encode_twist(replace(decode_twist(bytes((0, 1, 0, 0)) + bytes(48)), lin
 # The journal
 
 
+@kind
 def journal(
-    change: Callable[[list[JournalEntry], Random], Sequence[JournalEntry | None]],
-    *,
-    careful: bool = False,
-) -> Kind:
+    contents: Contents, random: Random, change: EntriesEdit, *, careful: bool = False
+) -> Contents:
     """Change journal entries; a careful forger numbers them anew and computes the CRCs again.
 
     `change` returns the entries in their places; None is dropped.
     """
+    entries = [decode(each.data) for each in contents.messages if each.topic == JOURNAL]
+    left = change(list(entries), random)
+    assert len(left) == len(entries)
+    if careful:
+        left = _renumbered(left)
 
-    def make(contents: Contents, random: Random) -> Contents:
-        entries = [decode(each.data) for each in contents.messages if each.topic == JOURNAL]
-        left = list(change(list(entries), random))
-        assert len(left) == len(entries)
-        if careful:
-            left = _renumbered(left)
+    def keep(at: int, each: Stored) -> Stored | None:
+        entry = left[at]
+        if entry is None:
+            return None
+        return replace(each, data=encode(entry), sequence=entry.seq + 1)
 
-        def keep(at: int, each: Stored) -> Stored | None:
-            entry = left[at]
-            if entry is None:
-                return None
-            return replace(each, data=encode(entry), sequence=entry.seq + 1)
-
-        return edit(contents, JOURNAL, keep)
-
-    return make
+    return edit(contents, JOURNAL, keep)
 
 
-def _renumbered(entries: Sequence[JournalEntry | None]) -> list[JournalEntry | None]:
+def entries_dropped(is_dropped: Callable[[JournalEntry], bool]) -> Kind:
+    """Drop journal entries, and chain the others anew."""
+    return journal(
+        lambda entries, _: [None if is_dropped(each) else each for each in entries], careful=True
+    )
+
+
+def _renumbered(entries: Entries) -> Entries:
     again: list[JournalEntry | None] = []
     seq = crc = 0
     for entry in entries:
@@ -237,10 +247,10 @@ def _renumbered(entries: Sequence[JournalEntry | None]) -> list[JournalEntry | N
     return again
 
 
-def without(name: str) -> Callable[[list[JournalEntry], Random], Sequence[JournalEntry | None]]:
+def without(name: str) -> EntriesEdit:
     """Drop an event of this name with its effects, but not the last one, as a kill does."""
 
-    def change(entries: list[JournalEntry], random: Random) -> Sequence[JournalEntry | None]:
+    def change(entries: list[JournalEntry], random: Random) -> Entries:
         left: list[JournalEntry | None] = list(entries)
         last = max(at for at, entry in enumerate(entries) if entry.kind is EntryKind.EVENT)
         places = [at for at in range(last) if entries[at].name == name]
@@ -255,12 +265,10 @@ def without(name: str) -> Callable[[list[JournalEntry], Random], Sequence[Journa
     return change
 
 
-def rewritten(
-    name: str, pattern: str, text: str, *, everywhere: bool = False
-) -> Callable[[list[JournalEntry], Random], Sequence[JournalEntry | None]]:
+def rewritten(name: str, pattern: str, text: str, *, everywhere: bool = False) -> EntriesEdit:
     """Replace text in an entry of this name, or in all of them."""
 
-    def change(entries: list[JournalEntry], random: Random) -> Sequence[JournalEntry | None]:
+    def change(entries: list[JournalEntry], random: Random) -> Entries:
         places = [
             at
             for at, entry in enumerate(entries)
@@ -277,33 +285,29 @@ def rewritten(
 # Metadata and counts
 
 
-def metadata(record: str, key: str, value: str | None) -> Kind:
+@kind
+def metadata(
+    contents: Contents, random: Random, record: str, key: str, value: str | None
+) -> Contents:
     """Change a value of the metadata; None removes it."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        edited = contents.copy()
-        for name, values in edited.metadata:
-            if name == record:
-                values.pop(key, None)
-                if value is not None:
-                    values[key] = value
-        return edited
-
-    return make
+    edited = contents.copy()
+    for name, values in edited.metadata:
+        if name == record:
+            values.pop(key, None)
+            if value is not None:
+                values[key] = value
+    return edited
 
 
-def counted(topic: str, count: str, more: int) -> Kind:
+@kind
+def counted(contents: Contents, random: Random, topic: str, count: str, more: int) -> Contents:
     """Change a count of the ledger."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        edited = contents.copy()
-        for name, values in edited.metadata:
-            if name == "robotctl.ledger":
-                counts = json.loads(values[topic])
-                values[topic] = json.dumps({**counts, count: counts[count] + more})
-        return edited
-
-    return make
+    edited = contents.copy()
+    for name, values in edited.metadata:
+        if name == "robotctl.ledger":
+            counts = json.loads(values[topic])
+            values[topic] = json.dumps({**counts, count: counts[count] + more})
+    return edited
 
 
 def cut_behind_snapshot(contents: Contents, random: Random) -> Contents:
@@ -314,16 +318,13 @@ def cut_behind_snapshot(contents: Contents, random: Random) -> Contents:
     return edited
 
 
-def cut(share: float) -> Kind:
+@kind
+def cut(contents: Contents, random: Random, share: float) -> Contents:
     """Cut off the end of all topics, at a place in the last part of the file."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        edited = contents.copy()
-        keep = round(len(contents.messages) * (1 - random.uniform(0.02, share)))
-        del edited.messages[keep:]
-        return edited
-
-    return make
+    edited = contents.copy()
+    keep = round(len(contents.messages) * (1 - random.uniform(0.02, share)))
+    del edited.messages[keep:]
+    return edited
 
 
 AT_MODE = 4 + 4 + len(b"robot\0")
@@ -343,19 +344,22 @@ def early(message: Stored) -> Stored:
     return replace(message, publish_ns=message.publish_ns - 2 * 10**9)
 
 
+def _with_bit(message: Stored, at: int, bit: int) -> Stored:
+    """Flip a bit of the byte at this place."""
+    data = bytearray(message.data)
+    data[at] ^= 1 << bit
+    return replace(message, data=bytes(data))
+
+
 def moved(message: Stored, random: Random) -> Stored:
     """Change the position, by one bit of any weight."""
-    data = bytearray(message.data)
-    at = len(data) - 8 * (36 + 6 + 36 + 7) + random.randrange(6)
-    data[at] ^= 1 << random.randrange(8)
-    return replace(message, data=bytes(data))
+    at = random.randrange(6) - 8 * (36 + 6 + 36 + 7)
+    return _with_bit(message, at, random.randrange(8))
 
 
 def level(message: Stored, random: Random) -> Stored:
     """Change the battery level."""
-    data = bytearray(message.data)
-    data[-4] ^= 1 << random.randrange(8)
-    return replace(message, data=bytes(data))
+    return _with_bit(message, -4, random.randrange(8))
 
 
 def last_number(contents: Contents, topic: str) -> int:
@@ -392,13 +396,7 @@ def numbered(message: Stored, random: Random) -> Stored:
 
 def flipped(at: int) -> Callable[[Stored, Random], Stored]:
     """Flip the last bit of the byte at this place."""
-
-    def change(message: Stored, random: Random) -> Stored:
-        data = bytearray(message.data)
-        data[at] ^= 1
-        return replace(message, data=bytes(data))
-
-    return change
+    return lambda message, random: _with_bit(message, at, 0)
 
 
 by_one_ulp = flipped(4)
@@ -407,19 +405,19 @@ by_one_ulp = flipped(4)
 FREQUENT = ("Tick", "OdomReceived", "SafetyInputReceived")
 
 
-def rare_dropped(entries: list[JournalEntry], random: Random) -> Sequence[JournalEntry | None]:
+def rare_dropped(entries: list[JournalEntry], random: Random) -> Entries:
     rare = {
         each.name for each in entries if each.kind is EntryKind.EVENT and each.name not in FREQUENT
     }
     return without(random.choice(sorted(rare)))(entries, random)
 
 
-def last_dropped(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
+def last_dropped(entries: list[JournalEntry], random: Random) -> Entries:
     count = random.choice((1, 2, 5, 40))
     return [*entries[:-count], *[None] * count]
 
 
-def two_swapped(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
+def two_swapped(entries: list[JournalEntry], random: Random) -> Entries:
     """Swap two neighbours, but no two events of the same nanosecond: those have no order."""
     pairs = [
         at
@@ -434,7 +432,7 @@ def two_swapped(entries: list[JournalEntry], random: Random) -> list[JournalEntr
     return list(entries)
 
 
-def later(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
+def later(entries: list[JournalEntry], random: Random) -> Entries:
     events = [at for at, each in enumerate(entries) if each.kind is EntryKind.EVENT]
     at = random.choice(events)
     entries[at] = entries[at]._replace(t_ns=entries[at].t_ns + 1)
@@ -449,9 +447,7 @@ def decided_without_event(contents: Contents, random: Random) -> Contents:
         if each.topic == JOURNAL and decode(each.data).kind is EntryKind.EFFECT
     ]
     gone = random.choice(effects)
-    return journal(
-        lambda entries, _: [None if each.seq == gone else each for each in entries], careful=True
-    )(contents, random)
+    return entries_dropped(lambda each: each.seq == gone)(contents, random)
 
 
 # Topics: after their ends, and what the file tells of them
@@ -462,7 +458,10 @@ Change = Callable[[Stored], Stored]
 Described = tuple[Channel, Schema]
 
 
+@kind
 def appended(
+    contents: Contents,
+    random: Random,
     topic: str,
     counts: tuple[int, int],
     change: Change = lambda message: message,
@@ -471,38 +470,33 @@ def appended(
     first: int = 1,
     every_s: float = 0.0,
     after_s: float = 0.0,
-) -> Kind:
+) -> Contents:
     """Add messages after the last one of a topic, so many at least and at most.
 
     They are numbered in steps of `step`, `first` for the first one; they follow the end of the
     recording `after_s` later, and each other in `every_s`.
     """
-
-    def make(contents: Contents, random: Random) -> Contents:
-        last = [each for each in contents.messages if each.topic == topic][-1]
-        end_ns = max(each.log_ns for each in contents.messages)
-        begin_ns = end_ns + round(after_s * NS_PER_S)
-        edited = contents.copy()
-        for number in range(random.randint(*counts)):
-            at_ns = begin_ns + round(number * every_s * NS_PER_S)
-            sequence = last.sequence + (first + number) * step
-            message = replace(last, log_ns=at_ns, publish_ns=at_ns, sequence=sequence)
-            edited.messages.append(change(message))
-        return edited
-
-    return make
+    last = [each for each in contents.messages if each.topic == topic][-1]
+    end_ns = max(each.log_ns for each in contents.messages)
+    begin_ns = end_ns + round(after_s * NS_PER_S)
+    edited = contents.copy()
+    for number in range(random.randint(*counts)):
+        at_ns = begin_ns + round(number * every_s * NS_PER_S)
+        sequence = last.sequence + (first + number) * step
+        message = replace(last, log_ns=at_ns, publish_ns=at_ns, sequence=sequence)
+        edited.messages.append(change(message))
+    return edited
 
 
-def repeated_at_the_end(topic: str, counts: tuple[int, int], change: Change) -> Kind:
+@kind
+def repeated_at_the_end(
+    contents: Contents, random: Random, topic: str, counts: tuple[int, int], change: Change
+) -> Contents:
     """Repeat the last message of a topic, so often at least and at most."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        last = [each for each in contents.messages if each.topic == topic][-1]
-        edited = contents.copy()
-        edited.messages += [change(last)] * random.randint(*counts)
-        return edited
-
-    return make
+    last = [each for each in contents.messages if each.topic == topic][-1]
+    edited = contents.copy()
+    edited.messages += [change(last)] * random.randint(*counts)
+    return edited
 
 
 def call(message: Stored) -> Stored:
@@ -510,19 +504,18 @@ def call(message: Stored) -> Stored:
     return replace(message, data=received(message.sequence, None))
 
 
-def described(change: Callable[[Channel, Schema], Described], *topics: str) -> Kind:
+@kind
+def described(
+    contents: Contents, random: Random, change: Callable[[Channel, Schema], Described], *topics: str
+) -> Contents:
     """Change what the file tells of one of these topics."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        chosen = random.choice(topics)
-        edited = contents.copy()
-        edited.types = [
-            change(channel, schema) if channel.topic == chosen else (channel, schema)
-            for channel, schema in contents.types
-        ]
-        return edited
-
-    return make
+    chosen = random.choice(topics)
+    edited = contents.copy()
+    edited.types = [
+        change(channel, schema) if channel.topic == chosen else (channel, schema)
+        for channel, schema in contents.types
+    ]
+    return edited
 
 
 def with_type_hash(channel: Channel, schema: Schema, text: str) -> Described:
@@ -535,14 +528,3 @@ def of_another_version(channel: Channel, schema: Schema) -> Described:
     text = b"uint8 another\n" + schema.data
     type_hash = rihs01_hash(schema.name, parse_definition(schema.name, text.decode()))
     return with_type_hash(channel, replace(schema, data=text), type_hash)
-
-
-def together(*kinds: Kind) -> Kind:
-    """Edit one after the other."""
-
-    def make(contents: Contents, random: Random) -> Contents:
-        for kind in kinds:
-            contents = kind(contents, random)
-        return contents
-
-    return make

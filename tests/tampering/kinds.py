@@ -29,6 +29,7 @@ from tests.tampering.edits import (
     dropped,
     dropped_and_renumbered,
     early,
+    entries_dropped,
     flipped,
     journal,
     last_dropped,
@@ -53,7 +54,6 @@ from tests.tampering.edits import (
     robot,
     still,
     swapped,
-    together,
     two_swapped,
     with_mode,
     with_type_hash,
@@ -165,20 +165,6 @@ FOUND: Mapping[str, Kind] = {
 }
 """Edits that a check finds: its verdict is not `same`."""
 
-OBSERVED = together(
-    metadata("robotctl", "mode", "observing"),
-    all_changed(JOURNAL, lambda each: replace(each, publish_ns=each.publish_ns - 1000)),
-)
-"""Pretend that the recorder received the journal."""
-
-UNNAMED = together(
-    *(
-        metadata("robotctl", key, None)
-        for key in ("topic.robot_status", "service.set_mode", "service.estop")
-    )
-)
-"""Remove the names of topics and services, which an observer does not note."""
-
 ACCEPTED: Mapping[str, tuple[Kind, str]] = {
     "commands: some zeros added at the end, one in 50 ms": (
         appended(COMMANDS, (1, 20), still, every_s=0.05, after_s=0.05),
@@ -207,23 +193,13 @@ ACCEPTED: Mapping[str, tuple[Kind, str]] = {
         "what was under way at the end is not recorded",
     ),
     "journal: odometry dropped while standing, chained anew": (
-        lambda contents, random: journal(
-            lambda entries, _: [
-                None if '"sequence":2,' in each.data and each.name == "OdomReceived" else each
-                for each in entries
-            ],
-            careful=True,
-        )(contents, random),
+        entries_dropped(lambda each: each.name == "OdomReceived" and '"sequence":2,' in each.data),
         "the control loop takes its inputs with best effort, and the CRCs were computed again",
     ),
     "journal: one of equal messages of the button dropped, chained anew": (
-        lambda contents, random: journal(
-            lambda entries, _: [
-                None if each.name == "SafetyInputReceived" and '"sequence":5' in each.data else each
-                for each in entries
-            ],
-            careful=True,
-        )(contents, random),
+        entries_dropped(
+            lambda each: each.name == "SafetyInputReceived" and '"sequence":5' in each.data
+        ),
         "of equal messages only some become events",
     ),
     "metadata: another version": (
@@ -261,11 +237,8 @@ ON_A_BUTTON: Mapping[str, Kind] = {
     "journal: the press set to released, chained anew": journal(
         rewritten("SafetyInputReceived", r'"value":1\.0', '"value":0.0'), careful=True
     ),
-    "journal: all messages of the button dropped, chained anew": journal(
-        lambda entries, _: [
-            None if each.name == "SafetyInputReceived" else each for each in entries
-        ],
-        careful=True,
+    "journal: all messages of the button dropped, chained anew": entries_dropped(
+        lambda each: each.name == "SafetyInputReceived"
     ),
 }
 """Edits that a check finds in a recording with an emergency stop button."""
