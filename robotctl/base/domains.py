@@ -24,7 +24,7 @@ _PORT_BASE, _PORTS_PER_DOMAIN = 7400, 250
 """The well-known ports of a domain (DDSI-RTPS 2.5, 9.6.2.3, Well-known Ports)."""
 
 _FIRST_OWN_PORT = 10
-"""The offset of the first participant's ports; each participant has two, the even for discovery."""
+"""The offset of the first participant's two ports; the even one of each pair is for discovery."""
 
 _RESERVATION = 9
 """The offset of the port that reserves a domain; DDS does not use it."""
@@ -54,7 +54,7 @@ def requested_domain(given: int | None) -> int | None:
 
 
 def discovery_range() -> str:
-    """Return the discovery range of ROS, from its environment variable."""
+    """Return the value of ROS_AUTOMATIC_DISCOVERY_RANGE, SUBNET if it is not set."""
     return os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
 
 

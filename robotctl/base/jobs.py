@@ -39,7 +39,7 @@ class JobFailed(Exception):
 def job_command(work: str, job: object) -> tuple[str, ...]:
     """Return the command that calls `work`, a `module:function`, with `job` in a new process.
 
-    `job` is a JSON object, or a data class whose other values are converted to texts.
+    `job` is a JSON object or a data class; values that JSON cannot express become texts.
     """
     return (*program("robotctl.base.jobs"), work, msgspec.json.encode(job, enc_hook=str).decode())
 

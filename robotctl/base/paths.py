@@ -23,7 +23,7 @@ ROBOT_VARIABLE = "ROBOTCTL_ROBOT"
 """The environment variable with the default of `--robot`."""
 
 LEASE_VARIABLE = "ROBOTCTL_LEASE"
-"""The environment variable with a lease token; requests with this token count as the holder's."""
+"""The environment variable with a token, which proves that a client holds the robot's lease."""
 
 _NAMESPACE_PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ROBOT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")

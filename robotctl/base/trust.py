@@ -52,7 +52,7 @@ class FolderChain:
         self._trusted = (ROOT_UID, os.getuid(), guest)
 
     def for_client(self) -> FolderChain:
-        """Return the chain for a client; if `variable` is set, this chain may trust `base`'s owner.
+        """Return a chain for a client; if `variable` is set, it may also trust the owner of `base`.
 
         Root trusts any owner: `sudo -E robotctl estop` stops the robot of the user who runs it.
         Other users trust the owner if `base` is a folder that root created for a system unit.

@@ -37,7 +37,7 @@ FORMAT: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """An accepted result of the recording with the hash `recording`, under `settings`.
+    """An accepted result; `recording` is the recording's hash, `settings` are other parameters.
 
     `outcome` is the hash over all findings; `verdict` and `says` are the result in words.
     """
@@ -130,7 +130,7 @@ def _key(recording: str, settings: Mapping[str, str], outcome: str) -> _Key:
 
 
 CHANGED: Final = "changed"
-"""The first word of a cause: the recording fails only because of the other parameters."""
+"""Begins the cause of a recording that fails only with the other parameters (`cause_of`)."""
 
 
 @dataclass(slots=True)

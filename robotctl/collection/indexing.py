@@ -56,7 +56,7 @@ VELOCITY = "velocity"
 STOPS = (Mode.ERROR, Mode.EMERGENCY_STOP)
 
 _DIGEST = "digest"
-"""In the software record, the key of the hash over all modules of robotctl."""
+"""In the software record, the key of the hash over the modules that decide and command."""
 
 
 def rows_of(
@@ -120,7 +120,7 @@ def _recorded_events(info: RecordingInfo) -> Iterator[EventRow]:
 
 
 class _History:
-    """Reads the journal once; a kernel repeats the decisions, which gives pose and error."""
+    """Reads the journal once, and repeats its decisions in a kernel to get pose and error."""
 
     def __init__(self, recording: Recording, info: RecordingInfo) -> None:
         self._recording = recording

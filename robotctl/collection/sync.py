@@ -178,7 +178,7 @@ class _Copy:
                 self._send(file)
 
     def _more_is_there(self) -> bool:
-        """Return whether the store has data that was removed here: then its metadata stays."""
+        """Return whether the store has data that is gone here; its metadata must then stay."""
         here = {file.key for file in self._recording.files}
         return any(
             recording_of(key) == self._recording.name and key.endswith(SUFFIX) and key not in here
@@ -232,7 +232,7 @@ def _is_replaced(key: str) -> bool:
 def _has_as_new(there: Sequence[StoredObject], here: LocalFile | StoredFile) -> bool:
     """Return whether one of the objects has the size of the file, and is not older than the file.
 
-    The listing of a store has the time when an object was stored; its stamp, when it was written.
+    A store's listing has the time of storing; only `with_stamp` returns the time of writing.
     """
     same = [each for each in there if each.size_bytes == here.size_bytes]
     if isinstance(here, StoredFile) and any(each.modified_ns < here.modified_ns for each in same):

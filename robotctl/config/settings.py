@@ -39,7 +39,7 @@ class RecordingParams:
     """What is recorded, and how long recordings are kept.
 
     A topic is recorded if `include` is empty or has a pattern that matches it, unless a pattern of
-    `exclude` matches the topic. A clip is cut around each emergency stop and each error.
+    `exclude` matches the topic. A clip is a short recording of one emergency stop or error.
     """
 
     compression: Compression = setting(Compression.ZSTD, "compression of the chunks", Change.START)
@@ -130,7 +130,7 @@ class Config:
         Change.START,
         choices=("warn", "refuse"),
     )
-    """Whether such a topic of another node only causes a warning, or prevents the start."""
+    """If the node of the topic is not robotctl's own: warn, or refuse to start a motion."""
 
 
 _TOPIC = re.compile(r"(?!.*__)(?=.{1,200}\Z)/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -336,7 +336,7 @@ RATE_KEYS = frozenset(
 
 @cache
 def _kinds(section: Any) -> dict[str, Any]:
-    """Return the type of each field of a section."""
+    """Return the type of each field of a dataclass."""
     return get_type_hints(section)
 
 
@@ -354,7 +354,7 @@ FileValue = bool | int | float | str | list[str]
 
 
 class Kind(Enum):
-    """The type of a value."""
+    """The type of a setting's value."""
 
     BOOLEAN = "boolean"
     INTEGER = "whole number"

@@ -46,7 +46,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class EstopParams:
-    """A std_msgs/Bool topic: true means pressed. Silence of a required topic means pressed, too."""
+    """A std_msgs/Bool topic: true means pressed. In motion, a required topic must not be silent."""
 
     use: Use = setting(Use.OFF, "emergency stop topic", Change.START)
     topic: str = topic("estop_pressed", "its topic")

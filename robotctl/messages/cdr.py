@@ -104,7 +104,7 @@ class CdrReader:
 
 @lru_cache(maxsize=1024)
 def _aligned(order: str, codes: str, phase: int) -> struct.Struct:
-    """Return the layout, with padding, of numbers that begin `phase` bytes after an 8-byte unit."""
+    """Return the layout, with padding, of numbers whose offset is `phase` modulo 8."""
     layout, position = [order], phase
     for code in codes:
         size = struct.calcsize(f"<{code}")

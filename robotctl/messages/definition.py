@@ -143,7 +143,7 @@ class Definition:
         return one * (field.length or 0) if self.is_split(field) else 1
 
     def is_split(self, field: Field) -> bool:
-        """Return whether a field is an array, not of bytes, of at most MAX_SPLIT leaves."""
+        """Return whether a field is an array to split: not bytes, and at most MAX_SPLIT leaves."""
         if field.shape is not FieldShape.ARRAY or NUMBERS.get(field.type_name) == BYTE:
             return False
         return self.leaf_count(field.item) * (field.length or 0) <= MAX_SPLIT

@@ -48,7 +48,7 @@ class Schedule:
         return self.at_ns + max(round((now_ns - self.moment_ns) * self.rate), 0)
 
     def changed(self, now_ns: int, **changes: Any) -> Self:
-        """Return this schedule, continued from its position at `now_ns` with another field."""
+        """Return a schedule with `changes` that continues from this one's position at `now_ns`."""
         return replace(self, moment_ns=now_ns, at_ns=self.position_ns(now_ns), **changes)
 
 
@@ -132,7 +132,7 @@ class PlaybackControl:
 
 
 class Command(Enum):
-    """A change of playback, requested by a key or by the suspension of the terminal."""
+    """A change of playback, requested by a key, or made while the user suspends the command."""
 
     PAUSE = "pause"
     RESUME = "resume"

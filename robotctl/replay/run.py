@@ -96,7 +96,7 @@ def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:
 def summary(
     report: ReplayReport, player: Player, routes: Iterable[Route], *, interrupted: bool
 ) -> dict[str, Any]:
-    """Return the summary of a replay."""
+    """Return the summary of a replay, without its file, domain and prefix."""
     topics = player.topics
     return {
         "sent": player.sent,

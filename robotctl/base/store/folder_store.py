@@ -114,10 +114,10 @@ class FolderStore:
 
     @contextmanager
     def _filled(self, key: str, parts: Iterable[bytes], stamp: Stamp) -> Iterator[Path]:
-        """Yield the path of a new file with the content, on the disk (fsync).
+        """Yield the path of a temporary file with the content, already on the disk (fsync).
 
-        The path is removed after the block. A process that is killed leaves a hidden file, whose
-        name begins with PREFIX; the next file in its folder removes it after ABANDONED_S.
+        The path is removed after the block. A process that is killed leaves the file, whose name
+        begins with PREFIX; after ABANDONED_S, the next call for the same folder removes the file.
         """
         folder = self._path(key).parent
         folder.mkdir(parents=True, exist_ok=True)
@@ -163,7 +163,7 @@ def _described(key: str, status: os.stat_result) -> StoredObject:
 
 
 def _name_if_free(path: Path, target: Path) -> None:
-    """Give a file the name `target` as well, or instead where there are no links, as on FAT.
+    """Link a file to the new name `target`; on a file system without hard links, rename the file.
 
     Raises:
         FileExistsError: `target` exists.
