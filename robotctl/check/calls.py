@@ -1,10 +1,10 @@
-"""Checks the recorded calls of the mode services against the requests and replies of the journal.
+"""Check recorded calls of `set_mode` and `estop` against requests and replies of the journal.
 
 Each call that robotctl received is one request in the journal, in the same order, and each response
-that it sent says what the journal replied.
+that robotctl sent has the content of the reply in the journal.
 
-An event (service_msgs/ServiceEventInfo, then request and response) is a call that a server received
-or a response that it sent; clients may publish theirs on the same topic.
+A service event (ServiceEventInfo, then request and response) of a server is a received call or a
+sent response; clients may publish their own events on the same topic.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ RECEIVED, SENT = 1, 2
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """A service; `estop` has no field for a mode, and always requests EMERGENCY_STOP."""
+    """A service; without `has_mode`, a call has no field for a mode and means EMERGENCY_STOP."""
 
     name: str
     type_name: str
@@ -106,13 +106,13 @@ def read_service_event(service: Service, data: bytes, publish_ns: int) -> Servic
 
 
 MAX_CALLS: Final = 100_000
-"""Of one service, at most this many calls are compared."""
+"""How many calls of one service are compared."""
 
 MAX_AHEAD: Final = 1_000
-"""The request of a call is searched among this many next ones; skipped ones have no call."""
+"""The request of a call is searched among this many requests; those skipped have no call."""
 
 ANSWER_NS: Final = NS_PER_S
-"""A request at most this long before the end may lack its response, which waits for the disk."""
+"""A request at most this long before the end may lack its response, which follows a disk write."""
 
 MANY_IN_WORK: Final = 128
 """A refusal as busy is believed only if more calls than this were open (robotctl accepts 256)."""
@@ -122,7 +122,7 @@ _BUSY = re.compile(r"busy: \d+ requests wait for their reply; try again")
 
 @dataclass(slots=True)
 class Asked:
-    """A request in the journal: its entry's `seq`, requested mode, times of its step, its reply."""
+    """A request in the journal: number of its entry, requested mode, times of its step, reply."""
 
     seq: int
     requested: int
@@ -134,7 +134,7 @@ class Asked:
 class Call:
     """A recorded call: the requested mode, when it was received, its response.
 
-    `in_work` is the number of calls that had no response when it was received.
+    `in_work` is the number of calls that had no response when this call was received.
     """
 
     requested: int

@@ -1,4 +1,4 @@
-"""A closed loop of kernel and simulated robot, and a recorded run that it simulates again.
+"""A closed loop of kernel and simulated robot, in which a recorded run can be simulated again.
 
 Time is virtual, without clock and ROS, so that two runs differ only by their parameters.
 """
@@ -55,7 +55,7 @@ from robotctl.recording.read.journal_reader import read_journal
 from robotctl.sim import Robot, SimParams
 
 TICK_AFTER_ODOMETRY_NS = 1_000_000
-"""Ticks follow odometry by this time: tracking is best with fresh odometry."""
+"""Ticks follow odometry after this time, because tracking is best with fresh odometry."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ def closed_loop(
 
 
 MAX_REQUESTS: Final = 100_000
-"""The largest number of requests that are repeated; the result says if there were more."""
+"""Maximum number of requests that are repeated; `missing` of the result reports more."""
 
 _WITHOUT_ID = (LeaseLost, GuardedCommandReceived, HoldReceived, LifecycleChanged)
 _REPEATED = (
@@ -214,7 +214,7 @@ def figures(report: DriveReport) -> dict[str, Any]:
 
 
 MAX_SPAN_NS = 7 * round(DAY_S) * NS_PER_S
-"""The longest recording that is simulated."""
+"""Maximum duration of a recording that is simulated: a week."""
 
 LONGEST = 10
 """The simulation may take at most this many times as long as the recording, to end a drive."""
@@ -302,7 +302,7 @@ def _simulate(
 ) -> Run:
     """Repeat the requests with a simulated robot until the recording and the drive have ended.
 
-    Other nodes are not simulated, and requests that were refused in the recording not repeated.
+    Other nodes are not simulated. Requests that were refused in the recording are not repeated.
     """
     alone = replace(state.health, foreign_publishers=(), command_topic=CommandTopic())
     kernel = Kernel(config.kernel, replace(state, health=alone))

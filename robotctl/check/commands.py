@@ -1,12 +1,12 @@
-"""Pairs each recorded velocity command with its decision in the journal, by number and value.
+"""Pair each recorded velocity command with its decision in the journal, by number and value.
 
 Each decided command got the next sequence number of our publisher. So did each zero that the
-watchdog sent in between; the journal has their count. So it is known which number carries which
-velocity. A message with another number or velocity is another publisher's, or was not decided.
+watchdog sent while the control loop stalled; the journal has their count after the stall. So the
+journal gives the velocity for each number. A message with another number or velocity is from
+another publisher, or was not decided.
 
-The watchdog sends its zeros while the control loop stalls; the journal has their count after the
-stall. A daemon that fails sends its last zeros without a decision. If the recording ends too early,
-its journal explains neither these zeros nor those of the watchdog.
+A daemon that fails sends its last zeros without a decision. If the recording ends too early, its
+journal explains neither these zeros nor those of the watchdog.
 """
 
 from __future__ import annotations
@@ -82,10 +82,10 @@ LATE_NS: Final = NS_PER_S // 2
 """How long before or after its step a command may be sent."""
 
 MAX_LATE: Final = 20_000
-"""Of the commands sent outside of their step, only this many are kept, the newest ones."""
+"""How many commands sent outside of their step are kept: the newest ones."""
 
 NEAR_NS: Final = 5 * NS_PER_S
-"""A command this shortly before or after another publisher was noticed may be from that one."""
+"""A command this close to the time when another publisher was noticed may be from that one."""
 
 LAST_ZEROS: Final = 2
 """A daemon that fails while the robot moves may send this many zeros after the last decision."""
@@ -100,17 +100,17 @@ MAX_ZEROS: Final = 20_000
 """At most this many zeros of a stall are compared."""
 
 JOURNAL_LAG_NS: Final = NS_PER_S
-"""How far a journal that a recorder only receives may lag behind the commands."""
+"""How far a journal that was received from a robot may lag behind the recorded commands."""
 
 EDGE_NS: Final = 2 * NS_PER_S
-"""A command of before the first snapshot may be recorded this long after it, and the message of a
-decision may be under way this long before the end."""
+"""A command decided before the first snapshot may be recorded this long after that snapshot. The
+message of a command decided this long before the end may be missing."""
 
 RECENT: Final = 64
 """The number of last commands that a stall may have withheld."""
 
 CUT: Final = 3
-"""How many commands at the end of a clip may have been decided after it."""
+"""How many commands at the end of a clip may have their decision after the clip's end."""
 
 SEND_FAILED: Final = f"{PublishTwist.__name__} failed"
 """The detail of the fault for a command that could not be sent contains this text."""
@@ -134,7 +134,7 @@ class DecidedCommand:
 
 
 class SentCommand(NamedTuple):
-    """A message: its six numbers, publish time, last journal time before it, place in the topic."""
+    """A message: six numbers, publish time, steady time of the last event before, position."""
 
     numbers: bytes
     publish_ns: int
@@ -150,14 +150,14 @@ class OtherPublishers:
         """Begin and end of each period."""
 
     def begin(self, health: Health, t_ns: int) -> None:
-        """Note what a snapshot at `t_ns` knows of publishers that were noticed before it."""
+        """Note the other publishers that a snapshot at `t_ns` has in its `health`."""
         topic = health.command_topic
         if topic.foreign_t_ns is not None:
             self._seen.append((topic.foreign_t_ns, topic.foreign_t_ns))
         self.step(CommandPublishersSeen(t_ns, health.foreign_publishers))
 
     def step(self, event: Event) -> None:
-        """Note what an event says about other publishers."""
+        """Note other publishers that an event reports."""
         is_there = bool(self._seen) and self._seen[-1][1] == inf
         if isinstance(event, ForeignCommandHeard) and not is_there:
             self._seen.append((event.t_ns, event.t_ns))
@@ -194,14 +194,14 @@ class CommandCounts:
 
     foreign_example: str = ""
     after_end: int = 0
-    """Messages after the end of a journal that was received."""
+    """Messages after the end of a journal that was received from a robot."""
 
     undecided: int = 0
     """Messages at the end whose decision may come after the journal's end."""
 
     old: int = 0
     recent: int = 0
-    """Decided commands without a message at the end: older and younger than EDGE_NS."""
+    """Decided commands at the end without a message: older and younger than EDGE_NS."""
 
     out_of_order: int = 0
     resumed: int = 0
@@ -215,7 +215,7 @@ class CommandCounts:
 
 
 class CommandPairs:
-    """Compares the decided with the sent commands, from the first snapshot with a proof on."""
+    """Compares decided and sent commands, from the first snapshot with a `Proof` on."""
 
     def __init__(self) -> None:
         self.counts = CommandCounts()
@@ -291,7 +291,7 @@ class CommandPairs:
         self._lacking = self._lacking_recent = 0
 
     def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Read a step: each command among its effects needs a recorded message."""
+        """Read a step; each command in its effects should have a recorded message."""
         if not self.is_counting:
             return
         self._t_ns, self._log_ns, _ = moments
@@ -333,7 +333,7 @@ class CommandPairs:
             self._decide(STILL, during)
 
     def _judge(self, number: int, slot: Slot[DecidedCommand, SentCommand]) -> None:
-        """Count what one number tells."""
+        """Count the decisions and messages of one number that have no counterpart."""
         for decided in self._pair(number, slot):
             self._lack(number, decided)
         self._doubt(slot.sent)
@@ -431,7 +431,7 @@ class CommandPairs:
         self.counts.old = self._lacking - self._lacking_recent
 
     def _may_end_with(self, message: SentCommand, later: int, is_own: bool) -> bool:
-        """Return whether a message `later` numbers after the last command may follow its end."""
+        """Return whether a message `later` numbers after the last decision may lack one."""
         after_ns = message.publish_ns - self._log_ns
         if not is_own:
             return after_ns > -JOURNAL_LAG_NS
@@ -474,7 +474,7 @@ class CommandCheck:
         self._pairs.stop()
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Compare the commands of a step; `moments` is when it began and ended."""
+        """Compare the commands of a step; `moments` is when the step began and ended."""
         self._clock.look(event.t_ns, moments[1])
         self._pairs.step(event, effects, moments)
 

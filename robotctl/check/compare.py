@@ -1,4 +1,4 @@
-"""Re-runs a journal in a new kernel and compares: bit for bit, or by the rules of versions."""
+"""Re-run a journal in a new kernel, and compare its decisions with the recorded ones."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from robotctl.recording.format.names import MADE_BY, OWN_ARITHMETIC
 
 MAX_FORMS = 4096
 MAX_FORM_BYTES = 1000
-"""A form is the text of an entry without its digits; each form is parsed only once.
+"""Maximum number and size of stored forms: a request may contain any text.
 
-Both limits bound the memory of the stored forms: a request may contain any text.
+A form is the text of an entry without its digits; each form is parsed only once.
 """
 
 _READERS = {
@@ -45,7 +45,7 @@ _READERS = {
 
 
 def without_retired_fields(entry: JournalEntry) -> JournalEntry:
-    """Return the entry without the retired fields that have their default."""
+    """Return the entry without fields that this version has no more, if they have the default."""
     names = {
         path.partition(".")[2]: default
         for path, default in retired.JOURNAL_FIELDS.items()
@@ -101,7 +101,7 @@ class JournalFormat:
         self._vocabulary: Vocabulary | None = Vocabulary()
 
     def begin(self, entry: JournalEntry) -> None:
-        """Report if the first snapshot, though it should be of this version, has other fields.
+        """Report if the first snapshot should be of this version, but has other fields.
 
         Raises:
             UnreadableFile: The entry is not a snapshot of this version.
@@ -114,7 +114,7 @@ class JournalFormat:
             )
 
     def compare(self, *entries: JournalEntry) -> None:
-        """Report the first field of another version that this version does not know.
+        """Report the first field of an entry that only another version knows.
 
         Raises:
             UnreadableFile: An entry is not of this version.
@@ -139,7 +139,7 @@ def other_field(entry: JournalEntry) -> str:
 
 
 def _differing_fields(entry: JournalEntry) -> Iterator[tuple[bool, str]]:
-    """Return the `_differing` fields of an entry and of what this version reads in it."""
+    """Return the `_differing` fields of an entry and of the value that this version reads in it."""
     ours = to_json(_READERS[entry.kind](entry))
     return _differing("", json.loads(entry.data), json.loads(ours))
 
@@ -172,7 +172,7 @@ DECISION_NAMES = frozenset(kind.__name__ for kind in get_args(Decision))
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Compares recorded with new decisions, bit for bit if `version` and `made_by` are our own."""
+    """Compares recorded with new decisions, bit for bit if `version` and `made_by` are ours."""
 
     version: str = __version__
     made_by: str = MADE_BY
@@ -274,10 +274,10 @@ class Rerun:
     def snapshot(self, entry: JournalEntry) -> tuple[Snapshot, Divergence | None]:
         """Compare the kernel with a recorded snapshot, then continue from that snapshot.
 
-        Return the snapshot and the divergence, None if they agree (without a kernel: its text).
+        Return the snapshot, and the divergence or None. Without a kernel, compare only its text.
 
         Raises:
-            UnreadableFile: This version cannot read the snapshot, or refuses its parameters.
+            UnreadableFile: This version cannot read the snapshot, or rejects its parameters.
         """
         snapshot = read_snapshot(entry)
         kernel, self.kernel, self._event = self.kernel, snapshot.kernel(), None
@@ -292,7 +292,7 @@ class Rerun:
         """Decide on the event of a step again, and compare the effects.
 
         Raises:
-            UnreadableFile: The event is not one of this version.
+            UnreadableFile: The entry is not an event of this version.
         """
         entry, kernel = step.event, self.kernel
         event = read_event(entry)
@@ -302,7 +302,7 @@ class Rerun:
         before = kernel.state
         if self._same_version and not (
             entry.t_ns == event.t_ns and self.comparison.same(entry.data, event)
-        ):  # it is not as it was written
+        ):  # the entry is not as robotctl writes this event
             return self._diverged(event, entry, event, before)
         theirs = step.effects
         try:

@@ -1,4 +1,4 @@
-"""The places where a recorded robot drove, as waypoints to drive again."""
+"""The path that a recorded robot drove, as waypoints to drive again."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import journal_topic, read_journal
 
 SPACING_M = 0.03
-"""Poses closer together than this are one place: a stopping robot may roll a little too far."""
+"""Poses closer together than this are one point: a stopping robot may roll a little too far."""
 
 TOLERANCE_M = 0.005
-"""How far a place may be from the path between the waypoints."""
+"""How far a point of the driven path may be from the path through the waypoints."""
 
 
 def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> tuple[Point, ...]:
     """Return waypoints of the last motion in a recording, () if the robot did not drive.
 
     Without a journal, the waypoints are of all recorded odometry. `on_missing` gets a sentence
-    about each part of the recording that cannot be read, and that may contain a later motion.
+    about each part of the recording that cannot be read; it may contain a later motion.
 
     Raises:
         UnreadableFile: The recording cannot be read, or a part of the motion is missing.

@@ -1,6 +1,6 @@
-"""Checks how a recording begins and ends: the first entries, the proofs in snapshots, the ledger.
+"""Check how a recording begins and ends: its first entries, proofs of snapshots, loss ledger.
 
-Version 0.1.0 wrote no proofs.
+A proof is the count of commands and the CRC of entries before a snapshot; 0.1.0 wrote none.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Ending:
 
     @property
     def is_closed(self) -> bool:
-        """Whether it is whole and was closed: then what is not there was not recorded."""
+        """Whether the recording is whole and was closed: nothing is missing at its end."""
         return self.is_whole and self.ledger is not None
 
     @property
@@ -88,7 +88,7 @@ class Ending:
 
 
 EndingOf = Callable[[str | None], Ending]
-"""Tells how the recording ends for a topic."""
+"""A function that returns the Ending for a topic."""
 
 
 class JournalEnd(NamedTuple):
@@ -113,8 +113,8 @@ NOT_COMPARED: Final = (
 class JournalOrigin:
     """Whether the recorder wrote the journal itself, or received it from a robot.
 
-    A recorder of robotctl wrote it if the first entry has equal log and publish times, or if the
-    topic is that of its own robot and it did not only observe. Any other journal was received.
+    A recorder of robotctl wrote the journal if the first entry has equal log and publish times, or
+    if its topic is of the recorder's robot and the recorder did not only observe.
     """
 
     def __init__(self, info: RecordingInfo, topic: str) -> None:
@@ -273,8 +273,8 @@ class RecordingEnds:
     def check(self, events_before_snapshot: int) -> None:
         """Check who wrote the journal, how it begins and ends, the types, and the loss ledger.
 
-        The ledger is in the last file, unless the recording was not closed. What topics miss is
-        reported later and explains no difference of another topic.
+        The ledger is in the last file if the recording was closed. Missing messages of a topic are
+        reported later, and explain no difference of another topic.
         """
         ledger = read_ledger(self._recording.metadata_of_file(-1))
         self.origin.check(self._report)
@@ -334,7 +334,7 @@ class RecordingEnds:
 
 
 def _is_beginning(snapshot: Snapshot) -> bool:
-    """Return whether a kernel has done nothing before this snapshot."""
+    """Return whether the kernel had processed nothing before this snapshot."""
     state, proof = snapshot.state, snapshot.proof
     has_heard = state.health.odometry is not None or state.health.battery_level is not None
     has_run = state.tick_t_ns is not None or state.drive is not None or has_heard

@@ -1,4 +1,4 @@
-"""Finds the step that stopped the robot or refused a request, and the state of the kernel then."""
+"""Find the step that stopped the robot or refused a request, and the kernel's state then."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
 
 MAX_MESSAGES_AFTER = 2000
-"""The first zero command is searched only in this many messages after the stop."""
+"""How many messages after the stop are searched for the first zero command."""
 
 
 class IncidentKind(StrEnum):
@@ -157,7 +157,7 @@ class _Search:
     def _snapshot(self, entry: JournalEntry) -> None:
         state = read_snapshot(entry).state
         if self._snapshot_seq is None or state.phase is not Phase.STOPPING:
-            self._snapshot_seq = entry.seq  # otherwise the begin of the ramp would stay unknown
+            self._snapshot_seq = entry.seq  # a later one lacks the beginning of the ramp
         if self._mode is None:
             self._mode = state.mode
 
@@ -184,7 +184,7 @@ class _Search:
 
 
 def _telling(step: Step) -> list[Effect]:
-    """Return the mode changes and replies of a step: they tell whether it is an incident."""
+    """Return the mode changes and replies of a step, which decide whether it is an incident."""
     names = (ModeChanged.__name__, Reply.__name__)
     return [read_effect(entry) for entry in step.effects if entry.name in names]
 
@@ -232,7 +232,7 @@ def _repeat(kernel: Kernel, entry: JournalEntry, incident: Incident) -> None:
 
 
 def _around(recording: Recording, topic: str, incident: Incident) -> Iterator[JournalEntry]:
-    """Yield the journal from the snapshot to shortly after the incident."""
+    """Yield the journal from the incident's snapshot on; fill in `log_ns` and `zero_ns`."""
     first = incident.seq if incident.snapshot_seq is None else incident.snapshot_seq
     commands = RobotTopics(recording.info(), topic).commands
     topics = {topic} if commands is None else {topic, commands}

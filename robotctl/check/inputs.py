@@ -1,8 +1,8 @@
-"""Compares the inputs of the kernel with the recorded messages, and says what differs.
+"""Compare the inputs in the journal with the recorded messages that they came from.
 
-A control loop receives inputs with best effort: some may be lost, but not all over a longer time.
-It forwards each changed value of a safety input, and an unchanged one only from time to time; so
-most of many equal messages never become events. Wanted velocities become events in MOVING alone.
+The control loop receives messages with best effort: some may be lost, but not all for long. Of a
+safety input, each changed value becomes an input of the kernel, an unchanged value only from time
+to time. A wanted velocity becomes an input in the mode MOVING alone.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message
 
 UNHEARD_NS = NS_PER_S // 2
-"""How long messages may go unheard; a stall of the control loop adds its time."""
+"""How long messages may fail to become inputs; a stall of the control loop adds its time."""
 
 GAP_NS = NS_PER_S // 10
-"""The time between two messages counts as at most this, since nothing can be missed in a gap."""
+"""The time between two such messages counts as at most this: in a pause nothing is missed."""
 
 BEGIN_NS = 3 * NS_PER_S
-"""Like UNHEARD_NS, but at the beginning, when the control loop may not be connected yet."""
+"""UNHEARD_NS at the beginning, when the control loop may not be connected yet."""
 
 MAX_WAITING = 100_000
 """The number of messages, and of inputs, that may wait to be compared; the oldest are dropped."""
@@ -104,7 +104,7 @@ class UnheardChange:
         self._is_begin = True
 
     def settle(self, stall_ns: int) -> None:
-        """Judge the messages up to the newest input; `stall_ns` more than usual may be unheard."""
+        """Judge the messages up to the newest input; UNHEARD_NS is extended by `stall_ns`."""
         newest = max(self._heard, default=0)
         while self._waiting and self._waiting[0].sequence <= newest:
             self._take(self._waiting.popleft(), stall_ns)
@@ -137,7 +137,7 @@ class UnheardChange:
 
 
 EDGE_NS: Final = NS_PER_S // 2
-"""Inputs this close to the end of a journal may lack a message, which was still under way.
+"""Inputs this close to the end of a journal may lack a message that was still under way.
 
 The messages of the first inputs of a file may be in the file before, because the recorder
 receives a message earlier than the control loop does.
@@ -150,17 +150,17 @@ AFTER_NS: Final = 2 * NS_PER_S
 """How long after the last journal entry a message may be recorded."""
 
 FEW: Final = 10
-"""This many messages may always be under way, in addition to those that BURST allows."""
+"""This many messages may be under way at the end, in addition to those that BURST allows."""
 
 BURST: Final = 10.0
-"""The messages under way may be this multiple of those expected at the mean rate."""
+"""The messages under way may be this multiple of the number expected at the mean rate."""
 
 LOST: Final = 2
 """The number of messages in a row that may be lost if no others are lost."""
 
 
 class Input(NamedTuple):
-    """An input in the journal: its time, publisher and value; `seq` is that of its entry."""
+    """An input in the journal: steady time, publisher, value, and number of the entry."""
 
     t_ns: int
     source: Hashable
@@ -180,7 +180,7 @@ class InputPairs:
 
     def __init__(self) -> None:
         self.tolerance = 0.0
-        """How far the angle in odometry may be from that of its input: a C library rounded it."""
+        """Tolerance for the angle of odometry [rad], which a C library may have rounded."""
 
         self.paired = 0
         self.lacking = 0
@@ -194,17 +194,17 @@ class InputPairs:
         """How many of `before_first` were sent before the recorder can have found the publisher."""
 
         self.at_begin = 0
-        """Inputs near the begin without a message, and not after one that has one."""
+        """Inputs near the beginning without a message, before the first that has a message."""
 
         self.differing = 0
-        """Inputs whose message holds another value."""
+        """Inputs whose message has another value."""
 
         self.differing_example = ""
         self.unheard = 0
         """Messages between paired ones that never became an input."""
 
         self.repeated = 0
-        """Messages whose number is not above that of the message before them."""
+        """Messages whose number is not above that of the previous message."""
 
         self.later_ns: list[int] = []
         """The log times of the messages with higher numbers than all that were paired."""
@@ -214,7 +214,7 @@ class InputPairs:
         """The number that was paired last, for each publisher."""
 
         self._lives: dict[Hashable, tuple[int, int]] = {}
-        """When the first and the last input of each publisher came."""
+        """Steady times [ns] of the first and the last input of each publisher."""
 
         self._unfound: list[tuple[int, Input]] = []
         """Inputs without a message, of publishers of which no message was paired yet."""
@@ -249,7 +249,7 @@ class InputPairs:
         self._pair(number, slot)
 
     def received(self, number: int, found: Input) -> None:
-        """Read an input of the journal; an input with the `number` 0 has no message."""
+        """Read an input of the journal, whose message has this `number`; 0 means no message."""
         if number:
             begin_ns, _ = self._lives.get(found.source, (found.t_ns, 0))
             self._lives[found.source] = begin_ns, found.t_ns
@@ -262,7 +262,7 @@ class InputPairs:
         self._waiting.clear()
 
     def end(self, t_ns: int, stalled_ns: int) -> None:
-        """Judge what waits at the end `t_ns`; stalls of `stalled_ns` may have delayed inputs."""
+        """Judge what waits at the end `t_ns`; stalls may have delayed inputs by `stalled_ns`."""
         left = [*self._waiting.rest()]
         newest = max((number for number, slot in left if slot.sent), default=0)
         newest = newest if self.has_one_publisher else 0
@@ -306,7 +306,7 @@ class InputPairs:
             self._last_ns = found.t_ns
 
     def _judge(self, number: int, slot: Slot[Input, Heard]) -> None:
-        """Count what of one number has no counterpart with its value."""
+        """Count inputs and messages of one number that have no counterpart of the same value."""
         for found in slot.entries:
             if slot.sent:  # it was received, with another value
                 self.differing += 1
@@ -343,7 +343,7 @@ def _same(one: Any, other: Any, tolerance: float) -> bool:
 
 
 class InputCheck:
-    """Compares the inputs and messages of one topic, from the first snapshot with a proof on."""
+    """Compares inputs and messages of one topic, from the first snapshot with a `Proof` on."""
 
     def __init__(
         self,
@@ -358,8 +358,8 @@ class InputCheck:
     ) -> None:
         """`read(data)` returns the value of a message.
 
-        Unless `is_always_heard`, some messages never become inputs; with a `repeat_ns`, those with
-        another value do, and equal ones after this time.
+        Unless `is_always_heard`, some messages never become inputs. With a `repeat_ns` [ns], a
+        changed value becomes an input at once, and an unchanged value after this time.
         """
         self.topic = topic.name
         self._name = name
@@ -469,10 +469,10 @@ class InputCheck:
             ending.lack(count, text)
 
     def _lost_at_end(self, ending: Ending, moment: JournalEnd, waited_ns: int, most: float) -> int:
-        """Return how many messages after the last input were lost, not under way at the end.
+        """Return how many messages after the last input were lost, and not still under way.
 
-        The control loop may have been `waited_ns` late. More than `most`, and messages that cannot
-        all have been under way, are reported.
+        Messages of the last EDGE_NS + `waited_ns` may be under way. Report more than `most` lost
+        messages, and more messages under way than the rate allows; return 0 then.
         """
         pairs = self._pairs
         if not (pairs.paired and pairs.has_one_publisher and ending.is_own) or moment.clock_changed:
@@ -497,12 +497,12 @@ _Input = (
 
 
 def _source(event: _Input) -> Hashable:
-    """Return which publisher an event is from."""
+    """Return the publisher of the message that an event came from."""
     return event.source if isinstance(event, OdomReceived) else event.publisher
 
 
 def _value(event: _Input) -> Any:
-    """Return what was measured; None for a diagnosis: the journal has the worst of all names."""
+    """Return the value of an input; None for diagnostics: the journal has only the worst one."""
     match event:
         case OdomReceived():
             return sample_of(event.odometry)
@@ -526,10 +526,10 @@ NAMES: Final = {
 
 
 class InputChecks:
-    """Compares all inputs that the configuration in the metadata uses."""
+    """Compares all inputs that the recorded configuration uses."""
 
     def __init__(self, report: Report, topics: RobotTopics, stalls: RecordedStalls) -> None:
-        """`stalls` are those of the journal."""
+        """`stalls` collects the stalls of the control loop that the journal has."""
         self._report, self._topics, self._stalls = report, topics, stalls
         odometry = topics.recorded("odometry.topic", "odom", cdr.ODOMETRY)
         battery = topics.recorded("battery.topic", "battery_state", "sensor_msgs/msg/BatteryState")
@@ -610,7 +610,7 @@ class InputChecks:
 
 
 class _DiagnosticsCheck(InputCheck):
-    """Compares the numbers of diagnostics; robotctl publishes on their topic as well."""
+    """Compares diagnostics by message number alone; robotctl publishes on their topic as well."""
 
     def end(self, ending: Ending, moment: JournalEnd, stall_ns: int) -> None:
         if not ending.is_clip:  # its messages begin later than its journal

@@ -1,4 +1,4 @@
-"""The invariants that must hold in every recording, checked on the journal and the traffic.
+"""The invariants that must hold in every journal, and the violations that a check collects.
 
 The checks compare values in the order of the journal, never wall-clock times: setting the clock
 during a recording changes nothing.
@@ -51,7 +51,7 @@ _REQUESTS = (ModeRequested, ResetRequested, DriveRequested, ParameterRequested, 
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """A sentence on an invariant that the recording breaks; the entry's number and steady time."""
+    """A sentence about a violated invariant; number and steady time [ns] of the journal entry."""
 
     seq: int
     t_ns: int

@@ -1,6 +1,6 @@
-"""Reads the journal: its entries in the order of their `seq`, as steps, and as kernel values.
+"""Read the journal: put its entries in order, group them into steps, decode them.
 
-Reading is ten times faster than with the codec of the kernel.
+Decoding is ten times as fast as with `kernel.codec`, which is used where the fast decoder fails.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _DECODERS: Mapping[Any, msgspec.json.Decoder[Any]] = MappingProxyType(
 )
 
 _NOT_QUICK = (msgspec.DecodeError, RecursionError)
-"""What a fast decoder raises; also for nan and inf, which are strings in the journal."""
+"""What a fast decoder raises, also for nan and inf, which are strings in the journal."""
 
 KERNEL_FAILURES = (
     *(AssertionError, ArithmeticError, AttributeError, LookupError),
@@ -53,7 +53,7 @@ def read_event(entry: JournalEntry) -> Event:
     """Return the event in an entry.
 
     Raises:
-        UnreadableFile: It is not an event of this version.
+        UnreadableFile: The entry is not an event of this version.
     """
     event: Event = _read(_EVENTS, "event", entry)
     return event
@@ -63,7 +63,7 @@ def read_effect(entry: JournalEntry) -> Effect:
     """Return the effect in an entry.
 
     Raises:
-        UnreadableFile: It is not an effect of this version.
+        UnreadableFile: The entry is not an effect of this version.
     """
     effect: Effect = _read(_EFFECTS, "effect", entry)
     return effect
@@ -73,7 +73,7 @@ def read_snapshot(entry: JournalEntry) -> Snapshot:
     """Return the snapshot in an entry.
 
     Raises:
-        UnreadableFile: It is not a snapshot of this version.
+        UnreadableFile: The entry is not a snapshot of this version.
     """
     snapshot: Snapshot = _read(_SNAPSHOT, "snapshot", entry)
     if wrong := _wrong_in(snapshot.params):
@@ -111,7 +111,7 @@ def text_of(value: Event | Effect | Snapshot) -> str:
 
 
 def _read(kinds: Mapping[str, Any], noun: str, entry: JournalEntry) -> Any:
-    """Return the value in an entry; missing fields get defaults, unknown ones are ignored."""
+    """Return the value in an entry; missing fields get defaults, unknown fields are ignored."""
     kind = kinds.get(entry.name)
     try:
         if kind is None:
@@ -129,7 +129,7 @@ def _read(kinds: Mapping[str, Any], noun: str, entry: JournalEntry) -> Any:
 MAX_DISORDER = 4096
 """How many entries are held back to put them in the order of their `seq`.
 
-Our files are in order; those that another program sorted by time are not if the clock was set.
+Our files are in order. A file that another program sorted by time is not, if the clock was set.
 """
 
 
@@ -184,7 +184,7 @@ def _missing(first: int, last: int) -> Gap:
 
 
 Moments = tuple[int, int, int]
-"""When a step began, on the steady and on the wall clock, and ended, on the wall clock [ns]."""
+"""Begin of a step by the steady clock, its begin and its end by the wall clock [ns]."""
 
 
 @dataclass(slots=True)
@@ -194,7 +194,7 @@ class Step:
     event: JournalEntry
     effects: list[JournalEntry] = field(default_factory=list)
     cut: bool = False
-    """Whether the journal ends or has a gap after it, so that effects may be missing."""
+    """Whether the journal ends or has a gap after the step, so that effects may be missing."""
 
 
 Item = Step | JournalEntry | Gap

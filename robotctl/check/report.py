@@ -1,4 +1,4 @@
-"""The report of the check of a recording."""
+"""The report and the verdict of checking a recording."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TOLERANCE: Final = 1e-9
 """The tolerance, absolute and relative, for floats that a C library rounded."""
 
 DIGITS: Final = 9
-"""The significant digits of a float that are compared between results of several machines."""
+"""Significant digits of a float that are compared between the results of two machines."""
 
 _FLOAT: Final = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?")
 
@@ -39,8 +39,8 @@ class Divergence:
     """The first place where a new kernel decided differently.
 
     `seq` and `t_ns` (steady) are those of the recorded entry. Both kernels decided on `event`, with
-    the effects `recorded` and `decided`, "" if missing; all three are texts `Name {json}`. `before`
-    is the state of the new kernel before the event; `differences` describes each differing field.
+    the effects `recorded` and `decided`, "" if missing; these three are texts `Name {json}`.
+    `before` is the new kernel's state before; `differences` describes each differing field.
     """
 
     seq: int
@@ -161,7 +161,7 @@ class Report:
     def miss(self, sentence: str, *, is_outside: bool = False) -> None:
         """Add a sentence about something that could not be checked.
 
-        Set `has_gaps`, unless what is missing is outside of the checked part (`is_outside`).
+        Set `has_gaps`, unless `is_outside`: the missing part is not within what was checked.
         """
         note_missing(self.missing, sentence)
         self.has_gaps |= not is_outside

@@ -1,4 +1,4 @@
-"""Checks a recording: does a new kernel decide the same, and do messages and invariants agree?"""
+"""Check a recording: re-run its decisions in a new kernel, and compare the recorded messages."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def file_groups(path: Path) -> list[list[Path]]:
 
 
 def _identity(file: Path) -> tuple[str, int | None]:
-    """Return the robot of a file and the `seq` of its first journal entry, None if it has none."""
+    """Return the robot of a file and the `seq` of its first journal entry, None without one."""
     with Recording(file) as recording:
         info = recording.info()
         topic = journal_topic(info)
@@ -119,13 +119,13 @@ class Comparisons:
             InputChecks(report, topics, self._stalls),
             StatusCheck(report, topics, clock),
         )
-        """What compares each step."""
+        """The comparisons that see each step."""
 
         self._of_decisions: tuple[Compared, ...] = (
             CommandCheck(report, topics, clock),
             ServiceChecks(report, topics, clock),
         )
-        """What compares all steps but odometry that led to nothing, which most steps are."""
+        """The comparisons that skip odometry without effects, which most steps are."""
 
         self._all = self._of_decisions + self._of_all
 
@@ -134,14 +134,14 @@ class Comparisons:
         return {topic: read for each in self._all for topic, read in each.readers().items()}
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Continue from a snapshot at the steady time `t_ns`, which is `log_ns` since the epoch."""
+        """Continue from a snapshot at the steady time `t_ns`, recorded at `log_ns` (epoch)."""
         self._invariants.snapshot(snapshot)
         self._ticks.begin(snapshot.params.rate_hz)
         for each in self._all:
             each.snapshot(snapshot, t_ns, log_ns)
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Compare a step; `seq` is the number of its event, `moments` is when it was handled."""
+        """Compare a step; `seq` is the number of its event, `moments` when it was handled."""
         self._order.step(event, seq)
         self._stalls.step(event)
         for each in self._of_all:
@@ -188,10 +188,10 @@ _KEY_DIGITS = 16
 
 
 def check_bytes(path: Path, report: Report, *, all_bytes: bool) -> None:
-    """Read every byte of the recording `path`, if it is small or `all_bytes` is set.
+    """Read every byte of a recording if it is below ALL_BYTES_BELOW or `all_bytes` is set.
 
-    Flaws are added to `report.missing`: what was recorded there is unknown. The report also gets
-    a line about the seal, which does not change the verdict.
+    Flaws are added to `report.missing`, because what was recorded there is unknown. The report also
+    gets a line about the seal, which does not change the verdict.
     """
     try:
         size = sum(file.stat().st_size for file in recording_files(path))
@@ -200,7 +200,7 @@ def check_bytes(path: Path, report: Report, *, all_bytes: bool) -> None:
             return
         found = verify_recording(path)
     except (OSError, UnreadableFile):
-        return  # the check has told why
+        return  # the check has reported why
     for sentence in (*found.unreadable, *found.flaws):
         if sentence not in report.missing:
             report.miss(sentence)
@@ -272,7 +272,7 @@ def check_recordings(
 ) -> list[dict[str, Any]]:
     """Check each path as `check_recording` does; return the JSON reports in the same order.
 
-    Several recordings are checked in one process per CPU, and `on_progress` gets their number.
+    Several are checked in one process per CPU; `on_progress` then counts recordings, not bytes.
     """
     if len(paths) == 1:
         return [check_recording(paths[0], on_progress, all_bytes=all_bytes).as_object()]
@@ -316,7 +316,7 @@ class _Check:
         """The steady time of the last entry that was read."""
 
         self._logged: dict[int, int] = {}
-        """When events and snapshots that are not handled yet were recorded [ns], by `seq`."""
+        """Log times [ns] of events and snapshots that are not compared yet, by `seq`."""
 
         self._logged_ns = 0
         """When the last entry was recorded, since the epoch [ns]."""

@@ -1,4 +1,4 @@
-"""Checks the robot statuses against the journal: the robot, the mode, and that none is missing."""
+"""Check the recorded RobotStatus messages against the journal: robot name, mode, missing ones."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from robotctl.messages.cdr import ROBOT_STATUS, CdrReader
 from robotctl.recording.read.messages import Message
 
 FIRST_NS: Final = 2 * NS_PER_S
-"""A journal longer than this must have a status."""
+"""A recording with a journal longer than this must have a status."""
 
 NEAR_NS: Final = NS_PER_S
 """The mode of a status must be in the journal within this time of the status."""
@@ -121,11 +121,11 @@ class StatusCheck:
         self._report = report
         self._modes = ShownModes(clock)
         self._first = 0
-        """The number of the first status, 0 before it."""
+        """The sequence number of the first status, 0 before there is one."""
 
         self._newest = 0
         self._absent: set[int] = set()
-        """The numbers between the first and the newest that are not there."""
+        """The missing sequence numbers between the first and the newest status."""
 
         self._repeats = RepeatedLatched(topics.info)
         self._unordered = 0
@@ -133,7 +133,7 @@ class StatusCheck:
         """The number of statuses of other publishers on the topic."""
 
         self._misnamed: list[int] = []
-        """The numbers of the statuses of another name."""
+        """The sequence numbers of the statuses with another robot name."""
 
         self._wrong = 0
         self._example = ""
@@ -172,7 +172,7 @@ class StatusCheck:
             self._foreign += 1
 
     def _is_own(self, number: int) -> bool:
-        """Return whether the robot may have sent this status: no other one has its number."""
+        """Note a status number; return False if an older status had it: it is another node's."""
         if not self._first:
             self._first = self._newest = number
         elif number > self._newest:
@@ -195,7 +195,7 @@ class StatusCheck:
         self._modes.snapshot(snapshot.state.mode, t_ns, log_ns)
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Note the time of an event, and the new mode if it changed the mode."""
+        """Note the time of an event, and the new mode if the step changed the mode."""
         self._modes.step(event.t_ns, moments[1])
         for effect in effects:
             if isinstance(effect, ModeChanged):

@@ -1,4 +1,4 @@
-"""The times of a journal: order of measurements, missing ticks, a clock that was set, stalls."""
+"""Check the times of a journal: order of measurements, missing ticks, clock changes, stalls."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from robotctl.kernel.types import (
 MEASUREMENTS: Final = frozenset(
     {OdomReceived, BatteryReceived, ScanReceived, GuardedCommandReceived, SafetyInputReceived}
 )
-"""The events whose time is that of their reception."""
+"""The events whose time `t_ns` is when their message was received."""
 
 SLACK_NS: Final = NS_PER_S // 1_000
 """A measurement may be this much earlier than the newest one before it."""
@@ -193,7 +193,7 @@ class ClockChanges:
             and self._set[-1].by_ns > 0
             and offset_ns <= self._set[-1].level_ns + CLOCK_NS  # as before the last rise
         ):
-            self._set.pop()  # it was a stall
+            self._set.pop()  # the rise was a stall
 
     def is_near(self, steady_ns: int) -> bool:
         """Return whether the offset between the clocks changed within EXCUSES_NS of this time."""

@@ -1,7 +1,7 @@
 """The topics of the robot whose journal is checked, and messages paired with journal entries.
 
-A message and its journal entry reach a recording in either order, and what explains a difference, a
-stall or another publisher, may be recorded seconds later. So both sides wait, by their number.
+A message and its journal entry reach a recording in either order. What explains a difference (a
+stall, another publisher) may be recorded seconds later. So both sides wait, by their number.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from robotctl.recording.read.messages import Message
 from robotctl.recording.write.recorder_options import TopicFilter
 
 MAX_TEXT: Final = 100_000
-"""The longest list of patterns that is read."""
+"""Maximum length of a list of patterns that is read."""
 
 
 class InputTopic(NamedTuple):
-    """A topic: its full name, None if it is not recorded, and its recorded type.
+    """The full name and type of a recorded topic; None and "" if the topic is not recorded.
 
-    `is_left_out` says that it is not recorded because the recorder was configured to omit it.
+    `is_left_out` says that the recorder was configured to omit the topic.
     """
 
     name: str | None = None
@@ -77,7 +77,7 @@ class RobotTopics:
         return {name for name, each in self.types.items() if each == type_name}
 
     def leaves_out(self, topic: str, *types: str) -> bool:
-        """Return whether the recorder left out the topic, if it has one of these types."""
+        """Return whether the configured patterns omit the topic with one of these types."""
         return not all(self._filter.records(topic, each) for each in types)
 
     def _patterns(self, key: str) -> list[str]:

@@ -1,7 +1,7 @@
 """What-if: the decisions of a kernel with other parameters on the recorded events.
 
-The loop is open: the recorded robot does not react to the other commands. Each decision is compared
-given all that was really measured until then.
+The loop is open: the recorded robot does not react to the commands of the other kernel. Both
+kernels decide on the same recorded measurements, and their decisions are compared.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def drives_of_both(
     """Return the drives of two kernels, side by side, as JSON values, in their order.
 
     A drive is `None` on the side that did not begin it. `measured` is what the robot did under the
-    recorded commands; how it would have followed the other kernel's commands is not known.
+    recorded commands; how the robot would have followed the other commands is not known.
     """
 
     def began_ns(request_id: int) -> int:
@@ -171,7 +171,7 @@ def drives_of_both(
 
 
 MAX_ANSWERS = 20
-"""The number of different answers that are listed; all are counted."""
+"""How many pairs of different answers are listed; all are counted."""
 
 
 def what_if(
@@ -235,7 +235,7 @@ class _Difference:
 
 @dataclass(slots=True)
 class _Side:
-    """One of the two kernels: its time in each mode, its drives, and answers to be compared."""
+    """One of the two kernels: its time in each mode, its drives, its answers still to compare."""
 
     kernel: Kernel | None = None
     in_mode_ns: dict[Mode, int] = field(default_factory=lambda: dict.fromkeys(Mode, 0))

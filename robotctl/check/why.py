@@ -1,4 +1,4 @@
-"""Explains an incident in sentences: the event, the rule, the request, the effects."""
+"""Explain an incident in sentences: the event, the rule, the request, the effects."""
 
 from __future__ import annotations
 
@@ -153,9 +153,10 @@ _SILENT = "a silence is zero at once, and ends the motion"
 
 @dataclass(frozen=True, slots=True)
 class Why:
-    """The explanation of an incident, in sentences; a field is empty if there is nothing to say.
+    """The explanation of an incident; a field is empty if there is nothing to say.
 
-    `remedies` is what the operator was told to do; for a recording of 0.1.0, `what` says it.
+    In order: what happened, advice to the operator (in a recording of 0.1.0, a part of `what`),
+    input, facts known to the kernel, rule, who requested the motion, effects, what followed.
     """
 
     what: str
@@ -249,7 +250,7 @@ def _known(incident: Incident) -> str:
     if health.odometry is None:
         facts.append("no odometry yet")
     else:
-        # Odometry may be newer than a late tick.
+        # The odometry may be newer than a late tick: its age is then 0.
         age_ns = max(incident.t_ns - health.odometry_t_ns, 0)
         facts.append(f"odometry {span(age_ns)} old")
     if incident.params.battery.topic:
@@ -329,7 +330,7 @@ def _other_refusal(event: Event, before: State) -> str:
 
 
 def _asked(incident: Incident) -> str:
-    """Return who had requested the motion that ended."""
+    """Return which motion ended, and who had requested it."""
     before = incident.before
     if before is None or before.mode is not Mode.MOVING:
         return ""

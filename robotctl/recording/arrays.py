@@ -35,9 +35,9 @@ class TopicArrays:
     """The fields of a topic, one entry for each message, in the order of `log_ns`.
 
     `log_ns` and `publish_ns` are when a message was received and published [ns since the epoch],
-    `time_s` is the log time since the first message of the recording [s]. `arrays["a.b"]` is a
-    field: numbers have the field's type, an array of n numbers has n columns, and texts, bytes and
-    sequences are objects.
+    `time_s` is the log time since the first message of the recording [s]. `arrays["a.b"]` is the
+    array of the field `a.b`. A number has the field's NumPy type, and a fixed array of n numbers
+    has n columns; texts, bytes and sequences have dtype object.
     """
 
     topic: str
@@ -48,7 +48,7 @@ class TopicArrays:
     fields: Mapping[str, Array]
 
     def __getitem__(self, path: str) -> Array:
-        """Return the array of a field that was read."""
+        """Return the array of the field `path`; raise KeyError if that field was not read."""
         return self.fields[path]
 
     def __len__(self) -> int:
@@ -63,14 +63,14 @@ def read_arrays(
     type_name: str = "",
     on_missing: Callable[[str], None] | None = None,
 ) -> TopicArrays:
-    """Return fields of a topic, such as `pose.pose.position.x`; without `fields`, all of them.
+    """Return the named `fields` of a topic, such as `pose.pose.position.x`; all if none is named.
 
-    `on_missing` is called with a sentence about each part that cannot be read. `type_name` chooses
-    a type if the topic has several.
+    `on_missing` is called with a sentence about each part of the recording that cannot be read.
+    `type_name` chooses the message type if the topic has several.
 
     Raises:
         UsageError: The recording has no such topic, or the topic's type has no such field.
-        UnreadableFile: Nothing can be read; or, without `on_missing`, not everything.
+        UnreadableFile: Nothing can be read; or, without `on_missing`, a part cannot be read.
     """
     missing: list[str] = []
     tell = on_missing or (lambda sentence: note_missing(missing, sentence))
@@ -145,21 +145,21 @@ _SQL_TYPES: Final = {
     "f": "FLOAT",
     "d": "DOUBLE",
 }
-"""The type of a column, by the `struct` code of its numbers; texts have none."""
+"""SQL type of a column by the `struct` code of its numbers; a column of texts is a VARCHAR."""
 
 _INTERRUPTED: Final = "Query interrupted"
 _ERRNO = re.compile(r'"errno":"(\d+)"')
 _MEMORY_LIMIT: Final = "1GB"
 _GROUP_BYTES: Final = "64MB"
 _LEAST_LINE: Final = 1 << 24
-"""The maximum length of a line of JSON, unless one is longer [bytes]; duckdb reserves it."""
+"""duckdb's limit for one line of JSON [bytes], raised for a longer line; duckdb allocates it."""
 
 
 def write_parquet(columns: Sequence[FieldPath], rows: Iterable[Row], target: Path) -> int:
-    """Write the rows into the new file `target`; return their number.
+    """Write the rows into the new Parquet file `target`; return the number of rows.
 
-    Lists of numbers or texts become lists, lists of messages JSON, and bytes a BLOB. Duckdb reads
-    the rows from a temporary file of JSON in the folder of `target`.
+    Lists of numbers or texts become lists, lists of messages become JSON text, and bytes become a
+    BLOB. duckdb reads the rows from a temporary file of JSON lines in the folder of `target`.
 
     Raises:
         UsageError, RobotctlError: duckdb is not installed, or fails.
@@ -179,7 +179,7 @@ def write_parquet(columns: Sequence[FieldPath], rows: Iterable[Row], target: Pat
         told = _ERRNO.search(str(error))
         code = int(told[1]) if told else errno.EIO
         raise OSError(code, os.strerror(code)) from error
-    except RuntimeError as error:  # what duckdb makes of a KeyboardInterrupt
+    except RuntimeError as error:  # duckdb turns a KeyboardInterrupt into this
         if str(error) == _INTERRUPTED:
             raise KeyboardInterrupt from None
         raise

@@ -1,6 +1,6 @@
-"""Converts a recording to new files; the messages do not change.
+"""Convert a recording, in MCAP or sqlite3, to new MCAP files with the same messages.
 
-It opens the files of the recording one after the other.
+Only one source file is open at a time.
 """
 
 from __future__ import annotations
@@ -59,20 +59,20 @@ from robotctl.recording.write.mcap_writer import McapFile
 _BATCH_BYTES: Final = 1 << 20
 _PROGRESS_ROWS: Final = 1000
 _MAX_TOPICS: Final = 1 << 16
-"""A channel id of MCAP has 16 bits."""
+"""Maximum number of topics: a channel id of MCAP has 16 bits."""
 
 _TABLES: Final = (
     "SELECT count(*) FROM sqlite_master WHERE type='table' AND name IN ('messages', 'topics')"
 )
-"""Counts only tables, because a view with one of these names could have endless rows."""
+"""Counts tables only, because a view with one of these names could have endless rows."""
 
 _MESSAGES: Final = "SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id"
 
 
 class SqliteSource:
-    """A .db3 file, with the attributes of `ReadableFile`.
+    """Reader of a .db3 file of rosbag2, with the interface of `ReadableFile`.
 
-    The file has one time for each message, which becomes both log time and publish time.
+    Such a file has one time per message, which becomes both log time and publish time.
     """
 
     profile = PROFILE
@@ -149,7 +149,7 @@ class SqliteSource:
             return None
 
     def _read_channels(self) -> dict[object, tuple[Channel, Schema | None]]:
-        """Return channel and schema of each topic, by its id in the database."""
+        """Return channel and schema of each topic, by the topic's id in the database."""
         definitions = self._definitions()
         channels: dict[object, tuple[Channel, Schema | None]] = {}
         for row in self._database.execute("SELECT * FROM topics"):
@@ -185,7 +185,7 @@ class SqliteSource:
         return channels
 
     def _definitions(self) -> dict[str, str]:
-        """Return the definitions in the database, by type; older bags have none."""
+        """Return the message definitions in the database, by type; older bags have none."""
         if not self._number("SELECT count(*) FROM sqlite_master WHERE name='message_definitions'"):
             return {}
         return {
@@ -201,7 +201,7 @@ class SqliteSource:
 
 
 def _address(path: Path) -> str:
-    """Return the URI of a database. Unless it has a journal, sqlite3 creates no file beside it."""
+    """Return the URI that opens a database read-only, without new files unless it has a journal."""
     plain = f"file:{quote(str(path.absolute()))}?mode=ro"
     has_journal = any(path.with_name(path.name + end).exists() for end in ("-wal", "-journal"))
     return plain if has_journal else f"{plain}&immutable=1"
@@ -223,13 +223,13 @@ def _decompression(path: Path) -> Callable[[bytes], bytes]:
 
 ConvertibleFile = ReadableFile | SqliteSource
 """One file of a recording, open for one pass: messages, then attachments. `lost` is complete after
-it; each batch of messages is written as one chunk."""
+that pass. Each batch of messages is written as one chunk."""
 
 
 class Sources:
-    """The files of the recording `path`, in MCAP or sqlite3.
+    """Iterable over the files of the recording `path`, in MCAP or sqlite3.
 
-    `lost` and `is_live` are complete after the iteration; `lost` has a sentence about each file
+    `lost` and `is_live` are complete after the iteration. `lost` has a sentence about each file
     that is missing or cannot be opened.
     """
 
@@ -244,7 +244,7 @@ class Sources:
         is_whole = self._paths != [path]
         self.lost = absent_files(text, self._paths) if is_whole else []
         self.told_messages = total_count_in(text) if is_whole else 0
-        """Message count in `metadata.yaml`; 0 if it has none, or `path` is one file."""
+        """Message count in `metadata.yaml`; 0 if there is none, or `path` is one file."""
 
         self.is_live = False
         """Whether a file was still being recorded when it was read."""
@@ -282,7 +282,7 @@ def _open_sqlite(path: Path, tell: Progress) -> Iterator[SqliteSource]:
 
 
 def _sqlite_files(path: Path) -> list[Path]:
-    """Return the sqlite3 files of a bag, in their order; none if it is in MCAP."""
+    """Return the sqlite3 files of a bag, in their order; [] for a bag in MCAP."""
     try:
         if not path.is_dir():
             return [path] if _is_sqlite(path) else []
@@ -308,7 +308,7 @@ _NAMES: Final[Mapping[str, Mapping[int, str]]] = {
 """The names by number in rmw_qos_*_policy_e (rmw/types.h); other numbers are unknown."""
 
 _MAX_CHARACTERS: Final = 1 << 16
-"""Longest text that is parsed, enough for 100 publishers of a topic: a YAML parser is slow."""
+"""Maximum length of a text that is parsed, enough for 100 publishers: a YAML parser is slow."""
 
 
 def named_policies(profiles: str) -> str:
@@ -339,7 +339,7 @@ def _named(profile: dict[str, Any]) -> dict[str, Any]:
 
 
 _MAX_CHANNELS: Final = 1 << 16
-"""A channel id of MCAP has 16 bits."""
+"""Maximum number of channels: a channel id of MCAP has 16 bits."""
 
 _QOS = "offered_qos_profiles"
 
@@ -351,7 +351,7 @@ class ChannelTable:
         self.channels: list[Channel] = []
         self.schemas: list[Schema] = []
         self.topics: list[Topic] = []
-        """What `metadata.yaml` says about each channel, by its id."""
+        """The topic entry in `metadata.yaml` for each channel, by channel id."""
 
         self._ids: dict[tuple[object, ...], int] = {}
         self._schema_ids: dict[tuple[object, ...], int] = {}
@@ -399,7 +399,7 @@ class OutputFile:
         self._channels = 0
 
     def is_full(self, limit: int | None) -> bool:
-        """Return whether it has messages, and at least `limit` bytes; None means no limit."""
+        """Return whether the file has messages, and at least `limit` bytes; None means no limit."""
         return limit is not None and bool(self._mcap.summary.counts) and self._mcap.size >= limit
 
     def write(self, messages: Sequence[PlainMessage]) -> None:
@@ -408,7 +408,7 @@ class OutputFile:
         self._mcap.commit(self._encoder.encode(pack(messages)), finished=False)
 
     def add_metadata(self, records: Sequence[Metadata]) -> None:
-        """Add metadata records. The next write includes them."""
+        """Add metadata records, which the next write includes."""
         for record in records:
             self._mcap.add_metadata(record.name, record.metadata)
 
@@ -474,7 +474,7 @@ class Converted:
 
 
 class Converter:
-    """Writes the files of a new recording, one source file after the other."""
+    """Writes the source files, one after the other, into the files of a new recording."""
 
     def __init__(self, name_of: Callable[[int], Path], form: Form) -> None:
         """`name_of` returns the path of a new file from its number, which begins at 0."""
@@ -521,7 +521,7 @@ class Converter:
         self.done.lost += (f"{source.name}: {sentence}" for sentence in source.lost)
 
     def _file_for(self, source: ConvertibleFile) -> OutputFile:
-        """Return the output file in which `source` begins: the present one, or a new one."""
+        """Return the output file for the beginning of `source`: the current or a new one."""
         output = self._output
         if output is None:
             return self._begin(source)
@@ -563,7 +563,7 @@ MCAP_SUFFIX = ".mcap"
 def convert(
     source: Path, target: Path, form: Form, on_progress: Progress = lambda done, total: None
 ) -> Converted:
-    """Write the recording `source` into `target`: a new folder, or a new file if it ends in .mcap.
+    """Convert the recording `source` to `target`: a file if the name ends in .mcap, or a folder.
 
     Raises:
         UnreadableFile: Nothing can be read.

@@ -1,8 +1,8 @@
-"""Files on the disk: who may read them, output that appears when complete, positioned writes.
+"""Files on the disk: access rights, output that appears when complete, writes at an offset.
 
-The owner of a recording may read it, or the group as well; other users never. The umask has no
-effect. Files made from a recording (its list, clips, repaired and recovered files) are shared with
-the group if the recording is.
+A recording is readable by its owner, or by the group as well; never by other users. The umask has
+no effect. Files made from a recording (`metadata.yaml`, clips, repaired and recovered files) are
+shared with the group if the recording is.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def cure_of(error: BaseException) -> str:
 def replaced_file(target: Path) -> Iterator[IO[bytes]]:
     """Yield a file that replaces `target` at the end of the block, unless the block raises.
 
-    The group may read the file if it may read the folder of `target`. A link is not replaced.
+    The group may read the file if it may read the folder of `target`. No link is replaced.
 
     Raises:
         OSError: The file cannot be written, or `target` is not a regular file.
@@ -168,10 +168,10 @@ def replaced_file(target: Path) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def atomic_output(target: Path, source: Path) -> Iterator[Path]:
-    """Yield a path for the block's file or folder, which is renamed to `target` at the end.
+    """Yield a path where the block creates a file or folder, which is then renamed to `target`.
 
     If the block raises, nothing remains. The path is in a hidden, private folder next to `target`;
-    a kill leaves this folder there. The group may read the result if it may read `source`.
+    a kill leaves that folder behind. The group may read the result if it may read `source`.
 
     Raises:
         Refused: `target` exists already, or cannot be written.
@@ -220,7 +220,7 @@ class Storage(Protocol):
         """Cut the file to `size` bytes."""
 
     def sync(self) -> None:
-        """Make all that was written so far, and the file's name, survive a power cut."""
+        """Force all data written so far to the disk, so that it survives a power cut."""
 
     def close(self) -> None:
         """Close the file."""
@@ -370,7 +370,7 @@ def new_file(target: Path, open_file: Callable[[Path], Storage] = DiskFile) -> I
             raise Refused(f"cannot write {target}: {_reason(error)}") from error
         raise
     finally:
-        with suppress(OSError):  # it is synced, or it is gone
+        with suppress(OSError):  # the file is synced, or removed
             storage.close()
 
 

@@ -1,10 +1,10 @@
-"""The keys of a robot in its state folder, the newest head of its chain, and the known heads.
+"""The signing keys of a robot, and the ends of sealed files that this machine knows.
 
 Each file of a recording has a different key, which the key of the previous file signs. Then the old
-private key is overwritten: a thief of the present key cannot sign older files. The folder has
-`key.json` (0600): the present private key, the number of files, the newest head. The journal of
-decisions, in the folder next to it, has a line for each file that was opened or closed; these lines
-outlive recordings.
+private key is overwritten: a thief of the present key cannot sign older files. `key.json` (0600) in
+the state folder has the present private key, the number of files and the newest link (the head).
+The journal of decisions, in the folder next to it, has a line for each sealed file that was opened
+or closed; these lines outlive recordings.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def is_signed(data: bytes, signature: bytes, public: str) -> bool:
 
 
 def signed_journal(opening: Opening, digests: Sequence[str]) -> bytes:
-    """Return the bytes that a file's key signs to prove `digests` of the journal of decisions."""
+    """Return the bytes that a file's key signs to prove the journal of decisions with `digests`."""
     return f"robotctl seal: journal\0{opening.certificate} {' '.join(digests)}".encode()
 
 
@@ -85,7 +85,7 @@ _MAX_KEY_BYTES = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """The newest known link of a chain; `file` is "" before the first file."""
+    """The newest stored link of a robot's chain of files; `file` is "" before the first file."""
 
     file: str = ""
     number: int = 0
@@ -116,13 +116,13 @@ class StoredKey:
 
 
 class Keyring:
-    """The keys of one robot, made when they are first needed. A `Sealer` for the recorder.
+    """The keys of one robot, created when first needed; implements `Sealer` for the recorder.
 
     All methods but `load` raise RobotctlError if a folder is not trusted or cannot be created.
     """
 
     def __init__(self, folder: Path, robot: str, on_head: Callable[[Head], None] = lambda _: None):
-        """Use `folder`. `keep` calls `on_head` with each head that it has stored."""
+        """Keep `key.json` in `folder`. `keep` calls `on_head` with each head that it has stored."""
         self._folder = folder
         self._journal = folder.with_name(FOLDER)
         self._robot = robot
@@ -149,7 +149,7 @@ class Keyring:
         return stored
 
     def open_file(self, file: str) -> SealOfFile:
-        """Make a key for a new file, and return its seal; overwrite the key of the previous file.
+        """Create a key for a new file, and return its seal; overwrite the previous file's key.
 
         Raises:
             OSError, ValueError: The keys cannot be read or written, so the file gets no seal.
@@ -171,7 +171,7 @@ class Keyring:
             )
             before = SigningKey(bytes.fromhex(stored.seed))
             opening = replace(opening, certificate=before.sign(opening.signed()).hex())
-            last_file(self._journal)  # it ends with a whole line from here on
+            last_file(self._journal)  # this ends a torn last line, before the digest
             found = digests(self._journal)
             signature = key.sign(signed_journal(opening, found)).hex()
             self._note(DecisionKind.OPENED, asdict(opening), journal=found, signature=signature)
@@ -248,12 +248,12 @@ class Keyring:
     def _locked(self) -> Iterator[None]:
         """Keep other processes from changing keys or journal during the block.
 
-        Before, the list of an early version is moved into the journal: a kill leaves lines twice.
+        First, the list of an early version is moved into the journal; a kill may duplicate lines.
         """
         make_private(self._folder)
         old = self._folder / OLD_LIST
         with locked(self._journal):
-            with suppress(OSError):  # it stays, and is read where it is
+            with suppress(OSError):  # the list stays, and is read where it is
                 if old.exists():
                     append(kept_file(self._journal), entries_of_list(old))
                     old.replace(old.with_name(f"{OLD_LIST}.old"))
@@ -268,7 +268,7 @@ def entries_of_list(path: Path) -> Iterator[Entry]:
     """Yield the lines of an early version's list as entries of the journal; skip malformed lines.
 
     Raises:
-        OSError: There is no list, or it cannot be read.
+        OSError: The list does not exist, or cannot be read.
     """
     with open_regular(path) as stream:
         for line in stream.read(MAX_KEPT_BYTES).splitlines():
@@ -280,7 +280,7 @@ def entries_of_list(path: Path) -> Iterator[Entry]:
 
 @dataclass(slots=True)
 class KnownHeads:
-    """The sealed files of all robots: each file's opening and last head, by its public key.
+    """Sealed files of all robots: each file's opening and end, by the file's public key.
 
     `signed` has the names of the files that have at least one signed link. `keys` has the public
     keys of the files by name: several files can have the same name if the clock was set back after
@@ -293,7 +293,7 @@ class KnownHeads:
     keys: dict[str, set[str]] = field(default_factory=dict)
 
     def add(self, entry: Entry) -> None:
-        """Add the opening or the last head that a line of a journal contains.
+        """Add the opening or the end of a file that a line of a journal contains.
 
         Raises:
             ValueError, TypeError, KeyError: The line is malformed.
@@ -302,7 +302,7 @@ class KnownHeads:
             opening = _opening(entry)
             self.opened[opening.key] = opening
             self.keys.setdefault(opening.file, set()).add(opening.key)
-            if opening.previous_file:  # it continues a signed link
+            if opening.previous_file:  # this file continues a signed link of that one
                 self.signed.add(opening.previous_file)
         elif entry.kind == DecisionKind.CLOSED:
             values = dict(entry.values[entry.kind])
@@ -343,7 +343,7 @@ def known_heads() -> KnownHeads:
 
 
 def wrong_openings(lines: Iterable[OpenedLine]) -> Iterator[str]:
-    """Yield a sentence for each line `opened` whose signature does not fit the lines before."""
+    """Yield a sentence for each line of kind `opened` that does not sign the lines before it."""
     for line in lines:
         proved = False
         with suppress(ValueError, TypeError, KeyError):

@@ -1,4 +1,4 @@
-"""The messages of one topic as rows: CSV, JSON lines."""
+"""The messages of one topic as rows of values, written as CSV or as JSON lines."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def choose_topic(info: RecordingInfo, name: str, type_name: str, *, listing: str
 
     Raises:
         UsageError: The recording has no such topic, or the topic has several types.
-        UnreadableFile: Its messages are not in CDR.
+        UnreadableFile: The messages of the topic are not in CDR.
     """
     names = {each.name for each in info.topics}
     full_name = name if name in names else f"/{name}"
@@ -63,7 +63,7 @@ TIME_COLUMNS: Final = (
     FieldPath(("time_s",), Field("time_s", "float64")),
 )
 """The first columns of each table: when a message was received and published [ns since the epoch],
-and the seconds from the first message of the recording to its reception."""
+and when it was received [s since the first message of the recording]."""
 
 _DESCRIBED_IN: Final = "ros2msg"
 
@@ -72,7 +72,7 @@ class TopicTable:
     """The messages of a topic as rows, which begin with the values of TIME_COLUMNS."""
 
     def __init__(self, recording: Recording, topic: TopicInfo) -> None:
-        """Find the columns of the topic's type.
+        """Prepare the columns of the topic's type; `recording` must stay open.
 
         Raises:
             UnreadableFile: The recording has no definition of the type that can be read.
@@ -108,10 +108,10 @@ class TopicTable:
 
 
 def recorded_definition(topic: TopicInfo) -> Definition:
-    """Return the definition of a topic's type.
+    """Return the definition of a topic's message type.
 
     Raises:
-        UnreadableFile: The recording has none, or none that can be read.
+        UnreadableFile: The recording has no definition, or one that cannot be read.
     """
     is_empty = topic.type_name.endswith("/Empty")
     if not topic.definition.strip() and not is_empty:
@@ -137,12 +137,12 @@ def _beside_times(column: FieldPath) -> FieldPath:
 _Change = Callable[[Any], Any]
 
 _BOTH: Final = "\r\n"
-"""The row end for module `csv`; `_LineFeeds` replaces it. Before Python 3.13, `csv` quotes a text
-with CR or LF only if that character is in the row end, but readers end a row at either."""
+"""The row end that module `csv` writes, and `_LineFeeds` replaces. Before Python 3.13, `csv` quotes
+a text with CR or LF only if that character is in the row end, but readers end a row at either."""
 
 
 def write_csv(columns: Sequence[FieldPath], rows: Iterable[Row], stream: TextIO) -> int:
-    """Write a header and the rows; return their number.
+    """Write a header and the rows; return the number of rows.
 
     Lines end with a line feed. Lists become JSON, bytes base64, NaN and infinity `nan` and `inf`.
     """

@@ -1,4 +1,4 @@
-"""The journal: every event, effect and snapshot of the kernel, as robot_controller/JournalEntry."""
+"""The journal: each event, effect and snapshot of the kernel as robot_controller/JournalEntry."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class EntryKind(IntEnum):
 
 
 class JournalEntry(NamedTuple):
-    """One entry: `seq` counts from 0 without gaps, `t_ns` is steady time, `data` is JSON."""
+    """One entry: `seq` counts from 0 without gaps, `t_ns` is steady time [ns], `data` is JSON."""
 
     seq: int
     t_ns: int
@@ -75,7 +75,7 @@ def encode(entry: JournalEntry) -> bytes:
 
 
 def chained(serialized: bytes, crc: int) -> int:
-    """Return the CRC-32 of a journal that ends with this entry; `crc` is the CRC before the entry.
+    """Return the CRC-32 of a journal up to and with this entry; `crc` is the CRC before the entry.
 
     Zeros at the end of the entry are left out, because DDS pads messages with zeros.
     """

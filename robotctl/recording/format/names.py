@@ -1,4 +1,4 @@
-"""The names in recordings: of records, events, compressions and files. Imports nothing slow."""
+"""The names in recordings: of records, events, compressions and files. Fast to import."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ import robotctl
 
 PROFILE = "ros2"
 OWN_LIBRARY = "robotctl "
-"""The beginning of the library name in the header of each file that robotctl writes."""
+"""Prefix of the library name in the header of each file that robotctl writes."""
 
 LIBRARY = OWN_LIBRARY + robotctl.__version__
 INFO_RECORD = "robotctl"
-"""The robot, and what made the recording; written when a file begins."""
+"""Robot, parameters, and what made the recording; written when a file begins."""
 
 OBSERVING = "observing"
-"""The mode of a recorder that drives no robot. The robot it observes may have the same name."""
+"""The `mode` in INFO_RECORD of a daemon that only records, and does not drive the robot."""
 
 PARAMETER_PREFIX = "parameter."
-"""The beginning of the keys in INFO_RECORD that are parameters."""
+"""Prefix of the keys of configuration parameters in INFO_RECORD."""
 
 SOFTWARE_RECORD = "robotctl.software"
 """The content hashes of the modules that decide and command; written when a file begins."""
@@ -38,11 +38,11 @@ EVENT_RECORD = "robotctl.event"
 """One event of the recording, written as it happens: see `recorded_events`."""
 
 LEDGER_RECORD = "robotctl.ledger"
-"""The loss ledger since the recording began, one JSON object per topic. It is the last record of a
-finished file. Messages counted as queued arrived while the file was being finished."""
+"""The loss ledger: message counts since the recording began, one JSON object per topic. Written
+when a file is finished. Messages counted as queued arrived while the file was being finished."""
 
 CLIP_RECORD = "robotctl.clip"
-"""In a clip: the recording it was cut from, the event, and what is missing."""
+"""In a clip: the recording that it was cut from, the event that it is about, what is missing."""
 
 RECOVERY_RECORD = "robotctl.recovery"
 """In a recovered file: the file it was made from, and what is lost."""
@@ -51,12 +51,12 @@ CONVERSION_RECORD = "robotctl.conversion"
 """In a converted file: the files it was made from, and what is missing."""
 
 OWN_ARITHMETIC = "own arithmetic, "
-"""Begins `MADE_BY` since the kernel has its own sin, cos, atan2 and hypot."""
+"""Prefix of `MADE_BY` if the kernel computed with its own sin, cos, atan2 and hypot."""
 
 _PLATFORM = f"Python {platform.python_version()}, {' '.join(platform.libc_ver())}".rstrip()
 
 MADE_BY = f"{OWN_ARITHMETIC}{_PLATFORM}"
-"""What computed the floats of a recording. Before `OWN_ARITHMETIC`, the C library rounded them."""
+"""What computed the floats of a recording. Without OWN_ARITHMETIC, the C library did."""
 
 
 class EventKind(StrEnum):
@@ -86,7 +86,7 @@ class Compression(Enum):
 
 
 def natural_order(path: Path) -> list[tuple[int, int, str]]:
-    """Return a sort key that puts `run_10` after `run_9`."""
+    """Return a sort key by the name of `path` that puts `run_10` after `run_9`."""
     parts = re.split(r"(\d+)", path.name)
     return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
 
@@ -97,7 +97,7 @@ PICTURE_FILE: Final = "path.png"
 PAGE_FILE: Final = "report.html"
 
 INDEX_FILE: Final = "index.parquet"
-"""What `robotctl index` makes."""
+"""The file that `robotctl index` writes."""
 
 _COMPARISONS: Final = "compared_with_*.html"
 """Pages in which earlier versions compared two recordings."""

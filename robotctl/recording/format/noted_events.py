@@ -1,4 +1,4 @@
-"""The events that a recorder stores for effects of the kernel, and as Foxglove shows them.
+"""Which effects of the kernel a recorder stores as events, and the event message of Foxglove.
 
 Readers of a recording do not import this module, because it imports the kernel. No ROS package has
 `foxglove_msgs/msg/Event`; https://docs.foxglove.dev/docs/sdk/schemas/event specifies it.
@@ -79,7 +79,7 @@ _EVENT: Final = parse_definition(TYPE_NAME, DEFINITION)
 
 
 def encode_event(start_ns: int, end_ns: int, metadata: Mapping[str, str]) -> bytes:
-    """Return an event as ROS serializes it (CDR); times in nanoseconds since the epoch."""
+    """Return a serialized Event message of Foxglove (CDR); times in ns since the epoch."""
     start, end = ({"sec": ns // NS_PER_S, "nanosec": ns % NS_PER_S} for ns in (start_ns, end_ns))
     pairs = [{"key": key, "value": value} for key, value in metadata.items()]
     return encode(_EVENT, {"start_time": start, "end_time": end, "metadata": pairs})

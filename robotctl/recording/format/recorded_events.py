@@ -1,7 +1,7 @@
-"""Events of a recording (emergency stops, errors, marks, drives), stored in its files' metadata.
+"""Events of a recording: emergency stop, error, mark and end of a drive, as MCAP metadata records.
 
-The journal has these events too, among a million other entries. The metadata records are found
-through the summary, also in a growing file or one whose writer was killed.
+The journal has these events too, among a million other entries. Readers find the metadata records
+through the summary, also in a file that is growing or whose writer was killed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from robotctl.recording.format.names import EVENT_RECORD, EventKind
 from robotctl.recording.format.records import MAX_TIME_NS
 
 MAX_LAPS = 1_000_000
-"""Limit on the laps of a drive: a record with more was not written by robotctl."""
+"""Limit on the laps of a drive: robotctl writes no record with more laps."""
 
 ERRORS = (
     "cross_track_max_m",
@@ -31,7 +31,7 @@ ERRORS = (
     "true_heading_max_rad",
     "true_closure_m",
 )
-"""The names of a drive's errors. An event lacks those that are not known."""
+"""Names of a drive's tracking errors in a metadata record, which lacks the unknown ones."""
 
 _DRIVE_FIGURES = (*ERRORS, "drive_s")
 
@@ -41,7 +41,7 @@ class RecordedEvent:
     """One event; `log_ns` is its time [ns since the epoch].
 
     The event at the end of a drive has the drive's `laps`, duration `drive_s` [s] and errors (see
-    kernel.types.DriveReport); what is not known is None. The `true_*` errors, which odometry cannot
+    kernel.types.DriveReport); unknown values are None. The `true_*` errors, which odometry cannot
     measure, are only known if the daemon simulated the robot.
     """
 

@@ -23,7 +23,7 @@ _TWO_PARTS = re.compile(r"([a-z][a-z0-9_]*)/([A-Z][A-Za-z0-9]*)")
 
 
 def type_name_of(channel: Channel, schema: Schema | None) -> str:
-    """Return the type of a channel, "" if it has none.
+    """Return the message type of a channel, "" if the channel has no schema.
 
     `pkg/T`, which some tools write for ROS 2 messages, becomes `pkg/msg/T`.
     """
@@ -36,7 +36,7 @@ def type_name_of(channel: Channel, schema: Schema | None) -> str:
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 PlainMessage = tuple[int, bytes, int, int, int]
-"""Channel, data, log time [ns], publish time [ns], sequence."""
+"""Channel id, data, log time [ns], publish time [ns], sequence number."""
 
 MAX_TIME_NS: Final = 2**64 - 1
 MAX_SEQUENCE: Final = 2**32 - 1
@@ -74,7 +74,7 @@ def record_bytes(record: McapRecord) -> bytes:
 
 
 def room_head(start: int, end: int) -> bytes:
-    """Return the head of the room record that fills a file from offset `start` to `end`."""
+    """Return opcode and length of the room record that fills a file from `start` to `end`."""
     return RECORD_HEAD.pack(ROOM_OPCODE, end - start - RECORD_HEAD_BYTES)
 
 
@@ -116,7 +116,7 @@ class PlacedChunk(NamedTuple):
 
     @property
     def end(self) -> int:
-        """The offset after record and message indexes."""
+        """The file offset after the chunk record and its message indexes."""
         entry = self.entry
         return entry.chunk_start_offset + entry.chunk_length + entry.message_index_length
 

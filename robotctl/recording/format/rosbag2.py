@@ -1,8 +1,8 @@
 """rosbag2's layout: a folder, its `metadata.yaml` (version 9), and the same text in each file.
 
-It is written as rosbag2 of Jazzy writes it, so that `ros2 bag info` and `ros2 bag play` accept the
-folder. This module formats the text itself, because a YAML emitter would hold the interpreter lock
-for 50 ms at each split.
+The text is formatted as rosbag2 of Jazzy does, so that `ros2 bag info` and `ros2 bag play` accept
+the folder. No YAML library is used, because its emitter would hold the interpreter lock for 50 ms
+whenever a new file begins.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def metadata_text(path: Path) -> str:
 
 
 def read_metadata(path: Path) -> str:
-    """Return the `metadata.yaml` of a recording (a folder or one of its files), "" if it has none.
+    """Return the `metadata.yaml` of a recording (a folder or one of its files), "" without one.
 
     Raises:
         OSError: The file cannot be read.
@@ -246,7 +246,7 @@ def _quoted(text: str) -> str:
 
 @lru_cache(maxsize=256)
 def _qos_lines(text: str) -> Sequence[str]:
-    """Return the lines of a list of QoS profiles; none for other text, which readers refuse."""
+    """Return the lines of a YAML list of QoS profiles; () for other text, which readers refuse."""
     lines = text.rstrip().split("\n")
     if not lines[0].startswith("- ") or not all(map(_QOS_LINE.fullmatch, lines)):
         return ()

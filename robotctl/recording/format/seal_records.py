@@ -1,11 +1,11 @@
 """The records of a seal: a hash chain over the bytes of a recording, and its signatures.
 
-They have opcodes that MCAP leaves to applications, so every reader skips them. An opening names the
-keys of a file and the previous file. A link has a signature and the chain's digest up to an offset:
+Their opcodes are those that MCAP leaves to applications, so other readers skip the records. An
+opening names the keys of a file and the previous file. A link has a signature and this digest:
 
     digest = SHA-256(digest of the previous link + SHA-256(the bytes since that link's offset))
 
-The first link of a file continues the last digest of the previous file, or 32 zeros.
+The first link of a file continues a digest of the previous file (`Opening.previous`), or 32 zeros.
 """
 
 from __future__ import annotations
@@ -38,23 +38,23 @@ class LinkKind(IntEnum):
     """The purpose of a link."""
 
     LINK = 1
-    """In the data, directly behind the bytes that it covers. The next link continues it."""
+    """In the data, directly behind the bytes that the link covers. The next link continues it."""
 
     HEAD = 2
     """In the summary: the newest link, which each commit overwrites."""
 
     REPAIRED = 3
-    """A link without a signature: a repair has written the bytes behind it."""
+    """An unsigned link: it marks that a repair has written the bytes behind it."""
 
 
 def chained(before: bytes, hashed: bytes) -> bytes:
-    """Return the digest after `before`; `hashed` is the SHA-256 of the bytes since `before`."""
+    """Return the digest that follows the digest `before`; `hashed` is the SHA-256 of new bytes."""
     return sha256(before + hashed).digest()
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """The chain over the first `covered` bytes of a file.
+    """The digest of the first `covered` bytes of a file, and its signature.
 
     `number` counts the links of kind LINK in the file from 1; a head has the next link's number.
     `time_ns` is the wall time of its signature, in nanoseconds since the epoch.
@@ -94,7 +94,7 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """The beginning of a sealed file. Keys, digests and signatures are in hex."""
+    """The record that begins the seal of a file. Keys, digests and signatures are in hex."""
 
     robot: str
     root: str

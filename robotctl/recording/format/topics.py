@@ -1,4 +1,4 @@
-"""What a file says about a topic, and the message counts of a topic."""
+"""What a file stores about a topic (type, definition, QoS), and the message counts of a topic."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class MessageCounts:
     """Sent by a publisher before the first message that was received from it."""
 
     not_repeated: int = 0
-    """Latched messages that later files do not repeat, for lack of memory or room in the file."""
+    """Latched messages that a later file does not repeat, for lack of memory or file space."""
 
     throttled: int = 0
-    """Not recorded, not counted as received: above the topic's rate, or the disk is almost full."""
+    """Not recorded and not in `received`: above the topic's rate, or the disk is almost full."""
 
 
 COUNTERS: Final = tuple(field.name for field in fields(MessageCounts))
@@ -41,7 +41,7 @@ LATCHED_QOS = "durability: transient_local"
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """What a file says about a topic.
+    """A topic as a file describes it.
 
     `definition` is the ros2msg text, "" if unknown. `offered_qos` is the YAML list that rosbag2
     writes, one entry per publisher.
@@ -63,8 +63,8 @@ class Topic:
 class TopicStats(NamedTuple):
     """The MessageCounts of one topic; `bytes` counts the data of received messages.
 
-    It is a tuple that begins with the counters in the order of MessageCounts: `status` creates and
-    sums one per topic in the event loop, and creating a data class takes 1.3 times as long.
+    The first fields are the counters in the order of MessageCounts. The event loop creates one
+    object per topic for each `status` request, and a data class would take 1.3 times as long.
     """
 
     received: int = 0

@@ -1,4 +1,4 @@
-"""What follows the data of an MCAP file: DataEnd, summary, footer, magic."""
+"""The trailer of an MCAP file: DataEnd, summary, footer and magic, which follow the data."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ class WrittenFile:
     groups: Mapping[Opcode, bytes]
     statistics: Statistics
     seal: bytes = b""
-    """The record of the seal's head in the summary; empty if there is none."""
+    """The newest link of the seal, as a record of the summary; empty if there is none."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrailerState:
-    """The state of a file at one moment: enough to write the trailer of that moment again."""
+    """The values from which the trailer of one moment can be written again."""
 
     data_end: int
     """The offset where the trailer begins."""
@@ -69,7 +69,7 @@ class TrailerState:
     """Bytes of the groups that only grow: all but the statistics."""
 
     seal: bytes = b""
-    """The record of the seal's head, which follows the statistics; empty if there is none."""
+    """The newest link of the seal: a record behind the statistics; empty if there is none."""
 
     @property
     def kept_bytes(self) -> int:
@@ -84,7 +84,7 @@ class Trailer(NamedTuple):
     """The DataEnd record."""
 
     summary: list[Buffer]
-    """The groups, in their order."""
+    """The groups of summary records, in the order of `_GROUPS`; then the seal's record, if any."""
 
     offsets: bytes
     """The summary offsets."""
@@ -163,7 +163,7 @@ class Summary:
         self._numbers[opcode] += 1
 
     def count(self, chunk: Chunk) -> None:
-        """Count the messages of a chunk. Call it before the chunk's index is added."""
+        """Add a chunk to counts and times. Call this before the chunk's index record is added."""
         first = not self._numbers[Opcode.CHUNK_INDEX]
         self.start_ns = chunk.start_ns if first else min(self.start_ns, chunk.start_ns)
         self.end_ns = max(self.end_ns, chunk.end_ns)
@@ -171,7 +171,7 @@ class Summary:
             self.counts[channel] = self.counts.get(channel, 0) + len(entries) // 2
 
     def go_back_to(self, state: TrailerState | None) -> None:
-        """Set the counts back to those in `state` after a failed write; None sets them to 0."""
+        """Set counts and times back to those in `state`, after a failed write; None means 0."""
         counted = None
         if state is not None:
             content = BytesIO(state.statistics[RECORD_HEAD_BYTES:])
@@ -183,7 +183,7 @@ class Summary:
     def state(self, data_end: int, data_crc: int, seal: bytes = b"") -> TrailerState:
         """Return the current state; `data_end` is where the data ends, `data_crc` its checksum.
 
-        `seal` is the record of the seal's head for that data.
+        `seal` is the record of the seal's newest link, which covers that data.
         """
         statistics = Statistics(
             attachment_count=self._numbers[Opcode.ATTACHMENT_INDEX],

@@ -1,1 +1,1 @@
-"""What robotctl does with existing recordings: list, repair, recover, clip, remove."""
+"""Work on existing recordings: list, repair, recover, clip, remove."""

@@ -1,6 +1,6 @@
 """Clips: self-contained files, each cut from a recording around an event.
 
-A clip begins with the last messages of latched topics and the journal since its last snapshot, so
+A clip begins with the journal since its last snapshot and the last messages of latched topics, so
 that a new kernel can repeat all decisions in the clip.
 """
 
@@ -52,7 +52,7 @@ def records_of_clip(
 ) -> Iterator[tuple[str, Mapping[str, str]]]:
     """Yield name and values of each metadata record that a clip of `window` copies.
 
-    For each name in OF_EACH_FILE only the last record is yielded, without the mode of a robot.
+    For each name in OF_EACH_FILE only the last record is yielded, with no mode but OBSERVING.
     """
     records = list(recorded)
     for record in records:
@@ -70,10 +70,10 @@ def records_of_clip(
 CHUNK_BYTES = 1 << 20
 
 Lose = Callable[[str], None]
-"""Called with a sentence about what cannot be read."""
+"""Called with a sentence about a part that cannot be read."""
 
 Progress = Callable[[int, int], None]
-"""Called with the nanoseconds of the recording done, and in total."""
+"""Called with the recorded time that is done, and in total [ns]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +94,8 @@ class Moment:
 class Clip:
     """A finished clip; `lost` says in sentences what could not be read.
 
-    Times are those of the first and last message, in nanoseconds since the epoch; messages repeated
-    from before the clip do not count.
+    `start_ns` and `end_ns` are the part of the requested time range that the recording has, in ns
+    since the epoch. `message_count` includes the messages repeated from before `start_ns`.
     """
 
     target: Path
@@ -249,7 +249,7 @@ class ClipJob:
 
 
 def remaining_s(job: ClipJob, listed: ListedRecording) -> float:
-    """Return how long the recording must continue until it contains the whole clip [s]."""
+    """Return how long the recording must continue to contain the whole clip [s]; 0 if it ended."""
     if not listed.live or listed.end_ns >= job.end_ns:
         return 0.0
     return max(job.end_ns - time.time_ns(), 0) / NS_PER_S
@@ -275,7 +275,7 @@ def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) ->
 
 
 def clip_job(given: dict[str, Any], report: Report) -> None:
-    """Cut the clip of a job in a separate process; report {"target", "lost"}."""
+    """Cut the clip of `given`, a ClipJob as JSON, in a separate process; report target and lost."""
     made = make_clip(msgspec.convert(given, ClipJob, dec_hook=lambda kind, value: kind(value)))
     report({"target": str(made.target), "lost": list(made.lost)})
 

@@ -1,4 +1,4 @@
-"""Compares a clip with the same time in its source: messages, types, channels, metadata."""
+"""Compare a clip with its source recording: messages, types, channels, metadata."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _AFTERWARDS: Final = (CONVERSION_RECORD, RECOVERY_RECORD)
 class Origin:
     """The comparison of a clip with its source; `wrong` has a sentence for each difference.
 
-    `not_proved` lists what the source cannot confirm. Times are in nanoseconds since the epoch.
+    `not_proved` lists what the source cannot confirm. `messages` counts equal ones. Times in ns.
     """
 
     clip: Path
@@ -58,7 +58,7 @@ def compare_with_source(clip: Path, source: Path) -> Origin:
     """Compare all that a clip copied with its source, a file or a whole recording.
 
     Raises:
-        UnreadableFile: One of them cannot be read, or `clip` is not a clip.
+        UnreadableFile: `clip` or `source` cannot be read, or `clip` is not a clip.
     """
     with Recording(clip) as cut, Recording(source) as whole:
         about = cut.info().metadata.get(CLIP_RECORD, {})
@@ -86,7 +86,7 @@ def _differences(
 ) -> Iterator[str]:
     """Yield a sentence for each difference other than in messages.
 
-    Files that the source got after the clip was cut are ignored.
+    Source files that were added after the clip was cut are ignored.
     """
     named = about.get("of", "").split(", ")
     files = [each for each in source.open_files if each.path.name in named]

@@ -1,4 +1,4 @@
-"""Lists the recordings in a folder: those that robotctl wrote and may change, or all."""
+"""List the recordings in a folder: all, or those that robotctl wrote and may change."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ KEEP_FILE = "keep"
 """A recording with a file of this name in its folder is never removed."""
 
 CLIPS_FOLDER = "clips"
-"""Subfolder of a recording. It is not part of the bag, but is kept or removed with it."""
+"""Subfolder of a recording. Clips are not part of the bag, but are kept or removed with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class CatalogFile:
 
 @dataclass(frozen=True, slots=True)
 class CatalogFolder:
-    """A recording of robotctl: `files` ordered by number, and the clips cut from it."""
+    """A recording of robotctl: `files` by number, its clips, and whether it is never removed."""
 
     path: Path
     files: tuple[CatalogFile, ...]
@@ -56,7 +56,7 @@ class CatalogFolder:
 
     @property
     def live(self) -> bool:
-        """Whether a running process is recording into it."""
+        """Whether a running process is writing one of the files."""
         return any(file.live for file in self.files)
 
 
@@ -142,8 +142,8 @@ GRAVEST_FIRST = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 class ListedRecording:
     """A recording: a folder of files, or a single file.
 
-    `start_ns` and `end_ns` are since the epoch, 0 without messages. `damage` says in sentences
-    what cannot be read. `readable` is False if nothing can be read.
+    `start_ns` and `end_ns` are since the epoch, 0 without messages; `modified_s` too, in seconds.
+    `damage` has a sentence for each part that cannot be read; `readable` is False if none can.
     """
 
     path: Path
@@ -210,7 +210,7 @@ def list_recordings(
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """Return the recordings and unlistable folders in `folder`, by name; links are not followed.
+    """Return recordings, and folders that this user may not list, by name; do not follow links.
 
     Raises:
         OSError: `folder` cannot be listed.
@@ -225,7 +225,7 @@ def _is_listed(path: Path) -> bool:
 
 
 def list_recording(path: Path) -> ListedRecording:
-    """Return the recording `path`, a folder or a file.
+    """Return what can be listed about the recording `path`, a folder or a file.
 
     Raises:
         OSError: `path` does not exist or holds no recording.

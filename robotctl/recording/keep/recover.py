@@ -1,4 +1,4 @@
-"""Recovers what can be read of a broken file, whichever program wrote it."""
+"""Recover what can be read of a broken file, whichever program wrote it, into a new file."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from robotctl.recording.write.mcap_writer import McapFile
 
 
 def seal_of_repair(written: WrittenFile) -> Iterator[bytes]:
-    """Yield the records to add to a sealed file before a repair writes: its newest head, and an
+    """Yield the seal records that a repair must write first: the newest link of the file, and an
     unsigned link of kind REPAIRED. Yield nothing for a file without a seal.
     """
     if not written.seal:
@@ -88,10 +88,10 @@ def seal_of_copy(file: InputFile) -> Iterator[bytes]:
 
 @dataclass(frozen=True, slots=True)
 class RecoveryReport:
-    """What was recovered; `lost` says in sentences what was not.
+    """The result of a recovery; `lost` has a sentence about each part that was not recovered.
 
-    `limit_reached` is True if more can be read with higher limits. `failure` is not None if the
-    disk or the memory failed while reading: a later attempt may recover more.
+    `limit_reached` is True if more can be read with higher read limits. `failure` is not None if
+    the disk or the memory failed while reading: a later attempt may recover more.
     """
 
     target: Path

@@ -1,4 +1,4 @@
-"""Tidies a recordings folder: removes what is old, repairs what a crash or power cut interrupted.
+"""Tidy a recordings folder: remove old files, repair those that a crash or power cut interrupted.
 
 A file that cannot be read now, because the disk fails or memory is short, is left as it is: the
 next start retries.
@@ -68,11 +68,11 @@ _UNFINISHED = ".repair"
 
 
 def repair(recordings: Path) -> Iterator[TidyNote]:
-    """Repair the recordings below `recordings` that no process is writing; yield a note of each
-    repair. Blocks, because files that were not closed are read completely.
+    """Repair the recordings below `recordings` that no process is writing; yield a note of each.
 
-    A complete file that was not closed is marked as checked, so that it is read only once. A torn
-    file is replaced by what can be read of it. A failure with a file is yielded as a problem.
+    Blocks, because files that were not closed are read completely. A file that was not closed but
+    is complete is marked as checked, so that it is read only once. A torn file is replaced by what
+    can be read of it. If a file cannot be repaired, the note is a problem.
 
     Raises:
         OSError: `recordings` cannot be listed.
@@ -104,7 +104,7 @@ def _repair_folder(folder: CatalogFolder) -> Iterator[TidyNote]:
 
 
 def _list_is_older(folder: CatalogFolder) -> bool:
-    """Return whether a repair was killed before it updated `metadata.yaml`."""
+    """Return whether a repair was killed before it could update `metadata.yaml`."""
     with suppress(FileNotFoundError):
         listed_ns = (folder.path / METADATA_FILE).stat().st_mtime_ns
         for path in (each.path for each in folder.files):
@@ -166,7 +166,7 @@ def _close(
 ) -> None:
     """Write `messages` and a trailer behind the data, and mark the file as checked.
 
-    `old_end` is what follows the data now; it is restored after an error.
+    `old_end` is what now follows the data; these bytes are restored after an error.
 
     Raises:
         OSError: The disk is full or fails.
@@ -242,7 +242,7 @@ class TidyJob:
 
 
 def tidy(job: TidyJob) -> Iterator[TidyNote]:
-    """Collect noted removals, remove old files, repair the rest; yield a note of each. Blocks.
+    """Report noted removals, remove old files, repair the rest; yield a note of each. Blocks.
 
     Waits for other processes that tidy the folder. Files that are being written are not changed.
     """
@@ -261,6 +261,6 @@ def tidy(job: TidyJob) -> Iterator[TidyNote]:
 
 
 def tidy_job(given: dict[str, Any], report: Report) -> None:
-    """Run a job in a separate process, and report each note. If a report fails, stop there."""
+    """Run `tidy` for `given`, a TidyJob as JSON, in a separate process, and report each note."""
     for note in tidy(msgspec.convert(given, TidyJob, dec_hook=lambda kind, value: kind(value))):
         report(note._asdict())

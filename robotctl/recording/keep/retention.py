@@ -1,4 +1,4 @@
-"""Removes the oldest recordings of robotctl, so that the disk does not fill up."""
+"""Remove the oldest files of robotctl's recordings, so that the disk does not fill up."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from robotctl.recording.read.records import InputFile
 
 
 def rewrite_metadata(folder: Path, files: Sequence[Path]) -> None:
-    """Write the `metadata.yaml` of `folder`. It lists `files` in this order, except those that
+    """Write a `metadata.yaml` into `folder` that lists `files` in this order, except those that
     cannot be read.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: `metadata.yaml` cannot be written, or a file cannot be opened.
     """
     topics: dict[Topic, int] = {}
     described = []
@@ -95,7 +95,7 @@ def withdraw_note(recordings: Path, path: Path) -> None:
 
 
 def noted_removals(recordings: Path) -> Iterator[TidyNote]:
-    """Yield each noted removal whose file is gone, then delete the notes. Call it in `only_one_in`.
+    """Yield each noted removal whose file is gone, then delete its note. Call in `only_one_in`.
 
     The note of a file that still exists stays: its removal is in progress, or was interrupted.
     """
@@ -113,7 +113,7 @@ def noted_removals(recordings: Path) -> Iterator[TidyNote]:
 
 @contextmanager
 def only_one_in(recordings: Path) -> Iterator[None]:
-    """Lock the folder for the block, if its file system has locks; wait for other processes.
+    """Lock a folder during the block, so that only one process tidies it; wait for the lock.
 
     Raises:
         OSError: The folder cannot be opened.
@@ -163,7 +163,7 @@ def enforce_retention(
 
     Never removed: a file that is being written, a recording with a `keep` file and its clips, and
     files that robotctl did not write. `may_remove` is called just before each removal and may
-    prevent it; `on_failure` is called if one fails. `now_s` is in seconds since the epoch. Blocks.
+    prevent it; `on_failure` is called if a removal fails. `now_s` is since the epoch. Blocks.
 
     Raises:
         OSError: `recordings` cannot be listed.
@@ -198,9 +198,9 @@ def enforce_retention(
 
 
 def remove_recording(folder: CatalogFolder) -> list[CatalogFile]:
-    """Remove the files and clips of a recording, which must be neither live nor kept. Blocks.
+    """Remove the files and clips of a recording; return those removed. Blocks.
 
-    The folder stays if it holds other files.
+    The recording must be neither live nor kept. The folder stays if it has other files.
 
     Raises:
         OSError: A file cannot be removed; the files before it are removed.
@@ -217,7 +217,7 @@ def remove_recording(folder: CatalogFolder) -> list[CatalogFile]:
 
 
 def _tidy(folder: CatalogFolder, gone: set[Path]) -> None:
-    """Update `metadata.yaml` after files were removed; remove the folder if no file is left."""
+    """Update `metadata.yaml` after files were removed; without a file left, remove the folder."""
     if folder.live:
         return  # its writer updates metadata.yaml
     left = [file.path for file in folder.files if file.path not in gone]

@@ -1,1 +1,1 @@
-"""Reads any MCAP recording, also a damaged or hostile one."""
+"""Read any MCAP recording, also a damaged or hostile one."""

@@ -1,4 +1,4 @@
-"""Reads a stored chunk or message: decompresses it, and checks it against what its record says.
+"""Decompress a stored chunk or message, and check the result against its record.
 
 Every size is checked against the file's limits before anything is decompressed.
 """
@@ -45,7 +45,7 @@ _MAX_NAME_BYTES: Final = 32
 
 
 def unpack(compression: str, stored: bytes, size: int, *, torn: bool = False) -> bytes:
-    """Return the content of a chunk, which should have `size` bytes.
+    """Return the `stored` data of a chunk, decompressed, which should have `size` bytes.
 
     Of a `torn` chunk, which the end of the file cuts off, return what can be decompressed.
 
@@ -101,7 +101,7 @@ def read_chunk_head(file: InputFile, offset: int, length: int) -> ChunkHead:
     """Parse the head of the chunk record at `offset`; the record has `length` bytes in all.
 
     Raises:
-        Damaged: At `offset` is no chunk record of that length.
+        Damaged: There is no chunk record of that length at `offset`.
     """
     prefix = file.read(offset, min(_BEFORE_NAME + _MAX_NAME_BYTES + 8, length))
     try:
@@ -253,7 +253,7 @@ class MessageDecompressor:
     """Decompresses the messages at one place of a file, within the file's limits."""
 
     def __init__(self, offset: int, limits: ReadLimits, tally: Tally) -> None:
-        """Set up a decompressor for the place at `offset`; `tally` adds up the file's work."""
+        """Set up a decompressor for the place at `offset`; `tally` sums the file's costs."""
         self._offset = offset
         self._limits = limits
         self._tally = tally

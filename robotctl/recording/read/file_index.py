@@ -1,4 +1,4 @@
-"""The index of one MCAP file: what it holds and where, as far as known."""
+"""The index of one MCAP file: its topics, message counts and metadata, and where messages are."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MAX_SENTENCES = 20
 
 
 class PlaceKind(Enum):
-    """How messages are stored."""
+    """How the messages of a place are stored."""
 
     CHUNK = "chunk"
     TORN_CHUNK = "torn chunk"
@@ -56,7 +56,7 @@ class Place:
     compression: str = ""
 
     def size_in_memory(self, file: InputFile) -> int:
-        """Return how many bytes `read` will return, as the file claims.
+        """Return how many bytes `read` will return, by the size that the file claims.
 
         Raises:
             Damaged: The head of the chunk cannot be read.
@@ -84,11 +84,11 @@ class Place:
 
 
 class Contents:
-    """What a place was found to hold while its records are walked."""
+    """The messages and definitions that are found by walking the records of a place."""
 
     def __init__(self) -> None:
         self.records = 0
-        """The records that were walked."""
+        """The number of records that were walked."""
 
         self.entries: dict[int, array[int]] = {}
         """Log time [ns] and position of each message, alternately, by channel."""
@@ -100,14 +100,14 @@ class Contents:
         define: Callable[[int, bytes], object],
         begin: Callable[[int], None] = lambda channel: None,
     ) -> None:
-        """Walk the records `data` of a place: at most `most` of them.
+        """Walk the records in `data`, the content of a place.
 
-        `define` gets opcode and content of each schema and channel, `begin` each channel before
-        its first message.
+        `define` gets opcode and content of each schema and channel. `begin` gets each channel id,
+        before the first message of the channel is added.
 
         Raises:
             Damaged: A record is cut off or malformed.
-            BeyondLimit: There are more records.
+            BeyondLimit: There are more than `most` records.
         """
         message, every = Opcode.MESSAGE.value, self.entries
         for block in head_blocks(data, most):
@@ -139,7 +139,7 @@ OF_EACH_FILE: Final = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
 
 
 def topic_of(channel: Channel, type_name: str) -> Topic:
-    """Return what `metadata.yaml` says of a channel with messages of that type."""
+    """Return the topic, as `metadata.yaml` describes it, of a channel with that message type."""
     return Topic(
         name=channel.topic,
         type_name=type_name,
@@ -184,19 +184,19 @@ class FileIndex:
 
     declared_metadata: int = 0
     declared_attachments: int = 0
-    """The numbers of metadata and attachment records that the summary counts."""
+    """How many metadata and attachment records the summary counts."""
 
     metadata_offsets: set[int] = field(default_factory=set)
     """Offsets of the records in `metadata`."""
 
     records: Tally = field(default_factory=Tally)
-    """The records that were walked, by the offset of their place."""
+    """How many records were walked, by the offset of their place."""
 
     unpacked: Tally = field(default_factory=Tally)
     """The cost of decompressing single messages, by the offset of their place."""
 
     messages_read: dict[int, int] = field(default_factory=dict)
-    """The messages of each place that was read to its end, by its offset."""
+    """How many messages a place has that was read to its end, by the offset of the place."""
 
     limit_reached: bool = False
     """Whether a part was left out that could be read with higher limits."""
@@ -211,7 +211,7 @@ class FileIndex:
         self.miss(f"{what}: {limit}")
 
     def count(self, counts: Mapping[int, int], start_ns: int, end_ns: int) -> None:
-        """Count messages by channel, with their lowest and highest log time."""
+        """Add message counts by channel id, with the lowest and highest log time [ns]."""
         self.start_ns = min(self.start_ns, start_ns) if self.counts else start_ns
         self.end_ns = max(self.end_ns, end_ns)
         for channel, count in counts.items():

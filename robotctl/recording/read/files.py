@@ -1,6 +1,6 @@
 """Which files belong to a recording, and where their bytes come from.
 
-The bytes come from the disk, a store, or anything that returns ranges.
+The bytes come from a file of this machine, a URL, or any other `Source`.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ def is_zstd_file(path: Path) -> bool:
 def unpack_zstd_file(fd: int, on_progress: Callable[[int, int], None]) -> int:
     """Decompress the file that is open as `fd` into an unnamed file, and return its descriptor.
 
-    If the data is corrupt, that file holds what precedes the damage. `on_progress` gets bytes done
-    and in total.
+    If the data is corrupt, the unnamed file has what precedes the damage. `on_progress` gets bytes
+    done and in total.
 
     Raises:
-        Damaged: Nothing can be decompressed, or it exceeds the limits.
-        OSError: There is no room for it.
+        Damaged: Nothing can be decompressed, or the result exceeds the limits.
+        OSError: There is no room for the unnamed file.
     """
     total = os.fstat(fd).st_size
     limit = ReadLimits.of(total).zstd_file_bytes
@@ -82,7 +82,7 @@ def unpack_zstd_file(fd: int, on_progress: Callable[[int, int], None]) -> int:
 
 @contextmanager
 def _room() -> Iterator[None]:
-    """Say of an OSError in the block that there is no room for the decompressed file."""
+    """Add to an OSError of the block that the file could not be unpacked, and into which folder."""
     try:
         yield
     except OSError as error:
@@ -324,9 +324,9 @@ def files_of_bag(folder: Path) -> list[Path]:
 def each_with_progress(
     paths: Sequence[Path], on_progress: Progress
 ) -> Iterator[tuple[Path, Progress]]:
-    """Yield each path, and the function to call with what is done of it, and in total.
+    """Yield each path, and a function to call with what is done of that path, and in total.
 
-    It calls `on_progress` with the bytes done of all paths, and in total.
+    That function calls `on_progress` with the bytes done of all paths, and in total.
     """
     sizes = [size_of(path) for path in paths]
     total = sum(sizes)

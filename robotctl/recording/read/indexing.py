@@ -80,7 +80,7 @@ def read_summary(file: InputFile) -> tuple[bytes, int]:
 def _before_own_footer(data: bytes) -> bytes:
     """Return the summary at the beginning of `data`: all before the first footer, or everything.
 
-    A footer in `data` is that of the summary; after it follows a commit that was not finished.
+    A footer in `data` belongs to the summary; what follows it is an unfinished commit.
 
     Raises:
         Damaged: The footer does not belong to the summary.
@@ -146,11 +146,11 @@ def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
 
 
 def _set_times(index: FileIndex, told: tuple[int, int], chunks: list[tuple[int, int]]) -> None:
-    """Believe the `told` lowest and highest log time only if they agree with those of the chunks.
+    """Set the index to the `told` lowest and highest log time, or to those of the chunks.
 
-    In files of other writers, messages outside of the chunks may have further times.
+    `told` counts in files of other writers, where messages outside chunks may widen the range.
     """
-    known = [each for each in chunks if each[0] <= each[1] and each != (0, 0)]  # else it is empty
+    known = [each for each in chunks if each[0] <= each[1] and each != (0, 0)]  # others are empty
     if known:
         start_ns, end_ns = min(start for start, _ in known), max(end for _, end in known)
         if index.own or told[0] > start_ns or told[1] < end_ns:
@@ -180,7 +180,7 @@ def _gaps(chunks: list[tuple[Place, int]], begin: int, data_end: int) -> list[tu
 
 
 def _affordable(places: list[Place], file: InputFile, index: FileIndex) -> list[Place]:
-    """Return the first places, as many as the limits allow to decompress; report the others."""
+    """Return the first places, as many as the limits allow to decompress; report the rest."""
     budget = UnpackBudget(file.limits)
     for number, place in enumerate(places):
         try:
@@ -210,10 +210,10 @@ def _read_metadata(file: InputFile, index: FileIndex, entries: Iterable[Metadata
 
 
 def read_written_file(file: InputFile) -> WrittenFile:
-    """Return what is needed to continue the file.
+    """Return what a writer needs to continue the file.
 
     Raises:
-        Damaged: Its summary is not valid, or not as robotctl writes it.
+        Damaged: The summary is not valid, or not as robotctl writes it.
     """
     data, start = read_summary(file)
     groups: dict[Opcode, bytes] = {}
@@ -240,8 +240,8 @@ def read_written_file(file: InputFile) -> WrittenFile:
 def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> int | None:
     """Return the offset of the first record of an unfinished commit, or None.
 
-    robotctl writes no record of its kind there, or the summary lacks the record, or it ends after
-    `data_end`. Both `index` and `data_end`, the end of the data, are from the file's summary.
+    Such a record is of a kind that robotctl does not write there, is missing in the summary, or
+    ends after `data_end`. `index` and `data_end`, the end of the data, are from the summary.
 
     Raises:
         Damaged: A record cannot be read, or a chunk in the summary follows that offset.
@@ -270,7 +270,7 @@ def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> 
 
 
 _LOOSE_RUN_BYTES = 1 << 20
-"""Messages outside chunks are grouped into places of about this size."""
+"""Messages outside chunks are indexed in runs of about this size [bytes]."""
 
 _OPCODES = frozenset(Opcode) | frozenset(range(FIRST_PRIVATE_OPCODE, 256))
 
@@ -307,7 +307,7 @@ def index_by_scanning(
 
 
 def read_gaps(file: InputFile, index: FileIndex) -> None:
-    """Add what is in the gaps of the summary: records and loose messages that it does not list."""
+    """Add the records and messages in `index.gaps`, which the summary does not list."""
     of_summary = dict(index.counts), index.start_ns, index.end_ns
     scan = _Scan(file, index)
     for start, end in index.gaps:
@@ -328,7 +328,7 @@ def read_gaps(file: InputFile, index: FileIndex) -> None:
 class _Scan:
     """Walks a file from `offset` on, and adds to the index what is found.
 
-    `ended` becomes True at the end of the file.
+    `ended` becomes True at the end of the file, `data_ended` at the end of the data section.
     """
 
     def __init__(self, file: InputFile, index: FileIndex, offset: int = 0) -> None:
@@ -345,7 +345,7 @@ class _Scan:
         self.data_ended = False
 
     def step(self) -> None:
-        """Read the record at `offset`, and move behind it.
+        """Read the record at `offset`, and move `offset` behind the record.
 
         Raises:
             Damaged: There is no valid record; `offset` stays.
@@ -391,7 +391,7 @@ class _Scan:
         self.offset = record.end
 
     def skip(self, damage: Damaged) -> None:
-        """Move to the next chunk, or to the end of the file; report that the bytes are lost.
+        """Move to the next chunk, or to the end of the file; report that the bytes before are lost.
 
         Raises:
             BeyondLimit: The search would cost too much.
@@ -402,7 +402,7 @@ class _Scan:
         self.offset, self.ended = end, found is None
 
     def finish(self) -> None:
-        """Add the last loose run, and report messages that have no channel or are missing."""
+        """Add the last run of messages outside chunks; report lost messages."""
         self._end_loose_run()
         index = self._index
         for channel in index.counts.keys() - index.channels.keys():
@@ -439,13 +439,13 @@ class _Scan:
             self._add(PlaceKind.LOOSE, start, end)
 
     def _add(self, kind: PlaceKind, offset: int, end: int) -> None:
-        """Add the place if it has messages, and count them.
+        """Add the place at `offset` if it has messages, and count them.
 
         Raises:
             Damaged: The place cannot be read.
         """
         place = Place(kind, offset, end - offset, 0, 0, None)
-        most = sys.maxsize  # the records of a loose run are counted already
+        most = sys.maxsize  # `step` has counted the records of a loose run
         if kind is not PlaceKind.LOOSE:
             self._budget.spend(place.size_in_memory(self._file))
             most = self._file.limits.records - self._records
@@ -489,10 +489,10 @@ def index_of(
     *,
     places: bool = True,
 ) -> FileIndex:
-    """Return the index of a file.
+    """Return the index of a file, from its summary or, if that is not valid, by a scan.
 
     `on_progress` gets the offset that a scan has reached. Without `places`, this takes less time,
-    but messages cannot be read with the index.
+    and the messages cannot be read with the index.
 
     Raises:
         Damaged: Not even the header can be read.
@@ -521,11 +521,11 @@ def index_of(
 
 
 def _complete(file: InputFile, index: FileIndex) -> None:
-    """Find records that the summary does not list; report those that it counts but are not found.
+    """Find records that the summary does not list; report those that are counted but not found.
 
     In files of other writers, all gaps of the summary are read. A summary of robotctl lists all
     records, and what a killed commit left in a gap is no part of the file. So its gaps are only
-    read if it counts more metadata records than it lists.
+    read if `index` has fewer metadata records than the summary counts.
     """
     if not index.own or index.declared_metadata > len(index.metadata):
         read_gaps(file, index)

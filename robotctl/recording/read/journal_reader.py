@@ -1,4 +1,4 @@
-"""Reads the journal of a recording."""
+"""Read the journal of a recording: the events, effects and snapshots of the kernel."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class EntryDecoder:
         self._text_bytes_left = limits.journal_text_bytes
 
     def decode(self, serialized: bytes) -> JournalEntry:
-        """Return the entry in a message.
+        """Return the entry that is the data of a message.
 
         Raises:
-            UnreadableFile: The message is not an entry, or exceeds the limits.
+            UnreadableFile: The data is not an entry, or the limits are exceeded.
         """
         self._entries_left -= 1
         if self._entries_left < 0:
@@ -68,7 +68,7 @@ def journal_topic(info: RecordingInfo) -> str | None:
     """Return the journal topic of the robot that recorded, or else the only journal topic.
 
     Journals of other robots in the same ROS domain may have been recorded as well. Return None if
-    there is no journal, or if there are several, but not that of the robot.
+    there is no journal, or if there are several and none is of the robot that recorded.
     """
     own, found = own_journal_topic(info), journal_topics(info)
     return own if own in found else found.pop() if len(found) == 1 else None
@@ -115,7 +115,7 @@ def since_snapshot(
 ) -> list[Message]:
     """Return the journal entries before `moment_ns`, from the last snapshot on.
 
-    Re-running them gives the kernel's state at that moment. Empty without an earlier snapshot.
+    Re-running them gives the kernel's state at that moment. Return [] without an earlier snapshot.
     `on_missing` gets a sentence about each part that cannot be read.
     """
     info = recording.info()

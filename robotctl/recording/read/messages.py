@@ -1,7 +1,7 @@
-"""Reads the messages of a file place by place, and compares their number with declared counts.
+"""Read the messages of a file, and compare their number with the counts that were written.
 
-The counts in `metadata.yaml` and the ledger reveal that a file was cut or replaced, even if it is
-valid in itself.
+A place is a part of a file with messages: a chunk, or a run of messages outside chunks. The counts
+in `metadata.yaml` and the ledger reveal that a valid file was cut or replaced.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ ALWAYS: Final[Window] = (0, (1 << 64) - 1)
 _HEAD_BYTES: Final = RECORD_HEAD.size + MESSAGE_FIELDS.size
 
 _new: Final = tuple.__new__
-"""Makes a named tuple in a third of the time that its class needs."""
+"""Creates a named tuple in a third of the time that a call of its class takes."""
 
 
 class Message(NamedTuple):
@@ -67,10 +67,10 @@ class OpenFile:
 
 
 class PlaceReader:
-    """A reader of one place in a file. Once loaded, it holds the messages still to be read.
+    """A reader of one place in a file, for the channels in `names` (topic and type by channel id).
 
-    It selects log times in `window` (ns, both ends included) and the channels in `names`, which
-    gives topic and type of each.
+    After `load`, `take` returns the messages with a log time in `window` (ns, both ends included)
+    one by one. `contents` and `as_written` yield all messages in file order, without `load`.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class PlaceReader:
             self._decompressor = MessageDecompressor(place.offset, limits, unpacked)
 
     def may_hold(self, topics: Collection[str]) -> bool:
-        """Return whether the place may hold a selected message of one of the topics."""
+        """Return whether the place may have a message of one of the topics."""
         channels = self.place.channels
         return channels is None or any(
             topic in topics for channel, (topic, _) in self._names.items() if channel in channels
@@ -101,7 +101,7 @@ class PlaceReader:
         """Read the place; `entries` then has the selected messages in the order of log time.
 
         Raises:
-            Damaged: A part is damaged; `entries` then holds what precedes it.
+            Damaged: A part is damaged; `entries` has the messages before it.
         """
         self.loaded = True
         data = self._data = self._read()
@@ -118,10 +118,10 @@ class PlaceReader:
             self.entries.sort()
 
     def take(self) -> Message:
-        """Return the next message.
+        """Return the next message of `entries`; there must be one.
 
         Raises:
-            Damaged: It cannot be decompressed; the next call returns the one after it.
+            Damaged: The message cannot be decompressed; the next call returns the one after it.
         """
         _, position, length = self.entries[self.next]
         self.next += 1
@@ -134,8 +134,6 @@ class PlaceReader:
 
     def contents(self) -> Iterator[list[tuple[RecordHead, bytes]]]:
         """Yield head and data of the selected channels' messages in file order, in lists.
-
-        `load` need not be called.
 
         Raises:
             Damaged: After the last message, if some are missing.
@@ -174,10 +172,10 @@ class PlaceReader:
             ]
 
     def _read(self) -> bytes:
-        """Return the records at the place.
+        """Return the records of the place, decompressed.
 
         Raises:
-            Damaged: They cannot be read.
+            Damaged: They cannot be read, or exceed the limits.
         """
         if self._records_left() <= 0:
             raise BeyondLimit(TOO_MANY_RECORDS)
@@ -210,7 +208,7 @@ class PlaceReader:
                 yield wanted
             index.messages_read[offset] = records - others
         except Damaged as damage:
-            # The tear was already reported.
+            # The index has already reported that the end of this chunk is missing.
             if self.place.kind is not PlaceKind.TORN_CHUNK or isinstance(damage, BeyondLimit):
                 raise
         finally:
@@ -219,7 +217,7 @@ class PlaceReader:
             raise Damaged(f"{unknown} messages belong to no channel")
 
     def loss(self, damage: Damaged) -> str:
-        """Return a sentence about a place that cannot be read."""
+        """Return a sentence about the messages that are lost because the place is damaged."""
         begin = self.place.offset
         return (
             f"{self.file.path.name}: messages between bytes {begin} and "
@@ -254,13 +252,13 @@ def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[in
 
 
 _BATCH_BYTES: Final = 8 << 20
-"""About this many bytes of messages become one chunk of the copy; original chunks may be larger."""
+"""About this many bytes of messages become one chunk of a copy; original chunks may be larger."""
 
 
 class ReadableFile:
-    """The messages and attachments of a file in file order; `lost` has a sentence for each loss.
+    """Reader of all records of a file in file order, for a copy of the file.
 
-    `on_progress` gets the offset [bytes] that was reached.
+    `lost` has a sentence for each loss. `on_progress` gets the offset [bytes] that was reached.
     """
 
     def __init__(self, opened: OpenFile, on_progress: Callable[[int], None]) -> None:
@@ -315,7 +313,7 @@ class ReadableFile:
 
 
 def batched(messages: Iterable[PlainMessage], most_bytes: int) -> Iterator[list[PlainMessage]]:
-    """Yield the messages in lists, each of which ends with the message that fills it."""
+    """Yield the messages in lists. A list ends once its data has `most_bytes` or more."""
     batch: list[PlainMessage] = []
     size = 0
     for message in messages:
@@ -332,13 +330,13 @@ def batched(messages: Iterable[PlainMessage], most_bytes: int) -> Iterator[list[
 def open_readable(
     path: Path, text: str, on_progress: Callable[[int, int], None]
 ) -> Iterator[ReadableFile]:
-    """Open a file to copy it; `text` is the `metadata.yaml` that may count its messages.
+    """Open a file to copy it; `text` is a `metadata.yaml` that may count the file's messages.
 
-    `on_progress` gets the bytes done and in total: each byte is indexed, and then copied.
+    `on_progress` gets the bytes done and in total. Each byte counts twice: indexed, then copied.
 
     Raises:
         OSError: The file cannot be opened.
-        Damaged: Nothing can be read.
+        Damaged: Nothing in the file can be read.
     """
     with InputFile(path, on_progress) as file:
         size, total = file.size, 2 * file.size
@@ -375,8 +373,9 @@ def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) ->
 
 
 def _is_whole(files: Sequence[OpenFile]) -> bool:
-    """Return whether these are consecutive files of one robotctl recording, from the first file
-    on, and neither a clip nor repaired.
+    """Return whether `files` are the first files of one recording, without a gap.
+
+    False for clips and repaired files.
     """
     first = files[0].path.stem
     names = [f"{first.removesuffix('0')}{number}" for number in range(len(files))]

@@ -1,7 +1,7 @@
-"""Limits of the work that a file may cause, and the errors for what cannot be read.
+"""Limits of the work that reading a file may cause, and the errors of reading.
 
 A compressed file may claim any size. Each limit depends on the size on the disk and is checked
-before the work is done. What exceeds a limit is not read; the report names it with `CURE`.
+before the work is done. What exceeds a limit is not read, and is reported together with `CURE`.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ CURE: Final = f"to read it all, set {VARIABLE}=10: ten times the limit"
 MAX_FACTOR: Final = 1_000_000.0
 
 UNPACKED_BYTES: Final = 512 << 20
-"""A file of any size may unpack to this: that takes 0.25 s, or 0.5 s with a copy."""
+"""The chunks of a file of any size may unpack to this, which takes 0.25 s (0.5 s with a copy)."""
 
 UNPACKED_RATIO: Final = 512
-"""A larger file may unpack to this multiple of its size."""
+"""The chunks of a larger file may unpack to this multiple of the file's size."""
 
 FAST_CHUNK_BYTES: Final = 24 << 20
 FAST_CHUNK_DISCOUNT: Final = 10
@@ -59,15 +59,15 @@ file, constant data without message indexes, has one for every 6 bytes; ours, fo
 JOURNAL_ENTRIES: Final = 30_000
 BYTES_PER_JOURNAL_ENTRY: Final = 16
 """A journal may have JOURNAL_ENTRIES entries, or one for every 16 bytes of file if that is more: an
-entry takes 16 bytes of index and its share of a chunk. Re-running it takes 25 us."""
+entry takes 16 bytes of index and its share of a chunk. Re-running an entry takes 25 us."""
 
 SNAPSHOTS: Final = 1000
 BYTES_PER_SNAPSHOT: Final = 1000
-"""The same for snapshots. To restart from one takes 1 ms; daemons write one every 10 s."""
+"""The same for snapshots. To re-run from one takes 1 ms; daemons write one every 10 s."""
 
 JOURNAL_TEXT_BYTES: Final = 16 << 20
 JOURNAL_TEXT_RATIO: Final = 16
-"""A journal's JSON may have this multiple of the file size; ours compresses to 1/10 at best."""
+"""The same for the journal's JSON, as a multiple of the file size; ours compresses to 1/10."""
 
 ZSTD_FILE_BYTES: Final = 256 << 20
 ZSTD_FILE_RATIO: Final = 64
@@ -116,7 +116,7 @@ class ReadLimits:
 
 
 def unpacking_cost(unpacked_bytes: int) -> int:
-    """Return how much so many unpacked bytes count against `ReadLimits.unpacked_cost`."""
+    """Return what a chunk of `unpacked_bytes` counts against `ReadLimits.unpacked_cost`."""
     return unpacked_bytes // (FAST_CHUNK_DISCOUNT if unpacked_bytes <= FAST_CHUNK_BYTES else 1)
 
 
@@ -135,20 +135,20 @@ def _factor() -> float:
 
 @dataclass(slots=True)
 class Tally:
-    """Adds up numbers by place, so that a place that is read twice counts once."""
+    """A sum of numbers, one per place of a file, so that a place that is read twice counts once."""
 
     of: dict[int, int] = field(default_factory=dict)
     total: int = 0
 
     def note(self, place: int, number: int) -> None:
-        """Set the number of a place, unless it is known to be higher."""
+        """Set the number of a place, unless the place already has a higher one."""
         known = self.of.get(place, 0)
         if number > known:
             self.total += number - known
             self.of[place] = number
 
     def others(self, place: int) -> int:
-        """Return the sum of the other places."""
+        """Return the sum of all places but `place`."""
         return self.total - self.of.get(place, 0)
 
 
@@ -160,7 +160,7 @@ class UnpackBudget:
         self._left = limits.unpacked_cost
 
     def spend(self, unpacked_bytes: int) -> None:
-        """Count a chunk of this size.
+        """Count a chunk that unpacks to this size.
 
         Raises:
             BeyondLimit: The budget is exhausted.
@@ -171,7 +171,7 @@ class UnpackBudget:
 
 
 def beyond_unpacking(limit: int) -> BeyondLimit:
-    """Return the error for what would take more than `limit` bytes."""
+    """Return the error for a file or chunks that would unpack to more than `limit` bytes."""
     return BeyondLimit(f"unpacked it would take more than {limit >> 20} MiB")
 
 
@@ -198,7 +198,7 @@ _failures: ContextVar[list[str] | None] = ContextVar("failures", default=None)
 def noted_read_failures() -> Iterator[list[str]]:
     """Yield a list that collects a sentence for each read that fails in this thread in the block.
 
-    Without it, code that continues after such a failure would report damage of the file.
+    A caller that only sees a damaged file learns here that the disk or the memory failed.
     """
     found: list[str] = []
     token = _failures.set(found)

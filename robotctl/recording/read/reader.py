@@ -1,4 +1,4 @@
-"""Opens any MCAP recording: one file, or a folder in rosbag2's layout.
+"""Open any MCAP recording: one file, or a folder in rosbag2's layout.
 
 A file without a valid summary is scanned. Parts that cannot be read are always reported: in
 `RecordingInfo.missing`, to `on_missing`, or by UnreadableFile at the end of an iteration.
@@ -134,8 +134,8 @@ def read_messages(
     `on_missing` gets a sentence about each part that cannot be read.
 
     Raises:
-        UnreadableFile: Nothing can be read; or, without `on_missing`, not everything. Then it is
-            raised after the last message that can be read.
+        UnreadableFile: Nothing can be read. Without `on_missing` also if a part cannot be read;
+            then this is raised after the last message.
     """
     missing: list[str] = []
     tell = on_missing or (lambda sentence: note_missing(missing, sentence))
@@ -249,7 +249,7 @@ class Recording:
 
     @property
     def open_files(self) -> Sequence[OpenFile]:
-        """The files of the recording, in the order in which places are numbered."""
+        """The files of the recording that could be opened, in their order."""
         return self._files
 
     def metadata(self) -> list[Metadata]:
@@ -331,9 +331,9 @@ class Recording:
     def last_before(
         self, moment_ns: int, wanted: Mapping[str, int], on_missing: Callable[[str], None]
     ) -> list[Message]:
-        """Return the last `wanted[topic]` messages of each topic before a moment, in log order.
+        """Return the last `wanted[topic]` messages of each topic before a moment, by log time.
 
-        Only places that may hold them are read.
+        Only the parts of the files that may have these messages are read.
         """
         found = list(enumerate(place_readers(self._files, wanted, (0, moment_ns - 1))))
         found.sort(key=lambda ranked: ranked[1].place.end_ns, reverse=True)
@@ -358,7 +358,7 @@ class Recording:
         return [each[-1] for each in sorted(each for topic in held.values() for each in topic)]
 
     def _report_unaccounted(self, on_missing: Callable[[str], None]) -> None:
-        """Report files whose summary counts another number of messages than were read."""
+        """Report each file whose summary counts more or fewer messages than were read."""
         for each in self._files:
             if sentence := each.index.unaccounted():
                 on_missing(f"{each.path.name}: {sentence}")

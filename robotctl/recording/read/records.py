@@ -1,7 +1,7 @@
-"""Walks the records of an MCAP file that may be damaged or hostile.
+"""Read the records of an MCAP file that may be damaged or hostile.
 
-A record of a file is read by `InputFile.record`, the records of a decompressed chunk by
-`head_blocks`. Any damage raises `Damaged`; every length is checked before memory is allocated.
+`InputFile.record` reads a record of the file, `head_blocks` the records of a decompressed chunk.
+Any damage raises `Damaged`; every length is checked before memory is allocated.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _BLOCK_BYTES: Final = 1 << 20
 """A chunk is walked in blocks, which end after _BLOCK_RECORDS records or this many bytes."""
 
 MAX_RECORD_BYTES: Final = 64 << 20
-"""A larger schema, channel, metadata or index record is regarded as damage."""
+"""Maximum content of a schema, channel, metadata or index record; a larger one is damage."""
 
 TOO_MANY_RECORDS: Final = (
     f"it holds more than {RECORDS} messages, and more than one for every {BYTES_PER_RECORD} bytes"
@@ -86,7 +86,7 @@ def parse(kind: type[_Record], data: bytes) -> _Record:
 
 
 class Record(NamedTuple):
-    """Where a record of a file is; `end` is the offset after it, which the file may not reach."""
+    """Where a record of a file is. `end` is the offset after it, perhaps beyond the file's end."""
 
     opcode: int
     offset: int
@@ -122,7 +122,7 @@ class InputFile:
         """
         self.path = path
         self.failure: Unreadable | None = None
-        """The first failure to read because of the disk or the memory, not the content."""
+        """The first failure to read because of disk or memory, not because of the content."""
 
         try:
             self._source = source or open_source(path, on_progress)
@@ -146,7 +146,7 @@ class InputFile:
         self.limits = ReadLimits.of(self.stored_bytes)
 
     def is_changing(self) -> bool:
-        """Return whether the size has changed since `refresh`, or a process records the file."""
+        """Return whether the size has changed since `refresh`, or a process is writing the file."""
         return self._source.size() != self.size or self._source.is_written()
 
     def read(self, offset: int, length: int) -> bytes:
@@ -176,7 +176,7 @@ class InputFile:
         """Yield the bytes from `start` to `end` in pieces.
 
         Raises:
-            Damaged: They cannot be read.
+            Damaged: The file ends before `end`, or the disk fails.
         """
         for offset in range(start, end, _PIECE_BYTES):
             yield self.read(offset, min(_PIECE_BYTES, end - offset))
@@ -194,7 +194,7 @@ class InputFile:
         """Return the content of a record other than a chunk or an attachment.
 
         Raises:
-            Damaged: The file ends there, or the length is not plausible.
+            Damaged: The file ends within it, or it claims more than MAX_RECORD_BYTES.
         """
         if record.length > MAX_RECORD_BYTES:
             raise Damaged(f"a record at byte {record.offset} claims {record.length} bytes")
@@ -280,7 +280,7 @@ def _short_head(data: bytes, position: int) -> RecordHead:
 
 
 LOST_HEADER: Final = Header(profile="", library="")
-"""What stands for a header of zeros, which a power cut can cause."""
+"""Returned in place of a header that consists of zeros, which a power cut can cause."""
 
 ZEROS: Final = "it is not an MCAP file: it begins with zeros"
 
@@ -289,7 +289,7 @@ def read_header(file: InputFile) -> tuple[Header, int]:
     """Return the header, and the offset after it; LOST_HEADER if the file begins with zeros.
 
     Raises:
-        Damaged: It is not an MCAP file.
+        Damaged: The file is empty, or no MCAP file.
     """
     if file.size == 0:
         raise Damaged("it is empty")

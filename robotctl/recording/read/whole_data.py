@@ -1,7 +1,7 @@
-"""Reads every byte of a file's data section and summary, and checks each record by the others.
+"""Read every byte of a file's data section and summary, and check that the records agree.
 
-Records of robotctl are compared byte for byte with what its writer writes for the same content.
-In files of other writers, only a contradiction is a flaw.
+In a file of robotctl, each record must also have exactly the bytes that robotctl writes for its
+content. In files of other writers, only a contradiction is a flaw.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class FileState(StrEnum):
     """The recorder was killed, or could not write."""
 
     REPAIRED = "repaired"
-    """After a kill, robotctl read the file and wrote it again, or only its end."""
+    """robotctl wrote the file, or only its end, again after a kill."""
 
     CONVERTED = "converted"
     """robotctl wrote it from another recording."""
@@ -120,7 +120,7 @@ _STATES: Final = {
     CONVERSION_RECORD: FileState.CONVERTED,
     LEDGER_RECORD: FileState.FINISHED,
 }
-"""What each metadata record says of a file of robotctl; the first one counts."""
+"""The state of a robotctl file that has a metadata record of this name; the first match counts."""
 
 
 @dataclass(slots=True)
@@ -138,9 +138,9 @@ class WholeData(FileIndex):
     listed: dict[int, dict[int, Any]] = field(
         default_factory=lambda: {opcode: {} for opcode in _LISTED}
     )
-    """What the summary must say of the data: by the opcode of its records, and by id or offset.
+    """The records that the summary must have, by opcode, and by id (schema, channel) or offset.
 
-    Contents of schemas and channels; index records of chunks, attachments and metadata.
+    Schemas and channels as bytes; index records of chunks, attachments and metadata.
     """
 
     bad_chunks: set[int] = field(default_factory=set)
@@ -160,7 +160,7 @@ class WholeData(FileIndex):
     """The offset of a commit that was not finished; it reaches to the end of the data."""
 
     def state(self) -> FileState:
-        """Return how the writing of a file ended that does not grow."""
+        """Return how the writing of the file ended; only for a file that does not grow."""
         if not self.own:
             return FileState.FOREIGN
         for name, state in _STATES.items():
@@ -228,7 +228,7 @@ _PIECE_BYTES: Final = 1 << 20
 
 
 def _add_to_crc(data: WholeData, file: InputFile, end: int) -> None:
-    """Continue the CRC up to `end`. The bytes are read again while they are cached."""
+    """Continue the CRC up to `end`. The bytes are read again, from the page cache."""
     for piece in file.pieces(data.end, end):
         data.crc = crc32(piece, data.crc)
     data.end = end
@@ -294,7 +294,7 @@ class _Walk:
         """Check a record that belongs to no chunk.
 
         Raises:
-            Damaged: It does not belong into a data section, or it cannot be read.
+            Damaged: A data section has no records of this kind, or the disk fails.
         """
         data, opcode = self._data, record.opcode
         is_message = opcode == Opcode.MESSAGE and not data.own
@@ -331,10 +331,10 @@ class _Walk:
         self._flaws.add(record.offset, record.end, text)
 
     def _define(self, opcode: int, content: bytes, record: Record) -> Schema | Channel:
-        """Add a schema or a channel that stands in `record`, and return it.
+        """Add a schema or a channel that is in `record` (a record or a chunk), and return it.
 
         Raises:
-            Damaged: It is malformed.
+            Damaged: The schema or channel is malformed.
         """
         data = self._data
         found: Schema | Channel
@@ -373,7 +373,7 @@ class _Walk:
 
         Raises:
             Damaged: The disk or the memory fails.
-            BeyondLimit: It holds too many records, or is too large.
+            BeyondLimit: The chunk has too many records, or is too large.
         """
         file, data, found = self._file, self._data, Contents()
         try:
@@ -482,7 +482,7 @@ _LISTED: Final[dict[int, Callable[[bytes], tuple[int, Any]]]] = {
     Opcode.CHUNK_INDEX: _key_and_index(ChunkIndex, "chunk_start_offset"),
     Opcode.STATISTICS: lambda content: (0, parse(Statistics, content)),
 }
-"""How to read the records of a summary: id or offset, and what is said of it."""
+"""Functions that read a summary record: they return its id or offset, and its content."""
 
 
 def compare_summary(summary: bytes, start: int, data: WholeData, flaws: Flaws) -> None:
@@ -550,7 +550,7 @@ def _name(opcode: int) -> str:
 def _wrong_offset(
     content: bytes, groups: dict[int, tuple[int, int]], data: WholeData, span: tuple[int, int]
 ) -> Iterator[str]:
-    """Yield a sentence if a summary offset is wrong; `span` is the summary before this record."""
+    """Yield a sentence if a summary offset is wrong; the summary before it is at `span`."""
     try:
         told = parse(SummaryOffset, content)
     except Damaged as damage:

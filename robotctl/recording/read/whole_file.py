@@ -1,9 +1,7 @@
-"""Reads a whole file: is each byte part of a record, and is it as it was written?
+"""Read a whole file: check that each byte belongs to a record and is as it was written.
 
 A file of robotctl has only one form for its content: each bit is covered by a checksum or
 determined by the others. Bytes that a killed recorder leaves after the last commit are no flaw.
-
-The data must have been read: the chain alone does not show whether each byte is in a record.
 """
 
 from __future__ import annotations
@@ -66,7 +64,7 @@ class SealState(StrEnum):
 
 @dataclass(slots=True)
 class SealOfRead:
-    """The seal of a file, as it was checked.
+    """The result of checking the seal of a file.
 
     `links` are the valid links in order, `head` is the last of them. `wrong` says in sentences
     where the chain or a signature is broken; `notes` has other sentences about the seal.
@@ -92,7 +90,7 @@ class SealOfRead:
 
 
 def check_seal(file: InputFile, data: WholeData, state: FileState, loose: int) -> SealOfRead:
-    """Check the seal of a file that was read; its last `loose` bytes are no part of it.
+    """Check the seal of a file with the `data` that was read, except its last `loose` bytes.
 
     Raises:
         Damaged: The disk fails.
@@ -123,7 +121,7 @@ def _records(file: InputFile, data: WholeData) -> tuple[Opening | None, list[Lin
     """Return the records of the seal.
 
     Raises:
-        ValueError: One is malformed, or there are two openings.
+        ValueError: A record is malformed, or there are two openings.
     """
     opening: Opening | None = None
     links: list[Link] = []
@@ -150,7 +148,7 @@ def _records(file: InputFile, data: WholeData) -> tuple[Opening | None, list[Lin
 
 
 def _check_links(file: InputFile, opening: Opening, links: list[Link], found: SealOfRead) -> None:
-    """Compute the chain, and compare each link; stop at the first that is wrong."""
+    """Compute the hash chain, and compare each link; stop at the first wrong link."""
     base, start, number = bytes.fromhex(opening.previous), 0, 1
     running, position = sha256(), 0
     for link in links:
@@ -194,12 +192,12 @@ def _judge(end: int, state: FileState, links: list[Link], found: SealOfRead) -> 
 
 
 def find_footer(file: InputFile, data_end: int) -> Record:
-    """Return the footer of the end that follows the DataEnd record at `data_end`.
+    """Return the footer of the trailer that begins with the DataEnd record at `data_end`.
 
     Raises:
-        Damaged: There is no footer of the right length, or the file ends before it. The wrong byte
-            is not known: after a changed length, the walk continues in the middle of another
-            record, and fails only later.
+        Damaged: There is no footer of the right length, or the file ends before it. This does not
+            tell which byte is wrong: after a record with a changed length, the walk continues in
+            the middle of another record, and fails later.
     """
     offset = data_end
     while True:
@@ -224,7 +222,7 @@ def ends_in_commit(file: InputFile, summary_start: int, end: int) -> bool:
     """Return whether the bytes after `end` are the beginning of a commit that a kill interrupted.
 
     Such a file ends with a footer that points back to the summary before `end`, or to a copy of it:
-    the writer writes that footer first (see `McapFile`).
+    `McapFile` writes that footer first when it moves the trailer.
     """
     try:
         last = file.read(file.size - FOOTER_BYTES, FOOTER_BYTES)
@@ -277,7 +275,7 @@ _LOOK_AGAIN_S = 0.002
 
 @dataclass(slots=True)
 class WholeFile:
-    """What reading every byte of a file found, and its seal.
+    """The result of reading every byte of a file and checking its seal.
 
     `flaws` is empty if the file is whole. `loose` counts the bytes of a commit that a kill
     interrupted: they are no part of the recording.
@@ -370,7 +368,7 @@ def _live(file: InputFile, flaws: Flaws, on_progress: Callable[[int], None]) -> 
 
 
 def _check_crc(file: InputFile, found: WholeFile) -> None:
-    """Compare the CRC of the data; if one flipped bit explains a difference, name its byte."""
+    """Compare the CRC of the data; if one flipped bit explains a difference, name the byte."""
     data, flaws = found.data, found.flaws
     if data.told_crc:
         span = 0, data.end + DATA_END_BYTES
@@ -389,9 +387,10 @@ def _compare_crcs(
     *,
     place_known: bool,
 ) -> None:
-    """Compare the told CRC of the `covered` bytes (start and end) with the one that was found.
+    """Compare the CRCs (stored, computed) of the `covered` bytes, which are from start to end.
 
-    If no flipped bit explains a difference, and no other flaw does, the flaw is the whole `span`.
+    A difference is a flaw of the byte in which one flipped bit explains it, or else of the whole
+    `span`, unless another flaw has shown the place already (`place_known`).
     """
     told, found = crcs
     start, end = covered

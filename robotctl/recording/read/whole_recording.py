@@ -1,4 +1,4 @@
-"""Reads a whole recording: each byte of its files, its seals, and all counts that it declares."""
+"""Read a whole recording: check each byte of its files, its seals, and all message counts."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def _are_alike(file: WholeFile, other: WholeFile) -> bool:
 
 
 def find_head(files: Iterable[WholeFile], digest: str) -> WholeFile | None:
-    """Return the file that has a link with this digest (in hex)."""
+    """Return the first file that has a valid link with this digest (in hex), None without one."""
     return next((file for file in files if file.seal.knows(digest.lower())), None)
 
 
@@ -120,7 +120,7 @@ _AS_RECORDED: Final = (FileState.FINISHED, FileState.LIVE, FileState.NOT_CLOSED)
 
 @dataclass(frozen=True, slots=True)
 class KnownFile:
-    """What this machine knows about a file."""
+    """The result of comparing a file with the keys and ends that this machine has stored."""
 
     wrong: str = ""
     """Why the file cannot be the known one, or ""."""
@@ -130,7 +130,7 @@ class KnownFile:
 
 
 def compare_known(file: WholeFile, heads: KnownHeads) -> KnownFile:
-    """Return what `heads` say about a file's key, its name, and the name in its seal."""
+    """Compare a file's key, name and end with `heads`, which this machine stored on recording."""
     opening = file.seal.opening
     name = file.path.name.removesuffix(SUFFIX)
     if opening is None:
@@ -169,7 +169,7 @@ class RecordingProof(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class VerifiedRecording:
-    """What reading every byte of a recording found, and its seals.
+    """The result of reading every byte of a recording and checking its seals.
 
     `unreadable` has a sentence for each file that is missing or is no MCAP file, and for each part
     that was not read. `flaws` has a sentence for each wrong byte, and for each count that
@@ -184,7 +184,7 @@ class VerifiedRecording:
 
     @property
     def wrong(self) -> tuple[str, ...]:
-        """A sentence for everything that is wrong: bytes, counts, seals, chain."""
+        """A sentence for each thing that is wrong: bytes, counts, seals, chain."""
         many = len(self.files) > 1
         seals = [
             f"{file.path.name}: {sentence}" if many else sentence
@@ -275,7 +275,7 @@ def _contradictions(text: str, files: Sequence[WholeFile], *, whole_folder: bool
 
 
 def _ledger_differences(files: Sequence[WholeFile]) -> Iterator[str]:
-    """Yield a sentence for each ledger count that the files up to the ledger's contradict."""
+    """Yield a sentence for each ledger count that the files up to that ledger contradict."""
     first = files[0].path.stem
     names = [f"{first.removesuffix('0')}{number}" for number in range(len(files))]
     if not first.endswith("_0") or [file.path.stem for file in files] != names:

@@ -1,1 +1,1 @@
-"""Writes a recording that is complete and valid after each write."""
+"""Write a recording whose files are complete and valid after each write."""

@@ -1,6 +1,6 @@
 """The files of one recording folder, in rosbag2's layout: messages, topics, metadata.
 
-Used by the writer thread only.
+The event loop creates the BagWriter and reads its properties; the writer thread calls the rest.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class RecordingFile:
         self._finished = False
         self.event_count = 0
         self.seal = None if options.sealer is None else FileSeal(options.sealer)
-        """The seal of the file; None if it is not to be sealed."""
+        """The seal of the file; None if the file is not to be sealed."""
 
         storage = options.open_file(path)
         self._mcap = McapFile(
@@ -88,7 +88,7 @@ class RecordingFile:
 
     @property
     def size(self) -> int:
-        """Bytes of the file, without the room between data and trailer."""
+        """Bytes of the file, without the room that is reserved between data and trailer."""
         return self._mcap.size
 
     @property
@@ -97,7 +97,7 @@ class RecordingFile:
         return self._mcap.summary
 
     def begin_seal(self) -> None:
-        """Begin the seal, in the writer thread: this may import a library and sync a file."""
+        """Begin to seal the file. Slow: this may import a library and sync a file."""
         if self.seal is not None:
             self._mcap.add_sealed(self.seal.open(self.path.name))
             self._mcap.commit()
@@ -121,7 +121,7 @@ class RecordingFile:
             self._synced = False
 
     def write_event(self, event: RecordedEvent) -> None:
-        """Write an event into the metadata."""
+        """Write an event as a metadata record."""
         self._mcap.add_metadata(EVENT_RECORD, event.values())
         self._mcap.commit()
         self._synced = False
@@ -164,7 +164,7 @@ class RecordingFile:
         return BagFile(self.path.name, summary.start_ns, summary.end_ns, dict(summary.counts))
 
     def _announce_topics(self) -> bool:
-        """Add schema and channel of each new topic of the file; return False if there is none."""
+        """Add schema and channel of each new topic; return whether there was one."""
         known = len(self._channels)
         if self._announced == known:
             return False
@@ -211,7 +211,7 @@ def repeats(
 ) -> list[PlainMessage]:
     """Return the last latched message of each publisher, to be repeated in a new file.
 
-    If `newest_ns` is not 0, it replaces the log times. If all messages exceed MAX_SHARE of
+    `newest_ns` replaces the log times unless it is 0. If the messages together exceed MAX_SHARE of
     `split_bytes`, only the smallest are returned; the rest is counted in `not_repeated`.
     """
     latched = [
@@ -233,7 +233,7 @@ METADATA_PERIOD_S = 10.0
 """Maximum age of the counts in `metadata.yaml`; the counts in an MCAP file are always current."""
 
 MAX_EVENTS = 1000
-"""Maximum per file: each event makes the summary longer, which each later event rewrites."""
+"""Maximum number of events per file: each later event rewrites the summary, which has them all."""
 
 MAX_INDEX_BYTES = 8 << 20
 """Maximum size of the chunk index of a file: each chunk adds 10 bytes for each topic in it."""
@@ -257,9 +257,9 @@ class BagWriter:
     ) -> None:
         """Create the first file in `folder`, which must exist.
 
-        `metadata` is called when a file begins; the file stores what it returns. `on_split` is
+        `metadata` is called when a file begins and returns what the file stores. `on_split` is
         called with the path of each later file. When a file is full, the next file begins; but if
-        `on_full` is given, this is called instead, with the path of the full file, once per file.
+        `on_full` is given, it is called instead, with the path of the full file, once per file.
         """
         self._folder = folder
         self._options = options
@@ -271,7 +271,7 @@ class BagWriter:
         self._finished: list[BagFile] = []
         self._finished_bytes = 0
         self._newest_ns = 0
-        """Highest log time in the last chunk; it steps back if the clock was set back."""
+        """Highest log time in the last chunk [ns]; it steps back if the clock was set back."""
 
         self._space_warning = ""
         self.check_space()
@@ -372,7 +372,7 @@ class BagWriter:
     def refresh_metadata(self) -> None:
         """Write `metadata.yaml` if it is older than METADATA_PERIOD_S or lists a removed file.
 
-        Players rely on this list. Only the oldest file is looked for: retention removes it first.
+        Players rely on the list. Only the oldest file is looked for: retention removes that first.
         """
         removed = bool(self._finished) and not self._is_there(self._finished[0])
         if removed or time.monotonic() >= self._metadata_due:
@@ -386,7 +386,7 @@ class BagWriter:
     def abandon(self) -> None:
         """Restore the file to its state after the last good write. Call it after an OSError."""
         self._file.abandon()
-        with suppress(OSError):  # on a full disk the previous one stays
+        with suppress(OSError):  # on a full disk the previous text stays
             self._write_metadata()
 
     def _replace_full(self) -> None:
@@ -432,7 +432,7 @@ def begin_bag(
     on_split: Callable[[Path], None],
     on_full: Callable[[Path], None] | None,
 ) -> BagWriter:
-    """Create `folder`, and return a BagWriter for it; the other parameters are for BagWriter.
+    """Create `folder`, and return a BagWriter for it, made with the other parameters.
 
     Raises:
         Refused: The folder cannot be written; if it was created, it is removed again.

@@ -1,9 +1,9 @@
 """Buffers of packed MCAP records between the event loop and the writer thread.
 
-There is no lock: the loop's thread packs messages, the writer thread removes them by `take`. The
-packer writes a message at `end`, then its index entry, and increases `end` last. Data below `end`
-does not change until the buffer is recycled, so `take` is allowed at any time. Each of these steps
-is one bytecode or one C call, and therefore atomic under the interpreter lock.
+There is no lock: the event loop packs messages, the writer thread removes them by `take`. The
+packer, `Recorder.write`, writes a message at `end`, then the index entry, and increases `end` last.
+Data below `end` does not change until the buffer is recycled, so `take` is allowed at any time.
+Each step is one bytecode or one C call, and therefore atomic under the interpreter lock.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ class PackBuffer:
         self.indexes: list[array[int]] = []
         self.unordered: set[int] = set()
         self.size = capacity
-        """Bytes of memory in use, without the indexes until `weigh` is called."""
+        """Bytes of memory in use; `weigh` adds those of the indexes."""
 
         self._taken = 0
 
     def weigh(self) -> int:
-        """After the last message: add the size of the indexes to `size`, and return it [bytes]."""
+        """Add the size of the indexes to `size` and return it [bytes], after the last message."""
         added = sum(len(index) * index.itemsize for index in self.indexes)
         self.size += added
         return added
@@ -125,12 +125,12 @@ class PackBuffer:
 
 
 class LargeMessage:
-    """One message too large for a PackBuffer. It is kept by reference instead of copied."""
+    """One message too large for a PackBuffer. The message is kept by reference, not copied."""
 
     __slots__ = ("_message",)
 
     def __init__(self, message: PlainMessage) -> None:
-        """Keep the message. Its numbers must fit the fields of the format: nothing checks them."""
+        """Keep the message. The caller ensures that its numbers fit the fields of the format."""
         self._message = message
 
     @property
@@ -142,7 +142,7 @@ class LargeMessage:
         """Return the message as a chunk of its own.
 
         Raises:
-            MemoryError: There is no memory for it.
+            MemoryError: There is no memory for the chunk.
         """
         return pack([self._message])
 
@@ -160,7 +160,7 @@ def _entries_below(index: array[int], end: int) -> int:
 
 
 def pack(messages: Iterable[PlainMessage]) -> PackedMessages:
-    """Return one or more messages as one chunk. Their data is not copied."""
+    """Return one or more messages as the records of one chunk. The data is not copied."""
     parts: list[Buffer] = []
     indexes: dict[int, array[int]] = {}
     times: list[int] = []
@@ -182,7 +182,7 @@ _CACHED = {"window_log": 18, "hash_log": 13}
 same size of the result."""
 
 JOINED_BYTES = 8 << 20
-"""Two parts of at most this size in total are joined: zstd needs 10 % more time for a stream."""
+"""Two parts of at most this total size are joined: compressing a stream takes 10 % longer."""
 
 
 class OutOfMemory(MemoryError):

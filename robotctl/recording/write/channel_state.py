@@ -66,7 +66,7 @@ class SequenceGaps:
 
 
 MAX_PACKERS = 128
-"""Maximum number of message sizes per channel with a packer; each takes a few hundred bytes."""
+"""Maximum number of packers per channel, one per message size; each takes some 100 bytes."""
 
 MAX_LATCHED = 64
 """Maximum number of publishers per topic whose last latched message is kept."""
@@ -86,7 +86,7 @@ class LatchedMessage(NamedTuple):
 
 @dataclass(slots=True)
 class ChannelState:
-    """The live counts and latched messages of one channel; only one thread changes each count."""
+    """The live counts and latched messages of one channel; one thread alone changes each count."""
 
     topic: Topic
     received: int = 0
@@ -138,7 +138,7 @@ class ChannelState:
 
         Return the change in memory use [bytes]. If this change would exceed `room`, `data` is
         only counted in `not_kept`, and the previous message is discarded, as it is out of date.
-        The oldest of MAX_LATCHED messages gives way to that of a new publisher, and is counted too.
+        With MAX_LATCHED other publishers, the oldest message is discarded and counted as well.
         """
         if self.latched is None:
             return 0

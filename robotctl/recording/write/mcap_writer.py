@@ -11,8 +11,8 @@ write can only damage the bytes that this write puts in the place of a trailer o
 file may become invalid only while such a write is in progress.
 
 A trailer directly behind the data moves with each commit, and all of it is written to the disk
-again: after ten minutes, 50 times as much as what was recorded. So a growing file has a record in
-between that readers skip: the room. A commit changes only the trailer's last few hundred bytes.
+again: after ten minutes, 50 times the recorded bytes. So a growing file has a record before the
+trailer that readers skip, the room. A commit changes only the end of the trailer.
 
 The file is valid between any two writes of a commit:
 
@@ -30,7 +30,7 @@ do not need the old trailer; (4) the head of the room, which reaches to the copy
 A commit that changes the summary before its end (a topic, an event, the end of the recording)
 removes the room: the trailer is written into it, behind the new records, where the file then ends.
 
-A seal that fails never stops the recording: the file continues unsealed, and `failure` says why.
+A seal that fails never stops the recording: the rest is unsealed, and `FileSeal.failure` says why.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ LINK_PERIOD_S: Final = 10.0
 
 
 class Sealer(Protocol):
-    """Gives each file its key, and stores the newest link. Used in the writer thread only.
+    """Gives each file its key, and stores links of the seal. Used in the writer thread only.
 
     After any error that a method raises, the rest of the file has no seal.
     """
@@ -86,10 +86,10 @@ class Sealer(Protocol):
 
 
 class FileSeal:
-    """The hash chain of one file. It covers every byte of the file, and is signed after `open`."""
+    """The seal of one file: a hash chain over header and data, with signatures from `open` on."""
 
     def __init__(self, sealer: Sealer, clock: Callable[[], float] = time.monotonic) -> None:
-        """Begin the chain at the beginning of the file; `clock` gives seconds."""
+        """Begin the chain at the beginning of the file; `clock` returns monotonic time [s]."""
         self._sealer = sealer
         self._clock = clock
         self._hash = sha256()
@@ -117,7 +117,7 @@ class FileSeal:
         return opening.record()
 
     def cover(self, part: Buffer) -> None:
-        """Add the next bytes of the file."""
+        """Add the next bytes of header or data to the chain."""
         self._hash.update(part)
 
     @property
@@ -227,7 +227,7 @@ class McapFile:
     ) -> None:
         """Begin the file; nothing is written before the first `commit`.
 
-        `seal` hashes and signs the file's bytes. `keeps_room` is for many commits: see the module.
+        `seal` hashes and signs the data. `keeps_room` is for many commits: see the module.
         """
         self.summary = Summary()
         self.size = 0

@@ -62,7 +62,7 @@ class RecorderStats(MessageCounts):
 
 
 MAX_TOPICS: Final = 1 << 16
-"""A channel id of MCAP has 16 bits."""
+"""Maximum number of topics: a channel id of MCAP has 16 bits."""
 
 _PREFIX = struct.Struct("<BQH")
 """The first bytes of all messages of one channel and size: opcode, record length, channel id."""
@@ -87,10 +87,10 @@ class Recorder:
     ) -> None:
         """Create `folder` with its first file, and start the writer thread.
 
-        `metadata` is called when a file begins; the file stores what it returns. `on_failure` is
+        `metadata` is called when a file begins and returns what the file stores. `on_failure` is
         called at most once, with a sentence for the operator. `on_split` is called with the path of
         each later file when it has begun. When a file is full, the next file begins; but if
-        `on_full` is given, this is called instead, once per file, and must cause a call of `split`.
+        `on_full` is given, it is called instead, once per file, and must cause a call of `split`.
         All are called in the writer thread, except `metadata` for the first file.
 
         Raises:
@@ -229,7 +229,7 @@ class Recorder:
     def _write_carefully(
         self, channel: int, data: Buffer, log_ns: int, publish_ns: int, sequence: int
     ) -> None:
-        """Handle what the hot path could not: change buffers, clamp numbers, or count a drop."""
+        """Record what `write` could not: change buffers, clamp numbers, or count a drop."""
         state = self._channels[channel]
         if self._closed or self._thread.failure:
             state.dropped_by_loop += 1
@@ -266,8 +266,8 @@ class Recorder:
         self._no_memory += 1
 
     def _buffer_with_room(self, length: int) -> PackBuffer | None:
-        """Return the active buffer if it has room for `length` bytes, or else a new active one.
-        Return None if the memory budget is used up.
+        """Return the active buffer, or a new one if `length` bytes do not fit; None if the memory
+        budget is used up.
         """
         buffer = self._buffer
         if buffer.end + length <= buffer.limit:

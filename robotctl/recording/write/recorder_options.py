@@ -18,7 +18,7 @@ TYPE_PREFIX = "type:"
 
 
 def is_plain_name(pattern: str) -> bool:
-    """Return whether a pattern is the name of one topic."""
+    """Return whether a pattern is the name of one topic: it begins with `/` and has no wildcard."""
     return pattern.startswith("/") and not set(pattern) & set("*?[")
 
 
@@ -99,7 +99,7 @@ class RecorderOptions:
     chunk_bytes: int = 1 << 20
     flush_s: float = 0.25
     sync_s: float = 1.0
-    """Period of the syncs: what was written before a sync survives a power cut."""
+    """Period of the syncs [s]: data written before a sync survives a power cut."""
 
     memory_bytes: int = 96 << 20
     """Budget for the messages that wait for the disk and, up to a third of it, the latched messages

@@ -1,8 +1,8 @@
 """The writer thread: writes the packed messages that the event loop queues.
 
-A chunk can only be read as a whole. If the evidence topics shared chunks with heavy topics, a check
-of the decisions would read every image of a recording. So the messages of the evidence topics get a
-separate chunk, before the chunk with the rest. Both chunks keep the order of arrival.
+A chunk can only be read as a whole. Evidence topics are those that a check of the decisions reads
+(`RecorderOptions.evidence`). If they shared chunks with heavy topics, a check would read every
+image. So their messages get a separate chunk, before the rest; both keep the order of arrival.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def rank_below(nice: int) -> None:
 
 
 HEAVY_BYTES: Final = 64 << 10
-"""The least size of other topics' messages for a second chunk; a smaller one costs too much."""
+"""The least bytes of other topics' messages for a second chunk: a smaller chunk is not worth it."""
 
 HEAVY_RATIO: Final = 4
 """The least ratio of other topics' bytes to the evidence topics' bytes for a second chunk."""
@@ -159,25 +159,25 @@ SPARE_BUFFERS = 2
 """Empty buffers kept for the loop: one to change to, one for a burst. Other buffers are freed."""
 
 NICE = 5
-"""How far the thread's priority is below the loop's. When all cores are busy, the loop gets three
+"""Niceness that the thread adds to its own. When all cores are busy, the event loop gets three
 times the CPU time of the compression."""
 
 _BREATH_S = 0.001
-"""Pause before a retry of something that failed or was not ready."""
+"""Pause before a retry [s]."""
 
 _SETTLE_S = 1.0
-"""How long `stop` waits for a message that is being packed; packing takes a microsecond."""
+"""How long the thread waits at its end for a message that is being packed, which takes 1 us."""
 
 
 class WriterCommand(Enum):
-    """What the loop may request through the queue, other than writing."""
+    """What the event loop may request through the queue, other than writing."""
 
     SPLIT = "go on in a new file"
     STOP = "finish"
 
 
 Queued = PackBuffer | LargeMessage | RecordedEvent | WriterCommand
-"""What the writer thread accepts."""
+"""What the event loop may queue for the writer thread."""
 
 
 class WriterThread:
@@ -199,8 +199,8 @@ class WriterThread:
         """Start the thread; `active` returns the buffer that the loop is packing."""
         self._queue: SimpleQueue[Queued] = SimpleQueue()
         self._wake = threading.Lock()
-        """Released when an item was queued. `SimpleQueue.get` must not wait for a limited time:
-        before Python 3.13 it may wait without end if the thread runs late."""
+        """Released when an item was queued, to wait with a timeout. Before Python 3.13,
+        `SimpleQueue.get` with a timeout may wait without end if the thread runs late."""
 
         self.spare: deque[PackBuffer] = deque(maxlen=SPARE_BUFFERS)
         self.released = 0
@@ -248,7 +248,7 @@ class WriterThread:
         self._survive(lambda: self._attempt(self._writer.close))
 
     def _survive(self, work: Callable[[], object]) -> None:
-        """Call `work`; an exception ends the file but not the thread, so it can be reported."""
+        """Call `work`. An exception ends the file, not the thread, and is put into `failure`."""
         try:
             work()
         except Exception as error:  # noqa: BLE001
@@ -316,7 +316,7 @@ class WriterThread:
             self._write(packed)
             del packed
         self.released += item.size
-        if isinstance(item, PackBuffer) and item is not self._active():  # the loop has another one
+        if isinstance(item, PackBuffer) and item is not self._active():  # the loop packs another
             item.recycle()
             self.spare.append(item)
 
