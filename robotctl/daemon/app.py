@@ -148,7 +148,7 @@ def _note_start(
 async def noted(
     log: DecisionLog, options: DaemonOptions, config: Config, recorder: FlightRecorder
 ) -> AsyncIterator[None]:
-    """Log the daemon's start and, after the block, its end; then wait up to END_S for the disk."""
+    """Log the daemon's start and, after the block, its end or failure; then close `log`."""
     _note_start(log, options, config, recorder)
     recorder.tidier.on_removed = lambda path: log.add(DecisionKind.REMOVED, file=path)
     failure: dict[str, str] = {}

@@ -19,7 +19,7 @@ from robotctl.kernel.patterns import PatternKind
 
 @dataclass(frozen=True, slots=True)
 class DaemonOptions:
-    """The options of a start. If `sim` is None, the robot is simulated unless odometry exists."""
+    """The options of a start; `sim` None: simulate the robot unless a node publishes odometry."""
 
     robot: str
     config: Path | None
@@ -41,7 +41,7 @@ class DaemonOptions:
     """Start although another daemon runs whose nodes have the same names."""
 
     log_level: tuple[LogLevel, ...] = ()
-    """The levels of `--log-level`; those of `ros` count more."""
+    """The levels of `--log-level`; levels in `--ros-args` override these."""
 
     ros: RosArguments = NO_ARGUMENTS
     """The arguments of `--ros-args`."""

@@ -1,6 +1,6 @@
 """Log lines: their format, a filter for repeated ones, and the queues for stderr and for the loop.
 
-No logging call waits for the reader of stderr: a terminal after Ctrl-S or a hung disk may stop it.
+No logging call blocks on stderr, whose reader may be a terminal after Ctrl-S, or a hung disk.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from typing import Any, Final
 from robotctl.base.text import printable, without_colours
 
 CAPACITY_BYTES: Final = 1024 * 1024
-"""Size of the queue: the largest pipe that Linux grants (/proc/sys/fs/pipe-max-size)."""
+"""Size of the queue for stderr: the largest pipe of Linux (/proc/sys/fs/pipe-max-size)."""
 
 FLUSH_S: Final = 1.0
-"""How long the end of the log waits until the queue is written."""
+"""How long, at the end, to wait until the queue for stderr is written."""
 
 WINDOW_S: Final = 10.0
 """Length of a burst of equal lines, counted from its first line."""
@@ -113,7 +113,7 @@ def _note(burst: _Burst) -> Iterator[logging.LogRecord]:
 
 
 class LineHandler(QueueHandler):
-    """Queues lines without blocking; only counts lines that repeat too often or find no room."""
+    """Queues lines without blocking; lines that repeat often or do not fit are only counted."""
 
     def __init__(self, lines: Any = None) -> None:
         super().__init__(lines)
@@ -142,8 +142,8 @@ class _StderrListener(QueueListener):
     """Writes the queued lines to stderr in a thread; the queue is a pipe, non-blocking for writers.
 
     If stderr is a terminal, a pipe or a socket, the output of C and C++ libraries goes through the
-    queue as well. If it is a regular file, they write to it directly, so that the last message
-    before an abort is kept.
+    queue as well. If stderr is a regular file, these libraries write to the file directly, so that
+    their last message before an abort is kept.
     """
 
     def __init__(self) -> None:
@@ -183,7 +183,7 @@ class _StderrListener(QueueListener):
                 return
 
     def stop(self) -> None:
-        """Write the queued lines and restore stderr; after FLUSH_S drop them and what follows."""
+        """Write the queued lines and restore stderr; after FLUSH_S, drop the rest of all output."""
         self._is_ending = True
         with suppress(BlockingIOError):
             os.write(self.writing, _END)  # fd 2 keeps the pipe open, so there is no end of file

@@ -58,9 +58,9 @@ async def stand_still(
 
 
 def send_zero(control: Control, velocity: VelocityPublisher) -> None:
-    """Report the fault DAEMON_ENDS, by which checks of the journal know the end; then send a zero.
+    """Send a last zero: through the kernel or, if that is MOVING or sends none, directly.
 
-    Unless MOVING, the kernel sends the zero at a tick. If it sends none, a zero is sent directly.
+    Before that, report the fault DAEMON_ENDS, which marks the end in the journal.
     """
     sent = velocity.published
     with suppress(Exception):  # the kernel may be what has failed
@@ -76,16 +76,16 @@ DRAIN_S = 3.0
 
 ACKNOWLEDGED_S = 1.0
 """How long a stop waits until the robot has acknowledged the last zero: Fast DDS discards it if the
-publisher is destroyed before. After this time, the command timeout has stopped the robot."""
+publisher is destroyed before. After this time, the robot's command timeout has stopped it."""
 
 
 async def last_zero_arrived(
     velocity: VelocityPublisher, modes: ModeService, received: Callable[[], Mapping[str, int]]
 ) -> None:
-    """Wait until the last command and the last robot status have arrived.
+    """Wait until the recorder has the last command and robot status, and the robot has the zero.
 
-    `received()` returns how many messages of each topic the recorder has received. Warn if a
-    subscriber does not acknowledge the last zero.
+    `received()` returns how many messages of each topic the recorder has received. Log a warning
+    if a reliable subscriber does not acknowledge the last zero within ACKNOWLEDGED_S.
     """
 
     def is_recorded() -> bool:

@@ -27,9 +27,10 @@ async def simulate(
     at_end: ExitStack,
     only_if_missing: bool = False,
 ) -> None:
-    """Run the robot in this process until a signal ends it; then close `at_end` to leave ROS.
+    """Run the robot until a signal ends it; `on_ready` is called when it runs.
 
     With `only_if_missing`, return without a robot if another node publishes the odometry topic.
+    Afterwards, the caller closes `at_end`, which leaves the ROS domain.
     """
     stop = end_signals()
     topics = config.kernel

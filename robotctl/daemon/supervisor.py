@@ -1,4 +1,4 @@
-"""Runs the daemon's tasks: a failure becomes a fault, at which the kernel commands zero; waits."""
+"""Runs the daemon's tasks; a failed task becomes a fault, at which the kernel commands zero."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Supervisor:
             loop.default_exception_handler(context)
 
     def report_state(self, cause: Cause, problem: str) -> None:
-        """Report a fault of the socket or of recorded topics; the problem "" clears it."""
+        """Report the fault `cause`, such as an unreachable socket; if `problem` is "", clear it."""
         if self._dispatch is not None:
             now = time.monotonic_ns()
             fault = FaultReported(now, cause, problem[:MAX_DETAIL])
@@ -111,7 +111,7 @@ class Supervisor:
 POLL_S = 0.01
 
 DISCOVERY_S = 4.0
-"""Fast DDS usually discovers a process on the same machine within 0.15 s, at worst within 2.6 s."""
+"""How long to wait for discovery; on one machine, Fast DDS takes 0.15 s, or 2.6 s at worst."""
 
 
 async def until(condition: Callable[[], bool], deadline_s: float) -> bool:

@@ -95,10 +95,7 @@ class VelocityAnswer(TypedDict):
 
 
 class RobotFacts(TypedDict):
-    """The robot's part of `status`; None stands for an unknown value.
-
-    For a daemon that only observes, each value is None.
-    """
+    """The robot's part of `status`; None: unknown, as each value is in a daemon that observes."""
 
     mode: str | None
     phase: str | None

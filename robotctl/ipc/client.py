@@ -34,7 +34,7 @@ from robotctl.ipc.protocol import (
 )
 
 CALL_DEADLINE_S = 12.0
-"""Longer than the server's deadline for a call, so that its timeout error still arrives."""
+"""Longer than the server's usual deadline, so that the server's timeout error still arrives."""
 
 LIVENESS_S = 5.0
 """The period with which a call without a deadline checks that the daemon still replies."""

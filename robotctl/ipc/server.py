@@ -69,8 +69,8 @@ class Method(Generic[P]):
     """A method: its parameters, its handler, and the handler's deadline.
 
     The handler is called in the loop with the decoded parameters. A RobotctlError that it raises
-    is sent to the client with its text and exit code. The handler is cancelled at its deadline and
-    when its client disconnects, so its state must be consistent at every await.
+    is sent to the client with its text and exit code. The handler is cancelled at its deadline or,
+    if it has none, when its client disconnects: its state must be consistent at every await.
     """
 
     params: type[P]

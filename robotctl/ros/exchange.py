@@ -1,4 +1,4 @@
-"""Exchanging messages for a command: call a service, listen to a topic."""
+"""The queries (see `queries`) that exchange messages: call a service, listen to a topic."""
 
 from __future__ import annotations
 

@@ -135,7 +135,7 @@ PLAIN = CommandType(TWIST, encode_twist, decode_twist)
 
 
 def stamped(frame_id: str) -> CommandType:
-    """Return the type geometry_msgs/TwistStamped; `encode` sets `frame_id` and the present time."""
+    """Return a CommandType for TwistStamped; its `encode` sets `frame_id` and the present time."""
     encoder = StampedTwistEncoder(frame_id)
     return CommandType(
         TWIST_STAMPED,

@@ -409,9 +409,9 @@ class ReplaySession:
     def wait_for_matches(self) -> None:
         """Wait until all discovered subscriptions and servers match our publishers and clients.
 
-        The wait takes at most MATCH_S + KNOWN_S, and no time if no other process is there. It
-        includes the time until the subscriptions have matched our publishers in turn: a message
-        sent before that is lost, or late if the publisher is reliable.
+        Then wait until other processes acknowledge that they know our publishers: a message sent
+        before that is lost, or late if the publisher is reliable. Both waits take at most MATCH_S +
+        KNOWN_S, and no time if no other process is there.
         """
         if self._is_alone:
             return

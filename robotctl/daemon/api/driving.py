@@ -1,4 +1,4 @@
-"""The methods of the socket that drive, and goals of `drive_pattern`, as events for the kernel."""
+"""Converts socket methods that drive, and goals of `drive_pattern`, into events for the kernel."""
 
 from __future__ import annotations
 
@@ -263,7 +263,7 @@ class DrivingMethods:
         return granted(await self._control.request(self._idle_request(params.source)), self._robot)
 
     async def _hold(self, params: HoldParams) -> HoldAnswer:
-        """Begin a motion that ends unless it is held again and again, or hold it again."""
+        """Begin a motion, which ends unless the client repeats the request, or handle a repeat."""
         if params.hold:
             return self._hold_again(params)
         now_ns, request_id = self._control.stamp()

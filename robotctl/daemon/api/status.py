@@ -82,7 +82,7 @@ class StatusSource:
         scheduling: str,
         warnings: Warnings,
     ) -> None:
-        """In a daemon that only observes, `robot` is None, and what `status` says of it unknown."""
+        """`robot` is None in a daemon that only observes: then `status` has null for its facts."""
         self._options = options
         self.recording = recording
         self._robot = robot

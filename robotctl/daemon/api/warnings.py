@@ -55,8 +55,8 @@ _CHECKS = tuple(
 class Warnings:
     """Collects the warnings of a daemon; some suggest commands for `robot`.
 
-    In a daemon that only records, `control` is None, and `faults` are more warnings. Each function
-    in `parts` returns the warning of one part of the daemon, or "".
+    In a daemon that only records, `control` is None, and `faults` are the failures of its tasks.
+    Each function in `parts` returns the warning of one part of the daemon, or "".
     """
 
     def __init__(

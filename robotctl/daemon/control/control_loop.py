@@ -29,7 +29,8 @@ LINE_BYTES: Final = 128
 class ProcessorWait:
     """Measures how long the thread that creates this object has waited for a CPU.
 
-    Any thread may read it. `schedstat` is opened only once: later no descriptor may be free.
+    Any thread may call `waited_ns`. Linux's file `schedstat` is opened only once, at the creation:
+    later, no descriptor may be free.
     """
 
     def __init__(self) -> None:
@@ -152,7 +153,7 @@ class Watchdog:
             self._thread.start()
 
     def take(self) -> LoopStalled | FaultReported | None:
-        """End a stall (open the gate) and return LoopStalled; return FaultReported after a failure.
+        """Return LoopStalled after a stall (and open the gate), FaultReported if the thread failed.
 
         Return None otherwise. Call it in the loop's thread; the kernel must handle the event first.
         """

@@ -1,4 +1,4 @@
-"""Adds requests and decisions of the kernel to the journal of decisions, kept for years."""
+"""Adds requests and the kernel's decisions to the journal of decisions, which is kept for years."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ class Pending(Generic[T]):
         self._waiting: dict[int, asyncio.Future[T]] = {}
 
     def expect(self, request_id: int) -> asyncio.Future[T]:
-        """Return the future of what a request leads to."""
+        """Return a future, set by `settle`, of this request's reply or of the end of its drive."""
         future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
         self._waiting[request_id] = future
         future.add_done_callback(lambda _: self._waiting.pop(request_id, None))
@@ -127,7 +127,7 @@ class PendingRequests:
 
 
 SNAPSHOT_PERIOD_NS = 10 * NS_PER_S
-"""The period of snapshots: to know the state at any time, a re-run covers at most this time."""
+"""The period of snapshots: a re-run up to any time begins at most this long before that time."""
 
 
 class Control:
@@ -205,7 +205,7 @@ class Control:
         return time.monotonic_ns(), self._requests.new_id()
 
     def begin(self, event: Request) -> asyncio.Future[Reply]:
-        """Dispatch a request now; the returned future gets the reply after all other effects."""
+        """Dispatch a request now; return the future of the kernel's reply."""
         reply = self._requests.replies.expect(event.request_id)
         self._asked(event)
         try:

@@ -1,4 +1,4 @@
-"""Converts input from ROS and from the recorder into events for the kernel."""
+"""Converts input from ROS into events for the kernel."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class ForeignCommands:
     """Checks the publisher of each command: a command that is not ours becomes an event.
 
     `name_of(gid)` returns the name of the node with this publisher, "" if unknown. While `moves()`
-    returns true, each such command is an event: the first one ends the motion. Otherwise, each
+    returns true, each such command is an event, because it may end the motion. Otherwise, each
     publisher causes at most one event in 0.2 s.
     """
 
@@ -179,7 +179,7 @@ def is_remote(own_gid: bytes) -> bool:
 
     This is possible even if discovery is limited to this machine: a client on another host can
     name this machine as its static peer. If the client's gid is unknown, the request counts as
-    remote unless discovery is limited to this machine. The host are only two bytes of the gid, and
+    remote unless discovery is limited to this machine. Only two bytes of the gid name the host, and
     a client can send any gid: this prevents mistakes, not attacks.
     """
     gid = requester()

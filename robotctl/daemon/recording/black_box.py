@@ -69,7 +69,7 @@ class BlackBox:
         self._now_ns = now_ns
         self._sleep = sleep
         self.params = params
-        """These have the lengths of the clips: `clip_before_s` and `clip_after_s`."""
+        """Their `clip_before_s` and `clip_after_s` are the lengths of a clip."""
 
         self._recording = recording
         self._waiting: deque[RecordedEvent] = deque()

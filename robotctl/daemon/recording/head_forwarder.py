@@ -1,4 +1,5 @@
-"""Sends each head of the seal to a topic and to a program, so that it can be kept elsewhere."""
+"""Sends each head (the newest digest of a sealed file's hash chain) to a topic and to a program,
+so that it can be kept on another machine, as evidence that no records were removed."""
 
 from __future__ import annotations
 

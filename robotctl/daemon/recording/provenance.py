@@ -141,7 +141,7 @@ CONTROL_PATH: Final = ("config/", "daemon/", "ipc/", "kernel/", "messages/", "ro
 """The parts whose code turns messages and requests into velocity commands."""
 
 ASIDE: Final = ("ros/executables", "ros/exchange.py", "ros/playback.py", "ros/queries.py")
-"""What in these parts no daemon imports."""
+"""The modules of these parts that no daemon imports."""
 
 DIGEST: Final = "digest"
 """The key of the digest over all modules; the other keys of `software` are names of modules."""

@@ -300,7 +300,7 @@ class TopicHealth:
     """
 
     def __init__(self, expected: RateByTopic, names: Iterable[str], now_s: float) -> None:
-        """`expected` has the configured rates; a topic in `names` not yet heard is in trouble."""
+        """`expected` has the configured rates; `names` are topics that must have messages."""
         self._expected = expected
         self._topics: dict[str, _Topic] = {}
         self._active: dict[str, _Topic] = {}

@@ -1,7 +1,7 @@
 """An event loop with cheap wake-ups, the beat on which timers expire, and time limits.
 
-When a descriptor is ready, asyncio makes a selector key and a handle, and queues the handle. At
-1 kHz this is a tenth of the CPU time of a message. `EventLoop` calls the callback directly.
+When a descriptor is ready, asyncio makes a selector key and a handle, and queues the handle. That
+is a tenth of the CPU time of a message at 1 kHz. `EventLoop` calls the callback directly.
 
 A wake-up costs more than most of the work in it. So tickers of one rate expire together, and
 timers whose exact time does not matter expire together on a beat.
@@ -22,7 +22,7 @@ from typing import Any, Final, TypeVar
 NS_PER_S = 1_000_000_000
 
 SLOW_CALLBACK_NS = 50_000_000
-"""If a callback holds the loop longer, a warning is logged: it delays the control tick."""
+"""A callback that blocks the loop for longer delays the control tick: then a warning is logged."""
 
 SLOW_WARNING_PAUSE_NS = 10_000_000_000
 """The least time between two warnings about the same callback, so that the log stays readable."""

@@ -185,7 +185,7 @@ class SerializedTaker:
         )
 
     def info(self) -> dict[str, int | None]:
-        """Return times and sequence numbers of the last message, in the form of rclpy."""
+        """Return times and sequence numbers of the last message, as the dict that rclpy makes."""
         source_ns, received_ns, sent, received, _, _ = _MESSAGE_INFO.unpack_from(self._info)
         return {
             "source_timestamp": source_ns,

@@ -156,8 +156,8 @@ class _Everything:
 def readers_of(node: Node, service: str) -> Callable[[], Container[bytes]]:
     """Return a function that lists the discovered readers of the responses of a service.
 
-    `service` is its full name. If the readers cannot be listed, because a name is not UTF-8 or the
-    node is destroyed, every reader counts as discovered.
+    `service` is the service's full name. If the readers cannot be listed, because a name is not
+    UTF-8 or the node is destroyed, every reader counts as discovered.
     """
     topic = f"rr{service}Reply"
 

@@ -2,8 +2,8 @@
 
 Waking up for one message costs about 50 us, reading it 2 to 10. So messages that may come late (a
 recorder's taps, a flooded topic) are collected for a while, as network drivers collect packets
-under load. A `Pool` watches the eventfds of these topics by an epoll of its own, which the loop
-does not watch while the pool rests: so these messages do not wake the loop.
+under load. A `Pool` watches the eventfds of these topics by an epoll of its own. While the pool
+rests, the loop does not watch that epoll, and so is not woken by these messages.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ class SlowCallbacks:
 
 
 class TimedSteps:
-    """Awaits a coroutine; warns about each step between two awaits that blocks the loop long."""
+    """Awaits a coroutine; warns if a step between two awaits blocks the loop for too long."""
 
     __slots__ = ("_coroutine", "_slow", "_where")
 

@@ -1,4 +1,4 @@
-"""Base classes; the source of timers. A source passes an entity's data from rcl to its callback."""
+"""Sources: each passes the data of one entity from rcl to a callback. Base classes, and timers."""
 
 from __future__ import annotations
 

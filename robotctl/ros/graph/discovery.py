@@ -250,10 +250,7 @@ class Discovery:
             stopped.wait(_POLL_S)
 
     def is_alone(self) -> bool:
-        """Return whether there is surely no other process in the domain to discover.
-
-        False if processes may be on other machines, because these cannot be counted.
-        """
+        """Return whether the domain has no other process; False if other machines may have one."""
         return is_on_this_machine_only() and participants_here(self._domain_id) == 1
 
     def is_complete(self, quiet_s: float) -> bool:

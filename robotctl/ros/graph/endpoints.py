@@ -1,7 +1,4 @@
-"""The topics, publishers, subscriptions, services and nodes of the domain.
-
-Their names may contain any bytes.
-"""
+"""Topics, publishers, subscriptions, services, nodes of the domain; names may have any bytes."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ def escaped(text: bytes) -> str:
 
 @cache
 def function(name: str, restype: Any = ctypes.c_int) -> Any:
-    """Return a C function of rcl, or of what rcl loads; calls keep the GIL, as rclpy's do."""
+    """Return a C function of rcl, or of a library that rcl loads; calls keep the GIL."""
     found = ctypes.PyDLL("librcl.so")[name]
     found.restype = restype
     return found

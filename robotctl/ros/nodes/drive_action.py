@@ -112,7 +112,7 @@ class DriveAction:
         )
 
     def close(self) -> None:
-        """Destroy the action server, which the node does not, and which keeps the context alive."""
+        """Destroy the action server: the node does not, and the server keeps the context alive."""
         self._server.destroy()
 
     def _has_room(self, _: Any) -> GoalResponse:

@@ -48,14 +48,14 @@ def report_values(
 def report_battery(
     session: Session, topic: str, on_level: Callable[[float, str, int], None]
 ) -> Subscription:
-    """Report each battery level as published, NaN for an unreadable message (`report_values`)."""
+    """Report each battery level as published, NaN if it is unreadable; see `report_values`."""
     return report_values(session, BatteryState, topic, read_battery_level, on_level)
 
 
 def report_scans(
     session: Session, topic: str, on_scan: Callable[[tuple[float, ...], str, int], None]
 ) -> Subscription:
-    """Report the nearest range [m] in each sector of a scan, () for an unreadable scan."""
+    """Report the nearest range [m] in each sector of a scan, () if the scan is unreadable."""
     return report_values(session, LaserScan, topic, read_sectors, on_scan)
 
 

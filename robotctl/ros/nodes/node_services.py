@@ -73,7 +73,7 @@ class ParameterServices(ParameterService):
             )
 
     def show(self, key: str, value: Any) -> None:
-        """Show `value`, which was set by other means, as the parameter; ignore an unknown `key`."""
+        """Set the parameter that clients see to `value`, set elsewhere; ignore an unknown `key`."""
         if key not in self._keys or self._asking:  # rclpy itself adopts what it asked for
             return
         self._showing = True
@@ -136,7 +136,7 @@ def _declare(node: Node, declared: Declaration, value: Any) -> None:
 
 
 MAX_LEVELS: Final = 100
-"""Limit on the loggers in one call, since a long list would hold up the loop."""
+"""Limit on the loggers in one call, since a long list would block the loop."""
 
 Get = Callable[[str], int]
 """Returns the level of a logger, or 0 if the logger has none."""

@@ -52,7 +52,7 @@ class OdomSubscriber:
         self._on_odometry = on_odometry
         self._on_source = on_source
         self._sources: dict[bytes, int] = {}
-        """A publisher's gid -> its number; the key order follows from each one's last message."""
+        """A publisher's gid -> its number, ordered by the time of each publisher's last message."""
 
         self._last_source = 0
         self._last_gid: bytes | None = None

@@ -40,7 +40,7 @@ class Sentences:
     """Collects a sentence for each topic that has a problem, and logs each sentence once."""
 
     def __init__(self, most: int, more: str) -> None:
-        """`warnings` yields `most` sentences at most, then one such as "3 more topics MORE"."""
+        """`warnings` yields at most `most` sentences, then "N more topics" and the text `more`."""
         self.by_topic: dict[str, str] = {}
         self._most, self._more = most, more
         self._said: set[str] = set()
@@ -71,8 +71,8 @@ class Sentences:
 class QosMismatches(Sentences):
     """Finds QoS mismatches on the topics for which `look` is called.
 
-    Hidden nodes are left out: a recorder may subscribe to the latched messages of only a part of
-    the publishers.
+    Hidden nodes are left out: a recorder's additional subscription for latched messages mismatches
+    the volatile publishers on purpose.
     """
 
     def __init__(self, node: Node) -> None:
@@ -179,7 +179,7 @@ LOOKS_PER_COUNT = 4
 
 LOOKS_PER_INSPECTION = 40
 """How many looks there are for each reading of the publishers' QoS and types, which is repeated
-because one publisher may replace another. So many quick looks follow each graph change."""
+because one publisher may replace another. Each graph change causes this number of quick looks."""
 
 TOPICS_PER_TURN = 50
 """Limit on the topics that are checked in one turn of the loop, so as not to hold up the loop."""
