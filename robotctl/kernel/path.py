@@ -5,7 +5,7 @@ The length of a line or a curve is in metres, that of a turn on the spot in radi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import tau
 
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
@@ -20,12 +20,16 @@ class Line:
     length: float
     turns: bool = False
     top_curvature: float = 0.0
+    along: tuple[float, float] = field(init=False, repr=False, compare=False)
+    """The line's direction, as a unit vector."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "along", direction(self.start.theta))
 
     def pose_at(self, length: float) -> Pose:
         """Return the pose at `length` m from the start."""
-        theta = self.start.theta
-        c, s = direction(theta)
-        return Pose(self.start.x + length * c, self.start.y + length * s, theta)
+        c, s = self.along
+        return Pose(self.start.x + length * c, self.start.y + length * s, self.start.theta)
 
     def curvature_at(self, length: float) -> float:
         """Return 0: a line is straight."""
@@ -33,7 +37,7 @@ class Line:
 
     def distance_to(self, point: Pose, guess: float) -> float:
         """Return the distance [m] from `point` to the nearest point of the line, ends included."""
-        c, s = direction(self.start.theta)
+        c, s = self.along
         dx, dy = point.x - self.start.x, point.y - self.start.y
         along = min(max(c * dx + s * dy, 0.0), self.length)
         return hypot(dx - along * c, dy - along * s)

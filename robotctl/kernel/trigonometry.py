@@ -29,25 +29,32 @@ _QUARTER_PI, _MANY_TURNS_RAD = 0.25 * pi, 2.0**19
 
 def sin(angle_rad: float) -> float:
     """Return the sine; ValueError for an infinite angle."""
-    quadrant, head, tail = _reduced(angle_rad)
-    value = _cos(head, tail) if quadrant & 1 else _sin(head, tail)
-    return -value if quadrant & 2 else value
+    return direction(angle_rad)[1]
 
 
 def cos(angle_rad: float) -> float:
     """Return the cosine; ValueError for an infinite angle."""
-    quadrant, head, tail = _reduced(angle_rad)
-    value = _sin(head, tail) if quadrant & 1 else _cos(head, tail)
-    return -value if (quadrant + 1) & 2 else value
+    return direction(angle_rad)[0]
 
 
 def direction(angle_rad: float) -> tuple[float, float]:
-    """Return cosine and sine, almost as fast as `sin` alone; ValueError for an infinite angle."""
-    quadrant, head, tail = _reduced(angle_rad)
-    x, y = _cos(head, tail), _sin(head, tail)
+    """Return cosine and sine; ValueError for an infinite angle."""
+    if -_QUARTER_PI <= angle_rad <= _QUARTER_PI:
+        quadrant, x, tail = 0, angle_rad, 0.0
+    else:
+        quadrant, x, tail = _reduced(angle_rad)
+    z = x * x
+    w = z * z
+    v = z * x
+    half = 0.5 * z
+    rest = 1.0 - half
+    r = z * (_C1 + z * (_C2 + z * _C3)) + w * w * (_C4 + z * (_C5 + z * _C6))
+    cosine = rest + (((1.0 - rest) - half) + (z * r - x * tail))
+    r = _S2 + z * (_S3 + z * _S4) + z * w * (_S5 + z * _S6)
+    sine = x - ((z * (0.5 * tail - v * r) - tail) - v * _S1)
     if quadrant & 1:
-        x, y = -y, x
-    return (-x, -y) if quadrant & 2 else (x, y)
+        cosine, sine = -sine, cosine
+    return (-cosine, -sine) if quadrant & 2 else (cosine, sine)
 
 
 def tan(angle_rad: float) -> float:
@@ -61,8 +68,6 @@ def _reduced(angle_rad: float) -> tuple[int, float, float]:
 
     From an angle beyond 2^19 rad, whole turns are removed first and not counted.
     """
-    if -_QUARTER_PI <= angle_rad <= _QUARTER_PI:
-        return 0, angle_rad, 0.0
     if not -_MANY_TURNS_RAD <= angle_rad <= _MANY_TURNS_RAD:
         if angle_rad != angle_rad:
             return 0, angle_rad, 0.0
@@ -83,24 +88,6 @@ def _reduced(angle_rad: float) -> tuple[int, float, float]:
             if abs(head) > least:
                 break
     return quarters, head, (rest - head) - tail
-
-
-def _sin(x: float, tail: float) -> float:
-    """Return the sine of x + tail, where |x| <= pi/4."""
-    z = x * x
-    v = z * x
-    r = _S2 + z * (_S3 + z * _S4) + z * (z * z) * (_S5 + z * _S6)
-    return x - ((z * (0.5 * tail - v * r) - tail) - v * _S1)
-
-
-def _cos(x: float, tail: float) -> float:
-    """Return the cosine of x + tail, where |x| <= pi/4."""
-    z = x * x
-    w = z * z
-    r = z * (_C1 + z * (_C2 + z * _C3)) + w * w * (_C4 + z * (_C5 + z * _C6))
-    half = 0.5 * z
-    w = 1.0 - half
-    return w + (((1.0 - w) - half) + (z * r - x * tail))
 
 
 _ATAN_PARTS = (

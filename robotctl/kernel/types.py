@@ -49,9 +49,8 @@ def changed(value: T, **changes: Any) -> T:
     Use it for the dataclasses that each step copies: `dataclasses.replace` is four times as slow.
     """
     fields = value.__dict__ | changes
-    assert len(fields) <= len(vars(type(value))["__dataclass_fields__"]), (
-        changes
-    )  # a name that is no field
+    # A value that msgspec read from a journal has no entries for fields at their default.
+    assert len(fields) <= len(vars(type(value))["__dataclass_fields__"]), "not a field's name"
     copy = object.__new__(type(value))
     object.__setattr__(copy, "__dict__", fields)
     return copy
