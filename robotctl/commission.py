@@ -66,7 +66,7 @@ class Motion:
         return [(c.t_s, c.angular_rps if self.is_turn else c.linear_mps) for c in self.commands]
 
     def way(self) -> list[tuple[float, float]]:
-        """Return each sample's time [s], and the way [m] or turn [rad] since the first sample."""
+        """Return each sample's time [s], and the distance [m] or turn [rad] since the first one."""
         begin = self.samples[0].pose if self.samples else ORIGIN
         if not self.is_turn:
             return [(each.t_s, begin.express(each.pose).x) for each in self.samples]
@@ -179,7 +179,7 @@ class Measured:
     command_delay_s: float
     """How long after a command the measured motion follows: all delays plus the lag of the base."""
     stopping_m: float
-    """The way from the zero command to the standstill."""
+    """The distance from the zero command to the standstill."""
     stopping_s: float
     """The time from the zero command to the standstill."""
     base_timeout_s: float | None
@@ -191,7 +191,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """A motion at constant speed [m/s or rad/s]: at time t, the way is speed * (t - since)."""
+    """A motion at constant speed [m/s or rad/s]: at time t, the distance is speed * (t - since)."""
 
     speed: float
     since_s: float
@@ -262,7 +262,7 @@ def _delay_s(motion: Motion, line: _Line) -> float:
 
 
 def _commanded_since_s(motion: Motion) -> float:
-    """Return when [s] a step command would have begun to cover the same way as the ramp."""
+    """Return when [s] a step to the wanted speed must begin to command the ramp's distance."""
     last_s = _last_s(motion)
     sent = [(t_s, value) for t_s, value in motion.sent() if t_s <= last_s]
     driven = sum(value * (after_s - t_s) for (t_s, value), (after_s, _) in pairwise(sent))
@@ -270,7 +270,7 @@ def _commanded_since_s(motion: Motion) -> float:
 
 
 def _moving_line(motion: Motion) -> _Line:
-    """Return the line through the samples of the steady part, as `_line` does.
+    """Return the same line as `_line`, for a motion in which the base must move.
 
     Raises:
         Refused: The base did not move, or there are too few samples.
@@ -289,7 +289,7 @@ def _moves(motion: Motion, line: _Line) -> bool:
 
 
 def _line(motion: Motion) -> _Line:
-    """Return the line through the samples of the steady part, the last STEADY_S of driving.
+    """Return the line fitted to the distance over time in the last STEADY_S of driving.
 
     Raises:
         Refused: There are too few samples.
@@ -312,7 +312,7 @@ def _rest(motion: Motion, from_s: float, until_s: float) -> tuple[float, bool]:
 
 
 def _stop(motion: Motion, line: _Line) -> tuple[float, float]:
-    """Return the way ([m], in a turn [rad]) and time [s] from the first zero to the standstill.
+    """Return distance [m], in a turn [rad], and time [s] from the first zero to the standstill.
 
     Raises:
         Refused: The base did not stand at the end, or odometry ended before it stood.
@@ -429,7 +429,7 @@ def _allowed_by(delay_s: float) -> str:
 
 
 def _stopping_within(way: float, reaction_s: float, braking: float) -> float:
-    """Return the speed v with a stopping way of v * reaction_s + v^2 / (2 * braking) = way."""
+    """Return the speed v with a stopping distance v * reaction_s + v^2 / (2 * braking) = way."""
     return braking * (sqrt(reaction_s**2 + 2.0 * way / braking) - reaction_s)
 
 

@@ -95,7 +95,7 @@ AHEAD_S: Final = 60.0
 def check_disk(folder: Path, *, is_used: bool = False) -> Iterator[Finding]:
     """Check the free space for recordings in `folder`, or in its nearest parent that exists.
 
-    If `is_used`, a daemon (maybe of another user) records there: write access is not checked.
+    If `is_used`, a daemon (perhaps of another user) records there: write access is not checked.
     """
     check = "disk"
     existing = _existing(folder)
@@ -158,7 +158,7 @@ def check_folders(*folders: Path) -> Iterator[Finding]:
 def check_descriptors() -> Iterator[Finding]:
     """Check the limit of open files; a daemon without a free descriptor cannot accept a client."""
     check = "open files"
-    _, limit = resource.getrlimit(resource.RLIMIT_NOFILE)  # a daemon raises its own to this
+    _, limit = resource.getrlimit(resource.RLIMIT_NOFILE)  # a daemon raises its soft limit to it
     told = f"a process may open {limit} at a time"
     if limit == resource.RLIM_INFINITY or limit >= own_process.ENOUGH_OPEN_FILES:
         yield ok(check, told)

@@ -44,7 +44,7 @@ class Faults:
 
     def __contains__(self, fault: SimFault) -> bool:
         left_s = self._left_s
-        return bool(left_s) and fault in left_s  # nearly always none: no member is hashed then
+        return bool(left_s) and fault in left_s  # usually empty: saves the hash of the member
 
     def begin(self, fault: SimFault, for_s: float) -> None:
         """Begin a fault, or change the end of an active fault: it lasts `for_s` from now on."""

@@ -40,7 +40,7 @@ def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
 
     If another ROS precedes ours, call `before_restart` and restart the process without that ROS. In
     the new process, `prepare` returns a note on what was changed. Unless the user has chosen
-    otherwise, also limit discovery to this machine and announce this process more often.
+    otherwise, also limit discovery to this machine, and name our Fast DDS profiles file.
     """
     note = os.environ.pop(_NOTE, "")
     if _has_own_rclpy():

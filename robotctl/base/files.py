@@ -57,7 +57,7 @@ ABANDONED_S: Final = 3600.0
 
 
 def remove_abandoned(folder: Path, pattern: str) -> None:
-    """Remove the unfinished files of killed processes, whose names match the glob `pattern`."""
+    """Remove files that match the glob `pattern` and that killed processes left unfinished."""
     with suppress(OSError):
         for unfinished in folder.glob(pattern):
             if time.time() - unfinished.lstat().st_mtime > ABANDONED_S:

@@ -123,7 +123,7 @@ class FolderChain:
         ]
 
     def _is_of_a_unit(self) -> bool:
-        """Return whether `base` is a unit's runtime folder, which only root can have created."""
+        """Return whether `base` is a systemd unit's runtime folder, which only root can create."""
         if self.base.parent != SYSTEM_RUNTIME or not self.base.name.startswith(UNIT_PREFIX):
             return False
         above = SYSTEM_RUNTIME.stat()

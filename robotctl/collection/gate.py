@@ -1,4 +1,4 @@
-"""Judges every recording of a folder with this robotctl, and reports those that fail.
+"""Judges each recording of a folder with this robotctl; can try other kernel parameters, too.
 
 A baseline lists failures that were accepted: by whom, when and why.
 """

@@ -57,7 +57,7 @@ def database(
         ) from None
     with duckdb.connect(":memory:", config={"memory_limit": memory}) as connection:
         connection.execute("SET temp_directory = ''; SET preserve_insertion_order = false")
-        connection.execute("SET enable_progress_bar = false")  # it would be printed into an answer
+        connection.execute("SET enable_progress_bar = false")  # it would be printed amid the answer
         allowed = {*map(str, files), *map(_pattern, files)}
         connection.execute(f"SET allowed_paths = [{', '.join(map(text, sorted(allowed)))}]")
         for name, value in _CLOSED.items():

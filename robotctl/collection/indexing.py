@@ -72,7 +72,7 @@ def rows_of(
     with Recording(path, files=files) as recording:
         info = recording.info()
         history = _History(recording, info)
-        with suppress(UnreadableFile):  # no journal, or one that is damaged from there on
+        with suppress(UnreadableFile):  # no journal, or a damaged one: use what was read
             history.read()
     topics = list(_topics(info))
     drives = history.drives()

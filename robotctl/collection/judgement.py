@@ -1,4 +1,4 @@
-"""The judgement of one recording by this robotctl: a pure function of its bytes and parameters."""
+"""Judges one recording: repeats its decisions with the recorded and with other parameters."""
 
 from __future__ import annotations
 
@@ -330,7 +330,7 @@ def key_of(recording: str, settings: Mapping[str, str]) -> str:
 def _checked(
     path: Path, settings: Mapping[str, str]
 ) -> tuple[Report | None, VerdictName, str, Change | None]:
-    """Return report, verdict, first sentence and what other parameters change."""
+    """Return the check's report, verdict and first finding, and what `settings` change."""
     try:
         report = check_recording(path)
     except UnreadableFile as error:
@@ -353,7 +353,7 @@ def _checked(
 
 
 def _verdict(report: Report) -> tuple[VerdictName, str]:
-    """Return the verdict in the gate and the first sentence about what is wrong."""
+    """Return the gate's verdict, and the first finding as a sentence, "" if there is none."""
     if (found := report.divergence) is not None:
         other = "" if report.version == __version__ else report.version or "another version"
         by = f" (recorded by {other})" if other else ""

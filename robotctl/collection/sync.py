@@ -171,7 +171,7 @@ class _Copy:
             elif all(each.size_bytes != file.size_bytes for each in found):
                 self.wrong.append(str(_wrong_content(self._store, found[0].key)))
         if self.wrong or len(self.problems) > len(self._recording.left_out):
-            return  # metadata that lists the files must not be there before them
+            return  # metadata that lists the files must not be stored before them
         for file in (each for each in files if _is_replaced(each.key)):
             found = self._there.get(file.key, [])
             if not (_has_as_new(found, file) or (found and self._more_is_there())):

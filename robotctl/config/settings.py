@@ -493,7 +493,7 @@ def read_yaml(path: Path) -> Any:
     Raises:
         ConfigError: The file cannot be read, is not valid YAML, or has aliases or duplicate keys.
     """
-    import yaml  # here: the import lasts 15 ms, and most daemons have no configuration file
+    import yaml  # here: the import takes 15 ms, and most daemons have no configuration file
 
     class Loader(yaml.SafeLoader):
         """Refuses aliases and duplicate keys; PyYAML would keep the last value of such a key."""

@@ -319,7 +319,7 @@ class LogContent:
     notes: list[str] = field(default_factory=list)
     """Sentences about harmless findings: torn lines, and files that robotctl removed."""
     heads: set[str] = field(default_factory=set)
-    """All digests that recordings may store: of a file up to any line; early, of a single line."""
+    """All digests that recordings may store: of a file up to any line; earlier, of one line."""
 
     @property
     def begins_later(self) -> bool:

@@ -78,7 +78,7 @@ class DecisionLog:
     ) -> None:
         """Write entries into `folder`; remove files older than `keep_s` seconds, none if it is 0.
 
-        `now_ns` is the wall clock of the entries, `steady_s` the clock of the limit.
+        `now_ns` is the wall clock of the entries, `steady_s` the clock of the budget.
         """
         self._folder = folder
         self._keep_s = keep_s

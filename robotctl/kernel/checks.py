@@ -20,7 +20,7 @@ FOREIGN_COMMAND_S = 1.0
 
 
 def _age_s(then_ns: int, t_ns: int) -> float:
-    """Return the time from `then_ns` to `t_ns` [s], without its sign: the future is stale, too."""
+    """Return the absolute difference of two times [s]: data from the future is stale, too."""
     return abs(t_ns - then_ns) / NS_PER_S
 
 

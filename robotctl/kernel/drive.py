@@ -256,11 +256,11 @@ class Drive:
         return self._at(place)
 
     def measured(self, pose: Pose, moved_m: float) -> Drive:
-        """Return the drive; its score has one more sample: the robot moved `moved_m` to `pose`."""
+        """Return the drive with one more sample in its score: a move of `moved_m` to `pose`."""
         return changed(self, score=self.score_after(self.score, pose, moved_m))
 
     def score_after(self, so_far: Score, pose: Pose, moved_m: float) -> Score:
-        """Return the score `so_far` with one more sample: the robot moved `moved_m` to `pose`."""
+        """Return the score `so_far` with one more sample: a move of `moved_m` to `pose`."""
         at, path = self.progress, self.path
         if not path.segments:
             return replace(so_far, distance_m=so_far.distance_m + moved_m)

@@ -70,7 +70,7 @@ from robotctl.kernel.types import (
 )
 
 SILENT_AFTER_NS = NS_PER_S
-"""With `command.when_idle: silent`, for how long zeros are sent in IDLE before sending stops."""
+"""How long zeros are sent in IDLE before nothing is sent, with `command.when_idle: silent`."""
 
 MAX_WAITING = 64
 """The largest number of requests that wait for the end of a ramp; further ones are refused."""
@@ -169,7 +169,7 @@ class Kernel:
     # Health
 
     def _learn(self, t_ns: int, **changes: object) -> None:
-        """Change fields of the health; change the mode if the new health is a fault."""
+        """Change fields of the health; change the mode at once if they reveal a fault."""
         self._notice_gap(t_ns)
         self.state = changed(self.state, health=changed(self.state.health, **changes))
         self._raise_fault(t_ns)
@@ -632,7 +632,7 @@ class Kernel:
 
 
 def _told(what: str, event: ModeRequested | ResetRequested | DriveRequested) -> str:
-    """Return the text of who requested `what`, and why."""
+    """Return a text that says who requested `what`, and why."""
     by = f"{what} by {event.source}"
     return f"{by}: {event.reason}" if event.reason else by
 

@@ -100,7 +100,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """The right to start motion, which one client has alone: its number, its name, its reason."""
+    """The right of one client alone to start motion: the client's number, name and reason."""
 
     client: int
     source: str

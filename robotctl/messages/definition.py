@@ -281,7 +281,7 @@ _SHAPE: Final = 48
 of that type."""
 
 _EMPTY: Final = (Field("structure_needs_at_least_one_member", "uint8"),)
-"""ROS gives this field to a type that has none."""
+"""The field that ROS adds to a type without fields."""
 
 
 def rihs01_hash(type_name: str, definition: Definition) -> str:

@@ -101,7 +101,7 @@ def parse_path(definition: Definition, path: str) -> FieldPath:
 
 def unknown_field(name: str, type_name: str, fields: tuple[Field, ...]) -> str:
     """Return the error text for a field that a type does not have."""
-    from difflib import get_close_matches  # here: most commands need it never
+    from difflib import get_close_matches  # here: few commands need it
 
     names = [field.name for field in fields]
     near = get_close_matches(name, names, n=1, cutoff=0.4)

@@ -17,7 +17,7 @@ from robotctl.messages.definition import BYTE, NUMBERS, TEXT, Definition, Field,
 from robotctl.messages.fields import FieldPath, ValueKind, WrongValue, leaves, unknown_field
 
 _PADDING: Final = "x"
-"""A message without fields has one byte in CDR: C++ knows no empty structure."""
+"""A message without fields has one byte in CDR, because C++ has no empty structures."""
 
 _Step = str | Callable[[CdrReader], Any]
 """The `struct` codes of several leaves, or a function that reads the value of one leaf."""
@@ -44,7 +44,7 @@ class Decoder:
         return self._read(self._root, CdrReader(data))
 
     def values(self, data: bytes) -> dict[str, Any]:
-        """Return the values of the fields, by their names.
+        """Return the message as a dict from field name to value.
 
         Raises:
             struct.error: The message is cut short, or not in plain CDR.
@@ -53,7 +53,7 @@ class Decoder:
         return values
 
     def _read(self, message: Field, reader: CdrReader) -> list[Any]:
-        """Return the leaves of the next message, of the type that `message` has."""
+        """Return the values of the leaves of the next message, whose type is that of `message`."""
         plan = self._plans.get(message.type_name)
         if plan is None:
             plan = self._plans[message.type_name] = self._plan(message)
@@ -88,7 +88,7 @@ class Decoder:
         if code == BYTE:
             return reader.octets(count)
         if code:
-            return list(reader.take(code, count)) if count else []  # an empty one is not aligned
+            return list(reader.take(code, count)) if count else []  # an empty list is not aligned
         if field.is_text:
             read = _text_reader(field)
             return [read(reader) for _ in range(count)]
@@ -123,7 +123,7 @@ def _write(definition: Definition, field: Field, value: Any, writer: CdrWriter) 
     if field.shape is not FieldShape.ONE:
         if field.shape is FieldShape.SEQUENCE:
             writer.put("I", len(value))
-        if code and len(value):  # an empty one is not aligned
+        if code and len(value):  # an empty list is not aligned
             writer.put(code, *value)
         elif not code:
             item = field.item

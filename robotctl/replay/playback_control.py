@@ -132,7 +132,7 @@ class PlaybackControl:
 
 
 class Command(Enum):
-    """A change of playback, requested by a key, or made while the user suspends the command."""
+    """A change of playback, sent to the replay process when a key is pressed, or for Ctrl-Z."""
 
     PAUSE = "pause"
     RESUME = "resume"

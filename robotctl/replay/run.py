@@ -29,7 +29,7 @@ from robotctl.ros.executor.loop_thread import FifoScheduling
 from robotctl.ros.playback import BLOCKED_S, QUIET_S, ReplaySession, Unpublishable, latched_depth
 
 Emit = Callable[[dict[str, Any]], None]
-"""Sends a message: {"note"}, {"waiting"}, {"start"}, {"progress"} or {"summary"}."""
+"""Sends a message with one key: "note", "waiting", "start", "progress" or "summary"."""
 
 
 class ReplayReport:

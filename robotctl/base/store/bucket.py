@@ -65,7 +65,7 @@ _WRITTEN: Final = "mtime"
 """The attribute with the time when the content was written [ns since the epoch], as in rclone."""
 
 _LIBRARY_LETS_GO_S: Final = 0.5
-"""How long the library's threads may need to end after a cancellation; it has no way to wait."""
+"""How long the library's threads may need to end after a cancellation; they cannot be joined."""
 
 _CREDENTIALS: Final = {
     "s3": "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; for a public bucket "
