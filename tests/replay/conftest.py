@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from robotctl.base.paths import make_private, runtime_folder, socket_path
 from robotctl.ipc.method_params import NoParams
 from robotctl.ipc.server import ControlServer, Identity, Method
 from robotctl.ros import AsyncioExecutor, RawTap
+from tests.support.bags import STRING, Line, write_bag
 from tests.support.lines import Ran
 from tests.support.waiting import DEADLINE_S
 
@@ -60,33 +61,6 @@ class Running:
         return Ran(self._process.returncode, out, err)
 
 
-Replay = Callable[..., Awaitable[Ran]]
-
-
-@pytest.fixture
-def start(domain_id: int, own_sockets: None) -> Iterator[Callable[..., Running]]:
-    """Start a replay in the test's domain."""
-    started: list[Running] = []
-
-    def begin(*arguments: object) -> Running:
-        started.append(Running(*map(str, arguments)))
-        return started[-1]
-
-    yield begin
-    for each in started:
-        each.close()
-
-
-@pytest.fixture
-def replay(start: Callable[..., Running]) -> Replay:
-    """Run a replay in the test's domain."""
-
-    async def carry_out(*arguments: object) -> Ran:
-        return await start(*arguments).end()
-
-    return carry_out
-
-
 @pytest.fixture
 def own_sockets(monkeypatch: pytest.MonkeyPatch) -> None:
     """Use control sockets of this test only."""
@@ -94,41 +68,6 @@ def own_sockets(monkeypatch: pytest.MonkeyPatch) -> None:
     folder = base / f"{len(list(base.iterdir()))}"
     folder.mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
-
-
-class Listener:
-    """Receives serialized messages in this process; `heard` has them by topic, in order."""
-
-    def __init__(self, node: Any) -> None:
-        self.node = node
-        self.heard: dict[str, list[bytes]] = {}
-
-    def listen(self, topic: str, type_name: str, qos: Any = 1000) -> None:
-        """Subscribe."""
-        from robotctl.ros.message_types import message_class
-
-        heard = self.heard.setdefault(topic, [])
-        tap = RawTap(lambda data, *_: heard.append(data))
-        self.node.create_subscription(message_class(type_name), topic, tap, qos, raw=True)
-
-
-@pytest.fixture
-async def listener(domain_id: int) -> AsyncIterator[Listener]:
-    """A node in the domain of the replay, in another process."""
-    from rclpy.context import Context
-    from rclpy.node import Node
-
-    context = Context()
-    context.init(args=[], domain_id=domain_id)
-    node = Node("listener", context=context, start_parameter_services=False, enable_rosout=False)
-    try:
-        async with AsyncioExecutor(context) as executor:
-            executor.add_node(node)
-            yield Listener(node)
-    finally:
-        node.destroy_node()
-        context.try_shutdown()
-        context.destroy()
 
 
 class FakeDaemon:
@@ -159,16 +98,67 @@ class FakeDaemon:
                     await task
 
 
-Daemon = Callable[..., AbstractAsyncContextManager[FakeDaemon]]
+class Stage:
+    """A recording, replays of it, and a node of this process that receives what they send.
+
+    `heard` has the serialized messages by topic, in order.
+    """
+
+    def __init__(self, folder: Path, domain_id: int, node: Any) -> None:
+        self.file = folder / "run.mcap"
+        self.domain_id = domain_id
+        self.node = node
+        self.heard: dict[str, list[bytes]] = {}
+        self.started: list[Running] = []
+
+    def bag(self, lines: list[Line], *, heard: bool = False, chunk_bytes: int = 1 << 20) -> Path:
+        """Write the recording; subscribe to its topics if it is to be `heard`."""
+        types = {f"/{each.topic.lstrip('/')}": each.type_name for each in lines if heard}
+        for topic, type_name in types.items():
+            self.listen(topic, type_name=type_name)
+        return write_bag(self.file, lines, chunk_bytes=chunk_bytes)
+
+    def listen(self, *topics: str, type_name: str = STRING, qos: Any = 1000) -> None:
+        """Subscribe."""
+        from robotctl.ros.message_types import message_class
+
+        for topic in topics:
+            heard = self.heard.setdefault(topic, [])
+            tap = RawTap(lambda data, *_, heard=heard: heard.append(data))
+            self.node.create_subscription(message_class(type_name), topic, tap, qos, raw=True)
+
+    def start(self, *arguments: object) -> Running:
+        """Start a replay in the domain."""
+        self.started.append(Running(*map(str, arguments)))
+        return self.started[-1]
+
+    async def replay(self, *arguments: object) -> Ran:
+        """Run a replay in the domain."""
+        return await self.start(*arguments).end()
+
+    def daemon(
+        self, robot: str = "robot", *, mode: str = "IDLE"
+    ) -> AbstractAsyncContextManager[FakeDaemon]:
+        """Return a daemon in the domain."""
+        return FakeDaemon(robot, self.domain_id, mode).running()
 
 
 @pytest.fixture
-def daemon(domain_id: int, own_sockets: None) -> Daemon:
-    """A daemon in the test's domain, or in another."""
+async def stage(tmp_path: Path, domain_id: int, own_sockets: None) -> AsyncIterator[Stage]:
+    from rclpy.context import Context
+    from rclpy.node import Node
 
-    def make(
-        robot: str = "robot", *, mode: str = "IDLE", domain: int | None = None
-    ) -> AbstractAsyncContextManager[FakeDaemon]:
-        return FakeDaemon(robot, domain_id if domain is None else domain, mode).running()
-
-    return make
+    context = Context()
+    context.init(args=[], domain_id=domain_id)
+    node = Node("listener", context=context, start_parameter_services=False, enable_rosout=False)
+    made = Stage(tmp_path, domain_id, node)
+    try:
+        async with AsyncioExecutor(context) as executor:
+            executor.add_node(node)
+            yield made
+    finally:
+        for each in made.started:
+            each.close()
+        node.destroy_node()
+        context.try_shutdown()
+        context.destroy()

@@ -3,42 +3,37 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from zstandard import ZstdCompressor
 
 from robotctl.cli import app
+from tests.replay.conftest import Stage
 from tests.support.bags import STRING, TWIST, Line, data, in_order, talk, text, twist, write_bag
+from tests.support.waiting import loop_until as until
 
-Until = Callable[[Callable[[], object]], Awaitable[None]]
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 
 
-async def test_a_damaged_chunk_costs_its_own_messages_and_is_named(
-    tmp_path: Path, listener: Any, replay: Any, until: Until
-) -> None:
+async def test_a_damaged_chunk_costs_its_own_messages_and_is_named(stage: Stage) -> None:
     lines = talk("/alpha", 200, 1.0)
-    file = write_bag(tmp_path / "run.mcap", lines, chunk_bytes=1000)
+    file = stage.bag(lines, heard=True, chunk_bytes=1000)
     content = bytearray(file.read_bytes())
     content[len(content) // 3] ^= 0xFF
     file.write_bytes(content)
-    listener.listen("/alpha", STRING)
-    ran = await replay(file, "--json")
+    ran = await stage.replay(file, "--json")
     assert ran.exit_code == 6
     assert ran.err.startswith(f"robotctl: {file} is incomplete: run.mcap: messages between bytes ")
     assert 100 < ran.summary["sent"] < 200
-    recorded = data(lines)
-    await until(lambda: len(listener.heard["/alpha"]) == ran.summary["sent"])
-    sent = iter(recorded)
-    assert all(message in sent for message in listener.heard["/alpha"])
+    await until(lambda: len(stage.heard["/alpha"]) == ran.summary["sent"])
+    sent = iter(data(lines))
+    assert all(message in sent for message in stage.heard["/alpha"])
 
 
 async def test_messages_that_rosbag2_compressed_one_by_one_are_sent_as_they_were(
-    tmp_path: Path, listener: Any, replay: Any, until: Until
+    tmp_path: Path, stage: Stage
 ) -> None:
     lines = talk("/alpha", 5, 1.0)
     stored = [replace(line, data=ZstdCompressor().compress(line.data)) for line in lines]
@@ -49,10 +44,10 @@ async def test_messages_that_rosbag2_compressed_one_by_one_are_sent_as_they_were
         "  compression_mode: MESSAGE\n"
         "  relative_file_paths:\n    - bag_0.mcap\n"
     )
-    listener.listen("/alpha", STRING)
-    ran = await replay(tmp_path, "--json")
+    stage.listen("/alpha")
+    ran = await stage.replay(tmp_path, "--json")
     assert ran.exit_code == 0, ran.err
-    await until(lambda: listener.heard["/alpha"] == data(lines))
+    await until(lambda: stage.heard["/alpha"] == data(lines))
 
 
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason="the sample recordings are not here")
@@ -78,17 +73,15 @@ async def test_of_a_bag_from_elsewhere_what_is_installed_is_played_and_the_rest_
     sent: int,
     unserved: int,
     skipped: dict[str, str],
-    replay: Any,
+    stage: Stage,
 ) -> None:
-    ran = await replay(SAMPLES / bag, "--publish-service-requests", *services, "--json")
+    ran = await stage.replay(SAMPLES / bag, "--publish-service-requests", *services, "--json")
     assert ran.exit_code == 0
     assert (ran.summary["sent"], ran.summary["failed"]) == (sent, unserved)
     assert ran.summary["skipped"] == skipped
 
 
-async def test_what_cannot_be_published_is_named_and_skipped(
-    tmp_path: Path, listener: Any, replay: Any, until: Until
-) -> None:
+async def test_what_cannot_be_published_is_named_and_skipped(stage: Stage) -> None:
     alpha = talk("/alpha", 10)
     zeros = [Line("/late", TWIST, 0.1, twist(0.0))]
     strings = [Line("/late", STRING, 0.2, text(each)) for each in "ab"]
@@ -102,10 +95,9 @@ async def test_what_cannot_be_published_is_named_and_skipped(
         Line("/import", "antigravity/msg/Flight", 1.0, text("a")),
         Line("/relative", "../msg/Flight", 1.0, text("a")),
     ]
-    file = write_bag(tmp_path / "run.mcap", in_order(alpha, zeros, strings, others))
-    listener.listen("/alpha", STRING)
-    listener.listen("/late", STRING)
-    ran = await replay(file, "--json")
+    file = stage.bag(in_order(alpha, zeros, strings, others))
+    stage.listen("/alpha", "/late")
+    ran = await stage.replay(file, "--json")
     assert ran.exit_code == 0, ran.err
     skipped = ran.summary["skipped"]
     assert set(skipped) == {line.topic for line in others}
@@ -118,25 +110,24 @@ async def test_what_cannot_be_published_is_named_and_skipped(
         in ran.summary["notes"]
     )
     assert len(ran.summary["notes"]) == len(skipped) + 1
-    await until(lambda: listener.heard["/late"] == data(strings))
-    await until(lambda: listener.heard["/alpha"] == data(alpha))
+    await until(lambda: stage.heard["/late"] == data(strings))
+    await until(lambda: stage.heard["/alpha"] == data(alpha))
 
 
 async def test_of_a_truncated_file_what_can_be_read_is_played_and_the_rest_is_told(
-    tmp_path: Path, listener: Any, replay: Any, until: Until
+    stage: Stage,
 ) -> None:
     lines = talk("/alpha", 200, 1.0)
-    file = write_bag(tmp_path / "run.mcap", lines, chunk_bytes=1000)
+    file = stage.bag(lines, heard=True, chunk_bytes=1000)
     whole = file.read_bytes()
     file.write_bytes(whole[: len(whole) // 2])
-    listener.listen("/alpha", STRING)
-    ran = await replay(file, "--json")
+    ran = await stage.replay(file, "--json")
     assert ran.exit_code == 6
     assert ran.err.startswith(f"robotctl: {file} is incomplete: ")
     assert ran.err.count("\n") == 1
     sent = ran.summary["sent"]
     assert 0 < sent < 200
-    await until(lambda: listener.heard["/alpha"] == data(lines[:sent]))
+    await until(lambda: stage.heard["/alpha"] == data(lines[:sent]))
 
 
 @pytest.mark.parametrize(
@@ -179,15 +170,15 @@ def test_an_option_that_makes_no_sense_is_one_sentence(
     assert err.count("\n") == 1
 
 
-async def test_a_reader_that_has_left_is_no_failure(tmp_path: Path, start: Any) -> None:
+async def test_a_reader_that_has_left_is_no_failure(stage: Stage) -> None:
     lines = [Line(f"/unknown_{n}", "no_msgs/msg/Nothing", 1.0, b"\0\1\0\0") for n in range(9)]
-    running = start(write_bag(tmp_path / "run.mcap", [*lines, *talk("/alpha", 3)]))
+    running = stage.start(stage.bag([*lines, *talk("/alpha", 3)]))
     running.stop_reading()
     ran = await running.end()
     assert (ran.exit_code, ran.err) == (0, "")
 
 
-async def test_a_loop_over_nothing_that_can_be_played_ends(tmp_path: Path, replay: Any) -> None:
+async def test_a_loop_over_nothing_that_can_be_played_ends(stage: Stage) -> None:
     lines = [Line("/unknown", "no_msgs/msg/Nothing", 1.0, b"\0\1\0\0")]
-    ran = await replay(write_bag(tmp_path / "run.mcap", lines), "--loop", "--json")
+    ran = await stage.replay(stage.bag(lines), "--loop", "--json")
     assert (ran.exit_code, ran.summary["sent"]) == (0, 0)

@@ -7,7 +7,6 @@ A replay offers the recorded quality of service, as far as it can be understood.
 from __future__ import annotations
 
 import struct
-from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,9 @@ from robotctl.replay.plan import Route
 from robotctl.replay.replay_guard import ReplayGuard, is_command
 from robotctl.ros.playback import MAX_DEPTH, VOLATILE_DEPTH, latched_depth, replay_qos
 from robotctl.ros.qos import LATCHED, SENSOR, to_yaml
+from tests.replay.conftest import Stage
 from tests.support.bags import OTHER_HASH, START_NS, STRING, TWIST, Line, data, talk, write_bag
+from tests.support.waiting import loop_until as until
 
 EVENT = "std_srvs/srv/SetBool_Event"
 
@@ -158,8 +159,6 @@ def test_a_regular_expression_names_no_command() -> None:
     assert withheld(*routes) == {"/cmd_vel"}
 
 
-Until = Callable[[Callable[[], object]], Awaitable[None]]
-
 CLOCK = "rosgraph_msgs/msg/Clock"
 
 
@@ -173,71 +172,66 @@ def event(at_ms: float, kind: int, number: int, *, value: bool | None, client: i
 
 
 async def test_topics_are_chosen_by_a_regular_expression_and_published_under_other_names(
-    tmp_path: Path, listener: Any, replay: Any, until: Until
+    stage: Stage,
 ) -> None:
     lines = talk("/alpha", 10) + talk("/beta", 10) + talk("/gamma", 10)
-    file = write_bag(tmp_path / "run.mcap", lines)
-    for topic in ("/alpha", "/beta", "/gamma", "/other/beta"):
-        listener.listen(topic, STRING)
-    ran = await replay(
+    file = stage.bag(lines)
+    stage.listen("/alpha", "/beta", "/gamma", "/other/beta")
+    ran = await stage.replay(
         file, "--regex", "^/b", "--topics", "gamma", "--remap", "beta:=other/beta",
         "--read-ahead", "1", "--delay", "0.1", "--json",
     )  # fmt: skip
     assert ran.exit_code == 0, ran.err
-    await until(lambda: len(listener.heard["/other/beta"]) == len(listener.heard["/gamma"]) == 10)
-    assert listener.heard["/other/beta"] == data(lines[10:20])
-    assert listener.heard["/alpha"] == listener.heard["/beta"] == []
+    await until(lambda: len(stage.heard["/other/beta"]) == len(stage.heard["/gamma"]) == 10)
+    assert stage.heard["/other/beta"] == data(lines[10:20])
+    assert stage.heard["/alpha"] == stage.heard["/beta"] == []
     published = {topic["name"]: topic["published"] for topic in ran.summary["topics"]}
     assert published == {"/beta": "/other/beta", "/gamma": "/gamma"}
 
 
 async def test_a_type_that_has_changed_is_refused_unless_left_out_or_insisted_on(
-    tmp_path: Path, listener: Any, replay: Any, until: Until
+    stage: Stage,
 ) -> None:
     alpha, beta = talk("/alpha", 5), talk("/beta", 5, type_hash=OTHER_HASH)
-    file = write_bag(tmp_path / "run.mcap", alpha + beta)
-    for topic in ("/alpha", "/beta"):
-        listener.listen(topic, STRING)
-    ran = await replay(file, "--exclude", "/beta", "--json")
+    file = stage.bag(alpha + beta, heard=True)
+    ran = await stage.replay(file, "--exclude", "/beta", "--json")
     assert (ran.exit_code, ran.summary["sent"]) == (0, 5)
-    await until(lambda: listener.heard == {"/alpha": data(alpha), "/beta": []})
-    ran = await replay(file, "--json")
+    await until(lambda: stage.heard == {"/alpha": data(alpha), "/beta": []})
+    ran = await stage.replay(file, "--json")
     assert ran.exit_code == 4
     error = ran.summary["error"]
     assert "another definition than the installed one: /beta (std_msgs/msg/String)" in str(error)
     assert "/alpha" not in str(error)
     assert error["cure"] == "leave it out: --exclude NAME; play it anyway: --force-types"
     assert error["cause"].endswith("subscribers would misread it")
-    ran = await replay(file, "--force-types", "--topics", "/beta", "--json")
+    ran = await stage.replay(file, "--force-types", "--topics", "/beta", "--json")
     assert "--force-types plays it anyway" in ran.summary["notes"][0]
-    await until(lambda: listener.heard["/beta"] == data(beta))
+    await until(lambda: stage.heard["/beta"] == data(beta))
 
 
 async def test_nothing_is_sent_before_the_subscribers_that_are_waited_for_are_there(
-    tmp_path: Path, listener: Any, start: Any, until: Until
+    stage: Stage,
 ) -> None:
     alpha, beta = talk("/alpha", 20, 1.0), talk("/beta", 20, 1.0)
-    file = write_bag(tmp_path / "run.mcap", alpha + beta)
-    running = start(file, "--wait-for", "2", "--json")
-    listener.listen("/alpha", STRING)
-    await until(lambda: listener.node.count_publishers("/beta"))
-    listener.listen("/beta", STRING)
+    file = stage.bag(alpha + beta)
+    running = stage.start(file, "--wait-for", "2", "--json")
+    stage.listen("/alpha")
+    await until(lambda: stage.node.count_publishers("/beta"))
+    stage.listen("/beta")
     ran = await running.end()
     assert (ran.exit_code, ran.summary["sent"]) == (0, 40)
-    await until(lambda: listener.heard == {"/alpha": data(alpha), "/beta": data(beta)})
+    await until(lambda: stage.heard == {"/alpha": data(alpha), "/beta": data(beta)})
 
 
-async def test_recorded_time_is_published_in_place_of_the_recorded_clock(
-    tmp_path: Path, listener: Any, replay: Any, until: Until
-) -> None:
+async def test_recorded_time_is_published_in_place_of_the_recorded_clock(stage: Stage) -> None:
     recorded = Line("/clock", CLOCK, 10.0, struct.pack("<4siI", b"\0\1", 1, 2))
     lines = [*talk("/alpha", 11, 50.0), recorded]
-    file = write_bag(tmp_path / "run.mcap", lines)
-    listener.listen("/clock", CLOCK)
-    ran = await replay(file, "--clock", "50", "--json")
+    file = stage.bag(lines)
+    stage.listen("/clock", type_name=CLOCK)
+    ran = await stage.replay(file, "--clock", "50", "--json")
     assert ran.exit_code == 0, ran.err
     assert set(ran.summary["skipped"]) == {"/clock"}
-    heard = listener.heard["/clock"]
+    heard = stage.heard["/clock"]
     await until(lambda: len(heard) >= 3)
     times = [sec * 1_000_000_000 + ns for _, sec, ns in (struct.unpack("<4siI", d) for d in heard)]
     assert times == sorted(times)
@@ -246,18 +240,18 @@ async def test_recorded_time_is_published_in_place_of_the_recorded_clock(
     assert times[-1] <= START_NS + 500_000_000 + late_ns  # it goes on until the last one is sent
 
 
-async def test_a_second_clock_is_refused(tmp_path: Path, listener: Any, replay: Any) -> None:
+async def test_a_second_clock_is_refused(stage: Stage) -> None:
     from rosgraph_msgs.msg import Clock
 
-    file = write_bag(tmp_path / "run.mcap", talk("/alpha", 5))
-    listener.node.create_publisher(Clock, "/clock", 10)
-    ran = await replay(file, "--clock", "10")
+    file = stage.bag(talk("/alpha", 5))
+    stage.node.create_publisher(Clock, "/clock", 10)
+    ran = await stage.replay(file, "--clock", "10")
     assert (ran.exit_code, ran.out) == (4, "")
     assert ran.err.startswith("robotctl: --clock is refused: /listener publishes /clock already")
 
 
 async def test_recorded_requests_are_sent_once_each_to_the_service_that_is_named(
-    tmp_path: Path, listener: Any, replay: Any, until: Until
+    stage: Stage,
 ) -> None:
     sent, received, answered = (
         ServiceEventInfo.REQUEST_SENT,
@@ -273,42 +267,40 @@ async def test_recorded_requests_are_sent_once_each_to_the_service_that_is_named
         event(5, received, 3, value=True),  # of a client without an id
         event(6, received, 3, value=True, client=3),  # and of another
     ]
-    file = write_bag(tmp_path / "run.mcap", lines)
+    file = stage.bag(lines)
     asked: list[bool] = []
 
     def switch(request: Any, response: Any) -> Any:
         asked.append(request.data)
         return response
 
-    listener.node.create_service(SetBool, "/light", switch)
-    ran = await replay(file, "--publish-service-requests", "--json")
+    stage.node.create_service(SetBool, "/light", switch)
+    ran = await stage.replay(file, "--publish-service-requests", "--json")
     assert ran.summary["withheld"] == {"/light/_service_event": len(lines)}
     assert "a robot would obey these requests" in ran.summary["notes"][0]
-    ran = await replay(file, "--publish-service-requests", "--topics", "/light", "--json")
+    ran = await stage.replay(file, "--publish-service-requests", "--topics", "/light", "--json")
     assert (ran.summary["sent"], ran.summary["failed"]) == (4, 0)
     await until(lambda: len(asked) == 4)
     assert asked == [True, False, True, True]
-    listener.listen("/light/_service_event", EVENT)
-    ran = await replay(file, "--json")  # played unchanged, but reported
+    stage.listen("/light/_service_event", type_name=EVENT)
+    ran = await stage.replay(file, "--json")  # played unchanged, but reported
     assert ran.summary["sent"] == len(lines)
-    await until(lambda: len(listener.heard["/light/_service_event"]) == len(lines))
+    await until(lambda: len(stage.heard["/light/_service_event"]) == len(lines))
     assert len(asked) == 4
 
 
-async def test_requests_that_nobody_serves_are_counted_as_not_sent(
-    tmp_path: Path, replay: Any
-) -> None:
+async def test_requests_that_nobody_serves_are_counted_as_not_sent(stage: Stage) -> None:
     lines = [event(0, ServiceEventInfo.REQUEST_RECEIVED, 1, value=True)]
-    file = write_bag(tmp_path / "run.mcap", lines)
-    ran = await replay(file, "--publish-service-requests", "--topics", "/light", "--json")
+    file = stage.bag(lines)
+    ran = await stage.replay(file, "--publish-service-requests", "--topics", "/light", "--json")
     assert (ran.summary["sent"], ran.summary["failed"]) == (0, 1)
 
 
 async def test_last_is_the_newest_recording_at_hand_of_any_robot_or_of_the_one_named(
     tmp_path: Path,
-    replay: Any,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
+    stage: Stage,
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.chdir(tmp_path)
@@ -317,9 +309,9 @@ async def test_last_is_the_newest_recording_at_hand_of_any_robot_or_of_the_one_n
         folder = tmp_path / "recordings" / name
         folder.mkdir(parents=True)
         write_bag(folder / f"{name}_0.mcap", talk("/alpha", count))
-    ran = await replay("last", "--json")
+    ran = await stage.replay("last", "--json")
     assert ran.summary["sent"] == 5
-    ran = await replay("last", "--robot", "robot", "--json")
+    ran = await stage.replay("last", "--robot", "robot", "--json")
     assert ran.summary["sent"] == 4
     assert app.run(["replay", "last", "--robot", "r3"]) == 4
     assert "no recording of robot 'r3'" in capsys.readouterr().err

@@ -48,15 +48,7 @@ from robotctl.replay.timeline import (
 )
 from robotctl.ros import playback
 from robotctl.ros.playback import PatientSender
-from tests.support.bags import (
-    ODOMETRY,
-    START_NS,
-    STATUS,
-    Line,
-    odometry,
-    status,
-    write_bag,
-)
+from tests.support.bags import ODOMETRY, START_NS, STATUS, Line, odometry, status, write_bag
 
 MS = 1_000_000
 
@@ -64,9 +56,9 @@ MS = 1_000_000
 class ScriptClock:
     """A clock that only sleeping advances; each action of the script runs at its time."""
 
-    def __init__(self, *script: tuple[int, Callable[[], object]]) -> None:
+    def __init__(self) -> None:
         self.time_ns = 0
-        self.script = [(LEAD_NS + at_ns, action) for at_ns, action in script]
+        self.script: list[tuple[int, Callable[[], object]]] = []
 
     def now_ns(self) -> int:
         return self.time_ns
@@ -281,37 +273,29 @@ def test_a_stop_ends_its_wait() -> None:
     assert time.monotonic() - begun < playback.BLOCKED_S
 
 
-SECOND = 1_000_000_000
-
 rates = st.sampled_from(RATES)
 moments = st.integers(0, 10**15)
 
 
 def play_script(
-    clock: ScriptClock,
     timeline: list[Entry],
-    *,
-    rate: float | None = 1.0,
-    paused: bool = False,
-    delay_ns: int = 0,
-    ticks: ClockPublisher | None = None,
+    *script: tuple[int, str],
+    clock: ScriptClock | None = None,
+    **options: Any,
 ) -> tuple[Player, list[tuple[int, int]]]:
-    """Return a player, and when it sends each entry: ms after the start, number."""
-    sent: list[tuple[int, int]] = []
+    """Return a player, and when it sent each entry: ms after the start, number.
+
+    The script names calls of its control, each with its time [ms].
+    """
+    clock, sent = clock or ScriptClock(), list[tuple[int, int]]()
 
     def send(data: bytes) -> bool:
         sent.append(((clock.time_ns - LEAD_NS) // MS, int(data)))
         return True
 
-    player = Player(
-        [timeline],
-        {"/a": send},
-        rate=rate,
-        clock=clock,
-        paused=paused,
-        delay_ns=delay_ns,
-        ticks=ticks,
-    )
+    player = Player([timeline], {"/a": send}, clock=clock, **{"rate": 1.0, **options})
+    clock.script = [(LEAD_NS + ms * MS, getattr(player.control, name)) for ms, name in script]
+    player.run()
     return player, sent
 
 
@@ -354,51 +338,26 @@ def test_keys_walk_through_round_rates_and_stay_within_the_limits() -> None:
 
 
 def test_a_pause_moves_what_follows_by_its_length() -> None:
-    clock = ScriptClock()
-    player, sent = play_script(clock, every_ms(6))
-    clock.script = [
-        (LEAD_NS + 250 * MS, player.control.toggle),
-        (LEAD_NS + 2250 * MS, player.control.toggle),
-    ]
-    player.run()
+    _, sent = play_script(every_ms(6), (250, "toggle"), (2250, "toggle"))
     expected = [(n * 100 + 2000 * (n > 2), n) for n in range(6)]
     within(sent, expected, 51)
 
 
 def test_another_rate_counts_from_where_the_replay_is() -> None:
-    clock = ScriptClock()
-    player, sent = play_script(clock, every_ms(6))
-    clock.script = [(LEAD_NS + 250 * MS, player.control.faster)]
-    player.run()
-    expected = [
-        (0, 0),
-        (100, 1),
-        (200, 2),
-        *((250 + (n * 100 - 250) * 2 // 3, n) for n in (3, 4, 5)),
-    ]
-    within(sent, expected, 51)
+    _, sent = play_script(every_ms(6), (250, "faster"))
+    faster = [(250 + (n * 100 - 250) * 2 // 3, n) for n in (3, 4, 5)]
+    within(sent, [(0, 0), (100, 1), (200, 2), *faster], 51)
 
 
 def test_single_steps_send_one_message_each_and_stand_still_behind_it() -> None:
-    clock = ScriptClock()
-    player, sent = play_script(clock, every_ms(5), paused=True)
-    control = player.control
-    clock.script = [
-        (LEAD_NS + SECOND, control.step),
-        (LEAD_NS + 2 * SECOND, control.step),
-        (LEAD_NS + 2 * SECOND, control.step),
-        (LEAD_NS + 4 * SECOND, control.resume),
-    ]
-    player.run()
+    script = (1000, "step"), (2000, "step"), (2000, "step"), (4000, "resume")
+    player, sent = play_script(every_ms(5), *script, paused=True)
     within(sent, [(1000, 0), (2000, 1), (2000, 2), (4100, 3), (4200, 4)], 51)
     assert player.lateness.count == 2  # a step is asked for at no particular moment
 
 
 def test_a_pause_stops_also_what_goes_as_fast_as_possible() -> None:
-    clock = ScriptClock()
-    player, sent = play_script(clock, every_ms(3), rate=None, paused=True)
-    clock.script = [(LEAD_NS + 500 * MS, player.control.resume)]
-    player.run()
+    _, sent = play_script(every_ms(3), (500, "resume"), rate=None, paused=True)
     within(sent, [(500, n) for n in range(3)], 51)
 
 
@@ -406,12 +365,7 @@ def test_the_clock_ticks_in_real_time_and_tells_recorded_time() -> None:
     told: list[tuple[int, int]] = []
     clock = ScriptClock()
     ticks = ClockPublisher(20 * MS, lambda at_ns: told.append((clock.time_ns, at_ns)))
-    player, _ = play_script(clock, every_ms(6), rate=2.0, ticks=ticks)
-    clock.script = [
-        (LEAD_NS + 100 * MS, player.control.pause),
-        (LEAD_NS + 300 * MS, player.control.resume),
-    ]
-    player.run()
+    play_script(every_ms(6), (100, "pause"), (300, "resume"), clock=clock, rate=2.0, ticks=ticks)
     times = [real for real, _ in told]
     assert {b - a for a, b in pairwise(times)} == {20 * MS}
     running = [(at, recorded) for at, recorded in told if LEAD_NS <= at <= LEAD_NS + 100 * MS]
@@ -480,10 +434,8 @@ def test_a_loop_begins_a_new_path(tmp_path: Path) -> None:
 @given(st.binary(max_size=900))
 def test_no_message_can_break_the_view(content: bytes) -> None:
     with TemporaryDirectory() as folder:
-        lines = [
-            Line("/odom", ODOMETRY, 0.0, content),
-            Line("/robot_status", STATUS, 1.0, content),
-        ]
+        topics = (("/odom", ODOMETRY), ("/robot_status", STATUS))
+        lines = [Line(topic, kind, 0.0, content) for topic, kind in topics]
         with seen(Path(folder), lines) as robot:
             robot.advance(START_NS)
 
