@@ -169,7 +169,7 @@ END_NS = 2 * NS_PER_S
 
 
 class ServiceChecks:
-    """Checks all services that request a mode, from the first snapshot with a proof on."""
+    """Checks all services that request a mode, from the first snapshot with a `Proof` on."""
 
     def __init__(self, report: Report, topics: RobotTopics, clock: ClockChanges) -> None:
         open_calls: dict[tuple[bytes, int], Call] = {}
@@ -183,7 +183,7 @@ class ServiceChecks:
         return {each.topic: each.message for each in self._all if each.is_recorded}
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Start the comparison at this snapshot if it has a proof."""
+        """Start the comparison at this snapshot if it has a `Proof` (0.1.0 wrote none)."""
         if snapshot.proof is not None and not self._is_on:
             self._is_on = True
             for each in self._all:

@@ -123,9 +123,9 @@ def follows(number: int, other: int) -> bool:
 
 @dataclass(slots=True)
 class DecidedCommand:
-    """A command of the journal: its six numbers, and when the step that decided it was handled.
+    """A command in the journal: its six velocities, and when the step that decided it was handled.
 
-    `withheld` is when a zero was sent in its place, during a stall.
+    `withheld` is when a zero was sent in place of the command, during a stall.
     """
 
     numbers: bytes
@@ -143,7 +143,7 @@ class SentCommand(NamedTuple):
 
 
 class OtherPublishers:
-    """When the journal noticed other publishers of the command, on its steady clock [ns]."""
+    """The periods in which the journal reports other publishers of commands; steady times [ns]."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[int, float]] = deque(maxlen=10_000)
@@ -264,7 +264,7 @@ class CommandPairs:
         self._waiting.slot(number).sent.append(sent)
 
     def resume(self, proof: Proof, health: Health, t_ns: int) -> None:
-        """Continue from a snapshot with its proof, which counts the commands before it."""
+        """Continue from a snapshot at `t_ns`; its `proof` counts the commands sent before."""
         number = proof.commands & MAX_SEQUENCE
         more = (proof.commands - self._number) & MAX_SEQUENCE
         was_moving = bool(self._recent) and not is_zero(self._recent[-1].numbers)
@@ -465,7 +465,7 @@ class CommandCheck:
         self._pairs.message(message.sequence, message.data, message.publish_ns)
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Continue from a snapshot."""
+        """Continue from a snapshot, if it has a `Proof` (0.1.0 wrote none)."""
         if snapshot.proof is not None:
             self._pairs.resume(snapshot.proof, snapshot.state.health, t_ns)
 

@@ -274,7 +274,7 @@ class Rerun:
     def snapshot(self, entry: JournalEntry) -> tuple[Snapshot, Divergence | None]:
         """Compare the kernel with a recorded snapshot, then continue from that snapshot.
 
-        Return the snapshot, and the divergence or None. Without a kernel, compare only its text.
+        Return the snapshot, and the divergence or None. Without a kernel, check its encoding.
 
         Raises:
             UnreadableFile: This version cannot read the snapshot, or rejects its parameters.

@@ -245,7 +245,7 @@ class RecordingEnds:
         return self._recording.path.is_dir() and not self._goes_on
 
     def entry(self, seq: int) -> None:
-        """Store the number of the next entry."""
+        """Note the `seq` of the next journal entry."""
         if self._first_seq < 0:
             self._first_seq = seq
         self._last_seq = max(seq, self._last_seq)

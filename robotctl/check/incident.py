@@ -157,7 +157,7 @@ class _Search:
     def _snapshot(self, entry: JournalEntry) -> None:
         state = read_snapshot(entry).state
         if self._snapshot_seq is None or state.phase is not Phase.STOPPING:
-            self._snapshot_seq = entry.seq  # a later one lacks the beginning of the ramp
+            self._snapshot_seq = entry.seq  # one within a ramp lacks its beginning
         if self._mode is None:
             self._mode = state.mode
 
@@ -216,7 +216,7 @@ def _fill(recording: Recording, topic: str, incident: Incident) -> None:
                 kernel = read_snapshot(item).kernel()
             elif kernel is not None and item.event.seq <= incident.seq:
                 _repeat(kernel, item.event, incident)
-        except UnreadableFile:  # the first pass has reported it, or it is a snapshot
+        except UnreadableFile:  # the states then stay unknown
             kernel = None
 
 

@@ -396,7 +396,7 @@ class InputCheck:
                 self._unheard.heard(number)
 
     def snapshot(self, has_proof: bool, stall_ns: int) -> None:
-        """Start the comparison at this snapshot if it has a proof."""
+        """Start the comparison at this snapshot if it has a proof; `stall_ns` as in `settle`."""
         self._is_on = self._is_on or has_proof
         self._pairs.tolerance = 0.0 if self._report.bitwise else TOLERANCE
         self._repeats.snapshot()
@@ -594,7 +594,7 @@ class InputChecks:
             check.received(event, _value(event), seq)
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Compare from this snapshot on, if it has a proof."""
+        """Start the comparison at this snapshot if it has a `Proof` (0.1.0 wrote none)."""
         for each in self._checks.values():
             each.snapshot(snapshot.proof is not None, self._stalls.longest_ns)
 

@@ -53,9 +53,9 @@ class RobotTopics:
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def told(self, key: str) -> tuple[str, bool]:
-        """Return the full name of a topic or service, and whether the metadata has it under `key`.
+        """Return the full name of a topic or service, and whether the metadata names it as `key`.
 
-        If the metadata does not have it, the name is the last part of `key`.
+        Otherwise the name is the last part of `key`, in the robot's namespace.
         """
         told = self.values.get(key)
         return told or f"{self.namespace}/{key.rpartition('.')[2]}", told is not None
@@ -142,7 +142,7 @@ class Slot(Generic[Entry, Sent]):
 
 
 class Waiting(Generic[Entry, Sent]):
-    """The slots, one per number, that are not judged yet; the oldest first."""
+    """Entries and messages that are not compared yet: a Slot per number, the oldest first."""
 
     def __init__(self, judge: Callable[[int, Slot[Entry, Sent]], None]) -> None:
         """`judge` gets each slot with its number, when nothing more is to be expected."""

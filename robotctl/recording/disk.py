@@ -40,7 +40,7 @@ def open_private(path: Path, flags: int) -> int:
 
 
 def make_folder(path: Path, *, shared: bool) -> None:
-    """Create a folder that must not exist, and its missing parents.
+    """Create a new folder and its missing parents; if `shared`, the group may read them.
 
     Raises:
         OSError: The folder exists, or cannot be created.

@@ -75,7 +75,7 @@ def is_signed(data: bytes, signature: bytes, public: str) -> bool:
 
 
 def signed_journal(opening: Opening, digests: Sequence[str]) -> bytes:
-    """Return the bytes that a file's key signs to prove the journal of decisions with `digests`."""
+    """Return what a file's key signs: the `digests` of the journal of decisions, at `opening`."""
     return f"robotctl seal: journal\0{opening.certificate} {' '.join(digests)}".encode()
 
 
@@ -325,7 +325,7 @@ def _opening(entry: Entry) -> Opening:
 
 
 def known_heads() -> KnownHeads:
-    """Return the sealed files that this user's journals know; skip what cannot be read."""
+    """Return the sealed files in all journals of this user; skip what cannot be read."""
     heads = KnownHeads()
     with suppress(RobotctlError, OSError):
         for robot in state_folder().iterdir():

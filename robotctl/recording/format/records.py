@@ -74,7 +74,7 @@ def record_bytes(record: McapRecord) -> bytes:
 
 
 def room_head(start: int, end: int) -> bytes:
-    """Return opcode and length of the room record that fills a file from `start` to `end`."""
+    """Return the head of a record that only reserves the bytes from `start` to `end` of a file."""
     return RECORD_HEAD.pack(ROOM_OPCODE, end - start - RECORD_HEAD_BYTES)
 
 
@@ -122,7 +122,7 @@ class PlacedChunk(NamedTuple):
 
 
 def place(chunk: Chunk, offset: int) -> PlacedChunk:
-    """Return the chunk as it stands at `offset` of a file."""
+    """Return the bytes and the index entry of a chunk that is to be written at `offset`."""
     compression = chunk.compression.encode()
     stored_size = chunk.stored_size
     head = (

@@ -35,7 +35,7 @@ _OPENING_DOMAIN = b"robotctl seal: opening\0"
 
 
 class LinkKind(IntEnum):
-    """The purpose of a link."""
+    """The purpose of a link in the hash chain."""
 
     LINK = 1
     """In the data, directly behind the bytes that the link covers. The next link continues it."""
@@ -117,7 +117,7 @@ class Opening:
     """The signature by `previous_key` for all other fields."""
 
     def signed(self) -> bytes:
-        """Return the bytes that `certificate` is the signature of."""
+        """Return the bytes that `certificate` signs: all other fields."""
         values = asdict(self)
         del values["certificate"]
         return _OPENING_DOMAIN + _json(values)
@@ -153,7 +153,7 @@ class Opening:
 
 @dataclass(frozen=True, slots=True)
 class SealOfFile:
-    """What seals one file: its opening, and the function that signs with the file's key."""
+    """What a writer needs to seal a file: the opening, and a function that signs with its key."""
 
     opening: Opening
     sign: Callable[[bytes], bytes]

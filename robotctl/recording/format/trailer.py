@@ -78,7 +78,7 @@ class TrailerState:
 
 
 class Trailer(NamedTuple):
-    """The bytes of a trailer."""
+    """The bytes of a trailer, in parts that follow each other in the file."""
 
     data_end: bytes
     """The DataEnd record."""
@@ -94,12 +94,12 @@ class Trailer(NamedTuple):
 
     @property
     def parts(self) -> list[Buffer]:
-        """All parts."""
+        """All parts in file order."""
         return [*self.before_footer, self.footer]
 
     @property
     def before_footer(self) -> list[Buffer]:
-        """All parts but footer and magic."""
+        """All parts except footer and magic, in file order."""
         return [self.data_end, *self.summary, self.offsets]
 
     def behind(self, position: int) -> list[Buffer]:
@@ -158,7 +158,7 @@ class Summary:
         return {opcode: len(group) for opcode, group in self._groups.items()}
 
     def add(self, opcode: Opcode, record: bytes) -> None:
-        """Add a record of the summary."""
+        """Append a record to the group of its opcode."""
         self._groups[opcode] += record
         self._numbers[opcode] += 1
 
@@ -171,7 +171,7 @@ class Summary:
             self.counts[channel] = self.counts.get(channel, 0) + len(entries) // 2
 
     def go_back_to(self, state: TrailerState | None) -> None:
-        """Set counts and times back to those in `state`, after a failed write; None means 0."""
+        """Set counts and times back to those in `state`, after a failed write; None: to 0."""
         counted = None
         if state is not None:
             content = BytesIO(state.statistics[RECORD_HEAD_BYTES:])
@@ -205,7 +205,7 @@ class Summary:
         )
 
     def trailer(self, state: TrailerState) -> Trailer:
-        """Return the trailer for `state`."""
+        """Return the bytes of the trailer that `state` describes."""
         data_end = record_bytes(DataEnd(data_section_crc=state.data_crc))
         summary_start = state.data_end + len(data_end)
         groups: list[Buffer] = []

@@ -159,7 +159,7 @@ def enforce_retention(
     may_remove: Callable[[CatalogFile, CatalogFolder], bool] = lambda file, folder: True,
     on_failure: Callable[[CatalogFile, OSError], None] = lambda file, error: None,
 ) -> list[CatalogFile]:
-    """Remove files below `recordings`, the oldest first, until `policy` is met.
+    """Remove files below `recordings`, the oldest first, until `policy` is met; return them.
 
     Never removed: a file that is being written, a recording with a `keep` file and its clips, and
     files that robotctl did not write. `may_remove` is called just before each removal and may

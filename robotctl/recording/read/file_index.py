@@ -159,7 +159,7 @@ def note_missing(missing: list[str], sentence: str) -> None:
 
 @dataclass(slots=True)
 class FileIndex:
-    """The content of one file; `missing` says in sentences what cannot be read."""
+    """The index of one file; `missing` has a sentence for each part that cannot be read."""
 
     header: Header
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -218,7 +218,7 @@ class FileIndex:
             self.counts[channel] = self.counts.get(channel, 0) + count
 
     def define(self, opcode: int, content: bytes) -> None:
-        """Add a schema or a channel.
+        """Add the schema or channel whose record has this content.
 
         Raises:
             Damaged: The record is malformed.

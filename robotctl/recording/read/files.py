@@ -110,7 +110,7 @@ class Source(Protocol):
         """Return whether a process has the file open for recording."""
 
     def close(self) -> None:
-        """Close it; closing twice is harmless."""
+        """Close the file; closing twice is harmless."""
 
 
 def open_source(
@@ -166,11 +166,11 @@ class LocalSource:
         return os.pread(self._fd, length, offset)
 
     def is_written(self) -> bool:
-        """Return whether a process has it open for recording."""
+        """Return whether a process has the file open for recording."""
         return is_locked(self._fd)
 
     def close(self) -> None:
-        """Close it; closing twice is harmless."""
+        """Close the file; closing twice is harmless."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1

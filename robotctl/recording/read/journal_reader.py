@@ -94,7 +94,7 @@ def read_journal(
     on_missing: Callable[[str], None],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Iterator[RecordedEntry]:
-    """Yield the entries in the order in which they were written, which is that of their `seq`.
+    """Yield the entries in file order: by `seq`, unless another program has sorted the file.
 
     Log times may step back if the clock was set. `on_missing` gets a sentence about each part that
     cannot be read, `on_progress` gets the bytes done and in total.

@@ -135,7 +135,7 @@ def _factor() -> float:
 
 @dataclass(slots=True)
 class Tally:
-    """A sum of numbers, one per place of a file, so that a place that is read twice counts once."""
+    """A sum of one number per place (offset) of a file: a place that is read twice counts once."""
 
     of: dict[int, int] = field(default_factory=dict)
     total: int = 0

@@ -90,7 +90,7 @@ class SealOfRead:
 
 
 def check_seal(file: InputFile, data: WholeData, state: FileState, loose: int) -> SealOfRead:
-    """Check the seal of a file with the `data` that was read, except its last `loose` bytes.
+    """Check the seal of a file whose `data` was read; its last `loose` bytes need no seal.
 
     Raises:
         Damaged: The disk fails.

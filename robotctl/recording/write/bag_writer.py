@@ -115,7 +115,7 @@ class RecordingFile:
         self._synced = False
 
     def write_topics(self) -> None:
-        """Write the topics that were added, even if they have no messages yet."""
+        """Write the topics that were added to `channels`, even without messages."""
         if self._announce_topics():
             self._mcap.commit()
             self._synced = False
@@ -287,7 +287,7 @@ class BagWriter:
 
     @property
     def warning(self) -> str:
-        """A sentence about a problem that may become an error, or about a missing seal; or ""."""
+        """A sentence about low disk space or a seal that failed, "" if all is well."""
         seal = self._file.seal
         return "; ".join(filter(None, [self._space_warning, "" if seal is None else seal.failure]))
 
@@ -372,7 +372,7 @@ class BagWriter:
     def refresh_metadata(self) -> None:
         """Write `metadata.yaml` if it is older than METADATA_PERIOD_S or lists a removed file.
 
-        Players rely on the list. Only the oldest file is looked for: retention removes that first.
+        Players rely on its list. Only the oldest file is looked for: retention removes that first.
         """
         removed = bool(self._finished) and not self._is_there(self._finished[0])
         if removed or time.monotonic() >= self._metadata_due:

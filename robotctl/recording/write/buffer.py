@@ -66,7 +66,7 @@ class PackBuffer:
         self._taken = 0
 
     def weigh(self) -> int:
-        """Add the size of the indexes to `size` and return it [bytes], after the last message."""
+        """Add the bytes of the indexes to `size`, and return their number. For a full buffer."""
         added = sum(len(index) * index.itemsize for index in self.indexes)
         self.size += added
         return added

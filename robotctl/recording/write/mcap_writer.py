@@ -73,7 +73,7 @@ LINK_PERIOD_S: Final = 10.0
 
 
 class Sealer(Protocol):
-    """Gives each file its key, and stores links of the seal. Used in the writer thread only.
+    """What `FileSeal` needs from a `seal.Keyring`, in the writer thread: keys, a store of links.
 
     After any error that a method raises, the rest of the file has no seal.
     """
@@ -126,7 +126,7 @@ class FileSeal:
         return self._seal is not None and self._clock() >= self._due
 
     def link(self, covered: int) -> bytes:
-        """Return the record of a signed link for the bytes before `covered`; empty on failure."""
+        """Return a link for the data, signed for the bytes before `covered`; empty on failure."""
         link = self._signed(LinkKind.LINK, covered)
         if link is None:
             return b""
@@ -138,16 +138,16 @@ class FileSeal:
         return link.record()
 
     def head(self, covered: int) -> bytes:
-        """Return the record of a signed head for the bytes before `covered`; empty on failure."""
+        """Return a summary link, signed for the bytes before `covered`; empty on failure."""
         if self._seal is None:
             return b""
         self._head = self._signed(LinkKind.HEAD, covered)
         return b"" if self._head is None else self._head.record()
 
     def keep(self, *, closed: bool = False) -> None:
-        """Store the last link outside the recording; if the file is `closed`, the head instead.
+        """Store the last `link` outside the recording, or the last `head` of a `closed` file.
 
-        Call it when the bytes that the link or head covers are on the disk.
+        Call this when the bytes that the link or head covers are on the disk.
         """
         link = self._head if closed else self._stored
         if self._seal is None or link is None:
@@ -185,8 +185,8 @@ COMMITS: Final = 3
 
 
 def write_hidden(parts: Sequence[Buffer], start: int, storage: Storage) -> None:
-    """Write records into the room at `start`. The head of the first record is written last: until
-    then, readers skip all these records.
+    """Write records into the room at `start`. Readers skip all of them until the last step, which
+    writes the head of the first record.
 
     Raises:
         OSError: The disk is full or fails. The file must be cut back.

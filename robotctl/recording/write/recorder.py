@@ -131,7 +131,7 @@ class Recorder:
     def write(
         self, channel: int, data: Buffer, log_ns: int, publish_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Record a message, or count it as dropped. Never waits; copies `data` unless it is bytes.
+        """Record a message, or count it as dropped. Never waits. Mutable `data` may be reused.
 
         Times are in nanoseconds since the epoch. `sequence` is the sequence number that publisher
         `gid` gave the message, 0 if it gave none.
@@ -308,14 +308,14 @@ def _new_packer(state: ChannelState, channel: int, size: int) -> Packer:
 
 
 class MessageGate:
-    """A sink that passes messages to the recorder, or counts them as throttled.
+    """A message callback that records a message or counts it as throttled.
 
-    It passes the first message of each interval of 1 / `most_hz`. An interval begins at the end of
-    the previous interval or, after a pause, at the next message.
+    The first message of each interval of 1 / `most_hz` is recorded. An interval begins at the end
+    of the previous interval or, after a pause, at the next message.
     """
 
     def __init__(self, recorder: Recorder, channel: int, most_hz: float = inf) -> None:
-        """Pass at most `most_hz` messages per second; inf passes all, 0 none."""
+        """Record at most `most_hz` messages per second; inf records all, 0 none."""
         self._recorder = recorder
         self._channel = channel
         self._interval_ns = round(NS_PER_S / most_hz) if most_hz else None

@@ -80,7 +80,7 @@ class EvidenceChunks:
         self._evidence: set[int] = set()
 
     def separate(self, packed: PackedMessages) -> tuple[PackedMessages, ...]:
-        """Return the evidence and the rest as copies, or `packed` alone if the rest is not heavy.
+        """Return the evidence and the rest as two chunks (copies); only `packed` for a small rest.
 
         Raises:
             MemoryError: There is no memory for the copies; nothing is changed.
