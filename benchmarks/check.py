@@ -4,10 +4,10 @@
     python benchmarks/check.py --rounds 1 --gigabyte 1   memory over a file of 1 GB: minutes
 
 The recordings are made here, by the recorder's own writer, sealed: journal, velocity commands,
-odometry, battery and status of a simulated drive at 100 Hz, a snapshot every 10 s. One is MOVING
-all the time, which costs most, one stands. CPU time is that of the process, so that other people's
-work counts little; the time of many recordings is that of the clock on the wall. The kernel's own
-steps are measured on the same events: they cannot be left out.
+odometry, battery and status of a simulated drive at 100 Hz, a snapshot every 10 s. In one the robot
+is MOVING all the time, which costs most; in the other it stands. Times are CPU time of the process,
+so that other processes count little; only many recordings are timed by wall clock. The kernel's
+steps alone are measured on the same events: they are the least that a check costs.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ RATE_HZ = 100.0
 SECONDS = 60.0
 FILES = 8
 BYTES_PER_S = 138_000
-"""Of such a recording, not compressed."""
+"""The size of one second of such a recording, not compressed."""
 
 MEMORY = """
 import sys
@@ -51,13 +51,13 @@ print(int(status.split("VmHWM:")[1].split()[0]) / 1024)
 def make(
     folder: Path, seconds: float, *, moving: bool, compression: Compression = Compression.ZSTD
 ) -> Path:
-    """A recording of that length, in one file."""
+    """Record `seconds` of a drive in one file; return its folder."""
     record_drive(folder, seconds, rate_hz=RATE_HZ, moving=moving, compression=compression)
     return folder
 
 
 def times_real_time(path: Path) -> float:
-    """Recorded seconds per second of CPU time."""
+    """Check a recording; return recorded seconds per second of CPU time."""
     began = time.process_time()
     report = check_recording(path)
     took_s = time.process_time() - began
@@ -66,7 +66,7 @@ def times_real_time(path: Path) -> float:
 
 
 def decided_s(path: Path) -> Callable[[], float]:
-    """What measures the CPU time of the kernel's own steps on the events of a recording [s]."""
+    """Return a function that returns the CPU time [s] of the kernel's steps on these events."""
     with Recording(path) as recording:
         entries = [each.entry for each in read_journal(recording, print)]
     snapshot = next(entry for entry in entries if entry.kind is EntryKind.SNAPSHOT)
@@ -83,7 +83,7 @@ def decided_s(path: Path) -> Callable[[], float]:
 
 
 def many(paths: list[Path]) -> float:
-    """Recorded seconds per second on the wall, over all recordings."""
+    """Check all recordings; return recorded seconds per second of wall time."""
     began = time.perf_counter()
     reports = check_recordings(paths)
     took_s = time.perf_counter() - began
@@ -92,7 +92,7 @@ def many(paths: list[Path]) -> float:
 
 
 def peak_mb(path: Path) -> float:
-    """The most memory that a process has had that checked it."""
+    """Return the peak memory of a process that checks the recording [MB]."""
     ran = subprocess.run(
         [sys.executable, "-c", MEMORY, str(path)], stdout=subprocess.PIPE, check=True
     )
@@ -102,7 +102,7 @@ def peak_mb(path: Path) -> float:
 def one_round(
     moving: Path, standing: Path, copies: list[Path], large: Path, kernel: Callable[[], float]
 ) -> Round:
-    """Every figure once."""
+    """Measure every figure once."""
     alone = times_real_time(moving)
     kernel_s = min(kernel() for _ in range(3))
     together = many(copies)

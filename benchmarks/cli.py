@@ -1,12 +1,12 @@
-"""Wall time of the commands that scripts and frightened people type, beside an empty Python.
+"""Wall time of the commands that scripts and people in a hurry run, next to an empty Python.
 
     python benchmarks/cli.py                            about 20 seconds
     python benchmarks/cli.py --rounds 40
 
-A daemon of its own, standing still, answers `robotctl status` and `robotctl set-mode idle`. Each
-round runs `python -c pass` and both commands, all of the same environment and started as from a
-shell: without what the ROS wheels leave to the children of a Python process. Ratios are taken
-within a round. Shown are medians over the rounds, and the lowest and highest in brackets.
+A daemon of a standing robot answers `robotctl status` and `robotctl set-mode idle`. Each round runs
+`python -c pass` and both commands in the same environment, that of a shell: without the variables
+that the ROS wheels set for children of a Python process. Ratios are computed within a round. Shown
+are medians over the rounds, and the lowest and highest in brackets.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ COMMANDS = {
 
 
 def shell_environment(folder: str) -> dict[str, str]:
-    """What a command finds that is typed into a shell, with sockets and logs in `folder`."""
+    """Return the environment of a command in a shell, with sockets and logs in `folder`."""
     first_domain, last_domain = FREE_DOMAINS
     inherited = ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH")
     environment = {name: value for name, value in os.environ.items() if name not in inherited}
@@ -52,7 +52,7 @@ def shell_environment(folder: str) -> dict[str, str]:
 
 @contextmanager
 def daemon(environment: Mapping[str, str], folder: str) -> Iterator[None]:
-    """Start a daemon for the commands to talk to, and stop it."""
+    """Start a daemon that answers the commands, and stop it at the end of the block."""
     start = [str(ROBOTCTL), "start", "--sim", "--recordings", folder]
     subprocess.run(start, env=environment, check=True, stdout=subprocess.DEVNULL)
     try:
@@ -63,14 +63,14 @@ def daemon(environment: Mapping[str, str], folder: str) -> Iterator[None]:
 
 
 def wall_s(command: Sequence[str], environment: Mapping[str, str]) -> float:
-    """How long a command takes from start to end."""
+    """Run a command; return its wall time [s]."""
     begun = time.perf_counter()
     subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL)
     return time.perf_counter() - begun
 
 
 def spread(values: Sequence[float], digits: str) -> str:
-    """Median [lowest .. highest]."""
+    """Return `MEDIAN [LOWEST .. HIGHEST]` as text."""
     low, middle, high = min(values), statistics.median(values), max(values)
     return f"{middle:{digits}} [{low:{digits}} .. {high:{digits}}]"
 

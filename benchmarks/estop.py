@@ -3,20 +3,20 @@
     python benchmarks/estop.py                        about 20 minutes
     python benchmarks/estop.py -n 20 --rounds 1       a short look
 
-The robot moves at each request, and is reset afterwards. The request is made and the commands are
-heard by a process beside the daemon: the time goes from before the client connects, or calls, to
-the moment at which Fast DDS has received the first Twist of zeros. Each situation has its turn in
-each round, and in a situation each way of asking, one after the other. Loads run in processes of
-their own on the same machine; what they really did is told with the figures.
+The robot moves at each request, and is reset afterwards. A second process makes the request and
+receives the commands: the time runs from before this client connects, or calls, to the moment when
+Fast DDS receives the first Twist of zeros. Each round goes through all situations, and in each
+situation through all ways to request a stop. Loads run in further processes on the same machine;
+their measured rates are printed with the figures.
 
-idle           nothing else goes on
+idle           no load
 recorded       1,000 messages of 724 B a second are recorded
-flooded        /set_mode is called 1,000 times a second, half of it for MOVING, half for no mode;
+flooded        /set_mode is called 1,000 times a second, half for MOVING, half for an unknown mode;
                each stop comes while a request for IDLE waits for the end of its ramp
-connected      1,000 connections to the control socket that say nothing; one that the daemon closes
-               is opened again about a second later
+connected      1,000 idle connections to the control socket; one that the daemon closes is opened
+               again about a second later
 
-No clips are cut (`recording.clip_before_s: 0`): a stop every half second is not what they are for.
+No clips are cut (`recording.clip_before_s: 0`): they are not made for a stop every half second.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ pattern.kind: circle
 """
 
 Results = dict[tuple[str, str], list[list[float]]]
-"""Milliseconds of each round, by situation and way."""
+"""Times to stop [ms] in each round, by situation and way to request the stop."""
 
 
 def main() -> int:
@@ -86,7 +86,10 @@ def main() -> int:
 
 
 def measure(beside: Witness, count: int, *, ramping: bool) -> dict[str, list[float]]:
-    """Each way that often, in turns; the requests fall anywhere between two ticks."""
+    """Request `count` stops in each way, in turns, at random times between two ticks.
+
+    Return the times to stop [ms] by way.
+    """
     taken: dict[str, list[float]] = {way: [] for way in beside.ways}
     for _ in range(count):
         for way, values in taken.items():
@@ -96,7 +99,7 @@ def measure(beside: Witness, count: int, *, ramping: bool) -> dict[str, list[flo
 
 
 def table(results: Results) -> int:
-    """Print a line each, and return how many are above the limit."""
+    """Print a line for each situation and way; return how many are above the limit."""
     missed = 0
     print("| situation | asked by | p50 [ms] | p99 [ms] | max [ms] | never | n | |")
     print("|---|---|---|---|---|---|---|---|")
@@ -120,7 +123,7 @@ def percentile(values: list[float], share: float) -> float:
 
 
 def spread(value: float, of_rounds: list[float]) -> str:
-    """The value over all rounds, and the lowest and highest of a round."""
+    """Return the value over all rounds with the lowest and highest of a round, as text."""
     return f"{value:.1f} [{min(of_rounds):.1f} .. {max(of_rounds):.1f}]"
 
 

@@ -1,18 +1,18 @@
-"""AsyncioExecutor beside rclpy's executors: CPU per message, idle CPU, loss and latency.
+"""AsyncioExecutor against rclpy's executors: CPU per message, idle CPU, loss and latency.
 
     python benchmarks/executor.py                                   everything, about 12 minutes
     python benchmarks/executor.py --figures typed,idle --rounds 5 --seconds 3
     python benchmarks/executor.py --figures typed --only asyncio    one alone, for a profiler
 
 Every measurement is a fresh process (the subject) with one executor, eight idle subscriptions and
-the services of its node; what it is fed comes from a second process. In each round every contender
-has its turn, so that a noisy machine is noisy for all; ratios are taken within a round. Shown are
-medians over the rounds, and the lowest and highest in brackets. CPU is that of the whole subject
-process, the threads of the middleware included.
+the services of its node; a second process publishes or calls. Each round measures every contender,
+so that a noisy machine is noisy for all; ratios are computed within a round. Shown are medians over
+the rounds, and the lowest and highest in brackets. CPU is that of the whole subject process,
+including the threads of the middleware.
 
-The round trip of a service is taken twice. With a pause between the calls every thread on the way
-has gone to sleep and every cache is cold: what is measured then is mostly how long the machine
-takes to wake up, in the client's process too, and that is the same for every executor.
+The round trip of a service is measured twice. With a pause between the calls every thread on the
+way sleeps and every cache is cold: the result is then mostly how long the machine takes to wake up,
+also in the client's process, and that is the same for every executor.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ ASYNCIO, TAP, SINGLE, EVENTS, POLLING = "asyncio", "tap", "single", "events", "p
 TICKER, SLEEP = "ticker", "sleep"
 EXECUTORS = (ASYNCIO, SINGLE, EVENTS, POLLING)
 OURS = (ASYNCIO, TAP, TICKER, SLEEP)
-"""They run in the loop of `robotctl.ros.executor.run`, the others in that of asyncio."""
+"""These contenders run in `robotctl.ros.executor.run`, the others in `asyncio.run`."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """What is to be reached: a value of `contender`, or its ratio to that of `against`."""
+    """The limit of a contender's value or, with `against`, of its ratio to that contender's."""
 
     contender: str
     limit: float
@@ -55,7 +55,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure: what it measures, who takes part, what they are fed, what is to be reached."""
+    """One figure: its title and value, its contenders, their load, and its targets."""
 
     title: str
     value: str
@@ -64,7 +64,7 @@ class Figure:
     hz: float = 0.0
     raw: bool = False
     pause_s: float | None = None
-    """Between two calls of the subject's service; None: there are none."""
+    """The pause between two calls of the subject's service; None: no calls."""
     targets: tuple[Target, ...] = ()
     shortest_s: float = 0.0
 
@@ -150,7 +150,7 @@ FIGURES = {
 
 
 class Received:
-    """Counts messages and the numbers missing between them."""
+    """Counts messages, and the numbers that are missing between them."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -175,7 +175,7 @@ class Received:
 
 @asynccontextmanager
 async def executing(contender: str, node: Any) -> AsyncIterator[None]:
-    """Run the node's callbacks the contender's way."""
+    """Run the node's callbacks in the contender's executor during the block."""
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.experimental.events_executor import EventsExecutor
 
@@ -214,13 +214,13 @@ async def executing(contender: str, node: Any) -> AsyncIterator[None]:
 
 
 def cpu_s() -> float:
-    """CPU time of this process, all threads."""
+    """Return the CPU time of all threads of this process [s]."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return usage.ru_utime + usage.ru_stime
 
 
 async def subject(name: str, contender: str, seconds: float) -> dict[str, float]:
-    """Measure one figure of one contender in this process."""
+    """Measure one figure of one contender in this process; return the values by name."""
     import rclpy
     from geometry_msgs.msg import Twist
     from rclpy.signals import SignalHandlerOptions
@@ -262,7 +262,7 @@ async def subject(name: str, contender: str, seconds: float) -> dict[str, float]
 
 
 async def tick(contender: str, seconds: float) -> list[int]:
-    """Pass the time; a contender that ticks does so at 1 kHz and returns how late, in ns."""
+    """Wait; a contender that ticks does so at 1 kHz. Return how late its ticks were [ns]."""
     from robotctl.ros import Ticker
 
     count = round(1000 * seconds)
@@ -321,7 +321,7 @@ def publish(hz: float, raw: bool) -> None:
 
 
 def call(seconds: float, pause_s: float) -> dict[str, float]:
-    """Call the subject's service without any executor: take until the answer is there."""
+    """Call the subject's service without an executor, by polling; return the median [us]."""
     import rclpy
     from std_srvs.srv import SetBool
 
@@ -359,7 +359,7 @@ def start(*arguments: object) -> subprocess.Popen[str]:
 
 
 def finish(process: subprocess.Popen[str]) -> str:
-    """Ask a process to end by closing its stdin; its output."""
+    """End a process by closing its stdin; return its output."""
     output, _ = process.communicate(timeout=START_TIMEOUT_S)
     if process.returncode:
         raise SystemExit(f"{process.args!r} failed with {process.returncode}")
@@ -367,7 +367,7 @@ def finish(process: subprocess.Popen[str]) -> str:
 
 
 def measure(name: str, contender: str, seconds: float) -> dict[str, float]:
-    """One measurement: a subject and its load, both new."""
+    """Measure once, with a new subject and a new load; return the values by name."""
     figure = FIGURES[name]
     seconds = max(seconds, figure.shortest_s)
     tested = start("--subject", name, contender, seconds)
@@ -388,13 +388,13 @@ def measure(name: str, contender: str, seconds: float) -> dict[str, float]:
 
 
 def spread(values: Sequence[float], digits: str) -> str:
-    """Median [lowest .. highest]."""
+    """Return `MEDIAN [LOWEST .. HIGHEST]` as text."""
     low, middle, high = min(values), statistics.median(values), max(values)
     return f"{middle:{digits}} [{low:{digits}} .. {high:{digits}}]"
 
 
 def show(figure: Figure, rounds: list[dict[str, dict[str, float]]]) -> None:
-    """Print what was measured of one figure, without any judgement."""
+    """Print the measured values of one figure, without its targets."""
     print(f"\n{figure.title}")
     for contender in rounds[0]:
         values = [results[contender][figure.value] for results in rounds]
@@ -407,7 +407,7 @@ def show(figure: Figure, rounds: list[dict[str, dict[str, float]]]) -> None:
 
 
 def judge(figure: Figure, rounds: list[dict[str, dict[str, float]]]) -> Iterator[tuple[bool, str]]:
-    """For each target whose contenders took part: whether it was reached, and a line about it."""
+    """Yield whether each target of measured contenders was reached, and a line about it."""
     for target in figure.targets:
         if not {target.contender, target.against or target.contender} <= rounds[0].keys():
             continue

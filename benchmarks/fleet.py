@@ -2,13 +2,13 @@
 
     python benchmarks/fleet.py                        5 rounds, some minutes
     python benchmarks/fleet.py --recordings 1000 --rounds 1
-    python benchmarks/fleet.py --folder DIR           makes the indexes there, or takes them
+    python benchmarks/fleet.py --folder DIR           makes the indexes there, or uses those there
 
 It needs `pip install 'robotctl[parquet]'`. A simulated drive of 3 minutes at 100 Hz is recorded,
-and indexed as a daemon does when it closes it. Then indexes of many recordings are generated: a
-drive of a minute each, with numbers of its own, beside a file that stands for the recording. A
-question is the command, from its start to its end, without a catalogue (the first) and with one
-(later ones). The search reads the journals of a sample, one after the other.
+and indexed as by a daemon that closes a recording. Then indexes of many recordings are generated: a
+drive of a minute each, with different numbers, next to an empty file in place of the recording. A
+question is one run of the command: the first without a catalogue, later ones with it. The search
+reads the journal of one recording SAMPLE times, and is scaled to all recordings.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ FIGURES = (
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What one process took."""
+    """The wall time, CPU time and peak memory of one process."""
 
     wall_s: float
     cpu_s: float
@@ -86,7 +86,7 @@ class Cost:
 
 
 def cost_of(command: Sequence[str], pass_fds: Sequence[int] = ()) -> Cost:
-    """Run a command to its end, and return what it took."""
+    """Run a command to its end, and return its cost."""
     begun_s = time.monotonic()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, pass_fds=pass_fds)
     _, status, used = os.wait4(process.pid, 0)
@@ -98,7 +98,7 @@ def cost_of(command: Sequence[str], pass_fds: Sequence[int] = ()) -> Cost:
 
 
 def make_many(folder: Path, template: Path, count: int) -> None:
-    """Make folders of recordings with their indexes: the rows of one, with other numbers."""
+    """Make folders of recordings with indexes: the rows of `template`, with different numbers."""
     chance = random.Random(17)
     rows = rows_of(template, "same", None, "whole")
     write_index(folder.with_name("template.parquet"), "template", rows, "")
@@ -154,7 +154,7 @@ def indexed(recording: Path) -> tuple[float, float]:
 
 
 def one_round(many: Path, count: int, short: Path, long: Path) -> Round:
-    """Every figure once."""
+    """Measure every figure once."""
     (many / CATALOGUE_NAME).unlink(missing_ok=True)
     question = (ROBOTCTL, "find", CONDITION, "--in", str(many), "--json")
     first, later = cost_of(question), cost_of(question)

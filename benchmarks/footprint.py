@@ -1,20 +1,20 @@
-"""CPU and memory of the daemon next to the classic arrangement, one process a role.
+"""CPU and memory of the daemon against the classic arrangement, one process a role.
 
     python benchmarks/footprint.py                                    about 8 minutes
     python benchmarks/footprint.py --rates 50 --rounds 3 --seconds 4
 
 The daemon runs with control, simulated robot and recorder, and drives a square. The classic
-arrangement does as much of it as is usual: four processes of plain rclpy in `benchmarks/classic`
-(velocity publisher, odometry subscriber, mode service with status, simulated robot of the same
-physics), and a recorder. It does without journal, closed loop and socket.
+arrangement is the usual one: four processes of plain rclpy in `benchmarks/classic` (velocity
+publisher, odometry subscriber, mode service with status, simulated robot of the same physics), and
+a recorder. It has no journal, no closed loop and no socket.
 
-Each is measured with the other absent, in turn, so that a noisy machine is noisy for both; ratios
-are taken within a round. Shown are medians over the rounds, and the lowest and highest in
-brackets. rosbag2's C++ recorder is not available on this platform: measured elsewhere, it takes
-16 % of the CPU of the whole. So the daemon is held against the four processes with a recorder of
-that share, which is computed. CPU is user and system time of all threads (/proc/PID/stat), PSS
-what is in memory at the end (/proc/PID/smaps_rollup). Messages are those of /cmd_vel and /odom that
-were recorded. Wake-ups are voluntary context switches of all threads (/proc/PID/task/TID/status).
+Each arrangement is measured alone, in turn, so that a noisy machine is noisy for both; ratios are
+computed within a round. Shown are medians over the rounds, and the lowest and highest in brackets.
+rosbag2's C++ recorder is not available on this platform: measured elsewhere, it needs 16 % of the
+CPU of the whole. So the daemon is compared with the four processes and a computed recorder of that
+share. CPU is user and system time of all threads (/proc/PID/stat), PSS the memory at the end
+(/proc/PID/smaps_rollup). Messages are those of /cmd_vel and /odom that were recorded. Wake-ups are
+voluntary context switches of all threads (/proc/PID/task/TID/status).
 """
 
 from __future__ import annotations
@@ -49,7 +49,10 @@ MOVING = 1
 
 @dataclass(frozen=True)
 class Usage:
-    """What processes used together: CPU and its part for recording [%], PSS [MB], what they did."""
+    """The sum over an arrangement's processes: CPU and PSS in % and MB, and rates per second.
+
+    `recorder_cpu` is the CPU of the last process: for the classic arrangement, its recorder.
+    """
 
     cpu: float
     recorder_cpu: float
@@ -58,12 +61,12 @@ class Usage:
     wake_ups_per_second: float
 
     def cpu_with_cpp_recorder(self) -> float:
-        """CPU of the classic arrangement, had it a recorder of CPP_RECORDER_SHARE of it [%]."""
+        """Return the CPU [%] of the classic arrangement if a C++ recorder replaced its own."""
         return (self.cpu - self.recorder_cpu) / (1.0 - CPP_RECORDER_SHARE)
 
 
 def environment(folder: Path, domain: int) -> dict[str, str]:
-    """Return an environment for one run: no other process is heard, no file of the user touched."""
+    """Return the environment of one run: its own ROS domain, sockets and logs in `folder`."""
     return {
         **os.environ,
         "ROS_DOMAIN_ID": str(domain),
@@ -75,7 +78,7 @@ def environment(folder: Path, domain: int) -> dict[str, str]:
 
 @contextmanager
 def daemon(rate_hz: float, folder: Path, domain: int, settings: str = "") -> Iterator[list[int]]:
-    """Start the daemon, moving, with further lines of configuration; yields its pid."""
+    """Run a daemon that drives a square, with `settings` added to its file; yield its pid."""
     config = folder / "config.yaml"
     rates = f"rate_hz: {rate_hz}\nsim.odometry_rate_hz: {rate_hz}\n"
     config.write_text(f"{rates}recording.index: false\n{settings}")
@@ -98,7 +101,7 @@ def daemon(rate_hz: float, folder: Path, domain: int, settings: str = "") -> Ite
 
 @contextmanager
 def classic(rate_hz: float, folder: Path, domain: int) -> Iterator[list[int]]:
-    """Start the roles, moving; yields their pids, the recorder's last."""
+    """Run the classic processes in MOVING; yield their pids, the recorder's last."""
     arguments = {
         "mode_service": ["--ros-args", "-p", f"mode:={MOVING}"],
         "velocity_publisher": ["--ros-args", "-p", f"rate_hz:={rate_hz}"],
@@ -117,7 +120,7 @@ def classic(rate_hz: float, folder: Path, domain: int) -> Iterator[list[int]]:
 
 @contextmanager
 def ending() -> Iterator[list[subprocess.Popen[bytes]]]:
-    """A list of processes that end with the block: asked first, killed where they do not hear."""
+    """Yield a list for processes; at the end of the block, terminate them, or else kill them."""
     processes: list[subprocess.Popen[bytes]] = []
     try:
         yield processes
@@ -133,13 +136,13 @@ def ending() -> Iterator[list[subprocess.Popen[bytes]]]:
 
 
 def cpu_s(pid: int) -> float:
-    """User and system time of a process so far [s]."""
+    """Return the user and system time of a process so far [s]."""
     after_name = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def wake_ups(pid: int) -> int:
-    """How often the threads of a process have gone to sleep so far."""
+    """Return how often the threads of a process have gone to sleep so far."""
     total = 0
     for status in Path(f"/proc/{pid}/task").glob("*/status"):
         with suppress(FileNotFoundError):  # the thread has just ended
@@ -148,7 +151,7 @@ def wake_ups(pid: int) -> int:
 
 
 def pss_mb(pid: int) -> float:
-    """Memory of a process, shared pages divided among those who share them [MB]."""
+    """Return the PSS of a process [MB]: each shared page is divided among its processes."""
     for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
         name, _, value = line.partition(":")
         if name == "Pss":
@@ -160,7 +163,7 @@ ARRANGEMENTS = {"daemon": daemon, "classic": classic}
 
 
 def measure(name: str, rate_hz: float, options: argparse.Namespace, domain: int) -> Usage:
-    """Start an arrangement, let it settle, watch it for a while, end it."""
+    """Run an arrangement, and return what it used in `options.seconds` after a warm-up."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         with ARRANGEMENTS[name](rate_hz, folder, domain) as pids:
@@ -179,7 +182,7 @@ def measure(name: str, rate_hz: float, options: argparse.Namespace, domain: int)
 
 
 def recorded_per_second(folder: Path) -> float:
-    """Messages of command and odometry in the recording, while both were there."""
+    """Return the sum of the recorded rates of /cmd_vel and /odom [messages/s]."""
     (path,) = (each for each in folder.rglob("*.mcap") if each.parent.name != "clips")
     times: dict[str, list[int]] = {}
     with path.open("rb") as file:
@@ -191,7 +194,7 @@ def recorded_per_second(folder: Path) -> float:
 
 
 def figures(rate_hz: float) -> tuple[Figure, ...]:
-    """What is told and judged at a rate."""
+    """Return the lines of the table for a rate, with their limits."""
     return (
         Figure(CPU_RATIO, CPU_TARGETS.get(rate_hz), digits=".3f"),
         Figure("PSS, daemon to classic", PSS_TARGET, digits=".3f"),
@@ -206,7 +209,7 @@ def figures(rate_hz: float) -> tuple[Figure, ...]:
 
 
 def values(used: dict[str, Usage]) -> Round:
-    """The figures of one round."""
+    """Return the figures of one round by name."""
     ours, classic_used = used["daemon"], used["classic"]
     told = {
         CPU_RATIO: ours.cpu / classic_used.cpu_with_cpp_recorder(),

@@ -2,9 +2,9 @@
 
     python benchmarks/kernel.py
 
-Each round takes the same steps through a fresh kernel and is timed with the CPU clock of the
-process. Shown are medians over the rounds, and the lowest and highest in brackets. A drive on any
-pattern, and one with every input required, must take at most 20 us a step.
+Each round runs the same steps in a fresh kernel, timed by the CPU clock of the process. Shown are
+medians over the rounds, and the lowest and highest in brackets. A drive on any pattern, and one
+with every input required, must take at most 20 us a step, and a scan at most 80 us.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def standing() -> Kernel:
 
 
 def driving(kind: PatternKind) -> Callable[[], Kernel]:
-    """Return what makes a kernel that has just begun to drive."""
+    """Return a function that makes a kernel that has just begun to drive."""
 
     def make() -> Kernel:
         kernel = standing()
@@ -122,7 +122,7 @@ def guarded_by_all() -> Kernel:
 
 
 def drive_events(kernel: Kernel) -> Iterator[Event]:
-    """Yield ticks and odometry in turn, as the simulated robot gives them; takes the steps."""
+    """Yield odometry of a simulated robot, ticks and battery levels; step `kernel` with each."""
     robot = Robot(SimParams())
     for number in range(1, STEPS // 2 + 1):
         t_ns = number * PERIOD_NS
@@ -164,7 +164,7 @@ def cases() -> Iterator[Case]:
 
 
 def us_per_step(case: Case) -> float:
-    """Take all steps of the case once and return their mean cost [us]."""
+    """Run all steps of the case once, and return their mean cost [us]."""
     step = case.kernel().step
     began = time.process_time_ns()
     for event in case.events:

@@ -1,4 +1,4 @@
-"""What a kill leaves: how many recordings of a killed recorder each reader cannot read.
+"""How many recordings of a killed recorder each of four readers cannot read.
 
     python benchmarks/kill.py                     200 kills, about 10 minutes
     python benchmarks/kill.py -n 40 --bytes 724 --hz 1000
@@ -7,9 +7,9 @@ A process records images of 1 MB, 60 a second, with the default options, and get
 to 1.5 s. Each file is then opened by our reader, by the `mcap` package through the summary and as a
 stream, and by `rosbags`; all of them read every message and check every CRC that they know of. A
 file counts as unreadable for a reader that raises an error, names something as missing, or finds
-half a second less than another reader. The last chunk alone may be found by a reader from the start
-and not by the others: the kill fell between the chunk and the summary that names it. A recorder
-stops with its process and the page cache of the machine survives: this is no power cut.
+half a second less than another reader. Only a reader that scans from the start may find one more
+chunk than the others: the kill fell between that chunk and the summary that names it. This is no
+power cut: the process is killed, and the page cache of the machine survives.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ READERS: dict[str, Callable[[Path], int]] = {
 
 
 def killed(folder: Path, arguments: argparse.Namespace) -> Path:
-    """The file of a recorder that was killed."""
+    """Record in a child process and kill it; return the file that it leaves."""
     context = get_context("forkserver")
     ours, theirs = context.Pipe()
     child = context.Process(
@@ -114,7 +114,7 @@ def killed(folder: Path, arguments: argparse.Namespace) -> Path:
 
 
 def unreadable_by(path: Path, hz: float) -> dict[str, str]:
-    """What each reader says that cannot read the file."""
+    """Return the error of each reader that cannot read the file, by reader."""
     counts, errors = {}, {}
     for name, read in READERS.items():
         try:

@@ -1,4 +1,4 @@
-"""How late the control tick of a daemon is that drives a square while it records foreign traffic.
+"""How late the control tick of a daemon is while it drives a square and records other traffic.
 
     python benchmarks/lateness.py                             100 Hz, 5,000 messages a second, 60 s
     python benchmarks/lateness.py --rounds 3 --size 52
@@ -7,14 +7,14 @@
                                         while that recording is indexed again and again
 
 The traffic comes from another process, in C++ where there is a compiler. Each tick is an event of
-the journal with the time at which the loop got it, and the number of ticks that were skipped before
-it. Ticks are due at multiples of the period; the recording does not say which, so lateness counts
-from the most punctual tick (a ticker alone is late by less than 0.1 ms, see executor.py). A skipped
-tick counts as late until the next one came.
+the journal, with the time when the loop received it and the number of ticks skipped before it.
+Ticks are due at multiples of the period, but the phase is not recorded, so lateness counts from the
+most punctual tick (a ticker alone is late by less than 0.1 ms, see executor.py). A skipped tick
+counts as late until the next tick came.
 
-Shown beside it: how much of the traffic is not in the recording; how long the loop's thread waited
-for a processor in a second; and the ticks of a ticker in another process, which has
-no other work. On a busy machine both are late because no processor is free.
+Also shown: how much of the traffic is not in the recording; how long the loop's thread waited for a
+processor, per second; and the lateness of a ticker in another process without other work. On a busy
+machine both tickers are late because no processor is free.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ FIGURES = (
 def traffic(
     library: str, size: int, per_second: float, around: dict[str, str]
 ) -> Iterator[dict[str, float]]:
-    """Publish messages; `sent` and `per_second` are there once the block has ended."""
+    """Publish during the block; yield a dict, which gets `sent` and `per_second` at its end."""
     told: dict[str, float] = {}
     if not per_second:
         yield told
@@ -94,7 +94,7 @@ def traffic(
 
 @contextmanager
 def indexing(recording: Path | None) -> Iterator[None]:
-    """Index a recording again and again during the block, as the daemon does when it closes one."""
+    """Index a recording in a loop during the block, as the daemon does when it closes one."""
     if recording is None:
         yield
         return
@@ -117,7 +117,7 @@ def indexing(recording: Path | None) -> Iterator[None]:
 
 
 def thread_account(pid: int) -> tuple[int, int]:
-    """Return the CPU time of all threads, and how long the first waited for a processor [ns]."""
+    """Return the CPU time of all threads, and how long the main one waited for a processor [ns]."""
     accounts = {
         path.parent.name: path.read_text().split()
         for path in Path(f"/proc/{pid}/task").glob("*/schedstat")
@@ -126,7 +126,7 @@ def thread_account(pid: int) -> tuple[int, int]:
 
 
 def measure(options: argparse.Namespace, library: str, domain: int) -> Round:
-    """Drive and record for a while, then read the ticks from the recording."""
+    """Drive and record for `options.seconds`; return the figures from the recorded ticks."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         around = environment(folder, domain)
@@ -160,7 +160,7 @@ def measure(options: argparse.Namespace, library: str, domain: int) -> Round:
 
 
 async def bare_ticks(rate_hz: float, seconds: float) -> tuple[list[float], int]:
-    """Tick for so long in this process; return the lateness of the ticks [ms], and the missed."""
+    """Tick in this process; return the sorted lateness of the ticks [ms], and the missed ticks."""
     late_ms: list[float] = []
     missed = 0
     async with Ticker(rate_hz) as ticker:
@@ -173,10 +173,10 @@ async def bare_ticks(rate_hz: float, seconds: float) -> tuple[list[float], int]:
 
 
 def ticks(path: Path, rate_hz: float, begun_ns: int, ended_ns: int) -> tuple[list[float], int]:
-    """Return the lateness of the ticks between two steady times [ms], in order, and the missed."""
+    """Return the sorted lateness [ms] of the ticks in a span of monotonic time, and the missed."""
     period_ns = round(1e9 / rate_hz)
     offsets_ns: list[int] = []
-    """The time of each tick less a multiple of the period."""
+    """For the n-th due tick: its time less n periods."""
     taken = 0
     with Recording(path) as recording:
         for _, entry in read_journal(recording, sys.exit):
@@ -194,13 +194,13 @@ def ticks(path: Path, rate_hz: float, begun_ns: int, ended_ns: int) -> tuple[lis
 
 
 def recorded_load(path: Path) -> int:
-    """Return how many messages of the traffic the recording holds."""
+    """Return how many messages of the traffic are in the recording."""
     with Recording(path) as recording:
         return sum(topic.message_count for topic in recording.info().topics if topic.name == LOAD)
 
 
 def percentile(ordered: list[float], percent: int) -> float:
-    """Return the value that so many percent of the ordered values do not exceed."""
+    """Return the percentile of values that are sorted in ascending order."""
     return ordered[min(len(ordered) * percent // 100, len(ordered) - 1)]
 
 

@@ -1,13 +1,13 @@
-"""How well and how fast drives follow their paths, on virtual time.
+"""How well and how fast drives follow their paths, in virtual time.
 
     python benchmarks/motion.py                                      about 15 seconds
     python benchmarks/motion.py --seeds 5
 
 The base is a differential drive with one wheel that turns 3 % too slowly, a lag of 40 ms, and
-odometry that is exact but for noise of 2 mm and 2 mrad in each sample, at 50 Hz. Each path is
-driven in closed and in open loop; the errors are against odometry, as `DriveEnded` tells them, and
-against the true pose. A lap of the square is held against the shortest time that the limits allow.
-Shown are medians over the seeds of the noise, and the lowest and highest in brackets.
+odometry at 50 Hz that is exact except for noise of 2 mm and 2 mrad in each sample. Each path is
+driven in closed and in open loop; the errors are by odometry, as in `DriveEnded`, and by the true
+pose. A lap of the square is compared with the shortest time that the limits allow. Shown are
+medians over the seeds of the noise, and the lowest and highest in brackets.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class Base:
 
 @dataclass(frozen=True, slots=True)
 class Lap:
-    """One lap: its duration, and its cross-track errors by odometry and in truth."""
+    """One lap: its duration, and its cross-track errors by odometry and by the true pose."""
 
     seconds: float
     rms_m: float
@@ -127,7 +127,7 @@ class Lap:
 
 
 def drive(pattern: Pattern, course: Course, seed: int) -> Lap:
-    """Drive one lap; an open loop may leave its path as far as it will.
+    """Drive one lap, and return it; in open loop, the robot may be up to 100 m off its path.
 
     Raises:
         SystemExit: A drive in closed loop was stopped before its end.

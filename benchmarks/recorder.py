@@ -1,15 +1,15 @@
-"""The recorder: CPU, loop lag, loss, footer and memory, beside others and beside a bare take.
+"""The recorder: CPU, loop lag, loss, footer and memory, against others and bare receiving.
 
     python benchmarks/recorder.py                              everything but the slow part
     python benchmarks/recorder.py --quick                      one short round
     python benchmarks/recorder.py --parts lag,rate --rounds 9
     python benchmarks/recorder.py --parts soak                 10 minutes, alone
 
-In each round every part, and in a part every contender, has its turn, so that a noisy machine is
-noisy for all; ratios and differences are taken within a round. Shown are medians over the rounds,
-and the lowest and highest in brackets. CPU is that of the whole process, the threads of the
-middleware included. The load is published by a process of its own, in C++ where there is a
-compiler. Needs the `dev` extra (foxglove-sdk).
+Each round measures every part, and each part every contender, so that a noisy machine is noisy for
+all; ratios and differences are computed within a round. Shown are medians over the rounds, and the
+lowest and highest in brackets. CPU is that of the whole process, including the threads of the
+middleware. A separate process publishes the load, in C++ where there is a compiler. Needs the `dev`
+extra (foxglove-sdk).
 """
 
 from __future__ import annotations

@@ -3,17 +3,17 @@
     python benchmarks/replay.py                                       about 15 minutes
     python benchmarks/replay.py --figures pacing,max --rounds 3 --seconds 3
 
-pacing   1 kHz, inter-arrival error where messages are handed to the middleware: this player against
+pacing   1 kHz, inter-arrival error where messages are passed to the middleware: this player against
          absolute asyncio.sleep and against a player that waits on a condition variable for each
-         message, as rosbag2's does. All three take turns within a round, publish the same recording
+         message, as rosbag2's does. All three play in turn within a round, the same recording
          through the same publisher to one subscriber in another process; ratios within a round.
-steady   `robotctl replay` of 100 Hz as another process gets it: inter-arrival error by the
-         middleware's `received_timestamp`, and what is lost. That process runs under SCHED_FIFO
-         where permitted: that it is woken late is not our doing.
-drive    the same of a real drive (`robotctl demo`).
+steady   `robotctl replay` of 100 Hz as another process receives it: inter-arrival error by the
+         middleware's `received_timestamp`, and losses. That process runs under SCHED_FIFO where
+         permitted, so that a late wake-up of the receiver does not count.
+drive    the same of a simulated drive (`robotctl demo`).
 max      `--rate max`, 724 B, one reliable subscriber.
-first    from the command to the first message at a subscriber that waits for it, 1 GB file, from
-         its beginning and from its middle; and the share that is reading.
+first    from the command to the first message at a waiting subscriber, 1 GB file, from its
+         beginning and from its middle; and how long a reader alone takes to that message.
 
 Shown are medians over the rounds, and the lowest and highest in brackets.
 """
@@ -55,14 +55,14 @@ class Errors:
 
     @classmethod
     def of(cls, times_ns: Sequence[int], recorded_ns: Sequence[int]) -> Errors:
-        """By how much the gaps between messages differ from those in the recording."""
+        """Return by how much the gaps between messages differ from those in the recording."""
         gaps = zip(pairwise(times_ns), pairwise(recorded_ns), strict=True)
         found = sorted(abs((b - a) - (d - c)) / 1e3 for (a, b), (c, d) in gaps)
         return cls(found[len(found) // 2], found[int(len(found) * 0.99)], found[-1])
 
 
 def replay(file: Path, *arguments: str) -> tuple[dict[str, Any], float]:
-    """`robotctl replay --json`: its summary, and the wall-clock time [s] of its start."""
+    """Run `robotctl replay --json`; return its summary, and when it was started [s since epoch]."""
     begin = time.time()
     command = [*ROBOTCTL, "replay", str(file), "--json", *arguments]
     ran = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -71,19 +71,19 @@ def replay(file: Path, *arguments: str) -> tuple[dict[str, Any], float]:
 
 
 def spread(values: Sequence[float], form: str = ".0f") -> str:
-    """Median, lowest and highest."""
+    """Return `MEDIAN [LOWEST .. HIGHEST]` as text."""
     low, middle, high = min(values), statistics.median(values), max(values)
     return f"{middle:{form}} [{low:{form}} .. {high:{form}}]"
 
 
 class Table:
-    """Prints what was measured, and remembers what was not reached."""
+    """Prints the figures, and keeps those that miss their target in `missed`."""
 
     def __init__(self) -> None:
         self.missed: list[str] = []
 
     def row(self, name: str, value: str, target: str = "", reached: bool = True) -> None:
-        """One line; with a target also whether it is reached."""
+        """Print one line; with a target also whether the target is reached."""
         verdict = "" if not target else f"   to reach: {target}   {'yes' if reached else 'NO'}"
         print(f"  {name:34} {value:30}{verdict}", flush=True)
         if not reached:
@@ -91,7 +91,7 @@ class Table:
 
 
 def pacing(table: Table, rounds: int, seconds: float, scratch: Path) -> None:
-    """Inter-arrival error where messages are handed over, 1 kHz."""
+    """Measure the inter-arrival error where messages are passed to the middleware, at 1 kHz."""
     print("pacing: inter-arrival error at publish, 1 kHz [us]")
     found: dict[str, list[Errors]] = {name: [] for name in CONTENDERS}
     with tempfile.TemporaryDirectory(dir=scratch) as folder:
@@ -119,14 +119,14 @@ def pacing(table: Table, rounds: int, seconds: float, scratch: Path) -> None:
 
 
 def steady(table: Table, runs: int, seconds: float, scratch: Path) -> None:
-    """Inter-arrival error at the receiver, and losses, at 100 Hz."""
+    """Measure the inter-arrival error at the receiver, and losses, at 100 Hz."""
     with tempfile.TemporaryDirectory(dir=scratch) as folder:
         file = write_steady(Path(folder) / "steady", 100.0, round(seconds * 100))
         arrival(table, "100 Hz", file, runs, seconds)
 
 
 def drive(table: Table, runs: int, seconds: float, scratch: Path) -> None:
-    """The same of a real drive."""
+    """Measure the same of a simulated drive."""
     with a_drive(scratch) as file:
         arrival(table, "a drive", file, runs, seconds)
 
@@ -164,7 +164,7 @@ def arrival(table: Table, name: str, file: Path, runs: int, seconds: float) -> N
 
 
 def full_speed(table: Table, rounds: int, _: float, scratch: Path) -> None:
-    """--rate max."""
+    """Measure the rate and the losses of `--rate max`."""
     count = 200_000
     print(f"max: {count} messages of {ODOMETRY_BYTES} B to one reliable subscriber")
     rates, lost = [], 0
@@ -182,7 +182,7 @@ def full_speed(table: Table, rounds: int, _: float, scratch: Path) -> None:
 
 
 def first(table: Table, rounds: int, _: float, scratch: Path) -> None:
-    """Time to the first message of a 1 GB file."""
+    """Measure the time to the first message of a 1 GB file."""
     count = 1_380_000
     with tempfile.TemporaryDirectory(dir=scratch) as folder:
         file = write_steady(Path(folder) / "large", 1000.0, count)
@@ -216,7 +216,7 @@ FIGURES: dict[str, Callable[[Table, int, float, Path], None]] = {
 
 
 def main() -> None:
-    """Run it all, or one subject of it."""
+    """Run the chosen figures, or be one of their processes: `--play` or `--listen`."""
     environment.prepare()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--figures", default=",".join(FIGURES), help="which, with commas")

@@ -2,7 +2,8 @@
 
     python benchmarks/sim_faults.py -n 10
 
-The answers of `robotctl sim fault` with the default configuration, during a circle.
+The times are those that `robotctl sim fault` reports while the robot drives a circle, with the
+default configuration.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ FAULT_S = 2
 
 
 def measure(world: World, fault: SimFault) -> tuple[float, str]:
-    """Let the driving robot fail once; return when it was stopped, and why."""
+    """Cause the fault once while the robot drives; return the time to the stop [ms], and why."""
     until(lambda: world.robotctl("reset").exit_code == 0)
     world.ok("drive", "circle", "--radius", "0.5")
     until(lambda: world.status()["velocity"]["linear"] > 0.3)

@@ -1,4 +1,4 @@
-"""Commissioning: properties of a base, measured from three recorded motions, and proposals."""
+"""Commissioning: measure a base from three recorded motions, and propose limits and gains."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _EVENTS = (OdomReceived.__name__, DriveRequested.__name__)
 
 
 class TrialSample(NamedTuple):
-    """A sample of odometry: arrival on the steady clock, pose, and age of the stamp on arrival."""
+    """A sample of odometry: arrival (monotonic clock), pose, and age of the stamp on arrival."""
 
     t_s: float
     pose: Pose
@@ -35,7 +35,7 @@ class TrialSample(NamedTuple):
 
 
 class TrialCommand(NamedTuple):
-    """A velocity command, and the steady time at which it was sent."""
+    """A velocity command, and when it was sent (monotonic clock)."""
 
     t_s: float
     linear_mps: float
@@ -80,7 +80,7 @@ class Motion:
 
 @dataclass(slots=True)
 class Trial:
-    """The odometry of a recording, and the motions at a held velocity that it contains."""
+    """The odometry of a recording, and its motions at a requested velocity."""
 
     samples: list[TrialSample] = field(default_factory=list)
     motions: list[Motion] = field(default_factory=list)
@@ -135,21 +135,21 @@ def _refuse(missing: str) -> None:
 
 
 STEADY_S = 0.8
-"""The base counts as steady in this time before the last command at the wanted speed."""
+"""How long before the last command at the wanted speed the base counts as at full speed [s]."""
 
 STANDS_S = 0.4
-"""How long the base must stand at the end of a motion's odometry."""
+"""How long the base must stand at the end of a motion's odometry [s]."""
 
 MOVES_SHARE = 0.2
 """A base moves if its speed is at least this share of the commanded one."""
 
 NEAR_S = 0.02
-"""A base stands when it is nearer to its final position than it drives in this time."""
+"""A base stands when its final position is nearer than the way that it drives in this time [s]."""
 
 MIN_SAMPLES = 3
 
 CLOCKS_DIFFER_S = 1.0
-"""An odometry delay above this, or below zero, counts as the offset between two clocks."""
+"""An odometry delay above this [s], or below zero, counts as the offset between two clocks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,7 +303,7 @@ def _line(motion: Motion) -> _Line:
 
 
 def _rest(motion: Motion, from_s: float, until_s: float) -> tuple[float, bool]:
-    """Return the mean position of the base in a period, and whether the base stood in it."""
+    """Return the mean position [m or rad] of the base in a period, and whether the base stood."""
     xs = [x for t_s, x in motion.way() if from_s <= t_s <= until_s]
     if len(xs) < MIN_SAMPLES - 1:
         raise Refused("odometry ended before the base stood")
@@ -339,7 +339,7 @@ def _timeout_s(motion: Motion, stopping_m: float) -> float | None:
 
 
 STEERED_DELAY_S: Final = 0.2
-"""Up to this delay, the default gains are proposed, and beyond it smaller ones."""
+"""Up to this delay [s], the default gains are proposed; for a longer delay, smaller gains."""
 
 STOP_WITHIN_M: Final = 0.3
 """The distance within which the base stops from the proposed speed."""

@@ -211,7 +211,7 @@ def _existing(path: Path) -> Path:
 
 
 PINNED = re.compile(r"([A-Za-z0-9._-]+)(?:\[[^]]*\])?==([^; ]+)")
-"""Matches a requirement of exactly one version; its groups are name and version."""
+"""Matches a requirement `NAME==VERSION`; the groups are the name and the version."""
 
 WHEELS_FOR = "x86_64"
 """The architecture for which there are ROS wheels; on others, ROS comes from a workspace."""
@@ -467,7 +467,7 @@ _UNMATCHED: Final = (
     ("reliability", "best_effort", "reliable"),
     ("durability", "volatile", "transient_local"),
 )
-"""A QoS policy, an offered value, and the requested value that such a publisher does not match."""
+"""A QoS policy, and an offered and a requested value of it that do not match."""
 
 MAX_NAMED: Final = 5
 

@@ -1,4 +1,4 @@
-"""What is measured, what is to be reached, and the table that says both."""
+"""Figures with their limits, and the table of the measured values."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 Round = Mapping[str, float]
-"""What one round of a part measured: value by name."""
+"""The values that one round measured, by the name of the figure."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A line of the table: the value of that name, and its limit (None: only told)."""
+    """A line of the table: the value with this `name`, and its limit (None: not judged)."""
 
     name: str
     limit: float | None = None
@@ -20,20 +20,20 @@ class Figure:
     digits: str = ".2f"
 
     def target(self) -> str:
-        """What is to be reached, in words."""
+        """Return the limit as text, such as `<= 20`; "" without a limit."""
         if self.limit is None:
             return ""
         return f"{'>=' if self.at_least else '<='} {self.limit:,g}"
 
     def reached(self, value: float) -> bool:
-        """Whether the value is as good as it is to be."""
+        """Return whether the value is within the limit."""
         if self.limit is None:
             return True
         return value >= self.limit if self.at_least else value <= self.limit
 
 
 def spread(values: Sequence[float], digits: str) -> str:
-    """Median [lowest .. highest]; the value alone where there is one."""
+    """Return `MEDIAN [LOWEST .. HIGHEST]` as text, or a single value alone."""
     middle = f"{statistics.median(values):,{digits}}"
     if len(values) == 1:
         return middle
@@ -41,7 +41,7 @@ def spread(values: Sequence[float], digits: str) -> str:
 
 
 def table(figures: Iterable[Figure], rounds: Sequence[Round]) -> tuple[list[str], int]:
-    """Lines of a Markdown table, and how many figures were missed."""
+    """Return the lines of a Markdown table, and how many figures missed their limit."""
     lines, missed = [], 0
     for figure in figures:
         values = [each[figure.name] for each in rounds]

@@ -1,7 +1,7 @@
-"""What the rolling footer costs in a file of the default length.
+"""The cost of rewriting the footer every 250 ms, in a file of the default length.
 
-Thirty topics with three messages a second each: slow and many, so the summary, which is written
-again every 250 ms, is as large beside the data as it gets on a robot.
+Thirty topics with three messages a second each: with so many slow topics, the summary in the footer
+is as large, relative to the data, as it gets on a robot.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def figures() -> Iterator[Figure]:
 
 
 def measure(scratch: Path) -> Iterator[tuple[str, float]]:
-    """Write a whole file as fast as it goes, syncing as often as the recorder does."""
+    """Write a whole file as fast as possible, with the recorder's commits and syncs."""
     written = 0
 
     class CountedFile(DiskFile):

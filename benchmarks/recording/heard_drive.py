@@ -26,10 +26,10 @@ from robotctl.testing.drives import (
 from robotctl.testing.hearing import BATTERY, HearingKernel
 
 SNAPSHOT_PERIOD_S = 10.0
-"""As often as a daemon writes one."""
+"""The period in which a daemon writes a snapshot."""
 
 CHUNK_BYTES = 35_000
-"""About as much as a daemon at 100 Hz commits each 250 ms."""
+"""About the amount that a daemon at 100 Hz commits each 250 ms."""
 
 _TOPICS = {
     ODOMETRY.name: ODOMETRY,
@@ -40,7 +40,10 @@ _STATUS_PERIOD_NS = NS_PER_S
 
 
 class _Listener:
-    """Records what the kernel hears; the status once a second and in each step with a change."""
+    """Records what the kernel received, and its status each second and at each change of mode.
+
+    `record` calls it before each item of the journal.
+    """
 
     def __init__(self, kernel: HearingKernel) -> None:
         self._kernel = kernel

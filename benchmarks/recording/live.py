@@ -1,4 +1,4 @@
-"""The recorder under real traffic: one process publishes, another one takes."""
+"""The recorder under real traffic: one process publishes, another one receives."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _numbers = itertools.count(1)
 
 @dataclass(frozen=True)
 class Load:
-    """What is published: type and size [bytes] of its messages, how many in a second."""
+    """What is published: type and size [bytes] of the messages, and their rate [1/s]."""
 
     type_name: str
     size: int
@@ -33,7 +33,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Bench:
-    """Where and for how long to measure; `library` is the publisher in C++, "" without."""
+    """Where and how long to measure; `library` is the publisher in C++, "" without a compiler."""
 
     library: str
     seconds: float
@@ -41,7 +41,7 @@ class Bench:
     domain_id: int
 
     def run(self, contender: str, load: Load, *, ticks: bool = False) -> tuple[Measured, float]:
-        """What the contender measured, and how many messages a second were really sent."""
+        """Run a contender under a load; return its result, and the rate that was really sent."""
         with self.running(contender, load, self.seconds, ticks=ticks) as (taker, publishing):
             assert taker.stdout is not None
             line = taker.stdout.readline()
@@ -54,7 +54,7 @@ class Bench:
     def running(
         self, contender: str, load: Load, seconds: float, *, ticks: bool = False
     ) -> Iterator[tuple[subprocess.Popen[str], subprocess.Popen[str]]]:
-        """The two processes, taker and publisher, on a topic of their own."""
+        """Run a receiver and a publisher on a new topic during the block; yield both."""
         topic = f"/load_{os.getpid()}_{next(_numbers)}"
         with tempfile.TemporaryDirectory(dir=self.scratch) as folder:
             taking = [subject.__file__, contender, topic, str(seconds), str(int(ticks)), folder]
@@ -88,7 +88,7 @@ def _start(command: list[str], domain_id: int) -> subprocess.Popen[str]:
 
 
 def _end(process: subprocess.Popen[str]) -> str:
-    """Ask a process to end by closing its stdin; its output."""
+    """End a process by closing its stdin; return its output."""
     if process.stdin is None or process.stdin.closed:
         return ""
     output, _ = process.communicate(timeout=END_TIMEOUT_S)
@@ -177,7 +177,7 @@ RATES_HZ = {
 }
 RATE_LIMITS_HZ = {SMALL: 45_000.0, MIDDLE: 30_000.0}
 FULL_RATE = 0.98
-"""Share of the rate that must really have been sent for it to count."""
+"""The share of a rate that must really have been sent, or the rate does not count."""
 
 
 def _rate_name(kind: tuple[str, int]) -> str:

@@ -21,7 +21,7 @@ from robotctl.recording.disk import Buffer, DiskFile
 BOUNDED = "memory with a stuck disk / configured queue, 52 B"
 BOUNDED_LIMIT = 1.05
 FLOOD = 3
-"""Times the queue, in bytes of messages."""
+"""How many times the size of the queue is written while the disk is stuck."""
 
 SOAK_S = 600.0
 SOAK_SETTLED_S = 60.0
@@ -33,7 +33,7 @@ SOAK_LIMIT_MB = 1.0
 
 
 class StuckFile(DiskFile):
-    """A disk that takes the beginning of a file and then nothing until it is released."""
+    """A file that accepts one write, and blocks all others until `free` is set."""
 
     free = threading.Event()
     _writes = 0
@@ -50,7 +50,7 @@ def figures() -> Iterator[Figure]:
 
 
 def measure(bench: Bench) -> Iterator[tuple[str, float]]:
-    """In a process of its own, whose memory nothing else has used."""
+    """Run `stuck` in a new process, whose memory nothing else has used."""
     command = [sys.executable, "-m", "recording.memory", str(bench.scratch)]
     folder = Path(__file__).parent.parent
     output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=folder)
@@ -58,7 +58,7 @@ def measure(bench: Bench) -> Iterator[tuple[str, float]]:
 
 
 def stuck(scratch: Path) -> float:
-    """By how many times the configured queue the process grows when nothing is written."""
+    """Return by how many sizes of the configured queue this process grows with a stuck disk."""
     with tempfile.TemporaryDirectory(dir=scratch) as folder:
         options = RecorderOptions(open_file=StuckFile)
         recorder = Recorder(Path(folder) / "stuck", options, on_failure=sys.exit)
@@ -80,7 +80,7 @@ def soak_figures() -> Iterator[Figure]:
 
 
 def soak(bench: Bench) -> Iterator[tuple[str, float]]:
-    """Compare the second minute with the last one, under traffic."""
+    """Compare the memory in the second minute with that in the last one, under traffic."""
     load = Load(*SMALL, SOAK_HZ)
     samples = []
     with bench.running("zstd", load, SOAK_S) as (taker, _):

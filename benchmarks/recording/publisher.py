@@ -24,7 +24,7 @@ DEPTH = 1000
 
 
 def build(folder: Path) -> str:
-    """Compile the publisher into `folder`; the path of the library, "" without a compiler."""
+    """Compile the publisher into `folder`; return the path of the library, "" if impossible."""
     compiler = shutil.which("c++")
     prefix = Path(sys.prefix)
     if compiler is None or not (prefix / "include" / "rcl").is_dir():
@@ -39,7 +39,7 @@ def build(folder: Path) -> str:
 
 
 def publish_compiled(library: str, topic: str, type_name: str, size: int, rate: float) -> None:
-    """Publish until stdin closes, in C++."""
+    """Publish at `rate` until stdin closes, in C++."""
     publish = ctypes.CDLL(library).publish
     publish.argtypes = [ctypes.c_char_p, ctypes.c_char_p, ctypes.c_size_t, ctypes.c_double]
     publish.restype = None
@@ -47,7 +47,7 @@ def publish_compiled(library: str, topic: str, type_name: str, size: int, rate: 
 
 
 def publish_in_python(topic: str, type_name: str, size: int, rate: float) -> None:
-    """Publish until stdin closes, in rclpy; it reaches about half of what C++ does."""
+    """Publish at `rate` until stdin closes, in rclpy, which reaches about half the rate of C++."""
     import rclpy
     from geometry_msgs.msg import Twist
     from nav_msgs.msg import Odometry
@@ -80,7 +80,7 @@ def publish_in_python(topic: str, type_name: str, size: int, rate: float) -> Non
 
 
 def main() -> None:
-    """Run with: LIBRARY or "" - topic - type - bytes - rate."""
+    """Run with the arguments LIBRARY ("" for rclpy), TOPIC, TYPE, BYTES, RATE."""
     library, topic, type_name, size, rate = sys.argv[1:]
     if library:
         publish_compiled(library, topic, type_name, int(size), float(rate))

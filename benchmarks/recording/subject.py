@@ -1,12 +1,12 @@
-"""The measured process: one way of taking a topic that is published elsewhere.
+"""The measured process: one way to receive a topic that another process publishes.
 
-    bare      the tap with a sink that counts, and nothing else
+    bare      the daemon's tap (raw subscriptions) with a sink that only counts
     plain     the tap with a sink that writes the data to a file
     none      the recorder as the daemon runs it, without compression
     zstd      the same with the default compression
     classic   rclpy's SingleThreadedExecutor with the mcap package's writer
 
-Prints a line of JSON when it has measured, and ends when its stdin is closed.
+Prints the result as a line of JSON, and ends when its stdin is closed.
 """
 
 from __future__ import annotations
@@ -43,7 +43,10 @@ TICK_HZ = 1000.0
 
 @dataclass(frozen=True)
 class Measured:
-    """What one process saw of the load; `lag_ms` is 0 where nothing ticked."""
+    """The result of one process: CPU per message [us], counts, and the p99.9 `lag_ms` of the loop.
+
+    `lag_ms` is 0 without ticks.
+    """
 
     cpu_us: float
     per_second: float
@@ -54,25 +57,25 @@ class Measured:
 
 
 class Taker(Protocol):
-    """What takes the messages."""
+    """The counts of what receives the messages."""
 
     @property
     def received(self) -> int: ...
 
     @property
     def lost(self) -> int:
-        """How many are missing between those that were received."""
+        """How many messages are missing between those that were received."""
 
     @property
     def dropped(self) -> int: ...
 
 
 Sinks = tuple[Taker, Callable[[Any], Any]]
-"""What takes the messages, and what opens the sink of a topic."""
+"""The counts, and the function that opens the sink of a topic."""
 
 
 class Counter:
-    """A sink that counts messages, and the numbers missing between them."""
+    """A sink that counts messages, and the sequence numbers that are missing between them."""
 
     def __init__(self, keep: Callable[[bytes], object] = lambda data: None) -> None:
         self.received = 0
@@ -151,7 +154,7 @@ TAPPED: dict[str, Callable[[Path], AbstractContextManager[Sinks]]] = {
 
 @asynccontextmanager
 async def tapped(contender: str, topic: str, folder: Path) -> AsyncIterator[Taker]:
-    """Take every topic of the domain as the daemon does, into the contender's sink."""
+    """Receive every topic of the domain as the daemon does, into the contender's sink."""
     from robotctl.ros.session import ros_session
     from robotctl.ros.tap.tap import Tap
 
@@ -166,7 +169,7 @@ async def tapped(contender: str, topic: str, folder: Path) -> AsyncIterator[Take
 
 @asynccontextmanager
 async def classic(topic: str, folder: Path) -> AsyncIterator[Taker]:
-    """The usual Python way: SingleThreadedExecutor in a thread, the mcap package's writer."""
+    """Receive in the usual Python way: SingleThreadedExecutor in a thread, mcap's writer."""
     import rclpy
     from mcap.writer import CompressionType, Writer
     from rclpy.executors import SingleThreadedExecutor
@@ -214,24 +217,24 @@ async def classic(topic: str, folder: Path) -> AsyncIterator[Taker]:
 
 
 def domain_id() -> int:
-    """The ROS domain that this benchmark has for itself: a tap takes whatever is in it."""
+    """Return the ROS domain of this benchmark alone: the tap receives every topic in it."""
     return int(os.environ["ROS_DOMAIN_ID"])
 
 
 def cpu_s() -> float:
-    """CPU time of this process, all threads."""
+    """Return the CPU time of all threads of this process [s]."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return usage.ru_utime + usage.ru_stime
 
 
 def resident_mb(pid: int | str = "self") -> float:
-    """Resident memory of a process [MB]."""
+    """Return the resident memory of a process [MB]."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 1e6
 
 
 async def lateness_ms(seconds: float) -> list[float]:
-    """How late each tick of 1 kHz comes through the loop [ms]."""
+    """Return how late each tick of 1 kHz comes through the loop [ms]."""
     from robotctl.ros import Ticker
 
     late: list[float] = []
@@ -247,7 +250,7 @@ def p999(values: list[float]) -> float:
 
 
 async def measure(contender: str, topic: str, seconds: float, ticks: bool, folder: Path) -> None:
-    """Take `topic` the contender's way and print what that cost."""
+    """Receive `topic` in the contender's way, and print the `Measured` as JSON."""
     way = classic(topic, folder) if contender == "classic" else tapped(contender, topic, folder)
     async with way as taker:
         async with asyncio.timeout(START_TIMEOUT_S):
@@ -276,7 +279,7 @@ async def measure(contender: str, topic: str, seconds: float, ticks: bool, folde
 
 
 def main() -> None:
-    """Run with: contender - topic - seconds - whether to tick (0 or 1) - folder."""
+    """Run with the arguments CONTENDER, TOPIC, SECONDS, TICKS (0 or 1), FOLDER."""
     contender, topic, seconds, ticks, folder = sys.argv[1:]
     if contender in TAPPED:
         environment.prepare()  # as the daemon does

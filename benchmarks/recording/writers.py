@@ -27,7 +27,7 @@ QUEUED_BYTES = 8 << 20
 
 @dataclass(frozen=True)
 class Load:
-    """Messages of one size; `count` of them are written, about half a second."""
+    """Messages of one size, which are repeated until `count` are written: about half a second."""
 
     name: str
     messages: Sequence[bytes]
@@ -35,7 +35,7 @@ class Load:
 
 
 def loads() -> list[Load]:
-    """Twists and odometry as a robot sends them, and images with 4 bits of noise per byte."""
+    """Return twists and odometry of a moving robot, and images with 4 bits of noise per byte."""
     dice = random.Random(1)
     header = b"\x00\x01\x00\x00"
     twists = [
@@ -62,7 +62,7 @@ def loads() -> list[Load]:
 
 
 def write_robotctl(folder: Path, load: Load, count: int, compress: bool) -> None:
-    """Ours: always valid, with the loss ledger."""
+    """Write with robotctl's recorder, with its loss ledger; the file is always valid."""
     options = RecorderOptions(compression=Compression.ZSTD if compress else Compression.NONE)
     recorder = Recorder(folder / "robotctl", options, on_failure=sys.exit)
     write, messages = recorder.write, load.messages
@@ -80,7 +80,7 @@ def write_robotctl(folder: Path, load: Load, count: int, compress: bool) -> None
 
 
 def write_mcap(folder: Path, load: Load, count: int, compress: bool) -> None:
-    """The mcap package."""
+    """Write with the mcap package."""
     with (folder / "mcap.mcap").open("wb") as stream:
         kind = CompressionType.ZSTD if compress else CompressionType.NONE
         writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=kind)
@@ -96,7 +96,7 @@ def write_mcap(folder: Path, load: Load, count: int, compress: bool) -> None:
 
 
 def write_foxglove(folder: Path, load: Load, count: int, compress: bool) -> None:
-    """foxglove-sdk, in Rust, at the same level of compression."""
+    """Write with foxglove-sdk, in Rust, at the same level of compression."""
     context = foxglove.Context()
     options = MCAPWriteOptions(
         compression=MCAPCompression.Zstd if compress else None,
@@ -116,7 +116,7 @@ def write_foxglove(folder: Path, load: Load, count: int, compress: bool) -> None
 
 
 def write_plain(folder: Path, load: Load, count: int, compress: bool) -> None:
-    """No format at all: the data, written."""
+    """Write only the data, without any format."""
     del compress
     with (folder / "plain").open("wb") as stream:
         write, messages = stream.write, load.messages
@@ -153,9 +153,9 @@ def figures() -> Iterator[Figure]:
 
 
 def measure(scratch: Path) -> Iterator[tuple[str, float]]:
-    """CPU per message of each writer, and our ratio to theirs.
+    """Measure the CPU per message of each writer; yield robotctl's, and its ratio to others.
 
-    Each has two turns, there and back, so that none is always behind the same other one.
+    Each writer runs twice, in the order and in reverse, so that none always follows the same one.
     """
     for load in loads():
         for compression in ("none", "zstd"):

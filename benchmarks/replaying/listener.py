@@ -1,4 +1,4 @@
-"""Who listens: a subscriber in a process of its own, with the time of receipt of each message."""
+"""A subscriber in a separate process, which reports when it received each message."""
 
 from __future__ import annotations
 
@@ -16,7 +16,11 @@ DEADLINE_S = 120.0
 
 
 def listen(topics: list[list[str]], *, urgent: bool) -> None:
-    """Subscribe, then tell for each line of stdin what came since: topic and time of receipt."""
+    """Subscribe to `topics`; for each line of stdin, print what was received since, as JSON.
+
+    A message is given by the index of its topic, and the time of receipt [ns]. If `urgent`, the
+    threads of the middleware run under SCHED_FIFO where permitted.
+    """
     if urgent:
         with suppress(PermissionError):  # the threads of the middleware inherit it
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
@@ -58,7 +62,7 @@ def listen(topics: list[list[str]], *, urgent: bool) -> None:
 
 
 class Listener:
-    """The listening process."""
+    """The other end of a process that runs `listen`."""
 
     def __init__(self, topics: list[list[str]], *, urgent: bool) -> None:
         urgency = ["--urgent"] * urgent
@@ -67,7 +71,10 @@ class Listener:
         assert self._process.stdout.readline() == "ready\n"
 
     def heard(self, expected: int, patience_s: float = 3.0) -> list[list[int]]:
-        """What has come since the last call: topic and time of receipt."""
+        """Return what was received since the last call: indexes of topics and times [ns].
+
+        Wait until there are `expected` messages, at most `patience_s`.
+        """
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         found: list[list[int]] = []
@@ -80,13 +87,13 @@ class Listener:
         return found
 
     def close(self) -> None:
-        """End it."""
+        """End the process."""
         self._process.communicate(timeout=DEADLINE_S)
 
 
 @contextmanager
 def listening(topics: list[list[str]], *, urgent: bool = False) -> Iterator[Listener]:
-    """A listener for the block."""
+    """Run a listener during the block."""
     listener = Listener(topics, urgent=urgent)
     try:
         yield listener
@@ -95,6 +102,6 @@ def listening(topics: list[list[str]], *, urgent: bool = False) -> Iterator[List
 
 
 def subject(*arguments: str, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
-    """The benchmark's script in another process."""
+    """Start the benchmark's script with these arguments in another process."""
     command = [sys.executable, sys.argv[0], *arguments]
     return subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, text=True)

@@ -1,4 +1,4 @@
-"""What is played: a steady topic, and a real drive."""
+"""The recordings to play: a topic at a steady rate, and a simulated drive."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ START_NS = 1_700_000_000_000_000_000
 
 
 def write_steady(folder: Path, rate_hz: float, count: int) -> Path:
-    """A recording of 724 B messages at a steady rate; not compressed, so as large as it looks."""
+    """Record 724 B messages at a steady rate, not compressed; return the folder."""
     options = RecorderOptions(split_s=1e9, split_bytes=1 << 40, compression=Compression.NONE)
     recorder = Recorder(folder, options, on_failure=print)
     channel = recorder.add_topic(Topic("/odom", ODOMETRY, "", "", QOS))
@@ -42,7 +42,7 @@ def write_steady(folder: Path, rate_hz: float, count: int) -> Path:
 
 
 def odometry() -> bytes:
-    """A serialized message of ODOMETRY_BYTES."""
+    """Return a serialized message of ODOMETRY_BYTES."""
     names = struct.pack("<I8sI12s", 5, b"odom", 10, b"base_link")
     head = b"\0\1\0\0" + struct.pack("<iI", 1, 2) + names
     return (head + bytes(ODOMETRY_BYTES))[:ODOMETRY_BYTES]
@@ -50,7 +50,7 @@ def odometry() -> bytes:
 
 @contextmanager
 def a_drive(scratch: Path) -> Iterator[Path]:
-    """The recording of a real drive."""
+    """Yield the recording of a new `robotctl demo`."""
     with tempfile.TemporaryDirectory(dir=scratch) as folder:
         command = [*ROBOTCTL, "demo", "--json", "--recordings", folder]
         ran = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -1,4 +1,7 @@
-"""Who plays: the player of robotctl, and two others that publish the same in the same way."""
+"""Three players: that of robotctl, and two others with the same publisher.
+
+Each returns the monotonic time [ns] at which it passed each message to the middleware.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ READ_AHEAD = 1000
 
 
 def play_with_robotctl(file: Path, domain_id: int) -> list[int]:
-    """The player's own process, with a note of the time before each message is handed over."""
+    """Play as the process of `robotctl replay` does; its `send` is wrapped to note the time."""
     from robotctl.base.processes import REPORT_OPTION
     from robotctl.replay import __main__ as process
     from robotctl.replay.job import Job
@@ -51,7 +54,7 @@ def play_with_robotctl(file: Path, domain_id: int) -> list[int]:
 
 @contextmanager
 def opened(domain_id: int) -> Iterator[Callable[[bytes], bool]]:
-    """The same publisher for the others."""
+    """Yield the `send` function of the publisher that `robotctl replay` uses."""
     from robotctl.ros.context import Membership
     from robotctl.ros.playback import ReplaySession
 
@@ -66,7 +69,7 @@ def opened(domain_id: int) -> Iterator[Callable[[bytes], bool]]:
 
 
 def play_with_asyncio(file: Path, domain_id: int) -> list[int]:
-    """Each message after an asyncio.sleep until its absolute moment."""
+    """Play with an asyncio.sleep until the absolute time of each message."""
     stamps: list[int] = []
     messages = list(read_messages(file))
 
@@ -84,7 +87,7 @@ def play_with_asyncio(file: Path, domain_id: int) -> list[int]:
 
 
 def play_with_condition(file: Path, domain_id: int) -> list[int]:
-    """As rosbag2: a thread fills a queue, and each message waits on a condition variable."""
+    """Play as rosbag2 does: a thread fills a queue; wait on a condition variable per message."""
     stamps: list[int] = []
     queue: deque[Any] = deque()
     room = threading.Condition()

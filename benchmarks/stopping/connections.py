@@ -1,7 +1,7 @@
 """A process that keeps idle connections to the control socket.
 
-One that the daemon closes is opened again about a second later. Ends when its stdin is closed, and
-prints how many were open at the median of its looks, and how many it opened in a second.
+A connection that the daemon closes is opened again about a second later. Ends when its stdin is
+closed, and prints the median of the open connections, and how many were opened per second.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import time
 
 LOOK_S = 0.05
 REOPEN_S = (0.5, 1.5)
-"""Anywhere between: all at once would be a burst of connections, and not idle ones."""
+"""The range of the random delay [s]: without it, all would be opened in one burst."""
 
 
 def keep(path: str, count: int) -> dict[str, float]:
-    """Keep up to `count` until stdin is closed."""
+    """Keep up to `count` connections until stdin is closed; return what is to be printed."""
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
     held = [opened for _ in range(count) if (opened := _open(path)) is not None]
@@ -46,7 +46,7 @@ def keep(path: str, count: int) -> dict[str, float]:
 
 
 def _open(path: str) -> socket.socket | None:
-    """A connection, None where the daemon's backlog is full."""
+    """Return a new connection, None if the daemon's backlog is full."""
     opened = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
     try:
         opened.connect(path)

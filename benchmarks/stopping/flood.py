@@ -1,7 +1,7 @@
 """A process that calls /set_mode at a rate, and waits for no answer before the next call.
 
-It asks for MOVING and for a mode that does not exist, in turns: what stops the robot is the
-measurement's alone. Ends when its stdin is closed, and prints what it really did.
+It requests MOVING and a mode that does not exist, in turn: only the measurement stops the robot.
+Ends when its stdin is closed, and prints the rates that it reached.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ PERIOD_S = 0.002
 
 
 async def flood(rate: float) -> dict[str, float]:
-    """Call until stdin is closed; calls and answers a second."""
+    """Call until stdin is closed; return calls and answers per second."""
     from rclpy.context import Context
     from rclpy.node import Node
     from robot_controller.srv import SetMode

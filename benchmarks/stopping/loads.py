@@ -1,4 +1,4 @@
-"""What goes on while the robot is stopped: each load is a process beside the daemon."""
+"""The loads under which the robot is stopped: each is a process beside the daemon."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ TOLD = {
     "connections": "connections",
     "opened": "opened again/s",
 }
-"""What a load says of itself, and how it is shown."""
+"""The keys of a load's report, and their units in the output."""
 
 
 @dataclass(frozen=True)
 class Bench:
-    """`library` is the publisher in C++, "" without; `socket` the daemon's."""
+    """`library` is the publisher in C++, "" without a compiler; `socket` is the daemon's."""
 
     library: str
     socket: str
     environment: Mapping[str, str]
     offered: dict[str, list[float]]
-    """What was really done under each load, a round each."""
+    """The rates that the loads really reached, by unit; one value per round."""
 
 
 @contextmanager
@@ -47,7 +47,7 @@ def idle(_: Bench) -> Iterator[None]:
 
 @contextmanager
 def recorded(bench: Bench) -> Iterator[None]:
-    """Odometry on a topic of its own, which the daemon records."""
+    """Publish odometry on another topic, which the daemon records."""
     arguments = [bench.library, "/load", "odometry", RECORDED_BYTES, RECORDED_HZ]
     with _running(bench, publisher.__file__, *arguments, announces=False):
         yield
@@ -77,7 +77,7 @@ SITUATIONS: dict[str, Callable[[Bench], AbstractContextManager[None]]] = {
 def _running(
     bench: Bench, script: str, *arguments: object, announces: bool = True
 ) -> Iterator[None]:
-    """A load that ends when its stdin is closed, and says what it did in a line of JSON."""
+    """Run a load during the block; its report, a line of JSON, is added to `bench.offered`."""
     process = subprocess.Popen(
         [sys.executable, script, *map(str, arguments)],
         stdin=subprocess.PIPE,

@@ -1,4 +1,4 @@
-"""A second process on the graph: it drives the robot, stops it, and hears each command."""
+"""A second process on the graph: it drives and stops the robot, and receives its commands."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from robotctl.kernel.modes import Mode
 from tests.support.waiting import until
 
 PATIENCE_S = 5.0
-"""A stop that has not come by then counts as never."""
+"""A stop that takes longer than this [s] counts as never."""
 
 ONWARD_MPS = 0.2
-"""A robot this fast needs 0.2 s to a standstill, so its ramp is not taken for the stop."""
+"""A robot this fast needs 0.2 s to a standstill, so that its ramp does not count as the stop."""
 
 ANSWERS = QoSProfile(depth=10_000)
-"""Every client's queue gets the answers to all clients; ten places are too few beside a flood."""
+"""Every client's queue gets the answers to all clients: under a flood, a depth of 10 is too low."""
 
 RAMP_S = 0.01
-"""From a request for IDLE to the stop that comes while it waits."""
+"""The time from a request for IDLE to the stop that comes while that request waits [s]."""
 
 SOURCE = "benchmarks/estop.py"
 
 
 class Witness:
-    """Plain rclpy. Times are those at which Fast DDS received a command, before Python sees it."""
+    """A node of plain rclpy; the time of a command is that at which Fast DDS received it."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -58,9 +58,10 @@ class Witness:
             self.ways["service estop"] = self._by_estop
 
     def measure(self, way: str, after_s: float, *, ramping: bool) -> float:
-        """Drive, stop after `after_s` at speed, reset; milliseconds to the first zero, or inf.
+        """Drive, stop after `after_s` at speed, reset; return the time to the first zero [ms].
 
-        With `ramping` the stop comes while a request for IDLE waits for the end of its ramp.
+        The time is infinite without a zero. With `ramping`, the stop comes while a request for IDLE
+        waits for the end of its ramp.
         """
         self._request(Mode.MOVING)
         until(lambda: abs(self._speed) > ONWARD_MPS)
@@ -90,7 +91,7 @@ class Witness:
                 self._zero_ns = at_ns
 
     def _request(self, mode: Mode) -> None:
-        """Ask until the robot is in that mode: a request may be refused, or lost in a flood."""
+        """Request `mode` until the robot is in it: a request may be refused, or lost in a flood."""
         until(lambda: self._reaches(mode))
 
     def _reaches(self, mode: Mode) -> bool:

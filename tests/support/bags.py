@@ -34,7 +34,7 @@ _LITTLE_ENDIAN: Final = b"\0\1\0\0"
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One message of a recording; `at_ms` after START_NS."""
+    """One message of a recording; its log time is `at_ms` after START_NS."""
 
     topic: str
     type_name: str
@@ -81,7 +81,7 @@ def status(at_ms: float, mode: int) -> Line:
 
 
 def talk(topic: str, count: int, period_ms: float = 5.0, **fields: str) -> list[Line]:
-    """Return `count` strings on a topic, at a steady rate."""
+    """Return `count` strings on a topic, one each `period_ms`."""
     return [
         Line(topic, STRING, number * period_ms, text(f"{topic} {number}"), **fields)
         for number in range(count)
@@ -94,12 +94,12 @@ def in_order(*topics: list[Line]) -> list[Line]:
 
 
 def data(lines: list[Line]) -> list[bytes]:
-    """Return the messages of lines."""
+    """Return the serialized message of each line."""
     return [line.data for line in lines]
 
 
 def write_bag(path: Path, lines: Iterable[Line], *, chunk_bytes: int = 1 << 20) -> Path:
-    """Write a file with the messages in this order; return its path."""
+    """Write an MCAP file with the messages in this order; return its path."""
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=chunk_bytes)
         writer.start("ros2")

@@ -13,7 +13,7 @@ Test = Callable[..., None]
 def for_each(names: str | tuple[str, ...], cases: Iterable[Any]) -> Callable[[Test], Test]:
     """Call a test with each case, as `pytest.mark.parametrize` does, but as one test.
 
-    An error names the case. For tests without fixtures: what they leave behind meets the next case.
+    An error names the case. For tests without fixtures: a fixture would be the same for all cases.
     """
     keys = (names,) if isinstance(names, str) else names
     listed = list(cases)

@@ -1,4 +1,4 @@
-"""Recordings of drives that a test changes and checks."""
+"""Journals of simulated drives, which a test changes, records and checks."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def checked(folder: Path, written: list[Written], version: str = __version__) ->
 
 
 def rechained(written: list[Written]) -> list[Written]:
-    """Return the journal with the CRC of each snapshot computed anew."""
+    """Return the journal with the CRC of each snapshot computed again."""
     again: list[Written] = []
     crc: int | None = None
     for each in written:
@@ -105,7 +105,7 @@ def _proof_of(snapshot: JournalEntry) -> int | None:
 
 
 def altered(written: list[Written], name: str, old: str, new: str) -> tuple[list[Written], int]:
-    """Return the journal with the last entry of that name changed, and its number."""
+    """Return the journal, and the number of its last entry `name` with `old`, which gets `new`."""
     changed = list(written)
     for position in range(len(changed) - 1, -1, -1):
         each = changed[position]
@@ -118,19 +118,19 @@ def altered(written: list[Written], name: str, old: str, new: str) -> tuple[list
 RESULTS = ".gate"
 
 here = partial(judge_here, processes=local_threads)
-"""The engine of a gate in this process."""
+"""The engine for `judge_all` that judges in threads of this process."""
 
 
 def judged(
     folder: Path, baseline: Baseline | None = None, settings: Mapping[str, str] | None = None
 ) -> GateReport:
-    """Judge all recordings of a folder; results are kept there."""
+    """Judge all recordings of a folder, and store the results in it."""
     store = ResultStore(folder / RESULTS)
     return judge_all(recordings_in(folder), store, settings or {}, baseline or Baseline(), here)
 
 
 def wrong(written: list[Written], to: str = "0.0") -> list[Written]:
-    """Return a drive with another last command: the kernel decides differently from there on."""
+    """Return a drive with another last command, from which a check differs."""
     return altered(written, "PublishTwist", '"linear":0.', f'"linear":{to}')[0]
 
 
@@ -139,7 +139,7 @@ CIRCLE = Pattern(PatternKind.CIRCLE, 0.3)
 
 
 def make_history(folder: Path) -> list[Path]:
-    """Make the recordings in a folder."""
+    """Record each drive of `_histories` below a folder; return the recordings."""
     return [
         record(folder / name, written, config=FENCED if name == "fence" else None)
         for name, written in _histories().items()

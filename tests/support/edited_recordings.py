@@ -36,7 +36,7 @@ class Stored:
 
 @dataclass(slots=True)
 class Contents:
-    """What a file holds: messages in the order of writing, and metadata records in their order."""
+    """The contents of a file: messages and metadata records, both in file order."""
 
     library: str
     types: list[tuple[Channel, Schema]]
@@ -49,7 +49,7 @@ class Contents:
         self.counts = Counter(each.topic for each in self.messages)
 
     def lose(self, topic: str, count: int) -> None:
-        """Count more losses of a topic in the ledger."""
+        """Add `count` to the lost messages of a topic in the ledger."""
         for name, values in self.metadata:
             if name == LEDGER_RECORD:
                 counts = json.loads(values[topic])
@@ -68,7 +68,7 @@ class Contents:
         return edited
 
     def copy(self) -> Contents:
-        """Return a copy; messages are immutable."""
+        """Return a copy that can be edited; both share the messages, which are immutable."""
         metadata = [(name, dict(values)) for name, values in self.metadata]
         copied = replace(self, messages=list(self.messages), metadata=metadata)
         copied.counts = self.counts
@@ -76,14 +76,14 @@ class Contents:
 
 
 def stored(channel: Channel, message: Message) -> Stored:
-    """Return a message as the mcap package reads it."""
+    """Return a message that the mcap package has read."""
     return Stored(
         channel.topic, message.data, message.log_time, message.publish_time, message.sequence
     )
 
 
 def contents_of(path: Path) -> Contents:
-    """Return what a file holds."""
+    """Return the contents of a file."""
     with path.open("rb") as stream:
         reader = make_reader(stream)
         library = reader.get_header().library
@@ -143,7 +143,7 @@ def _add_topic(mcap: McapFile, number: int, channel: Channel, schema: Schema) ->
 
 
 def _adjusted(ledger: dict[str, str], before: Counter[str], found: Counter[str]) -> dict[str, str]:
-    """Return the ledger for other numbers of messages, as a careful forger leaves it."""
+    """Return the ledger with the counts of the messages that are written now."""
     adjusted = {}
     for topic, text in ledger.items():
         counts, more = json.loads(text), found[topic] - before[topic]
@@ -154,7 +154,7 @@ def _adjusted(ledger: dict[str, str], before: Counter[str], found: Counter[str])
 
 
 def recorded(folder: Path, written: list[Written]) -> Contents:
-    """Return what a recording of `written` holds."""
+    """Record `written`, and return the contents of the file."""
     (file,) = record(folder, written).glob("*.mcap")
     return contents_of(file)
 
@@ -162,9 +162,9 @@ def recorded(folder: Path, written: list[Written]) -> Contents:
 def edit(
     contents: Contents, topic: str, change: Callable[[int, Stored], Stored | None]
 ) -> Contents:
-    """Return the contents with each message of a topic changed, or removed where it is None.
+    """Return the contents with each message of a topic replaced by what `change` returns.
 
-    `change` gets the position of the message among those of its topic.
+    `change` gets the position of the message in its topic, and the message; None removes it.
     """
     edited, position = contents.copy(), -1
     edited.messages = []

@@ -1,4 +1,4 @@
-"""Recordings of simulated drives with the messages that the kernel heard, made without ROS."""
+"""Recordings of simulated drives with the messages that the kernel received, made without ROS."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ _CLIENT = b"\x01" * 16
 
 
 def received(number: int, requested: int | None) -> bytes:
-    """Return the event of a call; None requests nothing, as `estop` does."""
+    """Return a service event: request `number` for a mode, None for `estop`."""
     head = _HEAD.pack(ENCAPSULATION, 1, 0, 0, _CLIENT, number)
     return head + struct.pack("<IBxxxI", 1, requested or 0, 0)
 
 
 def sent(number: int, ok: bool, text: str, mode: int | None) -> bytes:
-    """Return the event of a response; `mode` is None for `estop`."""
+    """Return a service event: the response to request `number`; `mode` is None for `estop`."""
     head = _HEAD.pack(ENCAPSULATION, 2, 0, 0, _CLIENT, number)
     message = text.encode() + b"\0"
     data = head + struct.pack("<IIBxxxI", 0, 1, ok, len(message)) + message
@@ -67,7 +67,7 @@ def heard_drive(
     snapshots_s: Iterable[float] = (0.0,),
     config: Config | None = None,
 ) -> Contents:
-    """Return what a recording of a drive holds, with odometry and battery levels."""
+    """Return the contents of a recorded drive, with all messages that a check compares."""
     config = config or Config()
     kernel = HearingKernel(config)
     asked = [drive_requested()] if requests is None else requests
@@ -95,7 +95,7 @@ def status(mode: int, level: float, name: bytes = b"robot", *, is_connected: boo
 
 
 def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> Contents:
-    """Add what was heard and shown, each message a few entries late, as the recorder does."""
+    """Add received and published messages, each a few entries late, as the recorder does."""
     _add_topic(contents, BATTERY, "sensor_msgs/msg/BatteryState")
     if (SCAN, 1) in heard:
         _add_topic(contents, SCAN, "sensor_msgs/msg/LaserScan")
@@ -145,21 +145,21 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
 
 
 def _topic_of(name: str, values: dict[str, Any]) -> str | None:
-    """Return the topic of the message that became an event, None if none did."""
+    """Return the topic of the message that caused an event, None if no message did."""
     if name == "SafetyInputReceived":
         return SAFETY_TOPICS[SafetyInput(values["kind"])]
     return _TOPICS.get(name)
 
 
 class _Calls:
-    """The calls of the services, as far as the journal tells of them."""
+    """Makes the service events of the calls that the journal contains."""
 
     def __init__(self) -> None:
         self._open: dict[int, str] = {}
         self._counts = Counter[str]()
 
     def of(self, name: str, values: dict[str, Any], log_ns: int) -> Iterator[Stored]:
-        """Yield the service event that belongs to an entry, if one does."""
+        """Yield the service event of a journal entry, if the entry has one."""
         number = values.get("request_id", 0)
         if name == "ModeRequested" and values["source"].startswith("the ROS service "):
             topic = f"{values['source'].removeprefix('the ROS service ')}/_service_event"

@@ -1,4 +1,4 @@
-"""A peer that creates publishers past rcl, with any bytes as names."""
+"""A peer that creates publishers without rcl, so that their names can be any bytes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _FIND = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)
 
 class Hostile:
     def __init__(self) -> None:
-        self.node = Node(f"hostile_{os.getpid()}")  # an ended one stays listed for a while
+        self.node = Node(f"hostile_{os.getpid()}")  # the graph lists an ended node for a while
         self._rmw = ctypes.CDLL("librmw_fastrtps_cpp.so")
         self._kept: list[Any] = []
         self._introducer = 0
@@ -55,7 +55,7 @@ class Hostile:
         self._create(f"rt{topic}", support, latched=False)
 
     def rename(self, name: str, namespace: str) -> None:
-        """Announce that our publishers belong to a node of that name (in Latin-1)."""
+        """Announce that our publishers belong to a node with this name and namespace (Latin-1)."""
         info = message_class("rmw_dds_common/msg/ParticipantEntitiesInfo")
         if not self._introducer:
             support = self._support(info, b"")
@@ -79,7 +79,7 @@ class Hostile:
         assert code == 0
 
     def _support(self, kind: Any, type_name: bytes) -> int:
-        """Return the type support of a message, under another type name for the middleware."""
+        """Return the address of `kind`'s type support, renamed for Fast DDS unless "" is given."""
         check_for_type_support(kind)
         real = _TypeSupport.from_address(_pointer(kind._TYPE_SUPPORT))
         find = _FIND(real.func)

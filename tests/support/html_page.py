@@ -1,4 +1,4 @@
-"""Reads an HTML page as a browser without a network would, and finds what is wrong with it."""
+"""Parses an HTML page that must work without a network, and lists its errors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ REFERENCES = {"src", "href", "srcset", "action", "data", "poster", "xlink:href"}
 
 
 class HtmlPage(HTMLParser):
-    """The elements, ids, references and texts of a page; `wrong` says what no page may have."""
+    """The elements, ids, references and texts of a page; `wrong` has a sentence for each error."""
 
     def __init__(self, text: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -31,7 +31,7 @@ class HtmlPage(HTMLParser):
         self.wrong += [f"refers to {each}" for each in self.references if each[:1] != "#"]
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Take the begin of an element."""
+        """Record the beginning of an element."""
         self.tags[tag] += 1
         for name, value in attrs:
             self.attributes.add(name)
@@ -45,10 +45,10 @@ class HtmlPage(HTMLParser):
             self._open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
-        """Take the end of an element."""
+        """Check the end of an element."""
         if not self._open or self._open.pop() != tag:
             self.wrong.append(f"</{tag}> closes another element")
 
     def handle_data(self, data: str) -> None:
-        """Take a text."""
+        """Add a text to its section."""
         self.sections[self._section] = self.sections.get(self._section, "") + f" {data}"

@@ -1,4 +1,4 @@
-"""What a test file must leave as it found it, because the next file runs in the same process."""
+"""The state of the process that a test file must restore, as the next file runs in it, too."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from obstore.store import MemoryStore
 from robotctl.base.store.bucket import requests
 
 Surroundings = Mapping[str, str]
-"""What was found, by what and where it is: `environ HOME` -> `/root`."""
+"""A snapshot of that state: its kind and name to its value, as `environ HOME` -> `/root`."""
 
 SETTLING_S: Final = 3.0
-"""How long a thread, child or descriptor of the last test may need to end."""
+"""How long a thread, child or descriptor of a file's last test may need to end."""
 
 PURE: Final[Collection[str]] = {
     *("_aligned", "_eventfd_write", "_hash_of", "_installed_hash", "_kinds", "_libc"),
@@ -35,7 +35,7 @@ PURE: Final[Collection[str]] = {
     *("free_beside_m", "function", "installed_type", "kernel_leaves", "library", "message_class"),
     *("path_of", "serialized_type", "software", "software_hash"),
 }
-"""Caches whose values follow from their arguments, the code and the installed packages alone."""
+"""Caches that no test can spoil: the values depend only on arguments, code and packages."""
 
 ALLOWED: Final[Mapping[str, str]] = {
     r"environ PYTEST_CURRENT_TEST": "pytest sets it",
@@ -76,7 +76,7 @@ def differences(before: Surroundings, after: Surroundings) -> list[str]:
 
 
 def start_once() -> None:
-    """Start what a process starts once and keeps, before the first file."""
+    """Start threads and sockets that libraries start once and keep, before the first file."""
 
     async def ask() -> None:
         await list_with_delimiter_async(MemoryStore())  # starts the threads of the library
@@ -119,7 +119,7 @@ class FileSurroundings:
     def pytest_fixture_setup(
         self, fixturedef: pytest.FixtureDef[object]
     ) -> Generator[None, object, object]:
-        """Count what a fixture of the whole run starts as found by the file that uses it first."""
+        """Add what a session fixture starts to the snapshot of the file that uses it first."""
         if fixturedef.scope != "session":
             return (yield)
         before = surroundings()

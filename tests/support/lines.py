@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def peer_command(module: str, *arguments: str) -> list[str]:
-    """Return the command that runs a module of `tests`, given by its full name, from any folder."""
+    """Return the command that runs `module`, such as `tests.support.ros_peer`, in any folder."""
     run = f"import runpy; runpy.run_module('{module}', run_name='__main__')"
     return [
         sys.executable,
@@ -79,7 +79,7 @@ class Told:
 
 
 def obey(target: object) -> None:
-    """Be the process: for each line, call the method of `target` that "do" names."""
+    """Run in the process: call the methods of `target` that lines of stdin name, print results."""
     print("ready", flush=True)
     for line in sys.stdin:
         request = json.loads(line)

@@ -106,7 +106,7 @@ def record_up_to_file_size(folder: Path, limit: int, result: Connection) -> None
 
 
 def record_without_memory(folder: Path, result: Connection) -> None:
-    """Record large messages in little address space; send failures, number and final counts."""
+    """Record large messages with 12 MB of free address space; send failures and counts."""
     failures: list[str] = []
     recorder = Recorder(folder, on_failure=failures.append)
     channel = recorder.add_topic(TWIST)
@@ -126,7 +126,7 @@ CHUNK_BYTES = 1024
 
 
 def recorded(folder: Path, count: int, **options: Any) -> Path:
-    """Write a recording with `count` messages by robotctl."""
+    """Write a recording with `count` messages by robotctl's recorder; return its last file."""
     recorder = Recorder(
         folder, RecorderOptions(**{"chunk_bytes": CHUNK_BYTES, **options}), on_failure=print
     )
@@ -137,7 +137,7 @@ def recorded(folder: Path, count: int, **options: Any) -> Path:
 
 
 def foreign(path: Path, count: int, **options: Any) -> Path:
-    """Write a file by the writer of the mcap package."""
+    """Write a file by the writer of the mcap package; return its path."""
     with path.open("wb") as stream:
         writer = Writer(stream, **{"chunk_size": CHUNK_BYTES, **options})
         writer.start(profile="ros2", library="somebody")
@@ -169,11 +169,11 @@ class Forger:
         self._key = SigningKey(bytes(SEED_BYTES))
 
     def open_file(self, file: str) -> SealOfFile:
-        """Claim to be the original."""
+        """Return a seal with the opening of the original, and another signing key."""
         return SealOfFile(self._opening, self._key.sign)
 
     def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
-        """Keep nothing: the robot's list of heads is out of reach."""
+        """Do nothing: a forger cannot write the robot's journal of decisions."""
 
 
 def keyring(folder: Path, robot: str = "robot") -> Keyring:
@@ -185,7 +185,7 @@ def keyring(folder: Path, robot: str = "robot") -> Keyring:
 def record_sealed(
     folder: Path, sealer: Sealer, *, splits: int = 0, compression: Compression = Compression.ZSTD
 ) -> list[Path]:
-    """Record messages in several files; return them."""
+    """Record messages in `splits` + 1 sealed files; return the files."""
     options = RecorderOptions(sealer=sealer, compression=compression, chunk_bytes=1 << 12)
     recorder = Recorder(folder, options, metadata=lambda: {"robot": "robot"}, on_failure=print)
     channel = recorder.add_topic(TWIST)

@@ -1,4 +1,4 @@
-"""Peers of plain rclpy with one role each, every one in a process of its own."""
+"""Peers of plain rclpy with one role each; each peer runs in a separate process."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from tests.support.ros_peer import NodePeer, fields, run_peer
 from tests.support.waiting import DEADLINE_S, until
 
 GOALS = QoSProfile(depth=1_500)
-"""For the answers to a flood; the default of rclpy keeps 10."""
+"""The depth for the answers to a flood of goals; the default of rclpy is 10."""
 
 STATUS = {
     getattr(GoalStatus, f"STATUS_{name}"): name
@@ -76,11 +76,11 @@ class ActionPeer(NodePeer):
         return list(self.feedback[number])
 
     def cancel(self, number: int) -> int:
-        """Cancel a goal; return the number of goals that are cancelled."""
+        """Request to cancel a goal; return the number of goals that are cancelled."""
         return len(self._answer(self.sent[number].cancel_goal_async).goals_canceling)
 
     def result(self, number: int) -> dict[str, Any]:
-        """Wait for the result of a goal."""
+        """Wait for the result of a goal; return its status and fields."""
         response = self._answer(self.sent[number].get_result_async)
         return {"status": STATUS[response.status], **fields(response.result)}
 
@@ -88,7 +88,7 @@ class ActionPeer(NodePeer):
         self.client.destroy()
 
     def begin_flood(self, count: int) -> None:
-        """Send many goals at once."""
+        """Send `count` goals without waiting for answers."""
         assert self.client.wait_for_server(DEADLINE_S), "no such action"
         self.flood = self._in_executor(
             lambda: [self.client.send_goal_async(_goal({})) for _ in range(count)]
@@ -106,9 +106,9 @@ class ActionPeer(NodePeer):
         return future.result()
 
     def _in_executor(self, ask: Callable[[], Any]) -> Any:
-        """Call `ask` in the thread of the executor.
+        """Call `ask` in the thread of the executor, and return its result.
 
-        rclpy notes a request after it was sent: elsewhere the answer may come before, and is lost.
+        rclpy registers a request after sending it: elsewhere an answer between both is lost.
         """
         executor = self.node.executor
         assert executor is not None
@@ -122,7 +122,7 @@ def _goal(values: dict[str, Any]) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """Return nan for the text "nan", which JSON has no number for."""
+    """Return a float for "nan" and "inf", which JSON has no numbers for, else the value."""
     return float(value) if value in ("nan", "inf") else value
 
 
@@ -144,7 +144,7 @@ class LifecyclePeer(NodePeer):
         return bool(self._ask(ChangeState, "/mode_service/change_state", request).success)
 
     def machine(self) -> list[list[str]]:
-        """Return the labels of all states, of the transitions of this state, and of all."""
+        """Return three lists of labels: all states, transitions of this state, all transitions."""
         states = self._ask(
             GetAvailableStates, "/mode_service/get_available_states", GetAvailableStates.Request()
         )
@@ -156,7 +156,7 @@ class LifecyclePeer(NodePeer):
         return found
 
     def zeros(self) -> int:
-        """Wait for some commands; return how many are zero, -1 if one is not."""
+        """Wait for three commands; return how many came, -1 if any is not zero."""
         heard: list[float] = []
 
         def hear(message: Any) -> None:
@@ -193,7 +193,7 @@ class MuxPeer(NodePeer):
         self.node.destroy_timer(self._planning)
 
     def mux(self, lock: str, wanted: str) -> None:
-        """Take a latched Bool as a lock, and pass on what is wanted while it is open."""
+        """Subscribe to a latched Bool as the lock, and to the velocities that it lets pass."""
         # rclpy's types allow callbacks of one argument only.
         take_lock: Any = self._take_lock
         take: Any = self._take
@@ -201,7 +201,7 @@ class MuxPeer(NodePeer):
         self.node.create_subscription(Twist, wanted, take, 10)
 
     def state(self) -> dict[str, Any]:
-        """Return what the lock says, None before its first message, and what was passed on."""
+        """Return the value of the lock, None before its first message, and the passed count."""
         return {"locked": self.locked, "passed": self.passed}
 
     def _take_lock(self, message: Any) -> None:
@@ -256,7 +256,7 @@ class ParameterPeer(NodePeer):
         return [parameter_value_to_python(value) for value in values]
 
     def describe(self, node: str, key: str) -> dict[str, Any]:
-        """Return what a node says about a key."""
+        """Return a node's description of a key."""
         (told,) = self._done(self._client(node).describe_parameters([key])).descriptors
         limits = [*told.floating_point_range, *told.integer_range]
         return {
@@ -268,7 +268,7 @@ class ParameterPeer(NodePeer):
         }
 
     def set(self, node: str, values: dict[str, Any], atomically: bool = False) -> Any:
-        """Set keys; return for each whether that was granted, and the reason why not."""
+        """Set keys; return for each, or once if `atomically`, the success and the reason."""
         parameters = [Parameter(key, value=value) for key, value in values.items()]
         if atomically:
             result = self._done(self._client(node).set_parameters_atomically(parameters)).result
@@ -287,7 +287,7 @@ class ParameterPeer(NodePeer):
         return [each.level for each in answer.levels]
 
     def set_levels(self, node: str, levels: dict[str, int]) -> list[tuple[bool, str]]:
-        """Set the levels of loggers; return for each whether that was granted, and why not."""
+        """Set the levels of loggers; return for each the success and the reason."""
         wanted = [LoggerLevel(name=name, level=level) for name, level in levels.items()]
         request = SetLoggerLevels.Request(levels=wanted)
         answer = self._ask(SetLoggerLevels, f"{node}/set_logger_levels", request)
@@ -314,7 +314,7 @@ COMMANDS = {"Twist": Twist, "TwistStamped": TwistStamped}
 
 
 class StubBase(NodePeer):
-    """A robot's base: it takes commands, and tells odometry and battery."""
+    """A robot's base: it follows commands, and publishes odometry and battery."""
 
     def __init__(self) -> None:
         self.node = Node("stub_base")
@@ -333,9 +333,9 @@ class StubBase(NodePeer):
         deadband_mps: float = 0.0,
         timeout_s: float | None = None,
     ) -> None:
-        """Be a base; topic, type and QoS of the command; topic, QoS and rate [Hz] of the others.
+        """Begin. `command`: topic, type, QoS; `odometry`, `battery`: topic, QoS, rate [Hz], level.
 
-        It follows with a lag, no speed below the deadband, and stops at its timeout, if any.
+        The base follows with a lag, ignores speeds below the deadband, and stops at its timeout.
         """
         self._lag_s, self._deadband_mps = lag_s, deadband_mps
         self._timeout_s = math.inf if timeout_s is None else timeout_s
@@ -353,7 +353,7 @@ class StubBase(NodePeer):
             self.node.create_timer(1.0 / rate_hz, lambda: self._battery.publish(message))
 
     def driven(self) -> dict[str, Any]:
-        """Return where it is [m], and the frames of the commands it took."""
+        """Return the position [m] of the base, and the frames of the received commands."""
         x, y, _ = self._pose
         return {"x": x, "y": y, "frames": sorted(self.frames)}
 

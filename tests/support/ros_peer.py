@@ -1,4 +1,4 @@
-"""A peer on the graph: plain rclpy in a process of its own, which executes commands."""
+"""A peer on the graph: plain rclpy in a separate process, which executes a test's commands."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from tests.support.waiting import DEADLINE_S, until
 
 
 class NodePeer:
-    """A peer; its public methods are its commands."""
+    """A peer; a test calls its public methods through `lines.Told`."""
 
     node: Node
 
     def end(self) -> None:
-        """Destroy what the node does not."""
+        """Destroy what `destroy_node` leaves."""
 
     def _ask(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service, and return its response."""
@@ -51,7 +51,7 @@ def fields(message: Any) -> dict[str, Any]:
 
 
 def run_peer(make: Callable[[], NodePeer]) -> None:
-    """Be the process of a peer until its commands end."""
+    """Run the process of a peer until stdin is closed."""
     rclpy.init(args=[])
     peer = make()
     with spinning(peer.node):
@@ -96,7 +96,7 @@ BEST_EFFORT = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT
 
 
 class Peer(NodePeer):
-    """Does what most tests of a daemon need of another node."""
+    """The other node of most tests of a daemon: it subscribes, publishes and calls services."""
 
     def __init__(self) -> None:
         self.node = Node("somebody_else")
@@ -112,7 +112,7 @@ class Peer(NodePeer):
         self._planner: Any = None
 
     def listen(self, namespace: str = "") -> None:
-        """Keep the messages of the daemon: sequence number and content."""
+        """Subscribe to the daemon's topics and /odom; `heard` returns what was received."""
 
         def command(message: Any, info: Any) -> None:
             number = info["publication_sequence_number"]
@@ -133,7 +133,7 @@ class Peer(NodePeer):
         self._subscribe(String, marks, lambda message: self.marks.append(message.data), DEEP)
 
     def heard(self) -> dict[str, Any]:
-        """Return all messages that were kept."""
+        """Return all received commands, statuses and marks, and the last speed."""
         return {
             "commands": self.commands,
             "statuses": self.statuses,
@@ -164,7 +164,7 @@ class Peer(NodePeer):
         return fields(self._asked[number].result())
 
     def flood(self, count: int, in_flight: int) -> dict[str, int]:
-        """Call every service many times, a number of calls at once; return the results."""
+        """Call both services `count` times, up to `in_flight` calls at once; return the counts."""
         kinds = [("set_mode", mode) for mode in (0, 1, 2, 3, 7)] + [("estop", 0)]
         stops: list[Any] = []
         others: list[Any] = []
@@ -210,7 +210,7 @@ class Peer(NodePeer):
     def command_and_go(self, linear: float, namespace: str = "") -> int:
         """Publish one command once there is a subscriber, then destroy the publisher.
 
-        Returns the steady time [ns] just before the command was sent.
+        Return the monotonic time [ns] just before the command was sent.
         """
         publisher = self.node.create_publisher(Twist, f"{namespace}/cmd_vel", DEEP)
         until(lambda: publisher.get_subscription_count() >= 2)  # robot and recorder
@@ -270,7 +270,7 @@ class Peer(NodePeer):
             self._pressing = self.node.create_timer(0.02, lambda: publisher.publish(self._gamepad))
 
     def plan(self, topic: str, points: list[list[float]], frame: str) -> None:
-        """Publish a path, also to those who listen later."""
+        """Publish a path, latched for later subscribers."""
         path = Path()
         path.header.frame_id = frame
         for x, y in points:
@@ -286,7 +286,7 @@ class Peer(NodePeer):
         self._publish_and_go(publisher, UInt8MultiArray(data=array("B", bytes(size))))
 
     def _publish_and_go(self, publisher: Any, *messages: Any) -> None:
-        """Publish once there is a subscriber, and destroy the publisher once it has all."""
+        """Publish once there is a subscriber; destroy the publisher when all is acknowledged."""
         until(publisher.get_subscription_count)
         for message in messages:
             publisher.publish(message)

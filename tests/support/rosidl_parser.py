@@ -1,6 +1,6 @@
-"""Imports the old parser of the interface generators before warnings are errors.
+"""Imports rosidl_generator_py, whose old parser causes warnings, while warnings are no errors.
 
-Where the generators are installed, rclpy imports it with the first type support.
+Where it is installed, rclpy imports it with the first type support.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Stores of objects for tests: in memory, S3 that fails as a test wants, and a real S3 server.
+"""Stores of objects for tests: in memory, an S3 bucket with chosen faults, and an S3 server.
 
-`MemoryStore` is an `ObjectStore`. `FaultyBucket` counts what it is asked.
+`MemoryStore` is an `ObjectStore`. `FaultyBucket` counts its requests.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from robotctl.base.store.objects import (
 
 
 def works(request: str, key: str) -> None:
-    """Let every request succeed."""
+    """Do nothing, so that the request succeeds."""
 
 
 NO_STAMP = Stamp()
@@ -123,7 +123,7 @@ class Stored(bytes):
 
 
 class Moved(bytes):
-    """What is answered for an object that is elsewhere: its new path."""
+    """The path to which a request for a moved object is redirected."""
 
     def __new__(cls, path: str) -> Moved:
         return super().__new__(cls, path.encode())
@@ -157,15 +157,15 @@ Content = Stored | Moved | StoredFile
 
 @dataclass
 class FaultyBucket:
-    """The bucket `robots`; all fields may be changed while it serves."""
+    """The bucket `robots`; all fields may be changed while the server runs."""
 
     endpoint: str = ""
     objects: dict[str, Content] = field(default_factory=dict)
     failing_share: float = 0.0
-    """Of requests that are answered with HTTP status 503."""
+    """The share of requests that get HTTP status 503."""
 
     short_share: float = 0.0
-    """Of answers that break off in the middle."""
+    """The share of responses that end in the middle of their body."""
 
     lying_size: int | None = None
     """The size that all objects claim to have."""
@@ -177,11 +177,11 @@ class FaultyBucket:
     requests: int = 0
     at_once: int = 0
     most_at_once: int = 0
-    """Requests that waited for their answer at the same time."""
+    """The most requests that waited for their response at the same time."""
 
     sent_bytes: int = 0
     authorizations: set[str] = field(default_factory=set)
-    """The headers with which requests were signed."""
+    """The Authorization headers of all requests."""
 
     seed: int = 1
 
@@ -269,7 +269,7 @@ class _Handler(BaseHTTPRequestHandler):
         return path.removeprefix("/robots").removeprefix("/")
 
     def _failed(self, key: str) -> bool:
-        """Count a request; answer it if it has to fail."""
+        """Count a request, and respond if it has to fail; return whether it failed."""
         bucket = self.bucket
         with bucket.lock:
             bucket.requests += 1
@@ -335,13 +335,13 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 Application = Callable[[dict[str, Any], Callable[..., Any]], Iterable[bytes]]
-"""A server of WSGI."""
+"""A WSGI application."""
 
 
 class Failing:
-    """Answers a share of the requests, and the first of each kind, with HTTP status 503.
+    """A WSGI application that fails a share of the requests, and the first of each kind.
 
-    Half of those requests are done all the same: only their answer is lost.
+    They get HTTP status 503. Half of them are executed all the same: only the response is lost.
     """
 
     _SHARE: Final = 0.05
@@ -379,7 +379,7 @@ def s3_server(
 ) -> Iterator[str]:
     """Serve S3 on localhost with an empty bucket `robots`; yield the endpoint.
 
-    Once the bucket is there, the requests go to `within` the server.
+    After the bucket was made, `within` may wrap the server's WSGI application.
     """
     from moto.server import ThreadedMotoServer  # importing it takes 0.4 s
 

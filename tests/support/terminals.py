@@ -1,4 +1,4 @@
-"""Command lines on terminals of their own."""
+"""Command lines that run on a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CODE = "from robotctl.cli.app import main; main()"
 
 
 class Terminal:
-    """A command line on its own terminal."""
+    """A command line on a pseudo-terminal; `seen` is what it has drawn since the last `until`."""
 
     def __init__(
         self,
@@ -38,9 +38,9 @@ class Terminal:
         self.seen = ""
 
     def until(self, text: str, again: str = "") -> str:
-        """Wait until the text is drawn, and return what was drawn before it.
+        """Wait until the regular expression `text` is drawn; return what was drawn before it.
 
-        Keys in `again` are pressed once a second: a busy machine may have been a silence.
+        Keys in `again` are pressed each second: on a busy machine, held keys may count as released.
         """
         begin = pressed = time.monotonic()
         while not (found := re.search(text, self.seen)):
@@ -73,7 +73,7 @@ class Terminal:
         raise AssertionError("the process did not end")
 
     def _read(self, seconds: float) -> bool:
-        """Read what is drawn within that time, and return whether there was something."""
+        """Read what is drawn within `seconds`; return whether anything was drawn."""
         drawn = b""
         if self._file < 0:  # the terminal is hung up
             time.sleep(seconds)

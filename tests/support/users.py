@@ -1,4 +1,4 @@
-"""Code in a process of another user, for tests that root runs."""
+"""Runs code in a process of another user, in tests that root runs."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _BECOME = (
 def process_of(
     uid: int, groups: list[int], imports: str, code: str, environment: Mapping[str, str]
 ) -> subprocess.Popen[str]:
-    """Start a process that runs `imports` as root, and then `code` as the user in the groups.
+    """Start a process that runs `imports` as root, and then `code` as the user `uid`.
 
-    The user may have no right to read this checkout.
+    The imports come first, because the user may have no right to read this checkout.
     """
     become = _BECOME.format(uid=uid, gid=uid, groups=groups)
     return subprocess.Popen(

@@ -28,14 +28,14 @@ class Received(NamedTuple):
 
 
 class ViewClient:
-    """A connection; what comes is sorted into lists."""
+    """A connection to a view; it sorts received messages into lists."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self.socket = socket
         self.channels: dict[str, dict[str, Any]] = {}
         """Topic -> its offer."""
         self.said: list[dict[str, Any]] = []
-        """Everything in JSON."""
+        """All received messages in JSON."""
         self.messages: list[Received] = []
         self.responses: list[dict[str, Any]] = []
 
@@ -46,7 +46,7 @@ class ViewClient:
                 self._take(await self.socket.recv())
 
     async def receive_for(self, seconds: float) -> None:
-        """Receive for a time."""
+        """Receive for `seconds`."""
         try:
             async with asyncio.timeout(seconds):
                 while True:
@@ -93,7 +93,7 @@ class ViewClient:
         return [each for each in self.messages if each.subscription == subscription]
 
     def op(self, name: str) -> list[dict[str, Any]]:
-        """Return what was said with this operation."""
+        """Return the received JSON messages with the operation `name`."""
         return [each for each in self.said if each["op"] == name]
 
     def _take(self, received: str | bytes) -> None:
@@ -119,10 +119,10 @@ async def view_client(
     origin: str | None = None,
     headers: Mapping[str, str] | None = None,
 ) -> AsyncIterator[ViewClient]:
-    """Connect for a block.
+    """Connect for a block; yield the client.
 
     Raises:
-        InvalidHandshake: The server refuses it.
+        InvalidHandshake: The server refuses the connection.
     """
     async with connect(
         url,
@@ -144,7 +144,7 @@ STRING = ("std_msgs/msg/String", "string data\n")
 
 
 class Served:
-    """A running server, and where it listens."""
+    """A running server, its port, and the URL with its token."""
 
     def __init__(self, server: ViewServer, port: int) -> None:
         self.server = server

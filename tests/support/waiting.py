@@ -15,7 +15,7 @@ DEADLINE_S: Final = 60.0
 
 
 def until(condition: Callable[[], T]) -> T:
-    """Wait for a condition, and return its first true result."""
+    """Poll a condition, and return its first true result; fail after DEADLINE_S."""
     end = time.monotonic() + DEADLINE_S
     pause_s = 0.005
     while not (answer := condition()):
@@ -33,7 +33,7 @@ def until_longer(items: Sized, count: int) -> None:
 
 
 async def loop_until(condition: Callable[[], object]) -> None:
-    """Wait for a condition while the loop runs."""
+    """Wait for a condition while the asyncio loop runs; fail after DEADLINE_S."""
     async with asyncio.timeout(DEADLINE_S):
         while not condition():  # noqa: ASYNC110 - whatever the condition is
             await asyncio.sleep(0.005)

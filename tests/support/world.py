@@ -1,7 +1,7 @@
 """An isolated environment (a world) for tests with the real daemon.
 
-A world has a folder, a ROS domain, and environment variables that all of its processes inherit. By
-these the processes are found at its end, also after a failed test.
+A world has a folder, a ROS domain, and environment variables that all of its processes inherit.
+The variables identify the processes that are left at its end, also after a failed test.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from tests.support.waiting import DEADLINE_S, until
 
 
 def contradictions(folder: Path, *, may_lack: bool, killed: bool) -> list[str]:
-    """Return the recordings below a folder, also clips, that a check does not call the same.
+    """Check the recordings and clips below a folder; return a line for each wrong verdict.
 
-    They may be incomplete if they `may_lack` something; clips may always, and so may a recording
-    whose daemon was `killed` before its first entry was on the disk.
+    Any recording may be incomplete with `may_lack`; a clip always; and if `killed`, a recording
+    whose daemon was killed before its first journal entry was on the disk.
     """
     recordings = {
         path if path.parent.name == CLIPS_FOLDER else path.parent for path in folder.rglob("*.mcap")
@@ -61,9 +61,9 @@ def contradictions(folder: Path, *, may_lack: bool, killed: bool) -> list[str]:
 
 
 def _decides(report: Report) -> bool:
-    """Return whether a recording is of a daemon that decides: it names its topics.
+    """Return whether a daemon that controls a robot made the recording: its info names topics.
 
-    A clip is none: what it lacks at its cut its source may have.
+    False for a clip, which may be incomplete where it was cut.
     """
     if report.path.parent.name == CLIPS_FOLDER:
         return False
@@ -75,7 +75,7 @@ def _decides(report: Report) -> bool:
 
 
 def installed(name: str) -> str:
-    """The command as pip installs it, or else as colcon does, where `ros2 run` finds it."""
+    """Return the path of a command, as pip installs it, or else as colcon does for `ros2 run`."""
     by_pip = Path(sys.executable).with_name(name)
     if by_pip.exists():
         return str(by_pip)
@@ -92,16 +92,16 @@ battery.timeout_s: 60.0
 recording.index: false
 recording.clip_before_s: 0.0
 """
-"""Time limits that hold even where the machine delays a process; and no process for the files."""
+"""Time limits for a slow machine, without indexes and clips, which need further processes."""
 
 NO_INDEX = ("--ros-args", "-p", "recording.index:=false")
-"""For a start with a configuration of its own."""
+"""Arguments that a `start` with another configuration gets, so that it makes no index."""
 
 INDEXING = "robotctl.collection.indexing:index_job"
 
 
 class Peer(Told):
-    """A second process with plain rclpy (tests.support.ros_peer)."""
+    """Commands a second process with plain rclpy (tests.support.ros_peer)."""
 
     def __init__(self, world: World) -> None:
         command = (*world.inside, *peer_command("tests.support.ros_peer"))
@@ -129,7 +129,7 @@ class World:
             "PYTHONUNBUFFERED": "1",
         }
         self.inside: tuple[str, ...] = ()
-        """What a command line begins with, to run on another host (`Host.inside`)."""
+        """The words that begin a command line to run it on another host (`Host.inside`)."""
 
         self.may_lack = ""
         """Why recordings of this world may be incomplete, "" if they must not."""
@@ -183,7 +183,7 @@ class World:
         return Ran(process.returncode, out, err)
 
     def here(self, *arguments: str) -> Ran:
-        """Run a command line in this process: for the many that only ask, or that are refused."""
+        """Run a command line in this process, which is faster for queries and refused requests."""
         out, err = StringIO(), StringIO()
         with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
             self.enter(patch)
@@ -208,13 +208,13 @@ class World:
         return json.loads(self.ok(*arguments, "--json"))
 
     def status(self, robot: str = "robot") -> Any:
-        """Return the daemon's status, from its socket: tests ask again and again."""
+        """Return the daemon's status from its socket, without a process: tests poll it."""
         with pytest.MonkeyPatch.context() as patch:
             self.enter(patch)
             return call(robot, STATUS)
 
     def enter(self, patch: pytest.MonkeyPatch) -> None:
-        """Give this process the variables of this world, until the patch ends."""
+        """Set the variables of this world in this process, until the patch is undone."""
         for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "ROS_DOMAIN_ID", "COLUMNS"):
             patch.setenv(name, self.environment[name])
 
@@ -237,9 +237,9 @@ class World:
         return found
 
     def kill(self, pid: int, number: int = signal.SIGKILL) -> None:
-        """Kill a process of this world, and remove the shared memory that it leaves behind.
+        """Kill a process of this world, and remove the shared memory that it owned.
 
-        Only its own: it has also mapped what its neighbours own, and they would fall silent.
+        It has also mapped memory of other processes, which would lose messages without it.
         """
         self._killed = True
         own = set()
@@ -255,7 +255,7 @@ class World:
                     path.unlink(missing_ok=True)
 
     def shared_memory(self) -> list[Path]:
-        """Return the ports of this domain that are left in /dev/shm (DDSI-RTPS 9.6.2.3)."""
+        """Return the files in /dev/shm for the ports of this domain (DDSI-RTPS 9.6.2.3)."""
         first = 7400 + 250 * self.domain_id
         ports = range(first, first + 250)
         found = []
@@ -266,7 +266,7 @@ class World:
         return found
 
     def end(self) -> list[str]:
-        """Kill and remove all that is left; return a list of the leftovers.
+        """Kill and remove all that is left; return a line for each leftover and wrong recording.
 
         The process that indexes a closed recording outlives its daemon, and ends by itself.
         """
@@ -299,7 +299,7 @@ InProcess = Callable[..., Any]
 
 @contextmanager
 def new_world() -> Iterator[World]:
-    """Make a world that ends with the block; anything left of it fails the test."""
+    """Make a world that ends with the block; a leftover process, file or wrong recording fails."""
     with reserved_domain() as domain_id:
         made = World(Path(tempfile.mkdtemp(prefix="rd-", dir="/tmp")), domain_id)
         left = ["the test did not end"]
@@ -312,7 +312,7 @@ def new_world() -> Iterator[World]:
 
 
 def read_back(folder: Path) -> dict[str, list[Any]]:
-    """Return topic -> messages of a recording, read by the `mcap` package."""
+    """Read a recording with the `mcap` package; return its messages by topic."""
     from mcap.reader import make_reader
 
     topics: dict[str, list[Any]] = {}
@@ -335,5 +335,5 @@ def entries_of(file: Path) -> list[JournalEntry]:
 
 
 def journal_of(messages: list[Any]) -> list[JournalEntry]:
-    """Return the journal in the order of its own numbers: log times change when a clock is set."""
+    """Return the journal by sequence number: its log times may jump, as when the clock is set."""
     return sorted((decode(message.data) for message in messages), key=lambda entry: entry.seq)
