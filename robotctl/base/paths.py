@@ -114,7 +114,7 @@ def socket_path(robot: str) -> Path:
     """Return the path of the robot's control socket.
 
     Raises:
-        UsageError: The path is too long for a socket.
+        UsageError: The robot's name is not allowed, or the path is too long for a socket.
     """
     path = runtime_folder() / f"{check_robot_name(robot)}.sock"
     if len(os.fsencode(path)) > MAX_SOCKET_PATH_BYTES:

@@ -211,7 +211,7 @@ def outcome_of(
 
 
 def _missing(report: Report) -> list[str]:
-    """Return what could not be checked, except the divergence, which may be repeated there."""
+    """Return `report.missing` without the divergence, which another version repeats there."""
     found = "" if report.divergence is None else report.divergence.sentence()
     sentences = [_OTHER_RULES.sub("", each) for each in report.missing]
     return [each for each in sentences if each != found]

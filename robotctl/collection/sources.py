@@ -34,7 +34,7 @@ REPLACED: Final = (METADATA_FILE, INDEX_FILE)
 """Files that are generated from the data; a newer one replaces an older copy."""
 
 YOUNG_NS: Final = 60 * NS_PER_S
-"""Other recorders lock no file: one without its closing bytes is finished after this time."""
+"""Other recorders lock no file: a file without an end is finished if unchanged for this time."""
 
 OF_THE_SYSTEM: Final = "lost+found"
 """A folder at the top of many disks that only root can read; it is no recording."""
@@ -206,6 +206,7 @@ def stored_recordings(place: str) -> list[OfferedRecording]:
 
     Raises:
         StoreError: The store cannot be listed, or the MCAP file does not exist.
+        UsageError: `place` is not a valid URL, or obstore is not installed.
     """
     above, _, last = place.rstrip("/").rpartition("/")
     if last.endswith(SUFFIX):

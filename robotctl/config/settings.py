@@ -161,7 +161,7 @@ _TEXTS: Final[Mapping[str, tuple[Callable[[str], object], str, str]]] = {
     ),
     "corners": (_are_corners, "3 to 64 corners, such as 0,0 2,0 2,1", ""),
 }
-"""For each kind of text: its check, what is allowed in words, and a phrase if "" is, too."""
+"""For each kind of text: its check, the allowed texts in words, and words for an allowed ""."""
 
 
 def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any]) -> object:

@@ -74,7 +74,7 @@ class DecisionKind(StrEnum):
     """The mode changed: `from`, `to`, `reason`, `cause`; `latched` or `released` for a stop."""
 
     REQUEST = "request"
-    """A request was granted: `asked`, `by`, `answer`, and `because` if the client gave a reason."""
+    """A granted request changed something: `asked`, `by`, `answer`, and `because` (the reason)."""
 
     REFUSED = "refused"
     """A request was refused: the same values as for REQUEST."""
@@ -319,7 +319,7 @@ class LogContent:
     notes: list[str] = field(default_factory=list)
     """Sentences about harmless findings: torn lines, and files that robotctl removed."""
     heads: set[str] = field(default_factory=set)
-    """All digests that recordings may store: of a file up to any line; earlier, of one line."""
+    """All digests that recordings may store: of a file up to any line; of one line (early ones)."""
 
     @property
     def begins_later(self) -> bool:

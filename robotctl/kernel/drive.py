@@ -342,7 +342,7 @@ class Drive:
         return Progress(at.laps + 1, closure_m=at.closure_m)
 
     def _next_lap(self, at: Progress, pose: Pose) -> Drive:
-        """Return the drive on its next lap; on an open path, it starts at the end of the last."""
+        """Return the drive on its next lap; an open path starts again where the last lap ended."""
         end = self.origin if self.path.closed else self.origin.compose(self.path.end)
         drive = self._at(replace(at, closure_m=end.distance(pose)))
         return drive if self.path.closed or drive.finished else replace(drive, origin=end)

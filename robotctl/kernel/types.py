@@ -322,7 +322,7 @@ class CommandPublishersSeen:
 
 @dataclass(frozen=True, slots=True)
 class ForeignCommandHeard:
-    """Another node published a velocity command."""
+    """Another node, `publisher`, published a velocity command."""
 
     t_ns: int
     publisher: str

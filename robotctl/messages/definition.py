@@ -180,8 +180,7 @@ def parse_definition(type_name: str, text: str) -> Definition:
     """Return the definition of a type from its ros2msg text.
 
     Raises:
-        UnreadableType: The text exceeds a limit, a line is no field, a type is missing, or a type
-            contains itself.
+        UnreadableType: The text exceeds a limit, a line is no field, or `_checked` finds a fault.
     """
     if len(text) > MAX_BYTES or len(text.encode(errors="replace")) > MAX_BYTES:
         raise UnreadableType(f"its text is longer than {MAX_BYTES} bytes")

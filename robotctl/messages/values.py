@@ -96,7 +96,7 @@ class Decoder:
         return [self._nested(item, iter(self._read(item, reader))) for _ in range(count)]
 
     def _nested(self, field: Field, values: Iterator[Any]) -> Any:
-        """Return the value of a field; `values` has its leaves, and then those of later fields."""
+        """Return the value of a field; take the field's leaves from the front of `values`."""
         if field.shape is FieldShape.ONE and field.is_message:
             fields = self._definition.types[field.type_name]
             return {each.name: self._nested(each, values) for each in fields}
