@@ -5,7 +5,7 @@ import sys
 
 from robotctl.base.errors import INTERRUPTED_EXIT_CODE
 
-gc.disable()  # until it is ready: imports make no garbage, but collections slow them by 10 %
+gc.disable()  # until the daemon is ready: imports make no garbage, but collections slow them 10 %
 try:
     from robotctl.daemon.startup import main
 

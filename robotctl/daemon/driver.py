@@ -71,7 +71,7 @@ from robotctl.ros.nodes.velocity_publisher import VelocityPublisher, command_top
 _log = logging.getLogger(__name__)
 
 READY_S = 10.0
-"""How long a start waits for what the configuration expects: odometry, battery level, and a
+"""How long a start waits for the configured inputs (odometry, battery, scan, safety inputs) and a
 subscriber of the command. Discovery by Fast DDS takes up to 2.6 s; a robot may still boot."""
 
 

@@ -1,4 +1,4 @@
-"""What both kinds of daemon share: their input (Host), tasks and diagnostics."""
+"""What the two daemons, driver and observer, share: their input (Host), tasks and diagnostics."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Diagnostics:
         self._warnings = warnings
 
     async def run(self) -> None:
-        """Sample and publish once a second, until cancelled."""
+        """Sample the rates and publish both diagnoses once a second, until cancelled."""
         while True:
             self._recorder.sample(self._recorder.stats())
             self.publish()

@@ -153,7 +153,7 @@ class _StderrListener(QueueListener):
         self._stderr = fcntl.fcntl(_STDERR, fcntl.F_DUPFD_CLOEXEC, _STDERR + 1)
         self._reading, self.writing = os.pipe2(os.O_CLOEXEC)
         os.set_blocking(self.writing, False)
-        with suppress(OSError):  # the user's limit of pipe memory is reached: keep a small one
+        with suppress(OSError):  # the user's limit of pipe memory is reached: it stays small
             fcntl.fcntl(self.writing, fcntl.F_SETPIPE_SZ, CAPACITY_BYTES)
         if not stat.S_ISREG(os.fstat(_STDERR).st_mode):
             os.dup2(self.writing, _STDERR)

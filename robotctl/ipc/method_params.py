@@ -36,7 +36,7 @@ Reason = Annotated[str, Meta(max_length=MAX_REASON, pattern=REASON_PATTERN)]
 """The reason for the request, for the journal and the log."""
 
 Token = Annotated[str, Meta(min_length=16, max_length=64)]
-"""The token of a lease."""
+"""The token of a lease: a secret by which its holder is recognized."""
 
 MAX_TURNING_RPS = 20.0
 """The largest allowed value of `limits.angular_rps` [rad/s]."""

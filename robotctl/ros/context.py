@@ -30,8 +30,8 @@ _NO_LOG_FILE: Final = ("--ros-args", "--disable-external-lib-logs")
 an empty one in the user's home, and fail if the home is not writable."""
 
 END_S: Final = 5.0
-"""How long the middleware may take to leave a domain. During discovery, Fast DDS 2.14 may deadlock
-in `DomainParticipant::set_listener` on its own lock, with the GIL held."""
+"""How long `close_context` may take. During discovery, Fast DDS 2.14 may deadlock in
+`DomainParticipant::set_listener` on its own lock, with the GIL held."""
 
 
 def open_context(domain_id: int, remaps: Iterable[str] = ()) -> Context:

@@ -131,7 +131,7 @@ class CommandType:
 
 
 PLAIN = CommandType(TWIST, encode_twist, decode_twist)
-"""geometry_msgs/Twist."""
+"""The command type geometry_msgs/Twist."""
 
 
 def stamped(frame_id: str) -> CommandType:

@@ -72,7 +72,7 @@ def graph_methods(tap: Tap) -> dict[str, Method[Any]]:
 
 
 class StatusSource:
-    """Makes status and start summary; `scheduling` is how Linux schedules the loop's thread."""
+    """Makes the answer of `status` and the summary of a start."""
 
     def __init__(
         self,
@@ -82,7 +82,8 @@ class StatusSource:
         scheduling: str,
         warnings: Warnings,
     ) -> None:
-        """`robot` is None in a daemon that only observes: then `status` has null for its facts."""
+        """`scheduling` is how Linux schedules the loop's thread. `robot` is None in a daemon that
+        only observes: then the facts of the robot are null in `status`."""
         self._options = options
         self.recording = recording
         self._robot = robot

@@ -1,8 +1,8 @@
 """The warnings of `robotctl status`: this module makes or collects all of them, as sentences.
 
-To add a warning, yield its sentence in `of_robot` or `of_recording`: `status`, `record status` and
-`/diagnostics` then show it. A part of the daemon that also logs its warning makes the sentence
-itself; this module calls a function of that part (`PartWarning`) to get it.
+To add a warning, yield its sentence in `of_robot`, or in `of_recording`, which `record status` uses
+too; `status` and `/diagnostics` then show it. A part of the daemon that also logs its warning makes
+the sentence itself; this module calls a function of that part (`PartWarning`) to get it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The one place where events enter the kernel and its effects leave it."""
+"""The one place where events enter the kernel, which makes all decisions, and effects leave it."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from robotctl.recording.format.names import MADE_BY
 
 
 class Journal:
-    """The journal; it passes each entry to `write` in order, serialized as a ROS message."""
+    """The journal of the kernel's events and effects, whose entries are passed to `write`."""
 
     def __init__(
         self, write: Callable[[bytes, int], None], commands: Callable[[], int] = lambda: 0
     ) -> None:
-        """`write(serialized, seq)` is called for each entry; `seq` counts the entries from 0.
+        """`write(serialized, seq)` gets each entry as a ROS message; `seq` counts them from 0.
 
         `commands()` returns how many of the published commands are in the journal already.
         """
@@ -39,7 +39,7 @@ class Journal:
         self._crc = 0
 
     def snapshot(self, t_ns: int, kernel: Kernel) -> None:
-        """Write a snapshot of the kernel, from which a re-run can start."""
+        """Write a snapshot of the kernel, from which a check can repeat the later decisions."""
         proof = Proof(self._commands(), self._crc)
         self.add(t_ns, EntryKind.SNAPSHOT, Snapshot(MADE_BY, kernel.params, kernel.state, proof))
 
@@ -127,7 +127,7 @@ class PendingRequests:
 
 
 SNAPSHOT_PERIOD_NS = 10 * NS_PER_S
-"""The period of snapshots: a re-run up to any time begins at most this long before that time."""
+"""The period of snapshots: to check one decision, no more than this time must be repeated."""
 
 
 class Control:
@@ -195,7 +195,7 @@ class Control:
     def journal_snapshot(self, t_ns: int) -> None:
         """Write a snapshot of the kernel into the journal now, and from now on every 10 s.
 
-        A file that begins with a snapshot can be re-run without the files before it.
+        A file that begins with a snapshot can be checked without the files before it.
         """
         self._snapshot_t_ns = t_ns
         self._journal.snapshot(t_ns, self._kernel)

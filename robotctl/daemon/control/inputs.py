@@ -148,7 +148,7 @@ class Inputs:
         return lambda *values: self._control.dispatch(kind(time.monotonic_ns(), *values))
 
     def guarded_command(self, twist: Twist, publisher: str, sequence: int) -> None:
-        """Handle a velocity command on the guard topic; ignore it unless a guarded motion runs."""
+        """Handle a velocity from a node that steers; ignore it unless a guarded motion runs."""
         if self._control.state.guarded is not None:
             self._control.dispatch(
                 GuardedCommandReceived(time.monotonic_ns(), twist, publisher, sequence)

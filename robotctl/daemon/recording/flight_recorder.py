@@ -76,7 +76,7 @@ class FlightRecorder:
         """Called in the loop when recording has failed, if `on_recorder_failure` is "stop"."""
 
         self.on_file: Callable[[], None] = lambda: None
-        """Called in the loop at each split: a re-run of the next file needs a journal snapshot."""
+        """Called in the loop at each split: a check of the next file needs a journal snapshot."""
 
         self._closing = False
         self._must_record = config.on_recorder_failure == "stop"
@@ -180,7 +180,7 @@ class FlightRecorder:
             self._recorder.write(self._events, event, now_ns, now_ns, 0, UNKNOWN_GID)
 
     def mark(self, text: str, source: str) -> RecordedEvent:
-        """Add a mark with the present time to the recording, and publish it."""
+        """Add a mark (a text with its author and the present time) to the recording; publish it."""
         now_ns = time.time_ns()
         event = RecordedEvent(EventKind.MARK, now_ns, f"{text} [{source}]")
         self._write_mark(self._marks.publish(event.text), now_ns, now_ns, 0, UNKNOWN_GID)

@@ -48,7 +48,7 @@ def provenance() -> dict[str, str]:
     """
     try:
         return dict(_provenance(Path.cwd()))
-    except OSError:  # it was removed
+    except OSError:  # the working folder was removed
         return dict(_provenance(None))
 
 
@@ -152,7 +152,7 @@ SHORT_CHARACTERS: Final = 16
 
 @cache
 def software(package: Path = Path(robotctl.__file__).parent) -> dict[str, str]:
-    """Return the short hash of each module by its name, and under DIGEST one digest of all modules.
+    """Return the short hash of each module of CONTROL_PATH, and under DIGEST one digest of all.
 
     The digest is the SHA-256 of lines `HASH  NAME`, as sha256sum(1) prints them: one for each
     module, ordered by name, with its whole SHA-256. Files are read at the first call only: call it

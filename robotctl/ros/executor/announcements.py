@@ -33,7 +33,7 @@ _RET_UNSUPPORTED = 3
 
 
 class Announcement(Enum):
-    """A kind of data that rcl announces; value: (library, function that sets rcl's callback)."""
+    """A kind of data that rcl announces; the value is (library, C function to set a callback)."""
 
     MESSAGE = ("librcl.so", "rcl_subscription_set_on_new_message_callback")
     REQUEST = ("librcl.so", "rcl_service_set_on_new_request_callback")

@@ -198,7 +198,7 @@ class _Source:
             self._go_to(self._here())
         return values
 
-    # Places
+    # Offsets
 
     def _number(self, format_: str) -> str:
         """Add a number to the run that one `struct` call reads; return the number's variable."""
@@ -241,7 +241,7 @@ class _Source:
         self._line(f"{names}, = {unpack}(data, {self._at} + {self._run_start})")
         self._run_format, self._run_names = "", []
 
-    # Text
+    # Lines and names of the generated code
 
     @contextmanager
     def _repeated(self, count: str) -> Iterator[None]:

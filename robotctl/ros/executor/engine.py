@@ -87,7 +87,7 @@ class Nodes:
         return True
 
     def entities(self) -> dict[Any, Node]:
-        """Return entity -> node for all nodes; remove the nodes that were destroyed."""
+        """Return a dict entity -> node for all nodes; remove the nodes that were destroyed."""
         found: dict[Any, Node] = {}
         for node in self:
             if is_destroyed(node.handle):

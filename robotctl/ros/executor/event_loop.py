@@ -46,7 +46,7 @@ FLOODED_SHARE = 0.1
 to 10 us for each message, that is the case above 10 to 20 kHz."""
 
 FASTEST_TOPIC_HZ = 50_000.0
-"""The highest rate expected of a topic; its queue must hold the messages of one FLOOD_REST_S."""
+"""The highest rate of a topic; a queue needs room for the messages that arrive in a rest."""
 
 POLLS_PER_RATE_CHECK = 32
 """The rate of a subscription is checked after this number of polls."""
@@ -80,7 +80,7 @@ T = TypeVar("T")
 
 
 class _CallingSelector(EpollSelector):
-    """Calls the callbacks of ready watched descriptors, and returns the other ready ones."""
+    """A selector that calls the callback of each ready watched descriptor; returns the others."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -104,7 +104,7 @@ LARGE_BYTES = 1 << 20
 
 KEPT_BYTES = 64 << 20
 """Limit on the buffers above LARGE_BYTES that all takers of the process keep for their next
-message; a buffer beyond it is freed at once."""
+message; a buffer beyond the limit is freed at once."""
 
 
 class SerializedTaker:

@@ -139,7 +139,7 @@ class Replies:
                     blocked = not self._succeeds(each.gid, each.attempt, now_s)
                 except Exception as error:  # noqa: BLE001 - goes to the exception handler
                     self._runtime.report(error, self._where)
-                if blocked:  # for 0.1 s, which is enough for one turn of the loop
+                if blocked:  # the attempt blocked the loop for 0.1 s: no other in this turn
                     self._waiting.append(each)
         if not self._waiting:
             self._paused.clear()

@@ -227,7 +227,7 @@ class SubscriptionSource(_TakenSource):
         took_ns = now - self._rate_checked_ns
         self._rate_checked_ns = now
         if self.pool is None and self._rest_s > 0.0 and took_ns < FLOODED_WITHIN_NS:
-            with suppress(OSError):  # Without a descriptor for a pool it stays as it is.
+            with suppress(OSError):  # No descriptor for a pool: each message still wakes the loop.
                 self.listen(self.runtime.pool(self._rest_s))
         elif self.pool is not None and took_ns > CALM_BEYOND_NS:
             self.listen(None)

@@ -28,7 +28,7 @@ SHUTDOWN_POLLS = 200
 
 
 class WaitSetSource(Source):
-    """The base of sources for whose entities a `WaitSetThread` waits."""
+    """The base of sources whose entities a `WaitSetThread` waits for."""
 
     woken_by = "wait-set thread"
 

@@ -177,7 +177,7 @@ _REQUEST_TYPE = re.compile(r"(\w+)::srv::dds_::(\w+)_Request_|(\w+)::action::dds
 def overview(node: Node) -> dict[str, Any]:
     """Return the names of all topics and services with their types, and the names of all nodes.
 
-    Nodes of `robotctl topic|node|service` commands, including this one, are left out.
+    Nodes of `robotctl topic|node|service` commands are left out.
     `left_out` counts the names beyond MAX_NAMES.
     """
     found: dict[str, list[Any]] = {
@@ -219,7 +219,7 @@ def node_facts(node: Node, name: str) -> dict[str, Any] | None:
                 key: _typed(dict(list_of(node.handle, *extra, base, namespace or "/")))
                 for key, (list_of, extra) in _LISTS.items()
             }
-    except (_rclpy.NodeNameNonExistentError, TypeError, UnicodeDecodeError):  # or not UTF-8
+    except (_rclpy.NodeNameNonExistentError, TypeError, UnicodeDecodeError):  # not UTF-8
         return None
     return {"name": name, **lists}
 

@@ -153,7 +153,7 @@ class DriveAction:
         try:
             reply = await drive.reply
             if not reply.ok:
-                drive.ramp_down()  # it goes on if only the command that began it was not sent
+                drive.ramp_down()  # the drive runs if only its first command could not be sent
                 return self._refuse(handle, self._say(reply))
             while not drive.ended.done():
                 self._publish_feedback(drive, handle)

@@ -74,7 +74,7 @@ class ParameterServices(ParameterService):
 
     def show(self, key: str, value: Any) -> None:
         """Set the parameter that clients see to `value`, set elsewhere; ignore an unknown `key`."""
-        if key not in self._keys or self._asking:  # rclpy itself adopts what it asked for
+        if key not in self._keys or self._asking:  # rclpy stores accepted values itself
             return
         self._showing = True
         try:
@@ -93,7 +93,7 @@ class ParameterServices(ParameterService):
     def _set(self, messages: Sequence[Any]) -> SetParametersResult:
         node = self._get_node()
         for each in messages:
-            if not node.has_parameter(each.name):  # rclpy's own reason names none
+            if not node.has_parameter(each.name):  # rclpy's own text does not name it
                 reason = f"{self._name} has no parameter {printable(each.name[:80])}"
                 return SetParametersResult(successful=False, reason=reason)
         try:
@@ -174,7 +174,7 @@ def set_native_level(name: str, level: int) -> str:
     """Set the level of a logger of rcl or rclpy; return why that failed, or ""."""
     try:
         set_logger_level(name, level, detailed_error=True)
-    except (RuntimeError, TypeError, ValueError) as error:  # TypeError: it is not UTF-8
+    except (RuntimeError, TypeError, ValueError) as error:  # TypeError: not UTF-8
         return str(error)
     return ""
 

@@ -195,10 +195,10 @@ MAX_REMEMBERED = 4096
 
 
 class TypeLoader:
-    """Loads types in daemon threads; used in the loop's thread only.
+    """Loads message types in daemon threads; used in the loop's thread only.
 
-    Any exception that a module raises is the reason why its type cannot be loaded. A load that
-    never ends does not keep the process alive.
+    If the module of a type raises any exception, the type cannot be loaded. A load that never ends
+    does not keep the process alive.
     """
 
     def __init__(self) -> None:
@@ -234,7 +234,7 @@ class TypeLoader:
         return since_s is not None and time.monotonic() - since_s > SLOW_LOAD_S
 
     async def pause(self, at_most_s: float) -> None:
-        """Sleep for `at_most_s` seconds; end early when a load ends and no type is left to load."""
+        """Sleep for `at_most_s` seconds; end early when a load ends and no type waits for one."""
         self._all_loaded.clear()
         with suppress(TimeoutError):
             async with asyncio.timeout(at_most_s):

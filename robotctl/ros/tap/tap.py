@@ -175,11 +175,11 @@ CALM_S = 1.0
 """The time between two looks at the graph while rcl announces no change."""
 
 LOOKS_PER_COUNT = 4
-"""How many looks at the graph there are for each count of a tapped topic's publishers."""
+"""The publishers of a tapped topic are counted once in this number of looks at the graph."""
 
 LOOKS_PER_INSPECTION = 40
-"""How many looks there are for each reading of the publishers' QoS and types, which is repeated
-because one publisher may replace another. Each graph change causes this number of quick looks."""
+"""Once in this number of looks, the QoS and types of a topic's publishers are read again, as one
+publisher may replace another. Each graph change causes this number of quick looks."""
 
 TOPICS_PER_TURN = 50
 """Limit on the topics that are checked in one turn of the loop, so as not to hold up the loop."""
