@@ -77,11 +77,18 @@ def is_ros(name: str) -> bool:
 
 
 @cache
-def rooms() -> dict[str, set[str]]:
-    """Return the table of the page: each room, and what it may import of the others."""
+def rows() -> tuple[tuple[set[str], set[str]], ...]:
+    """Return the table of the page: in each row the rooms, and what they may import of others."""
     layout = PAGE.read_text(encoding="utf-8").split("## Layout", 1)[1].split("\n## ", 1)[0]
-    rows = re.findall(r"^\| `([a-z_.]+)` \| [^|]+ \|([^|]*)\|$", layout, re.MULTILINE)
-    return {room: set(re.findall(r"`([a-z_.]+)`", allowed)) for room, allowed in rows}
+    cells = re.findall(r"^\| (`[a-z_.`, ]+`) \| [^|]+ \|([^|]*)\|$", layout, re.MULTILINE)
+    name = re.compile(r"`([a-z_.]+)`")
+    return tuple((set(name.findall(rooms)), set(name.findall(may))) for rooms, may in cells)
+
+
+@cache
+def rooms() -> dict[str, set[str]]:
+    """Return each room of the page, and what it may import of the others."""
+    return {room: allowed for named, allowed in rows() for room in named}
 
 
 def is_within(module: str, room: str) -> bool:
@@ -124,9 +131,10 @@ def test_the_table_allows_no_more_than_is_used() -> None:
     for name, path in own_modules().items():
         if room := room_of(name):
             used[room] |= own_imports(path)
-    for room, allowed in rooms().items():
-        idle = {each for each in allowed if not any(is_within(one, each) for one in used[room])}
-        assert not idle, f"{room} does not import {idle}"
+    for named, allowed in rows():
+        of_row = set[str]().union(*(used[room] for room in named))
+        idle = {each for each in allowed if not any(is_within(one, each) for one in of_row)}
+        assert not idle, f"{named} does not import {idle}"
 
 
 def test_no_imports_go_in_a_circle() -> None:
@@ -161,7 +169,7 @@ def test_no_folder_has_more_modules_than_one_sees_at_once() -> None:
         assert count <= LARGE_ROOMS.get(folder, MOST_MODULES), f"{folder} has {count} modules"
 
 
-CEILINGS = {"robotctl": (319, 67_445), "tests": (217, 56_418)}
+CEILINGS = {"robotctl": (319, 67_452), "tests": (217, 56_436)}
 """How many files and lines there may be."""
 
 

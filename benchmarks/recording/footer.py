@@ -14,7 +14,7 @@ from pathlib import Path
 from recording.figures import Figure
 
 from robotctl.recording import RecorderOptions, Topic
-from robotctl.recording.disk import Buffer, DiskFile
+from robotctl.recording.format.disk import Buffer, DiskFile
 from robotctl.recording.format.records import MESSAGE_HEAD
 from robotctl.recording.write.bag_writer import RecordingFile
 from robotctl.recording.write.buffer import pack

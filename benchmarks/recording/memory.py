@@ -16,7 +16,7 @@ from recording.live import SMALL, Bench, Load
 from recording.subject import resident_mb
 
 from robotctl.recording import Recorder, RecorderOptions, Topic
-from robotctl.recording.disk import Buffer, DiskFile
+from robotctl.recording.format.disk import Buffer, DiskFile
 
 BOUNDED = "memory with a stuck disk / configured queue, 52 B"
 BOUNDED_LIMIT = 1.05

@@ -18,6 +18,8 @@ from pathlib import Path
 from threading import Thread
 from typing import Final, TypeVar
 
+from robotctl.base.errors import IN_PARENTHESES, RobotctlError
+
 Result = TypeVar("Result")
 
 Processes = Callable[[int], AbstractContextManager[Executor]]
@@ -97,12 +99,20 @@ def local_processes(jobs: int) -> Iterator[Executor]:
 
     The processes ignore Ctrl-C: their parent handles it. They are killed at the end of the block,
     and also if the parent is killed.
+
+    Raises:
+        RobotctlError: The system has no shared memory for them.
     """
-    executor = ProcessPoolExecutor(
-        min(jobs, len(os.sched_getaffinity(0))),
-        mp_context=get_context("spawn"),
-        initializer=_begin_process,
-    )
+    try:
+        executor = ProcessPoolExecutor(
+            min(jobs, len(os.sched_getaffinity(0))),
+            mp_context=get_context("spawn"),
+            initializer=_begin_process,
+        )
+    except OSError as error:
+        cause = f"/dev/shm, which several processes need, fails: {error.strerror}"
+        cure = "make it writable, or give one recording at a time"
+        raise RobotctlError(cause, cure, sentence=IN_PARENTHESES) from None
     try:
         yield executor
     finally:

@@ -55,6 +55,14 @@ All = Annotated[
 ]
 
 
+RecordingFile = Annotated[
+    str,
+    typer.Argument(
+        metavar="FILE", help="An MCAP file, a recording's folder or name, a URL, or `last`."
+    ),
+]
+
+
 def new_app(group: type[TyperGroup] = TyperGroup) -> typer.Typer:
     """Return a typer app without rich, which would add 60 ms to every help screen."""
     return typer.Typer(

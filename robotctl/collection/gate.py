@@ -27,7 +27,7 @@ from robotctl.collection.judgement import (
     totals_of,
 )
 from robotctl.collection.judging import Engine, Judging, ResultStore, judge_here
-from robotctl.recording.disk import replaced_file
+from robotctl.recording.format.disk import replaced_file
 
 MAX_BYTES: Final = 64 << 20
 

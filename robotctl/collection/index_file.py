@@ -23,7 +23,7 @@ from typing import IO, TYPE_CHECKING, Any, ClassVar, Final
 from robotctl.base.errors import Refused, UsageError
 from robotctl.base.files import remove_abandoned
 from robotctl.base.store.objects import is_hash
-from robotctl.recording.disk import is_being_written, replaced_file
+from robotctl.recording.format.disk import is_being_written, replaced_file
 from robotctl.recording.format.names import INDEX_FILE, natural_order
 from robotctl.recording.format.rosbag2 import entries_of
 

@@ -21,7 +21,7 @@ from robotctl.base.files import open_regular
 from robotctl.check.report import Divergence, Report, rounded
 from robotctl.check.run import check_recording
 from robotctl.check.what_if import what_if
-from robotctl.recording.disk import is_being_written
+from robotctl.recording.format.disk import is_being_written
 from robotctl.recording.format.names import MADE_BY
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.read.files import recording_files

@@ -29,7 +29,7 @@ from robotctl.collection.judgement import (
     software_hash,
     software_name,
 )
-from robotctl.recording.disk import replaced_file
+from robotctl.recording.format.disk import replaced_file
 
 MAX_BYTES: Final = 64 << 20
 

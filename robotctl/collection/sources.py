@@ -22,7 +22,7 @@ from robotctl.base.store import open_store
 from robotctl.base.store.objects import ObjectStore, StoredObject, hash_in, without_hashes
 from robotctl.base.text import printable
 from robotctl.kernel.constants import NS_PER_S
-from robotctl.recording.disk import is_locked, reason_of
+from robotctl.recording.format.disk import is_locked, reason_of
 from robotctl.recording.format.names import INDEX_FILE, natural_order
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE

@@ -28,7 +28,7 @@ from robotctl.collection.sources import (
     open_regular_file,
     recording_of,
 )
-from robotctl.recording.disk import reason_of
+from robotctl.recording.format.disk import reason_of
 from robotctl.recording.keep.listing import CLIPS_FOLDER, CatalogFile, CatalogFolder
 from robotctl.recording.keep.retention import (
     RetentionPolicy,

@@ -21,7 +21,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from robotctl.base.errors import UnreadableFile
 from robotctl.base.files import open_regular
 from robotctl.messages.installed import installed_type
-from robotctl.recording.disk import DiskFile, atomic_output
+from robotctl.recording.format.disk import DiskFile, atomic_output
 from robotctl.recording.format.names import (
     CONVERSION_RECORD,
     LEDGER_RECORD,

@@ -37,7 +37,7 @@ from robotctl.decisions.journal import (
     last_file,
     locked,
 )
-from robotctl.recording.disk import open_private
+from robotctl.recording.format.disk import open_private
 from robotctl.recording.format.seal_records import NO_DIGEST, Link, Opening, SealOfFile
 
 SEED_BYTES: Final = 32

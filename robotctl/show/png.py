@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
-from robotctl.recording.disk import replaced_file
+from robotctl.recording.format.disk import replaced_file
 from robotctl.show.figure import Figure, Frame, Label, Point, laid_out
 from robotctl.show.svg import TIME_FRAME, TITLE_HEIGHT, shown
 

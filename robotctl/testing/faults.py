@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from robotctl.recording.disk import Buffer, DiskFile
+from robotctl.recording.format.disk import Buffer, DiskFile
 from robotctl.recording.format.records import MAGIC, RECORD_HEAD
 
 PAGE = 4096

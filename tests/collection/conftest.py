@@ -12,7 +12,7 @@ import pytest
 
 from robotctl.collection.sources import local_recordings
 from robotctl.collection.sync import Synced, copy_recordings
-from robotctl.recording.disk import DiskFile
+from robotctl.recording.format.disk import DiskFile
 from robotctl.testing.drives import drive, record
 from tests.support.stores import MemoryStore
 

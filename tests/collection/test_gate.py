@@ -19,7 +19,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from robotctl.base.errors import ConfigError
+from robotctl.base import pool
+from robotctl.base.errors import ConfigError, RobotctlError
 from robotctl.base.pool import local_processes, results_of
 from robotctl.check import compare
 from robotctl.check import report as check_report
@@ -123,6 +124,15 @@ def test_a_killed_process_loses_no_other_result(
     assert sorted((path.name, said or "") for path, said in found) == sorted(
         [("first", "first"), ("last", "last"), (deadly, result or "")]
     )
+
+
+def test_without_shared_memory_a_sentence_names_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*arguments: object, **options: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(pool, "ProcessPoolExecutor", fail)
+    with pytest.raises(RobotctlError, match=r"/dev/shm.*: Read-only file system \(make it"):
+        list(results_of(die_at, [Path("one"), Path("two")], local_processes))
 
 
 def test_an_unreadable_recording_is_unknown(recordings: Path) -> None:

@@ -30,7 +30,7 @@ from robotctl.collection.questions import Answer, ask, find, parse_condition
 from robotctl.daemon.recording.housekeeping import INDEX
 from robotctl.kernel.types import ModeRequested
 from robotctl.recording import Recorder, Recording
-from robotctl.recording.disk import replaced_file
+from robotctl.recording.format.disk import replaced_file
 from robotctl.recording.format.names import derived_files
 from robotctl.testing.drives import BEGIN_NS, TWIST, drive, drive_requested, record
 from tests.support.cases import for_each

@@ -20,7 +20,7 @@ from robotctl.base.store.objects import PART_BYTES, StoreFailed
 from robotctl.collection import sync
 from robotctl.collection.sources import Pace, local_recordings
 from robotctl.collection.sync import GIVE_UP_AFTER, Pruned, copy_recordings, prune
-from robotctl.recording.disk import DiskFile
+from robotctl.recording.format.disk import DiskFile
 from robotctl.recording.keep.listing import set_kept
 from robotctl.recording.keep.repair import TidyJob, tidy
 from robotctl.recording.keep.retention import NOTES_FILE, RetentionPolicy

@@ -26,8 +26,8 @@ from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.types import Twist
 from robotctl.messages.inputs import encode_twist
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic, read_info, read_messages
-from robotctl.recording.disk import DiskFile
 from robotctl.recording.format import rosbag2
+from robotctl.recording.format.disk import DiskFile
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
 from robotctl.recording.format.names import (
     CLIP_RECORD,

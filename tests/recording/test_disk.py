@@ -22,7 +22,7 @@ from PIL import Image
 from robotctl.config import Config, with_setting
 from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.recording import Recorder
-from robotctl.recording.disk import MAX_PARTS, DiskFile, replaced_file
+from robotctl.recording.format.disk import MAX_PARTS, DiskFile, replaced_file
 from robotctl.recording.keep.clip import ClipJob, Moment, make_clip
 from robotctl.recording.keep.listing import set_kept
 from robotctl.recording.keep.recover import recover, recover_folder

@@ -40,7 +40,7 @@ from robotctl.check.report import Verdict
 from robotctl.check.run import check_recording
 from robotctl.messages.cdr import JOURNAL_ENTRY
 from robotctl.recording import Compression, read_info
-from robotctl.recording.disk import DiskFile
+from robotctl.recording.format.disk import DiskFile
 from robotctl.recording.format.journal import (
     MAX_TEXT_BYTES,
     TOPIC,

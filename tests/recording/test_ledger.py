@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from mcap.records import Metadata
 
 from robotctl.recording import Recorder, RecorderOptions, Recording, read_info
-from robotctl.recording.disk import Storage
+from robotctl.recording.format.disk import Storage
 from robotctl.recording.format.names import EVENT_RECORD, EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.topics import Topic, TopicStats, by_topic

@@ -31,7 +31,7 @@ from robotctl.recording import (
     read_info,
     read_messages,
 )
-from robotctl.recording.disk import Buffer, DiskFile
+from robotctl.recording.format.disk import Buffer, DiskFile
 from robotctl.recording.format.records import MESSAGE_HEAD
 from robotctl.recording.write.bag_writer import BagWriter
 from robotctl.recording.write.buffer import ChunkEncoder, LargeMessage, PackBuffer

@@ -23,7 +23,7 @@ from zstandard import ZstdDecompressor
 
 from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.recording import Recorder, RecorderOptions, read_info, read_messages
-from robotctl.recording.disk import DiskFile
+from robotctl.recording.format.disk import DiskFile
 from robotctl.recording.keep import repair as repairing
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.read.file_index import FileIndex

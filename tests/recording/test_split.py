@@ -23,7 +23,7 @@ from robotctl.recording import (
     read_info,
     read_messages,
 )
-from robotctl.recording.disk import DiskFile
+from robotctl.recording.format.disk import DiskFile
 from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.write import bag_writer
 from robotctl.testing.drives import GID, ODOMETRY, QOS, START_NS, TWIST

@@ -21,7 +21,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
 from robotctl.recording import Compression, RecorderOptions, Topic, read_messages
-from robotctl.recording.disk import Buffer, DiskFile
+from robotctl.recording.format.disk import Buffer, DiskFile
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.records import RECORD_HEAD, parse, walk_records

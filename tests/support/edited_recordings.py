@@ -11,7 +11,7 @@ from pathlib import Path
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 
-from robotctl.recording.disk import new_file
+from robotctl.recording.format.disk import new_file
 from robotctl.recording.format.names import LEDGER_RECORD, Compression
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
 from robotctl.recording.format.topics import Topic

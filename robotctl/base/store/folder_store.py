@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Final
 
-from robotctl.base.files import open_folder, remove_abandoned
+from robotctl.base.files import remove_abandoned, sync_folder
 from robotctl.base.store.objects import (
     NO_STAMP,
     AccessDenied,
@@ -89,14 +89,16 @@ class FolderStore:
                 _name_if_free(path, self._path(key))
             except FileExistsError:
                 return False
-            _sync_folder(path.parent)
+            with suppress(OSError):  # some network file systems cannot
+                sync_folder(path.parent)
             return True
 
     def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
         """Store a file from parts of any length; replace a file with that name."""
         with self._told(key), self._filled(key, parts, stamp) as path:
             os.replace(path, self._path(key))
-            _sync_folder(path.parent)
+            with suppress(OSError):  # some network file systems cannot
+                sync_folder(path.parent)
 
     @contextmanager
     def _opened(self, key: str) -> Iterator[int]:
@@ -179,8 +181,3 @@ def _name_if_free(path: Path, target: Path) -> None:
         if library.renameat2(*names, _RENAME_NOREPLACE):
             number = ctypes.get_errno()
             raise OSError(number, os.strerror(number), str(target)) from None
-
-
-def _sync_folder(folder: Path) -> None:
-    with open_folder(folder) as descriptor, suppress(OSError):  # some network file systems cannot
-        os.fsync(descriptor)

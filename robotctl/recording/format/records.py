@@ -17,7 +17,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, McapRecord, Schema
 
-from robotctl.recording.disk import Buffer
+from robotctl.recording.format.disk import Buffer
 
 _TWO_PARTS = re.compile(r"([a-z][a-z0-9_]*)/([A-Z][A-Za-z0-9]*)")
 

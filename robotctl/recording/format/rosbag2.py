@@ -19,7 +19,7 @@ from pathlib import Path
 from robotctl.base.files import open_regular
 from robotctl.base.store import RemoteFile
 from robotctl.base.store.objects import is_hash
-from robotctl.recording.disk import open_private, share_like
+from robotctl.recording.format.disk import open_private, share_like
 from robotctl.recording.format.topics import Topic
 
 METADATA_FILE = "metadata.yaml"

@@ -14,7 +14,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import DataEnd, Footer, Statistics, SummaryOffset
 
-from robotctl.recording.disk import Buffer
+from robotctl.recording.format.disk import Buffer
 from robotctl.recording.format.records import (
     DATA_END_BYTES,
     FOOTER_CONTENT_BYTES,

@@ -20,7 +20,7 @@ from robotctl.base.errors import Refused
 from robotctl.base.processes import Report
 from robotctl.base.store import RemoteFile
 from robotctl.kernel.constants import NS_PER_S
-from robotctl.recording.disk import is_shared, make_folder, new_file, share_like
+from robotctl.recording.format.disk import is_shared, make_folder, new_file, share_like
 from robotctl.recording.format.names import (
     CLIP_RECORD,
     EVENT_RECORD,

@@ -11,7 +11,7 @@ from errno import ENOENT
 from pathlib import Path
 
 from robotctl.kernel.constants import NS_PER_S
-from robotctl.recording.disk import is_being_written, open_private, share_like
+from robotctl.recording.format.disk import is_being_written, open_private, share_like
 from robotctl.recording.format.names import INFO_RECORD, OWN_LIBRARY, EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.rosbag2 import metadata_text

@@ -12,7 +12,14 @@ from shutil import rmtree
 from mcap.opcode import Opcode
 
 from robotctl.base.errors import Refused, UnreadableFile
-from robotctl.recording.disk import DiskFile, Storage, is_shared, make_folder, new_file, share_like
+from robotctl.recording.format.disk import (
+    DiskFile,
+    Storage,
+    is_shared,
+    make_folder,
+    new_file,
+    share_like,
+)
 from robotctl.recording.format.names import LIBRARY, RECOVERY_RECORD, Compression
 from robotctl.recording.format.records import MAGIC, RECORD_HEAD_BYTES
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, metadata_text, total_count_in

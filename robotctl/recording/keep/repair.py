@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 
 from robotctl.base.errors import RobotctlError
 from robotctl.base.processes import Report
-from robotctl.recording.disk import DiskFile, reason_of
+from robotctl.recording.format.disk import DiskFile, reason_of
 from robotctl.recording.format.names import LEDGER_RECORD, RECOVERY_RECORD, Compression
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_FILE

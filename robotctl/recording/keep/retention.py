@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 from robotctl.base.files import open_folder, open_regular
 from robotctl.kernel.constants import DAY_S
-from robotctl.recording.disk import open_private, replaced_file
+from robotctl.recording.format.disk import open_private, replaced_file
 from robotctl.recording.format.names import derived_files
 from robotctl.recording.format.rosbag2 import METADATA_FILE, BagFile, write_metadata
 from robotctl.recording.format.topics import Topic

@@ -21,7 +21,7 @@ from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 from robotctl.base.errors import UnreadableFile
 from robotctl.base.files import open_regular
 from robotctl.base.store import RemoteFile
-from robotctl.recording.disk import is_locked, size_of
+from robotctl.recording.format.disk import is_locked, size_of
 from robotctl.recording.format.names import natural_order
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE, entries_of, files_in, read_metadata

@@ -16,7 +16,7 @@ from typing import Final
 from mcap.records import Channel, Schema
 
 from robotctl.base.errors import Refused
-from robotctl.recording.disk import cure_of, make_folder, reason_of, share_with_group
+from robotctl.recording.format.disk import cure_of, make_folder, reason_of, share_with_group
 from robotctl.recording.format.names import (
     EVENT_RECORD,
     INFO_RECORD,

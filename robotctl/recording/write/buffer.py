@@ -18,7 +18,7 @@ from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 from zstandard import ZstdCompressionParameters, ZstdCompressor, ZstdError
 
-from robotctl.recording.disk import Buffer
+from robotctl.recording.format.disk import Buffer
 from robotctl.recording.format.names import Compression
 from robotctl.recording.format.records import (
     MESSAGE_FIELDS_BYTES,

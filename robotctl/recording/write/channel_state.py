@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from robotctl.recording.disk import Buffer
+from robotctl.recording.format.disk import Buffer
 from robotctl.recording.format.records import MAX_SEQUENCE, MAX_TIME_NS
 from robotctl.recording.format.topics import Topic, TopicStats
 

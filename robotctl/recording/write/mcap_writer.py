@@ -55,7 +55,7 @@ from mcap.records import (
     Schema,
 )
 
-from robotctl.recording.disk import Buffer, Storage
+from robotctl.recording.format.disk import Buffer, Storage
 from robotctl.recording.format.records import (
     DATA_END_BYTES,
     MAGIC,

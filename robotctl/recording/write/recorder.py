@@ -19,7 +19,7 @@ from mcap.opcode import Opcode
 
 from robotctl.base.errors import Refused
 from robotctl.kernel.constants import NS_PER_S
-from robotctl.recording.disk import Buffer
+from robotctl.recording.format.disk import Buffer
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.records import (
     MAX_SEQUENCE,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from fnmatch import translate
 from pathlib import Path
 
-from robotctl.recording.disk import DiskFile, Storage
+from robotctl.recording.format.disk import DiskFile, Storage
 from robotctl.recording.format.names import Compression
 from robotctl.recording.write.mcap_writer import Sealer
 

@@ -23,7 +23,7 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Final
 
-from robotctl.recording.disk import cure_of, reason_of
+from robotctl.recording.format.disk import cure_of, reason_of
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.records import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD, RECORD_HEAD_BYTES
 from robotctl.recording.write.bag_writer import BagWriter

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from robotctl.base.errors import RecoveredWithLoss, UsageError
-from robotctl.cli.options import new_app
+from robotctl.cli.options import RecordingFile, new_app
 from robotctl.cli.targets.driving import interrupted_by
 from robotctl.cli.targets.recordings import (
     RecordedBy,
@@ -49,12 +49,7 @@ _PROGRESS_ROWS = 1_000
 
 @app.command()
 def export(
-    file: Annotated[
-        str,
-        typer.Argument(
-            metavar="FILE", help="An MCAP file, a recording's folder or name, a URL, or `last`."
-        ),
-    ],
+    file: RecordingFile,
     topic: Annotated[str, typer.Option(metavar="TOPIC", help="The topic, such as /odom.")],
     as_csv: Annotated[
         bool, typer.Option("--csv", help="CSV with a header [default, unless OUT says another].")
@@ -179,7 +174,7 @@ def _print(form: TableFormat, table: TopicTable, rows: Iterable[Row]) -> int:
 def _write(
     form: TableFormat, table: TopicTable, rows: Iterable[Row], output: Path, source: Path
 ) -> int:
-    from robotctl.recording.disk import atomic_output
+    from robotctl.recording.format.disk import atomic_output
     from robotctl.recording.table import write_csv, write_json_lines
 
     with atomic_output(output, source) as unfinished:

@@ -12,7 +12,7 @@ import typer
 
 from robotctl.base.errors import IN_PARENTHESES, Interrupted, Refused, UnreadableFile, UsageError
 from robotctl.base.paths import DEFAULT_ROBOT
-from robotctl.cli.options import Json, given_options, new_app, new_group
+from robotctl.cli.options import Json, RecordingFile, given_options, new_app, new_group
 from robotctl.cli.targets.recordings import (
     RecordedBy,
     RecordingsFolder,
@@ -60,12 +60,7 @@ _ENTRY = re.compile(r"^ *(reliability|durability|history|depth): *(\w+)", re.MUL
 
 @app.command()
 def info(
-    file: Annotated[
-        str,
-        typer.Argument(
-            metavar="FILE", help="An MCAP file, a recording's folder or name, a URL, or `last`."
-        ),
-    ],
+    file: RecordingFile,
     folder: RecordingsFolder = None,
     robot: RecordedBy = None,
     as_json: Json = False,

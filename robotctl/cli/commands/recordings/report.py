@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from robotctl.base.errors import RecoveredWithLoss, Refused, UnreadableFile, UsageError
-from robotctl.cli.options import Json, new_app
+from robotctl.cli.options import Json, RecordingFile, new_app
 from robotctl.cli.targets.recordings import (
     RecordedBy,
     RecordingsFolder,
@@ -46,12 +46,7 @@ SUFFIX: Final = ".html"
 
 @app.command()
 def report(
-    file: Annotated[
-        str,
-        typer.Argument(
-            metavar="FILE", help="An MCAP file, a recording's folder or name, a URL, or `last`."
-        ),
-    ],
+    file: RecordingFile,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -114,7 +109,7 @@ def page_of(path: Path) -> Path:
 @contextmanager
 def _replaced(target: Path, cure: str = "") -> Iterator[IO[bytes]]:
     """Yield a stream that replaces the file `target`; raise Refused if writing fails."""
-    from robotctl.recording.disk import replaced_file
+    from robotctl.recording.format.disk import replaced_file
 
     try:
         with replaced_file(target) as stream:
