@@ -285,7 +285,7 @@ def index_recording(recording: Path) -> str:
     """Check, verify and index a recording; return "", or why it could not be indexed.
 
     If the recording is still being made, only its closed files are indexed, unchecked. Errors are
-    returned as text because this runs in another process.
+    returned as text because the function runs in another process.
     """
     try:
         files = files_of(recording)

@@ -21,7 +21,7 @@ Steps = tuple[str | int, ...]
 
 
 class WrongValue(ValueError):
-    """A path or value that the type does not allow; the error names the field and what is right."""
+    """A path or value that the type does not allow; the text names the field and what to use."""
 
 
 class ValueKind(Enum):
@@ -71,7 +71,7 @@ def path_text(steps: Steps) -> str:
 
 
 def parse_path(definition: Definition, path: str) -> FieldPath:
-    """Return the path `path`, such as `a.b[0].c`, into a message.
+    """Return the FieldPath that the text `path` means, such as `a.b[0].c`.
 
     Raises:
         WrongValue: The path is malformed, or leads to no field of the type.
