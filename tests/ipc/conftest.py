@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+import resource
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -117,39 +118,32 @@ class Peer:
             return await self.reader.read(1) == b""
 
 
-type_serve = Callable[..., AbstractAsyncContextManager[ControlServer]]
-
-
 @pytest.fixture
 def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     return socket_path("robot")
 
 
-@pytest.fixture
-async def robot() -> FakeRobot:
-    return FakeRobot()
+class Control:
+    """A server at `path` for a fake robot, and raw clients."""
 
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.robot: Any = FakeRobot()
+        self.unreachable: list[str] = []
+        """The problems that the server reports as unreachable."""
 
-@pytest.fixture
-def unreachable() -> list[str]:
-    """The problems that the server reports as unreachable."""
-    return []
-
-
-@pytest.fixture
-def serve(path: Path, robot: FakeRobot, unreachable: list[str]) -> type_serve:
-    """A server that serves until the block ends."""
+        self.peers: list[Peer] = []
 
     @asynccontextmanager
-    async def serving(limits: ClientLimits | None = None) -> AsyncIterator[ControlServer]:
-        identity = Identity("robot", "0.1.0", os.getpid())
+    async def serve(self, **limits: Any) -> AsyncIterator[ControlServer]:
+        """Serve until the block ends."""
         with ControlServer(
-            path,
-            robot.methods(),
-            identity,
-            limits=limits or ClientLimits(),
-            on_unreachable=unreachable.append,
+            self.path,
+            self.robot.methods(),
+            Identity("robot", "0.1.0", os.getpid()),
+            limits=ClientLimits(**limits),
+            on_unreachable=self.unreachable.append,
         ) as server:
             task = asyncio.create_task(server.serve())
             try:
@@ -159,21 +153,31 @@ def serve(path: Path, robot: FakeRobot, unreachable: list[str]) -> type_serve:
                 with suppress(asyncio.CancelledError):
                     await task
 
-    return serving
-
-
-@pytest.fixture
-async def connect(path: Path) -> AsyncIterator[Callable[..., Any]]:
-    """Return a function that connects raw clients, which say hello by default."""
-    peers: list[Peer] = []
-
-    async def connected(*, greet: bool = True) -> Peer:
-        peer = Peer(*await asyncio.open_unix_connection(str(path), limit=16_000_000))
-        peers.append(peer)
+    async def connect(self, *, greet: bool = True) -> Peer:
+        """Connect a client, which says hello."""
+        peer = Peer(*await asyncio.open_unix_connection(str(self.path), limit=16_000_000))
+        self.peers.append(peer)
         if greet:
             assert "result" in await peer.call("hello", protocol=1)
         return peer
 
-    yield connected
-    for peer in peers:
+    @asynccontextmanager
+    async def client(self, *, greet: bool = True, **limits: Any) -> AsyncIterator[Peer]:
+        """Serve a client until the block ends."""
+        async with self.serve(**limits):
+            yield await self.connect(greet=greet)
+
+
+@pytest.fixture
+async def control(path: Path) -> AsyncIterator[Control]:
+    made = Control(path)
+    yield made
+    for peer in made.peers:
         peer.writer.close()
+
+
+@pytest.fixture
+def many_files() -> None:
+    """Let this process open more files than a client has connections."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 4096)), hard))

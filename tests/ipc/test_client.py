@@ -12,19 +12,24 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from robotctl.base.errors import NoDaemon, Refused, RobotctlError
 from robotctl.ipc import client as client_module
 from robotctl.ipc.client import NoAnswer, call
-from robotctl.ipc.server import ClientLimits
+from robotctl.ipc.protocol import Code, encode_error
+from tests.ipc.conftest import Control
 
 NO_DAEMON = "no daemon for robot 'robot' (start one with: robotctl start)"
-HELLO_REPLY = {"jsonrpc": "2.0", "id": 0, "result": {"protocol": 1}}
-
 type_script = Callable[[socket.socket], None]
+
+
+def result(number: int, **values: object) -> dict[str, object]:
+    return {"jsonrpc": "2.0", "id": number, "result": values}
+
+
+HELLO_REPLY = result(0, protocol=1)
 
 
 @contextmanager
@@ -49,15 +54,17 @@ def daemon(path: Path, script: type_script, connections: int = 1) -> Iterator[No
             thread.join()
 
 
+def send(sock: socket.socket, *replies: object) -> None:
+    for reply in replies:
+        sock.sendall(reply if isinstance(reply, bytes) else json.dumps(reply).encode() + b"\n")
+
+
 def answers(*replies: object) -> type_script:
     """Read requests, send these replies, and close after the client has disconnected."""
 
     def script(sock: socket.socket) -> None:
         sock.recv(65536)
-        for reply in replies:
-            sock.sendall(
-                (reply if isinstance(reply, bytes) else json.dumps(reply).encode()) + b"\n"
-            )
+        send(sock, *replies)
         sock.recv(65536)
 
     return script
@@ -101,8 +108,7 @@ def test_hello_and_the_request_leave_in_one_write(path: Path) -> None:
 
     def script(sock: socket.socket) -> None:
         received.append(sock.recv(65536))
-        for reply in (HELLO_REPLY, {"jsonrpc": "2.0", "id": 1, "result": {"mode": "IDLE"}}):
-            sock.sendall(json.dumps(reply).encode() + b"\n")
+        send(sock, HELLO_REPLY, result(1, mode="IDLE"))
 
     with daemon(path, script):
         assert call("robot", "status") == {"mode": "IDLE"}
@@ -142,9 +148,9 @@ def test_a_daemon_that_closes_is_named(path: Path) -> None:
 @pytest.mark.parametrize(
     "reply",
     [
-        b"garbage",
-        b"[" * 1000,
-        {"jsonrpc": "2.0", "id": 99, "result": {}},
+        b"garbage\n",
+        b"[" * 1000 + b"\n",
+        result(99),
         {"jsonrpc": "2.0", "id": 1, "result": [1]},
         {"jsonrpc": "2.0", "id": 1, "error": {"code": -32603, "message": "boom"}},
     ],
@@ -156,38 +162,21 @@ def test_an_answer_out_of_order_is_an_error_of_ours(path: Path, reply: object) -
 
 
 def test_a_daemon_of_another_protocol_is_named_with_the_way_out(path: Path) -> None:
-    newer = {"jsonrpc": "2.0", "id": 0, "result": {"protocol": 2}}
-    with (
-        daemon(path, answers(newer)),
-        pytest.raises(
-            Refused, match=rf"protocol 2, this client 1: stop it with kill {os.getpid()}"
-        ),
-    ):
+    told = rf"protocol 2, this client 1: stop it with kill {os.getpid()}"
+    with daemon(path, answers(result(0, protocol=2))), pytest.raises(Refused, match=told):
         call("robot", "status")
 
 
 def test_the_emergency_stop_gets_through_to_a_daemon_of_another_protocol(path: Path) -> None:
-    refused = {
-        "jsonrpc": "2.0",
-        "id": 0,
-        "error": {"code": -32004, "message": "protocol 2", "data": {"exit_code": 4}},
-    }
-    stopped = {"jsonrpc": "2.0", "id": 1, "result": {"mode": "EMERGENCY_STOP"}}
-    with daemon(path, answers(refused, stopped)):
-        result = call("robot", "set_mode", {"mode": 3, "source": "test"})
-    assert result == {"mode": "EMERGENCY_STOP"}
+    refused = encode_error(0, Code.PROTOCOL_MISMATCH, "protocol 2", 4)
+    with daemon(path, answers(refused, result(1, mode="EMERGENCY_STOP"))):
+        answer = call("robot", "set_mode", {"mode": 3, "source": "test"})
+    assert answer == {"mode": "EMERGENCY_STOP"}
 
 
 def test_why_an_emergency_stop_was_refused_is_not_lost(path: Path) -> None:
-    def script(sock: socket.socket) -> None:
-        reply = {
-            "jsonrpc": "2.0",
-            "id": None,
-            "error": {"code": -32003, "message": "not yours", "data": {"exit_code": 4}},
-        }
-        sock.sendall(json.dumps(reply).encode() + b"\n")
-
-    with daemon(path, script), pytest.raises(Refused, match="not yours"):
+    refused = encode_error(None, Code.FORBIDDEN, "not yours", 4)
+    with daemon(path, lambda sock: send(sock, refused)), pytest.raises(Refused, match="not yours"):
         call("robot", "set_mode", {"mode": 3, "source": "test"})
 
 
@@ -200,15 +189,14 @@ def test_a_call_without_a_deadline_outlasts_silence_while_the_daemon_answers_oth
 
     def script(sock: socket.socket) -> None:
         lines = sock.recv(65536).splitlines()
-        sock.sendall(json.dumps(HELLO_REPLY).encode() + b"\n")
+        send(sock, HELLO_REPLY)
         if len(lines) == 1:
             asked_again.set()
             return
 
         def finish() -> None:
             asked_again.wait()
-            last = {"jsonrpc": "2.0", "id": 1, "result": {"laps": 1}}
-            kept.sendall(json.dumps(last).encode() + b"\n")
+            send(kept, result(1, laps=1))
             kept.close()
 
         kept = sock.dup()
@@ -221,27 +209,24 @@ def test_a_call_without_a_deadline_outlasts_silence_while_the_daemon_answers_oth
 # Against the real server
 
 
-async def test_a_refusal_arrives_as_the_error_that_was_raised(serve: Any, robot: Any) -> None:
-    robot.mode = 3
-    async with serve():
+async def test_a_refusal_arrives_as_the_error_that_was_raised(control: Control) -> None:
+    control.robot.mode = 3
+    async with control.serve():
         with pytest.raises(Refused, match="release it with robotctl reset"):
             await asyncio.to_thread(call, "robot", "set_mode", {"mode": 1, "source": "test"})
 
 
-async def test_a_busy_daemon_still_takes_the_clients_emergency_stop(
-    serve: Any, connect: Any, robot: Any
-) -> None:
-    async with serve(ClientLimits(clients=1)):
-        await connect()
+async def test_a_busy_daemon_still_takes_the_clients_emergency_stop(control: Control) -> None:
+    async with control.client(clients=1):
         with pytest.raises(Refused, match="busy with 1 clients"):
             await asyncio.to_thread(call, "robot", "status")
         await asyncio.to_thread(call, "robot", "set_mode", {"mode": 3, "source": "test"})
-    assert robot.mode == 3
+    assert control.robot.mode == 3
 
 
-async def test_the_end_of_the_daemon_ends_a_call_under_way(serve: Any, robot: Any) -> None:
-    async with serve():
+async def test_the_end_of_the_daemon_ends_a_call_under_way(control: Control) -> None:
+    async with control.serve():
         waiting = asyncio.create_task(asyncio.to_thread(call, "robot", "wait", deadline_s=None))
-        await robot.called.wait()
+        await control.robot.called.wait()
     with pytest.raises(NoDaemon, match="the daemon is stopping"):
         await waiting

@@ -23,18 +23,18 @@ from robotctl.ipc import listener
 from robotctl.ipc import server as request_handler
 from robotctl.ipc.protocol import Code, encode_request
 from robotctl.ipc.server import ControlServer
-from tests.ipc.conftest import ESTOP, HELLO, IDENTITY, request
+from tests.ipc.conftest import ESTOP, HELLO, IDENTITY, Control, request
 from tests.support.waiting import DEADLINE_S, loop_until
 
 # Admission
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become somebody else")
-async def test_another_uid_is_refused_every_time(path: Path, serve: Any, robot: Any) -> None:
+async def test_another_uid_is_refused_every_time(control: Control) -> None:
     rounds = 100
-    async with serve():
-        os.chmod(path.parent, 0o711)
-        os.chmod(path, 0o666)
+    async with control.serve():
+        os.chmod(control.path.parent, 0o711)
+        os.chmod(control.path, 0o666)
         program = (
             "import os, socket, sys\n"
             "os.chdir(sys.argv[1])  # as root: the folders above stay closed\n"
@@ -52,21 +52,21 @@ async def test_another_uid_is_refused_every_time(path: Path, serve: Any, robot: 
             sys.executable,
             "-c",
             program,
-            str(path.parent),
+            str(control.path.parent),
             (HELLO + ESTOP).hex(),
             stdout=asyncio.subprocess.PIPE,
         )
         out, _ = await child.communicate()
     assert int(out) == rounds
-    assert robot.mode_requests == 0
+    assert control.robot.mode_requests == 0
 
 
 # The dialogue
 
 
-async def test_hello_returns_the_identity_of_the_daemon(serve: Any, connect: Any) -> None:
-    async with serve():
-        reply = await (await connect(greet=False)).call("hello", protocol=1)
+async def test_hello_returns_the_identity_of_the_daemon(control: Control) -> None:
+    async with control.client(greet=False) as peer:
+        reply = await peer.call("hello", protocol=1)
     assert reply["result"] == {
         "protocol": 1,
         "version": "0.1.0",
@@ -75,9 +75,8 @@ async def test_hello_returns_the_identity_of_the_daemon(serve: Any, connect: Any
     }
 
 
-async def test_another_protocol_is_named_with_the_way_out(serve: Any, connect: Any) -> None:
-    async with serve():
-        peer = await connect(greet=False)
+async def test_another_protocol_is_named_with_the_way_out(control: Control) -> None:
+    async with control.client(greet=False) as peer:
         reply = await peer.call("hello", protocol=2)
         assert reply["error"]["code"] == Code.PROTOCOL_MISMATCH
         assert "speaks protocol 1, this client 2" in reply["error"]["message"]
@@ -85,23 +84,19 @@ async def test_another_protocol_is_named_with_the_way_out(serve: Any, connect: A
         assert "error" in await peer.call("status")
 
 
-async def test_the_emergency_stop_needs_no_common_protocol(
-    serve: Any, connect: Any, robot: Any
-) -> None:
-    async with serve():
-        peer = await connect(greet=False)
+async def test_the_emergency_stop_needs_no_common_protocol(control: Control) -> None:
+    async with control.client(greet=False) as peer:
         await peer.send(request("hello", protocol=99), ESTOP)
         assert "error" in await peer.reply()
         assert "result" in await peer.reply()
-    assert robot.mode == 3
+    assert control.robot.mode == 3
 
 
 @pytest.mark.parametrize("method", ["break_down", "lose_a_future"])
 async def test_a_bug_in_a_handler_is_logged_and_the_connection_lives(
-    method: str, serve: Any, connect: Any, caplog: pytest.LogCaptureFixture
+    method: str, caplog: pytest.LogCaptureFixture, control: Control
 ) -> None:
-    async with serve():
-        peer = await connect()
+    async with control.client() as peer:
         reply = await peer.call(method)
         assert reply["error"]["code"] == Code.INTERNAL_ERROR
         assert "result" in await peer.call("status")
@@ -110,11 +105,10 @@ async def test_a_bug_in_a_handler_is_logged_and_the_connection_lives(
 
 
 async def test_a_reply_over_the_limit_is_an_internal_error(
-    serve: Any, connect: Any, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch, control: Control
 ) -> None:
     monkeypatch.setattr(request_handler, "MAX_RESPONSE_BYTES", 1_000_000)
-    async with serve():
-        peer = await connect()
+    async with control.client() as peer:
         assert (await peer.call("flood"))["error"]["code"] == Code.INTERNAL_ERROR
         assert "result" in await peer.call("status")
 
@@ -122,11 +116,7 @@ async def test_a_reply_over_the_limit_is_an_internal_error(
 @pytest.mark.parametrize(
     ("method", "params", "named"),
     [
-        (
-            "set_mode",
-            {"mode": 256, "source": "x"},
-            "mode: 256 is not allowed: use a whole",
-        ),
+        ("set_mode", {"mode": 256, "source": "x"}, "mode: 256 is not allowed: use a whole"),
         ("set_mode", {"mode": 1.0, "source": "x"}, "mode: 1.0 is not allowed: use a whole"),
         ("set_mode", {"mode": True, "source": "x"}, "mode: True is not allowed: use a whole"),
         ("set_mode", {"mode": 1}, "set_mode: source: missing"),
@@ -155,19 +145,19 @@ async def test_a_reply_over_the_limit_is_an_internal_error(
     ],
 )
 async def test_a_parameter_outside_its_limits_is_named(
-    method: str, params: dict[str, object], named: str, serve: Any, connect: Any, robot: Any
+    method: str, params: dict[str, object], named: str, control: Control
 ) -> None:
-    async with serve():
-        reply = await (await connect()).call(method, **params)
+    async with control.client() as peer:
+        reply = await peer.call(method, **params)
     assert reply["error"]["code"] == Code.INVALID_PARAMS
     assert reply["error"]["data"]["exit_code"] == 2
     assert named in reply["error"]["message"]
-    assert robot.mode_requests == 0
+    assert control.robot.mode_requests == 0
 
 
-async def test_an_unknown_method_is_named(serve: Any, connect: Any) -> None:
-    async with serve():
-        reply = await (await connect()).call("fly")
+async def test_an_unknown_method_is_named(control: Control) -> None:
+    async with control.client() as peer:
+        reply = await peer.call("fly")
     assert reply["error"]["code"] == Code.METHOD_NOT_FOUND
     assert "'fly'" in reply["error"]["message"]
 
@@ -175,9 +165,7 @@ async def test_an_unknown_method_is_named(serve: Any, connect: Any) -> None:
 # Malformed input
 
 
-async def test_malformed_lines_are_answered_and_change_nothing(
-    serve: Any, connect: Any, robot: Any
-) -> None:
+async def test_malformed_lines_are_answered_and_change_nothing(control: Control) -> None:
     malformed = [
         b"\n",
         b"not json\n",
@@ -188,14 +176,14 @@ async def test_malformed_lines_are_answered_and_change_nothing(
         b'{"jsonrpc":"2.0","method":"set_mode","params":{"mode":1,"source":"x"}}\n',
         b"[" * 60_000 + b"\n",
     ]
-    async with serve():
-        bystander, vandal = await connect(), await connect()
+    async with control.serve():
+        bystander, vandal = await control.connect(), await control.connect()
         for line in malformed:
             await vandal.send(line)
             assert (await vandal.reply())["error"]["code"] in (-32700, -32600)
             assert (await bystander.call("status"))["result"]["mode"] == 0
         assert "result" in await vandal.call("status")
-    assert robot.mode_requests == 0
+    assert control.robot.mode_requests == 0
 
 
 def test_the_socket_is_private_with_any_umask(path: Path) -> None:
@@ -254,40 +242,36 @@ def test_a_living_daemons_socket_is_left_alone(
 
 
 async def test_a_removed_socket_is_created_again(
-    path: Path, serve: Any, connect: Any, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch, control: Control
 ) -> None:
     monkeypatch.setattr(listener, "LOOK_S", 0.01)
-    async with serve() as server:
+    async with control.serve() as server:
         assert server.warning() == ""
-        before = await connect()
-        rmtree(path.parent)
-        await loop_until(path.exists)
+        before = await control.connect()
+        rmtree(control.path.parent)
+        await loop_until(control.path.exists)
         await loop_until(server.warning)
         assert "was removed or replaced once" in server.warning()
-        assert "result" in await (await connect()).call("status")
+        assert "result" in await (await control.connect()).call("status")
         assert "result" in await before.call("status")
 
 
 async def test_a_socket_that_cannot_be_created_again_is_reported_once_and_retried(
-    path: Path,
-    serve: Any,
-    connect: Any,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    unreachable: list[str],
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, control: Control
 ) -> None:
     monkeypatch.setattr(listener, "LOOK_S", 0.01)
-    async with serve():
-        rmtree(path.parent)
-        path.parent.write_text("in the way")
+    async with control.serve():
+        rmtree(control.path.parent)
+        control.path.parent.write_text("in the way")
         await loop_until(lambda: "no client can reach this daemon" in caplog.text)
         await asyncio.sleep(0.05)  # several more attempts
-        path.parent.unlink()
-        await loop_until(path.exists)
-        assert "result" in await (await connect()).call("status")
+        control.path.parent.unlink()
+        await loop_until(control.path.exists)
+        assert "result" in await (await control.connect()).call("status")
     assert caplog.text.count("no client can reach this daemon") == 1
-    first, last = unreachable
-    assert first.startswith(f"no client can reach this daemon: {path.parent} is not a folder: ")
+    first, last = control.unreachable
+    assert first.startswith("no client can reach this daemon: ")
+    assert f"{control.path.parent} is not a folder: " in first
     assert last == ""
 
 
@@ -315,35 +299,30 @@ def give_back(path: Path, thief: str) -> None:
 
 @pytest.mark.parametrize("thief", ["file", "another server", "link", "open folder"])
 async def test_a_replaced_socket_is_created_again_when_its_path_is_free(
-    thief: str,
-    path: Path,
-    serve: Any,
-    connect: Any,
-    monkeypatch: pytest.MonkeyPatch,
-    unreachable: list[str],
+    thief: str, monkeypatch: pytest.MonkeyPatch, control: Control
 ) -> None:
     monkeypatch.setattr(listener, "LOOK_S", 0.01)
     with socket.socket(socket.AF_UNIX) as other:
-        async with serve() as server:
-            take(path, thief, other)
-            await loop_until(lambda: unreachable)
-            assert "no client can reach this daemon" in unreachable[0]
-            assert str(path.parent) in unreachable[0]
-            give_back(path, thief)
+        async with control.serve() as server:
+            take(control.path, thief, other)
+            await loop_until(lambda: control.unreachable)
+            assert "no client can reach this daemon" in control.unreachable[0]
+            assert str(control.path.parent) in control.unreachable[0]
+            give_back(control.path, thief)
             await loop_until(server.warning)
-            assert unreachable[1:] == [""]
-            assert "result" in await (await connect()).call("status")
+            assert control.unreachable[1:] == [""]
+            assert "result" in await (await control.connect()).call("status")
 
 
 async def test_without_a_free_descriptor_a_client_can_still_stop_the_robot(
-    serve: Any, connect: Any, path: Path
+    control: Control,
 ) -> None:
-    async with serve():
-        await (await connect()).call("status")
+    async with control.client() as peer:
+        await peer.call("status")
         loop, (soft, hard) = asyncio.get_running_loop(), resource.getrlimit(resource.RLIMIT_NOFILE)
         taken: list[int] = []
         with socket.socket(socket.AF_UNIX) as stopping:
-            stopping.connect(str(path))  # it waits to be accepted
+            stopping.connect(str(control.path))  # it waits to be accepted
             stopping.setblocking(False)
             try:
                 with suppress(OSError):
@@ -361,7 +340,7 @@ async def test_without_a_free_descriptor_a_client_can_still_stop_the_robot(
 
 
 async def test_running_out_of_descriptors_is_survived(
-    serve: Any, connect: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, control: Control
 ) -> None:
     accept, failures = socket.socket.accept, iter([OSError(24, "too many open files")])
 
@@ -372,6 +351,6 @@ async def test_running_out_of_descriptors_is_survived(
 
     monkeypatch.setattr(socket.socket, "accept", fail_once)
     with caplog.at_level(logging.WARNING):
-        async with serve():
-            assert "result" in await (await connect()).call("status")
+        async with control.client() as peer:
+            assert "result" in await peer.call("status")
     assert "no connection can be accepted" in caplog.text
