@@ -142,7 +142,7 @@ def list_method(config: Callable[[], Config]) -> dict[str, Method[Any]]:
 
 
 def parameter_methods(parameters: Parameters, robot: str) -> dict[str, Method[Any]]:
-    """Return `param_list` and `param_set`; error texts suggest commands for `robot`."""
+    """Return the methods `param_list` and `param_set`; errors suggest commands for `robot`."""
 
     async def set_one(params: ParamSetParams) -> ParameterSet:
         wanted = flat(with_text(parameters.config, params.key, params.value))[params.key]

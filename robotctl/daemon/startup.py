@@ -87,7 +87,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
-    """Run a daemon; the caller closes `at_end` after everything else, even after the log."""
+    """Run a daemon and return its exit code; the caller closes `at_end` last, after the log."""
     report = StartReport(command_line.parse_ready_fd(arguments))
     try:
         allow_many_files()

@@ -50,7 +50,7 @@ from robotctl.ros.tap.tap import Tap
 
 
 def graph_methods(tap: Tap) -> dict[str, Method[Any]]:
-    """Return `graph`, `graph_topic` and `graph_node`; they only read rcl's graph cache."""
+    """Return the methods `graph`, `graph_topic` and `graph_node`; they read rcl's graph cache."""
 
     async def graph(_: NoParams) -> Graph:
         return cast(Graph, overview(tap.node))
@@ -156,7 +156,7 @@ COMMIT_DEADLINE_S = 5.0
 
 
 def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[Any]]:
-    """Return methods for status, commit, split and mark; errors suggest commands for `robot`."""
+    """Return the methods `record_*` and `mark`; their errors suggest commands for `robot`."""
 
     def failure() -> str:
         return for_robot(recorder.failure, robot)

@@ -201,7 +201,7 @@ class Control:
         self._journal.snapshot(t_ns, self._kernel)
 
     def stamp(self) -> tuple[int, int]:
-        """Return the steady time [ns] and a new request id, with which a request begins."""
+        """Return the steady time [ns] and a new request id: the first two fields of a request."""
         return time.monotonic_ns(), self._requests.new_id()
 
     def begin(self, event: Request) -> asyncio.Future[Reply]:

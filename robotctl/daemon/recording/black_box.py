@@ -69,7 +69,7 @@ class BlackBox:
         self._now_ns = now_ns
         self._sleep = sleep
         self.params = params
-        """Their `clip_before_s` and `clip_after_s` are the lengths of a clip."""
+        """`clip_before_s` and `clip_after_s` in these parameters are the lengths of a clip."""
 
         self._recording = recording
         self._waiting: deque[RecordedEvent] = deque()

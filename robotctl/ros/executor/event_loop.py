@@ -46,7 +46,7 @@ FLOODED_SHARE = 0.1
 to 10 us for each message, that is the case above 10 to 20 kHz."""
 
 FASTEST_TOPIC_HZ = 50_000.0
-"""The highest rate of a topic; a queue needs room for the messages that arrive in a rest."""
+"""The highest rate expected: a queue needs room for the messages that arrive in FLOOD_REST_S."""
 
 POLLS_PER_RATE_CHECK = 32
 """The rate of a subscription is checked after this number of polls."""

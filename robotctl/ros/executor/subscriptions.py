@@ -107,7 +107,7 @@ class _TakenSource(EventFdSource):
         decode: Decode | None,
         views: bool = False,
     ) -> None:
-        """Pass `decode(data)` to the receiver or, if `decode` is None, the fields of `Taken`."""
+        """Call the receiver with `decode(data)` or, if `decode` is None, the fields of `Taken`."""
         super().__init__(runtime, subscription, subscription.handle, where)
         self._taker = SerializedTaker(self.handle.pointer, views=views, bare=decode is not None)
         self._decode = decode

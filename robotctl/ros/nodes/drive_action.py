@@ -70,7 +70,7 @@ class GoalDrive:
     """Returns how far the drive has come, or None if it has not begun or has ended."""
 
     ramp_down: Callable[[], bool]
-    """Ramps down and ends the drive; returns False if the drive was not going on any more."""
+    """Ramps down and ends the drive; returns False if the drive has ended already."""
 
 
 class DriveAction:

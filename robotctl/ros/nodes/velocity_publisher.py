@@ -87,9 +87,9 @@ class VelocityPublisher:
     ) -> Callable[[], None]:
         """Call `heard(gid)` for each command on the topic, of any publisher.
 
-        `latency_s` is how long commands are collected first; if it is None, `heard` is called only
-        by the returned function, which passes the commands collected so far. The subscription is
-        best effort, so that it receives from publishers of any QoS.
+        Commands are collected for `latency_s` [s] or, if that is None, until the returned function
+        is called, which handles them at once. The subscription is best effort, so that it receives
+        from publishers of any QoS.
         """
         tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
         subscribe_raw(self._node, self._command.message_class, self.topic, tap, qos.MONITOR)

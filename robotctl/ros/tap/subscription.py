@@ -51,7 +51,7 @@ class LatchedMerge:
     def live(
         self, data: SerializedData, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Accept a message of the volatile subscription: a new message of any publisher."""
+        """Accept a new message of the volatile subscription, from any publisher; drop a repeat."""
         first, _ = self._live.get(gid, (sequence, sequence))
         _keep(self._live, gid, (first, sequence))
         first_latched, last_latched = self._latched.get(gid, NOTHING)
@@ -61,7 +61,7 @@ class LatchedMerge:
     def latched(
         self, data: SerializedData, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Accept a message of the transient-local subscription: a latched or a new message."""
+        """Accept a latched or new message of the transient-local subscription; drop a repeat."""
         _, last = self._latched.get(gid, NOTHING)
         if 0 < sequence <= max(last, self._known.get(gid, 0)):
             return  # a publisher that is discovered again after a loss repeats it as well

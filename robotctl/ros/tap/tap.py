@@ -228,7 +228,7 @@ class Tap:
         """Topics whose subscription failed, maybe only for a time; it is tried again."""
 
         self._awaited: dict[str, str] = {}
-        """Topic that is not tapped yet -> its type, which is still loading."""
+        """Topic without a subscription yet -> its type, which is still loading."""
 
         self._types = TypeLoader()
         self._looks = count()
