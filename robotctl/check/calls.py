@@ -179,18 +179,18 @@ class ServiceChecks:
         self._is_on = False
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return the message handler of each recorded topic."""
+        """Return the message handler of each recorded topic, by topic name."""
         return {each.topic: each.message for each in self._all if each.is_recorded}
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Start the comparison at this snapshot if it has a `Proof` (0.1.0 wrote none)."""
+        """Start the comparison at a snapshot that has a `Proof` (version 0.1.0 wrote none)."""
         if snapshot.proof is not None and not self._is_on:
             self._is_on = True
             for each in self._all:
                 each.begin(log_ns)
 
     def stop(self) -> None:
-        """Pause until the next snapshot: events are missing."""
+        """Stop comparing until the next snapshot, because journal entries are missing."""
         self._is_on = False
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
@@ -206,14 +206,14 @@ class ServiceChecks:
                     each.reply(effect)
 
     def end(self, ending: EndingOf, moment: JournalEnd) -> None:
-        """Report what differs; `ending(topic)` and `moment` say how and when the journal ends."""
+        """Report differences; `ending(topic)` and `moment` say how and when the journal ends."""
         if self._is_on and ending(None).is_own:
             for each in self._all:
                 each.end(ending(each.topic), moment)
 
 
 class ServiceCheck:
-    """Compares the calls of one service with the journal."""
+    """Compares calls of one service with the requests and replies of the journal."""
 
     def __init__(
         self,
@@ -251,7 +251,7 @@ class ServiceCheck:
             each.clear()
 
     def message(self, message: Message) -> None:
-        """Read a message of the topic."""
+        """Read a service event: a received call or a sent response."""
         if self._begin_ns is None:
             return
         self._has_one_publisher &= message.sequence > self._newest
@@ -292,7 +292,7 @@ class ServiceCheck:
         return max(len(self._calls), len(self._asked)) >= MAX_CALLS
 
     def end(self, ending: Ending, moment: JournalEnd) -> None:
-        """Report what differs; `ending` and `moment` say how and when the journal ends."""
+        """Report the differences; `ending` and `moment` say how and when the journal ends."""
         if self._unreadable:
             self._report.miss(f"{self._unreadable} messages of {self.topic} cannot be read")
             return

@@ -134,7 +134,7 @@ class DecidedCommand:
 
 
 class SentCommand(NamedTuple):
-    """A message: six numbers, publish time, steady time of the last event before, position."""
+    """A recorded command; `t_ns` is the time of the last event before it, `place` its position."""
 
     numbers: bytes
     publish_ns: int
@@ -249,7 +249,7 @@ class CommandPairs:
         """The number of messages, and the place of the newest one that was paired."""
 
     def message(self, number: int, data: bytes, publish_ns: int) -> None:
-        """Read a message of the command topic.
+        """Read a message of the command topic: sequence number, content, time of publishing.
 
         Raises:
             UnreadableFile: The message is too short.
@@ -264,7 +264,7 @@ class CommandPairs:
         self._waiting.slot(number).sent.append(sent)
 
     def resume(self, proof: Proof, health: Health, t_ns: int) -> None:
-        """Continue from a snapshot at `t_ns`; its `proof` counts the commands sent before."""
+        """Start or continue at a snapshot; `proof` has the number of commands sent before."""
         number = proof.commands & MAX_SEQUENCE
         more = (proof.commands - self._number) & MAX_SEQUENCE
         was_moving = bool(self._recent) and not is_zero(self._recent[-1].numbers)
@@ -282,7 +282,7 @@ class CommandPairs:
             self.is_counting = True
 
     def stop(self) -> None:
-        """Pause until the next snapshot: events are missing."""
+        """Stop comparing until the next snapshot, because journal entries are missing."""
         for number, slot in self._waiting.rest():
             self._pair(number, slot)
         self.is_counting = False
@@ -291,7 +291,7 @@ class CommandPairs:
         self._lacking = self._lacking_recent = 0
 
     def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Read a step; each command in its effects should have a recorded message."""
+        """Read a step: each command among the effects should have a recorded message."""
         if not self.is_counting:
             return
         self._t_ns, self._log_ns, _ = moments
@@ -403,7 +403,7 @@ class CommandPairs:
                 counts.after_end += 1
 
     def end(self, cut: int, *, is_own: bool, is_closed: bool) -> None:
-        """Judge the commands and messages that still wait, as the recording ends.
+        """Judge the commands and messages that are not paired yet, as the recording ends.
 
         Up to `cut` messages may belong to decisions after the end. A journal that was received from
         a robot (not `is_own`) may end before the recorded commands do.
@@ -456,7 +456,7 @@ class CommandCheck:
         self._seen = 0
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return the message handler of the topic, if it is recorded."""
+        """Return the message handler by topic name; empty if the topic is not recorded."""
         return {} if self._topic is None else {self._topic: self._message}
 
     def _message(self, message: Message) -> None:
@@ -465,12 +465,12 @@ class CommandCheck:
         self._pairs.message(message.sequence, message.data, message.publish_ns)
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Continue from a snapshot, if it has a `Proof` (0.1.0 wrote none)."""
+        """Start or continue at a snapshot that has a `Proof` (version 0.1.0 wrote none)."""
         if snapshot.proof is not None:
             self._pairs.resume(snapshot.proof, snapshot.state.health, t_ns)
 
     def stop(self) -> None:
-        """Pause until the next snapshot: events are missing."""
+        """Stop comparing until the next snapshot, because journal entries are missing."""
         self._pairs.stop()
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:

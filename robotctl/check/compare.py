@@ -268,13 +268,13 @@ class Rerun:
         self._same_version = comparison.same_version
 
     def stop(self) -> None:
-        """Pause until the next snapshot: events are missing."""
+        """Drop the kernel until the next snapshot, because journal entries are missing."""
         self.kernel = None
 
     def snapshot(self, entry: JournalEntry) -> tuple[Snapshot, Divergence | None]:
         """Compare the kernel with a recorded snapshot, then continue from that snapshot.
 
-        Return the snapshot, and the divergence or None. Without a kernel, check its encoding.
+        Return the snapshot, and the divergence or None. Without a kernel, only check the text.
 
         Raises:
             UnreadableFile: This version cannot read the snapshot, or rejects its parameters.

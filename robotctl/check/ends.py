@@ -263,7 +263,7 @@ class RecordingEnds:
             report.miss(sentence, is_outside=True)
 
     def snapshot(self, entry: JournalEntry, snapshot: Snapshot) -> int:
-        """Note a snapshot; return the `seq` of the previous snapshot, 0 if that had no proof."""
+        """Note a snapshot; return the `seq` of the previous one, 0 if that had no proof."""
         before = max(self._last_snapshot, 0)
         self._last_snapshot = entry.seq if snapshot.proof is not None else -1
         reported = snapshot.state.health.reported
@@ -320,7 +320,7 @@ class RecordingEnds:
             self._report.notes.append("it was not closed: it has no loss ledger to check")
 
     def ending(self, topic: str | None) -> Ending:
-        """Return how the recording ends for a topic."""
+        """Return how the recording ends for a topic; `check` must have been called."""
         return Ending(
             self._report,
             self._invariants,
@@ -352,7 +352,7 @@ class JournalChain:
         self._crc: int | None = None
 
     def add(self, seq: int, serialized: bytes) -> None:
-        """Add the bytes of the next entry, whose number is `seq`."""
+        """Continue the CRC with the next entry, whose number is `seq`."""
         self._before = self._crc if seq == self._seq + 1 else None
         self._crc = None if self._before is None else chained(serialized, self._before)
         self._seq = seq
@@ -378,7 +378,7 @@ NOT_PROVED: Final = (
 
 
 class SnapshotProofs:
-    """Checks the proofs in one journal: either all of its snapshots have one, or none has."""
+    """Checks the `Proof` of each snapshot of a journal: all snapshots have one, or none has."""
 
     def __init__(self, report: Report, chain: JournalChain, invariants: Invariants) -> None:
         self._report = report
@@ -390,7 +390,7 @@ class SnapshotProofs:
         self._is_told = False
 
     def check(self, entry: JournalEntry, proof: Proof | None, before: int) -> None:
-        """Check the next snapshot; `before` is the `seq` of the snapshot before it."""
+        """Check the proof of the next snapshot; `before` is the `seq` of the previous snapshot."""
         if not self._chain.is_whole(entry, proof):
             self._invariants.violate(
                 f"the journal was changed between its entries {before} and {entry.seq}"

@@ -234,7 +234,7 @@ class InputPairs:
 
     @property
     def rate_hz(self) -> float:
-        """The mean rate of the messages between the first and the last paired one."""
+        """The mean rate of messages from the first to the last paired one; 0.0 if unknown."""
         if self._paired is None or self._last_ns <= self._first_ns:
             return 0.0
         first, last = self._paired
@@ -258,7 +258,7 @@ class InputPairs:
             self._pair(number, slot)
 
     def forget(self) -> None:
-        """Drop what has no counterpart yet, because journal entries are missing."""
+        """Drop inputs and messages without a counterpart, because journal entries are missing."""
         self._waiting.clear()
 
     def end(self, t_ns: int, stalled_ns: int) -> None:
@@ -388,7 +388,7 @@ class InputCheck:
             self._unheard.message(ShownValue(message.sequence, str(value), message.log_ns))
 
     def received(self, event: _Input, value: Any, seq: int) -> None:
-        """Compare an input; `seq` is the number of its entry."""
+        """Read an input of the journal, whose entry has the number `seq`."""
         if self._is_on:
             number = event.sequence & MAX_SEQUENCE
             self._pairs.received(number, Input(event.t_ns, _source(event), value, seq))
@@ -396,7 +396,7 @@ class InputCheck:
                 self._unheard.heard(number)
 
     def snapshot(self, has_proof: bool, stall_ns: int) -> None:
-        """Start the comparison at this snapshot if it has a proof; `stall_ns` as in `settle`."""
+        """Start the comparison if `has_proof`; `stall_ns` is the longest stall so far."""
         self._is_on = self._is_on or has_proof
         self._pairs.tolerance = 0.0 if self._report.bitwise else TOLERANCE
         self._repeats.snapshot()
@@ -404,7 +404,7 @@ class InputCheck:
             self._unheard.settle(stall_ns)
 
     def stop(self) -> None:
-        """Pause until the next snapshot: events are missing."""
+        """Stop comparing until the next snapshot, because journal entries are missing."""
         self._is_on = False
         self._pairs.forget()
         if self._unheard is not None:
@@ -526,7 +526,7 @@ NAMES: Final = {
 
 
 class InputChecks:
-    """Compares all inputs that the recorded configuration uses."""
+    """Compares each input that the recorded configuration uses with its messages."""
 
     def __init__(self, report: Report, topics: RobotTopics, stalls: RecordedStalls) -> None:
         """`stalls` collects the stalls of the control loop that the journal has."""
@@ -575,7 +575,7 @@ class InputChecks:
         )
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return the message handler of each recorded topic; inputs may share one."""
+        """Return the message handler of each recorded topic, by name; inputs may share a topic."""
         topics = {each.topic for each in self._checks.values() if each.topic is not None}
         return {topic: partial(self._message, topic) for topic in topics}
 
@@ -585,7 +585,7 @@ class InputChecks:
                 each.message(message)
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Compare an event of the journal; `seq` is the number of its entry."""
+        """Read an event of the journal if it is an input; `seq` is the number of its entry."""
         if not isinstance(event, _Input):
             return
         key: object = event.kind if isinstance(event, SafetyInputReceived) else type(event)
@@ -594,17 +594,17 @@ class InputChecks:
             check.received(event, _value(event), seq)
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Start the comparison at this snapshot if it has a `Proof` (0.1.0 wrote none)."""
+        """Start the comparison at a snapshot that has a `Proof` (version 0.1.0 wrote none)."""
         for each in self._checks.values():
             each.snapshot(snapshot.proof is not None, self._stalls.longest_ns)
 
     def stop(self) -> None:
-        """Pause until the next snapshot."""
+        """Stop comparing until the next snapshot, because journal entries are missing."""
         for each in self._checks.values():
             each.stop()
 
     def end(self, ending: EndingOf, moment: JournalEnd) -> None:
-        """Report what differs; `ending(topic)` and `moment` say how and when the journal ends."""
+        """Report differences; `ending(topic)` and `moment` say how and when the journal ends."""
         for each in self._checks.values():
             each.end(ending(each.topic), moment, self._stalls.longest_ns)
 

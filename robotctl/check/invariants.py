@@ -76,11 +76,11 @@ class Invariants:
         self._at = (0, 0)
 
     def stop(self) -> None:
-        """Pause until the next snapshot: events are missing."""
+        """Stop the checks until the next snapshot, because journal entries are missing."""
         self.mode = None
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Continue from this snapshot."""
+        """Continue the checks from the state in a snapshot."""
         state = snapshot.state
         self._params = snapshot.params
         self.mode, self._command, self._tick_t_ns = state.mode, state.command, state.tick_t_ns
@@ -91,7 +91,7 @@ class Invariants:
             self.foreign.add(state.health.command_topic.foreign_by)
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...]) -> None:
-        """Check one event and its effects."""
+        """Check one event and its effects; `seq` is the number of the event's entry."""
         if self.mode is None or (not effects and isinstance(event, OdomReceived)):
             return
         self._at = seq, event.t_ns

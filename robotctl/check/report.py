@@ -52,7 +52,7 @@ class Divergence:
     differences: tuple[str, ...] = ()
 
     def sentence(self) -> str:
-        """Return the difference in one sentence."""
+        """Return entry, event and differing fields in one sentence."""
         differs = "; ".join(self.differences)
         if not differs:
             differs = f"recorded {self.recorded or 'nothing'}, decided {self.decided or 'nothing'}"
@@ -89,7 +89,7 @@ class Report:
     """The result of checking one recording.
 
     The first journal entry was made at `begin_ns` (steady) and recorded at `begin_log_ns` (since
-    the epoch). `events`, `effects` and `commands` are the numbers that were read.
+    the epoch). `events`, `effects` and `commands` count what was read.
     """
 
     path: Path

@@ -134,7 +134,7 @@ class Comparisons:
         return {topic: read for each in self._all for topic, read in each.readers().items()}
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Continue from a snapshot at the steady time `t_ns`, recorded at `log_ns` (epoch)."""
+        """Start or continue comparing at a snapshot; `t_ns` is steady, `log_ns` epoch time."""
         self._invariants.snapshot(snapshot)
         self._ticks.begin(snapshot.params.rate_hz)
         for each in self._all:
@@ -154,7 +154,7 @@ class Comparisons:
         self._invariants.step(seq, event, effects)
 
     def stop(self) -> None:
-        """Pause until the next snapshot: events are missing."""
+        """Stop comparing until the next snapshot, because journal entries are missing."""
         self._invariants.stop()
         self._ticks.stop()
         self._order.stop()
@@ -162,7 +162,7 @@ class Comparisons:
             each.stop()
 
     def end(self, ending: EndingOf, end_ns: int, log_ns: int) -> None:
-        """Report what differs; the journal ends at `end_ns` (steady), `log_ns` since the epoch."""
+        """Report the differences; the journal ends at `end_ns` (steady), `log_ns` (epoch)."""
         self._ticks.stop()
         for found in self._ticks.missing:
             self._invariants.violate(f"{found.ticks} ticks are missing before entry {found.seq}")
@@ -235,7 +235,7 @@ def check_recording(
     """Check one recording, a file or a folder, and return the report.
 
     A file that cannot be read is named in the report. Every byte is read if `all_bytes` is set, or
-    if the recording is small. If `source` is given, it is the content of one MCAP file, of which
+    if a local recording is below ALL_BYTES_BELOW. `source`, if given, is one MCAP file, of which
     only what the check needs is read; `path` is then only the name for the report.
     """
     report = Report(path)

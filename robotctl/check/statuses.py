@@ -58,7 +58,7 @@ class ShownModes:
         self._t_ns = self._offset_ns = self._begin_ns = 0
 
     def snapshot(self, mode: Mode, t_ns: int, wall_ns: int) -> None:
-        """Continue from a snapshot at the steady time `t_ns`, `wall_ns` since the epoch."""
+        """Note the mode in a snapshot at the steady time `t_ns`, `wall_ns` since the epoch."""
         self._t_ns, self._offset_ns = t_ns, wall_ns - t_ns
         if not self._spans:
             self._spans.append(_ModeSpan(mode.value, t_ns))
@@ -83,12 +83,12 @@ class ShownModes:
             self._spans.append(_ModeSpan(mode.value, t_ns))
 
     def stop(self) -> None:
-        """Pause until the next snapshot: events are missing."""
+        """Stop comparing until the next snapshot, because journal entries are missing."""
         self._spans.clear()
         self._statuses.clear()
 
     def end(self) -> None:
-        """Compare the statuses that still wait, because the journal ends."""
+        """Compare the statuses that are still kept, because the journal ends."""
         self._judge(inf)
 
     def _judge(self, until_ns: float) -> None:
@@ -140,7 +140,7 @@ class StatusCheck:
         self._begin_ns = 0
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return the message handler of the topic, if it is recorded."""
+        """Return the message handler by topic name; empty if the topic is not recorded."""
         return {} if self.topic is None else {self.topic: self._message}
 
     def _message(self, message: Message) -> None:
@@ -172,7 +172,7 @@ class StatusCheck:
             self._foreign += 1
 
     def _is_own(self, number: int) -> bool:
-        """Note a status number; return False if an older status had it: it is another node's."""
+        """Note a status number; return False for an older one: another node sent that status."""
         if not self._first:
             self._first = self._newest = number
         elif number > self._newest:
@@ -186,7 +186,7 @@ class StatusCheck:
         return True
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Continue from a snapshot at the steady time `t_ns`, `log_ns` since the epoch."""
+        """Start or continue the comparison at a snapshot; `t_ns` is steady, `log_ns` epoch time."""
         if snapshot.proof is None:
             return
         self._repeats.snapshot()
@@ -202,11 +202,11 @@ class StatusCheck:
                 self._modes.change(effect.mode, moments)
 
     def stop(self) -> None:
-        """Pause until the next snapshot: events are missing."""
+        """Stop comparing until the next snapshot, because journal entries are missing."""
         self._modes.stop()
 
     def end(self, ending_of: EndingOf, moment: JournalEnd) -> None:
-        """Report what differs; `ending_of` and `moment` say how and when the journal ends."""
+        """Report the differences; `ending_of` and `moment` say how and when the journal ends."""
         ending = ending_of(self.topic)
         if not self.is_on or not ending.is_own or ending.has_gaps:
             return

@@ -51,7 +51,7 @@ class MeasurementOrder:
         self._newest_ns = max(event.t_ns, self._newest_ns or event.t_ns)
 
     def stop(self) -> None:
-        """Begin again: events are missing."""
+        """Start over, because journal entries are missing."""
         self._newest_ns = None
 
 
@@ -113,9 +113,9 @@ class TickSchedule:
             self._least = least._replace(late_ns=late_ns)
 
     def stop(self) -> None:
-        """Add the ticks missing so far to `missing`, and start over: a gap or the end follows.
+        """Add the ticks that are missing so far to `missing`, then start over.
 
-        The last window is too short to be judged alone.
+        Call this before a gap in the journal, and at its end. The last window is not judged alone.
         """
         windows = self._windows if self._least is None else [*self._windows, self._least]
         before = accumulate(windows, min)
@@ -145,7 +145,7 @@ class _Step(NamedTuple):
 
 
 class ClockChanges:
-    """The changes of the wall clock against the steady clock of the journal.
+    """Finds changes of the wall clock against the steady clock of the journal.
 
     An entry may be recorded later than its event was stamped, never earlier. So the clock was set
     back where the wall clock goes back, and forward where the offset rises and stays high.
@@ -176,7 +176,7 @@ class ClockChanges:
         )
 
     def look(self, steady_ns: int, wall_ns: int) -> None:
-        """Compare both clocks at one moment."""
+        """Compare the steady and the wall clock at one moment; note a change of their offset."""
         offset_ns, before_ns = wall_ns - steady_ns, self._offset_ns
         went_back, self._wall_ns = wall_ns < self._wall_ns, wall_ns
         self._offset_ns = offset_ns
@@ -213,13 +213,13 @@ class RecordedStalls:
         """The steady time at which each stall ended, and its duration [ns]."""
 
     def step(self, event: Event) -> None:
-        """Note a stall; other events change nothing."""
+        """Note the duration of a stall; ignore other events."""
         if isinstance(event, LoopStalled):
             stalled_ns = round(event.stalled_s * NS_PER_S)
             self.longest_ns = max(self.longest_ns, stalled_ns)
             self._ends.append((event.t_ns, stalled_ns))
 
     def recent_ns(self, end_ns: int) -> int:
-        """Return how long the stalls lasted that ended just before `end_ns`, at most RECENT_NS."""
+        """Return the total of stalls that ended shortly before `end_ns` [ns], at most RECENT_NS."""
         recent = (stalled_ns for t_ns, stalled_ns in self._ends if t_ns > end_ns - RECENT_NS)
         return min(sum(recent), RECENT_NS)

@@ -61,7 +61,7 @@ class RobotTopics:
         return told or f"{self.namespace}/{key.rpartition('.')[2]}", told is not None
 
     def recorded(self, parameter: str, default: str, *types: str) -> InputTopic:
-        """Return the topic that a parameter names, if it is recorded with one of these types."""
+        """Return the topic that a parameter names; no name unless recorded with one of `types`."""
         name = self.named_by(parameter, default)
         if self.types.get(name) in types:
             return InputTopic(name, self.types[name])
@@ -92,7 +92,7 @@ class RobotTopics:
 
 
 class RepeatedLatched:
-    """Counts the messages of a latched topic that repeat the message before them.
+    """Counts the messages of a latched topic that repeat the previous message.
 
     Each file begins with one such repeat and a snapshot, so that as many repeats as snapshots are
     allowed, even in joined files. A received journal has its snapshots elsewhere, so that at least
@@ -117,7 +117,7 @@ class RepeatedLatched:
         self._count += 1
 
     def snapshot(self) -> None:
-        """Count a snapshot."""
+        """Count a snapshot, which allows one repeat."""
         self._snapshots += 1
 
     @property
@@ -150,7 +150,7 @@ class Waiting(Generic[Entry, Sent]):
         self._slots: dict[int, Slot[Entry, Sent]] = {}
 
     def slot(self, number: int) -> Slot[Entry, Sent]:
-        """Return the slot of a number, which is the youngest from now on."""
+        """Return the slot of a number, now the newest; judge the oldest if there are too many."""
         slot = self._slots.pop(number, None) or Slot()
         self._slots[number] = slot
         if len(self._slots) > MAX_WAITING:

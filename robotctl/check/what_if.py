@@ -323,7 +323,7 @@ class _TwoKernels:
         self._other.kernel = Kernel(changed(config, self._settings).kernel, snapshot.state)
 
     def stop(self) -> None:
-        """Pause until the next snapshot: events are missing."""
+        """Drop both kernels until the next snapshot, because journal entries are missing."""
         self._recorded.kernel = self._other.kernel = None
 
     def step(self, event: Event) -> None:

@@ -488,7 +488,7 @@ class Converter:
         self.done = Converted()
 
     def run(self, sources: Iterable[ConvertibleFile]) -> Converted:
-        """Convert the files in their order.
+        """Convert the source files in the given order; return the result.
 
         Raises:
             OSError: The disk is full or fails.

@@ -93,7 +93,7 @@ def metadata_text(path: Path) -> str:
 
 
 def read_metadata(path: Path) -> str:
-    """Return the `metadata.yaml` of a recording (a folder or one of its files), "" without one.
+    """Return the `metadata.yaml` of a recording (folder or file), "" if it does not exist.
 
     Raises:
         OSError: The file cannot be read.

@@ -105,7 +105,7 @@ _COUNTS = (*COUNTERS, "bytes")
 
 
 def ledger_values(topics: Iterable[TopicStats]) -> dict[str, str]:
-    """Return the loss ledger of `topics` as the values of a metadata record."""
+    """Return the loss ledger: the counts of each topic, as the values of a metadata record."""
     ledger: dict[str, str] = {}
     for stats in by_topic(topics):
         # A topic has a second type if a node publishes one.

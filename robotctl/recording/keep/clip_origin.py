@@ -55,7 +55,7 @@ class Origin:
 
 
 def compare_with_source(clip: Path, source: Path) -> Origin:
-    """Compare all that a clip copied with its source, a file or a whole recording.
+    """Compare all that a clip copied with its source (a recording or its file); return the result.
 
     Raises:
         UnreadableFile: `clip` or `source` cannot be read, or `clip` is not a clip.

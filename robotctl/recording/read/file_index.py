@@ -231,7 +231,7 @@ class FileIndex:
             self.channels[channel.id] = channel
 
     def unaccounted(self) -> str:
-        """Return a sentence if all was read and the summary's message count differs, else ""."""
+        """Return a sentence if all messages were read and the summary's count differs, else ""."""
         read = self.messages_read
         if self.scanned or self.limit_reached or not self.places:
             return ""  # another sentence says why not all was read

@@ -177,7 +177,7 @@ class LocalSource:
 
 
 class RemoteSource:
-    """A file at a URL, which cannot be changed in place."""
+    """A file at a URL. The stored object never changes in place."""
 
     def __init__(self, path: RemoteFile) -> None:
         """Look up the file.

@@ -67,7 +67,7 @@ class OpenFile:
 
 
 class PlaceReader:
-    """A reader of one place in a file, for the channels in `names` (topic and type by channel id).
+    """Reader of one `Place` of a file, for the channels in `names` (topic and type by id).
 
     After `load`, `take` returns the messages with a log time in `window` (ns, both ends included)
     one by one. `contents` and `as_written` yield all messages in file order, without `load`.

@@ -316,7 +316,7 @@ class Recording:
     ) -> Iterator[Message]:
         """Yield the messages in file order: log times step back if the clock was set back.
 
-        `on_progress` gets bytes done and in total.
+        `on_missing` gets a sentence about each lost part, `on_progress` bytes done and in total.
         """
         done, total = 0, sum(each.file.size for each in self._files)
         for each in self._files:

@@ -88,7 +88,7 @@ class Flaws:
     count: int = 0
 
     def add(self, start: int, end: int, text: str) -> None:
-        """Add a flaw."""
+        """Count a flaw, and keep it if fewer than MAX_FLAWS are kept."""
         self.count += 1
         if len(self.kept) < MAX_FLAWS:
             self.kept.append(Flaw(start, end, text))
@@ -99,7 +99,7 @@ class FileState(StrEnum):
 
     FINISHED = "finished"
     LIVE = "live"
-    """A process is still recording into it."""
+    """A process is still writing the file."""
 
     NOT_CLOSED = "not closed"
     """The recorder was killed, or could not write."""
@@ -108,7 +108,7 @@ class FileState(StrEnum):
     """robotctl wrote the file, or only its end, again after a kill."""
 
     CONVERTED = "converted"
-    """robotctl wrote it from another recording."""
+    """robotctl wrote the file from another recording."""
 
     CLIP = "clip"
     FOREIGN = "of another program"

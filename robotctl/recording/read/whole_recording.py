@@ -43,7 +43,7 @@ MAX_MISSING: Final = 20
 
 @dataclass(slots=True)
 class Chain:
-    """What the seals of several files say about each other.
+    """The result of comparing the seals of files of the same robots with each other.
 
     `wrong` has a sentence for each file whose seal does not continue the seal of the file before,
     `absent` a sentence for each gap in the numbers of the files.
@@ -130,7 +130,7 @@ class KnownFile:
 
 
 def compare_known(file: WholeFile, heads: KnownHeads) -> KnownFile:
-    """Compare a file's key, name and end with `heads`, which this machine stored on recording."""
+    """Return how a file's key, name and end differ from those that this machine stored."""
     opening = file.seal.opening
     name = file.path.name.removesuffix(SUFFIX)
     if opening is None:

@@ -122,11 +122,11 @@ class FileSeal:
 
     @property
     def link_is_due(self) -> bool:
-        """Whether a link must be added to the data now."""
+        """Whether a link of the hash chain must be added to the data now."""
         return self._seal is not None and self._clock() >= self._due
 
     def link(self, covered: int) -> bytes:
-        """Return a link for the data, signed for the bytes before `covered`; empty on failure."""
+        """Return a signed link over the first `covered` bytes, for the data; b"" on failure."""
         link = self._signed(LinkKind.LINK, covered)
         if link is None:
             return b""
@@ -138,7 +138,7 @@ class FileSeal:
         return link.record()
 
     def head(self, covered: int) -> bytes:
-        """Return a summary link, signed for the bytes before `covered`; empty on failure."""
+        """Return a signed link over the first `covered` bytes, for the summary; b"" on failure."""
         if self._seal is None:
             return b""
         self._head = self._signed(LinkKind.HEAD, covered)

@@ -131,7 +131,7 @@ class Recorder:
     def write(
         self, channel: int, data: Buffer, log_ns: int, publish_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Record a message, or count it as dropped. Never waits. Mutable `data` may be reused.
+        """Record a message, or count it as dropped. Never waits. The caller may reuse `data`.
 
         Times are in nanoseconds since the epoch. `sequence` is the sequence number that publisher
         `gid` gave the message, 0 if it gave none.

@@ -70,7 +70,7 @@ assert MESSAGE_HEAD.size == RECORD_HEAD_BYTES + MESSAGE_FIELDS_BYTES
 
 
 class EvidenceChunks:
-    """Separates messages of evidence topics from those of heavy topics, in the writer thread."""
+    """Separates messages of evidence topics (see the module) from those of heavy topics."""
 
     def __init__(self, topics: Collection[str], channels: Sequence[ChannelState]) -> None:
         """`topics` are the full names of the evidence topics; `channels` may grow."""
