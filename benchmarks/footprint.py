@@ -226,7 +226,7 @@ def values(used: dict[str, Usage]) -> Round:
 
 
 def main() -> int:
-    """Print a table for each rate; 1 if a figure is missed."""
+    """Print a table for each rate; return 1 if a figure is missed, else 0."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rates", default="50,100", help="in Hz")
     parser.add_argument("--rounds", type=int, default=5)

@@ -173,7 +173,7 @@ def us_per_step(case: Case) -> float:
 
 
 def main() -> int:
-    """Print the table; 1 if a figure is missed."""
+    """Print the table; return 1 if a figure is missed, else 0."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=7)
     count = parser.parse_args().rounds

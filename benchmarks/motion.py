@@ -209,7 +209,7 @@ def measure(seed: int) -> dict[str, float]:
 
 
 def main() -> int:
-    """Print the table; 1 if a figure is missed."""
+    """Print the table; return 1 if a figure is missed, else 0."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seeds", type=int, default=20)
     seeds = parser.parse_args().seeds

@@ -135,7 +135,7 @@ def _refuse(missing: str) -> None:
 
 
 STEADY_S = 0.8
-"""How long before the last command at the wanted speed the base counts as at full speed [s]."""
+"""The base counts as at full speed in this time [s] before the last command at that speed."""
 
 STANDS_S = 0.4
 """How long the base must stand at the end of a motion's odometry [s]."""
@@ -144,7 +144,7 @@ MOVES_SHARE = 0.2
 """A base moves if its speed is at least this share of the commanded one."""
 
 NEAR_S = 0.02
-"""A base stands when its final position is nearer than the way that it drives in this time [s]."""
+"""A base stands when its final position is nearer than it drives at full speed in this time [s]."""
 
 MIN_SAMPLES = 3
 

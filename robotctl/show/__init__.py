@@ -1,1 +1,1 @@
-"""A recording as one HTML page: what was driven, what was decided, and what proves it. No ROS."""
+"""Draws recordings without ROS: a report as one HTML page, and figures as SVG, PNG and text."""

@@ -21,7 +21,7 @@ GROUND_ROOM: Final = 1.08
 """The size of a picture on the ground, as a multiple of the size of its paths."""
 
 DIGIT_PX: Final = 7.5
-"""The width of a digit at an axis, at most."""
+"""The largest width of a digit at an axis [pixels]."""
 
 Point = tuple[float, float]
 Span = tuple[float, float]

@@ -194,7 +194,7 @@ ViewRequest = (
 
 
 def text_request(text: bytes) -> ViewRequest:
-    """Decode a text message.
+    """Return the request in a text message of a client.
 
     Raises:
         WrongRequest: The message violates the protocol, or this server does not support it.
@@ -218,7 +218,7 @@ def text_request(text: bytes) -> ViewRequest:
 
 
 def binary_request(data: bytes) -> ViewRequest:
-    """Decode a binary message.
+    """Return the request in a binary message of a client.
 
     Raises:
         WrongRequest: The message violates the protocol, or this server does not support it.

@@ -93,13 +93,13 @@ MAX_OFFERS: Final = 1_000
 """Limit on the channels that a viewer offers; Foxglove offers one for each panel that publishes."""
 
 HANDSHAKE_S: Final = 5.0
-"""How long a handshake may take."""
+"""How long a handshake may take [s]."""
 
 STALL_S: Final = 30.0
-"""A viewer whose socket accepts no data for this time is disconnected; it may reconnect."""
+"""A viewer whose socket accepts no data for this time [s] is disconnected; it may reconnect."""
 
 PERIOD_S: Final = 1.0
-"""The period of the checks for stalled viewers, late handshakes and dropped messages."""
+"""The period [s] of the checks for stalled viewers, late handshakes and dropped messages."""
 
 _MESSAGE_HEAD_BYTES: Final = len(message_head(0, 0))
 
@@ -174,7 +174,7 @@ class ViewServer:
                     _tell_dropped(viewer)
 
     def close(self) -> None:
-        """End every connection."""
+        """Stop listening, and end every connection."""
         if self._listener is not None:
             self._listener.close()
         for viewer in list(self._connections):

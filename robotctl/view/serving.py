@@ -63,7 +63,7 @@ _WILDCARDS: Final = ("0.0.0.0", "::")
 
 
 async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
-    """Serve a view until a signal, the daemon's end or closed stdin; the caller closes `at_end`.
+    """Serve a view until a signal, the daemon's end or closed stdin; `at_end` closes ROS later.
 
     Raises:
         RobotctlError: The view cannot be served; the text says why.
@@ -132,7 +132,7 @@ _NODE: Final = "_view"
 
 
 class LiveView:
-    """Offers the topics of a domain to viewers, and sends messages of the topics they watch."""
+    """Offers the topics of a domain to viewers, and sends messages of the watched topics."""
 
     def __init__(self, session: Session, server: ViewServer) -> None:
         from robotctl.ros.tap.on_demand import OnDemandTap

@@ -43,7 +43,7 @@ KNOWN_ORIGINS: Final = (
     "http://localhost:8080",
     "http://127.0.0.1:8080",
 )
-"""The pages of Foxglove, the desktop applications, and Lichtblick as its container serves it."""
+"""The pages of Foxglove, the desktop applications, and Lichtblick in its container image."""
 
 _TOKEN_BYTES: Final = 24
 

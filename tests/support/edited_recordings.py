@@ -1,4 +1,4 @@
-"""Recordings that a test edits: valid files again, with CRCs, indexes and a ledger that agree."""
+"""Edits recordings, and writes valid files again: with CRCs, indexes and a ledger that agree."""
 
 from __future__ import annotations
 

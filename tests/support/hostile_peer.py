@@ -79,7 +79,7 @@ class Hostile:
         assert code == 0
 
     def _support(self, kind: Any, type_name: bytes) -> int:
-        """Return the address of `kind`'s type support, renamed for Fast DDS unless "" is given."""
+        """Return the address of `kind`'s type support; `type_name` renames the type for DDS."""
         check_for_type_support(kind)
         real = _TypeSupport.from_address(_pointer(kind._TYPE_SUPPORT))
         find = _FIND(real.func)

@@ -1,4 +1,4 @@
-"""boot: systemd units that start the daemon of a robot, and copy its recordings."""
+"""boot: systemd units that start a robot's daemon, and units that copy its recordings."""
 
 from __future__ import annotations
 
@@ -329,7 +329,7 @@ def _text(about: str, section: str, wanted_by: str = "") -> str:
 
 
 def _service(robot: str, words: list[str], settings: list[str], *, system: bool, user: str) -> str:
-    """Return the [Service] section that runs robotctl with `words` on the robot's recordings."""
+    """Return the [Service] section that runs robotctl with `words`, and with --recordings."""
     command = [str(Path(sys.executable).with_name("robotctl")), *words]
     if not any(word.partition("=")[0] == "--recordings" for word in words):
         folder = _state_of(user, system=system) / "recordings" / robot

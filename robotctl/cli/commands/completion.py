@@ -44,7 +44,7 @@ BEGIN, END = "# robotctl completion: begin\n", "# robotctl completion: end\n"
 """The script stands between these lines of the start file."""
 
 VALUES: Final = MappingProxyType({"MODE": tuple(MODES), "PATTERN": MOTIONS})
-"""The values that an argument with this metavar may have."""
+"""The possible values of an argument, by its metavar."""
 
 _BASH: Final = """\
 _robotctl() {

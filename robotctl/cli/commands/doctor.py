@@ -1,4 +1,4 @@
-"""doctor: what is wrong with this computer or its ROS graph."""
+"""doctor: find what is wrong with this computer or its ROS graph."""
 
 from __future__ import annotations
 

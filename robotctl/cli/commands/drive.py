@@ -219,7 +219,7 @@ def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") ->
 
 
 def options_of(pattern: PatternKind) -> frozenset[str]:
-    """Return the names of the options that a pattern has."""
+    """Return the names of the options that a pattern accepts."""
     shape = SHAPES[pattern]
     size = {shape.size_name.value} if shape.size_name else set()
     corner = {"corner"} if shape.has_corner else set()
@@ -446,10 +446,10 @@ def drive(
 
 
 def _check(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:
-    """Check a value; the daemon's own limits may be lower.
+    """Check that the value of `option` is within `low` and `high`, if it is given.
 
     Raises:
-        UsageError: It is out of range.
+        UsageError: The value is out of range. The daemon may refuse smaller values, too.
     """
     if value is not None and not low <= value <= high:  # NaN is refused, too
         raise UsageError(f"{option} {value:g}", f"use {low:g} to {high:g}{unit}")

@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 
 MAX_TOPICS: Final = 6
-"""How many topics fit on a terminal of 24 lines; a smaller one cuts off the end of the view."""
+"""How many topics fit on a terminal of 24 lines; a smaller terminal cuts off the view's end."""
 
 END_S: Final = 1.0
 """How long `suspend` waits for the last drawing to end [s]."""
@@ -120,7 +120,7 @@ class TeleopScreen:
 
 
 def view_below(lines: list[str], status: Status) -> RenderableType:
-    """Return `lines` with the live view of `status` below; a small terminal cuts off its end."""
+    """Return `lines`, and the live view of `status` below; a small terminal cuts off the end."""
     from rich.console import Group
     from rich.text import Text
 

@@ -90,7 +90,7 @@ class HandsWithReleases:
         self._patience_s = 0.0
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the sum of all held keys; None if it is unchanged and `keys` has no ANSWER."""
+        """Return the wish of all held keys; None if it is unchanged and `keys` has no ANSWER."""
         for key in keys:
             if key.name != ANSWER and not key.is_text:
                 self._hear(key, now_s)

@@ -98,10 +98,10 @@ def ignoring(numbers: Iterable[signal.Signals]) -> Iterator[None]:
 
 
 def _ignore(number: int, frame: FrameType | None) -> None:
-    """Do nothing.
+    """Handle a signal by doing nothing.
 
     SIG_IGN would be inherited by children, and Python reports an error for a signal that arrived
-    just before it was set.
+    just before SIG_IGN was set.
     """
 
 

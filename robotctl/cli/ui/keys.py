@@ -277,7 +277,7 @@ class ReleaseEvents:
             self._write((_END if self.told else b"") + _MARK_NO_PASTES)
 
     def resume(self) -> None:
-        """Switch on the release events and paste marks that the terminal has."""
+        """Switch on release events, if the terminal reports them, and paste marks."""
         if self._keys_from >= 0:
             self._write((_BEGIN if self.told else b"") + _MARK_PASTES)
 

@@ -52,8 +52,8 @@ _POLICIES = {
     "durability": {"1": "transient_local", "2": "volatile"},
     "history": {"1": "keep_last", "2": "keep_all", "3": "unknown"},
 }
-"""The QoS policies for the numbers of rmw/types.h, which rosbag2 wrote before version 9 of its
-metadata. The history is unknown if DDS did not report it to the recorder."""
+"""The names of QoS values by their numbers in rmw/types.h: rosbag2 wrote the numbers before version
+9 of its metadata. The history is unknown if DDS did not report it to the recorder."""
 
 _ENTRY = re.compile(r"^ *(reliability|durability|history|depth): *(\w+)", re.MULTILINE)
 
@@ -406,7 +406,7 @@ def _lines(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterato
 
 
 def _drive_figures(each: ListedRecording) -> Iterator[str]:
-    """Yield the largest error of all drives of each kind, simulated truth too, and their time."""
+    """Yield the largest errors of all drives, true errors in brackets, and the time driven."""
     for name, what in (
         ("cross_track_max_m", "m off track"),
         ("heading_max_rad", "rad off heading"),

@@ -1,4 +1,4 @@
-"""replay: the options of the command, which choose what it does:
+"""replay: declares the options; these choose a function of one of two modules:
 
 - `replay_play`: publish to ROS with the original timing, or draw in the terminal (`--draw-only`).
 - `replay_check`: re-run the decisions and compare them (`--check`), re-run them with other

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 app = new_app()
 
 BURST_S: Final = 0.5
-"""How much may be sent at once after a pause, as time at the limit of --limit-mbps [s]."""
+"""After a pause, the bytes that --limit-mbps allows in this time [s] may be sent at once."""
 
 _BITS: Final = 8e-6
 """Megabits per byte."""

@@ -226,7 +226,7 @@ NOT_PROVED = (
 
 
 def _recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, Any]:
-    """Return one recording's object in `--json`; `heads` are the sealed files known here."""
+    """Return one recording's object in `--json`; `heads` are what this user's journals know."""
     from robotctl.recording.read.files import SUFFIX
     from robotctl.recording.read.whole_recording import RecordingProof, compare_known
 

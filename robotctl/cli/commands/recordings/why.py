@@ -119,8 +119,8 @@ def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
     """Return the recording to search for the time `at`, and that time [ns].
 
     It is the newest recording that contains the time; if none does, the newest that begins before
-    the time; if there is none either, the newest of all. If `at` is in seconds, they count from the
-    start of the newest. Recordings that cannot be read are skipped and named in `missing`.
+    the time; if there is none either, the newest of all. Seconds in `at` count from the start of
+    the newest recording. Recordings that cannot be read are skipped and named in `missing`.
 
     Raises:
         UnreadableFile: No recording can be read.
