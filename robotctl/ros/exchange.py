@@ -54,7 +54,7 @@ async def call(visitor: Membership, request: dict[str, Any], send: Send) -> None
 
     Raises:
         NoDaemon: No such service appears in time, or the service does not answer.
-        UsageError: The service has another type, or a value does not fit the type.
+        UsageError: The service has another type or several, or a value does not fit the type.
         Refused: The service's type is not installed here, or cannot be read.
     """
     node, name = visitor.node, request["name"]

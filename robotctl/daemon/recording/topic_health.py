@@ -371,7 +371,7 @@ class TopicHealth:
             yield f"{len(told) - MAX_NAMED} more topics have other rates than expected"
 
     def troubles(self) -> str:
-        """Return the present troubles as text without numbers, or "" if there are none.
+        """Return the present troubles as text without rates, or "" if there are none.
 
         A configured topic without a message is in trouble from the beginning.
         """
