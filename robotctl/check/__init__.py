@@ -2,7 +2,7 @@
 
 `run` reads a recording once, in the order of its files:
 
-1. `journal` puts the entries in order and groups them into snapshots and steps.
+1. `journal` puts entries in order: snapshots (kernel states) and steps (event and effects).
 2. `compare` gives each event to a new kernel: other decisions make the recording `diverged`, or
    `incomplete` if another version made it.
 3. `inputs`, `commands`, `calls` and `statuses` compare the recorded messages with the same steps,

@@ -114,7 +114,7 @@ class JournalFormat:
             )
 
     def compare(self, *entries: JournalEntry) -> None:
-        """Report the first field of an entry that only another version knows.
+        """Report the first field in `entries` that this version does not know.
 
         Raises:
             UnreadableFile: An entry is not of this version.

@@ -167,7 +167,7 @@ class Report:
         self.has_gaps |= not is_outside
 
     def miss_other_rules(self, difference: str) -> None:
-        """Add a difference that is not checked, because another version made the recording."""
+        """Report a difference that is no error, because another version made the recording."""
         if self._other_rules:
             self.miss(difference)
             return

@@ -1,4 +1,4 @@
-"""Recordings: write, read, recover and clip MCAP files that are valid at any moment. Without ROS.
+"""Recordings: write, read, recover and clip MCAP files that are valid at any moment. No ROS needed.
 
 A library user may rely on the names in `__all__`; the modules below may change. Each name is
 imported on first use.

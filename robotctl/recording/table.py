@@ -167,7 +167,7 @@ def json_lines(columns: Sequence[FieldPath], rows: Iterable[Row]) -> Iterator[st
 
 
 def json_of(value: Any) -> str:
-    """Return JSON in one line. NaN and infinity become texts, and bytes become base64."""
+    """Return `value` as JSON in one line. NaN and infinity become texts, bytes become base64."""
     try:
         return json.dumps(value, allow_nan=False)
     except (ValueError, TypeError):

@@ -52,7 +52,7 @@ def records_of_clip(
 ) -> Iterator[tuple[str, Mapping[str, str]]]:
     """Yield name and values of each metadata record that a clip of `window` copies.
 
-    For each name in OF_EACH_FILE only the last record is yielded, with no mode but OBSERVING.
+    For a name in OF_EACH_FILE only the last record counts, without a `mode` that may change.
     """
     records = list(recorded)
     for record in records:
@@ -259,7 +259,7 @@ def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) ->
     """Wait until the recording contains the clip, has ended or is PATIENCE_S late; then cut it.
 
     Raises:
-        Refused: As `cut_clip` raises it.
+        Refused: There is nothing to cut, or the clip cannot be written.
         UnreadableFile: The recording cannot be read.
     """
     _wait_for_end(job)

@@ -324,9 +324,9 @@ def files_of_bag(folder: Path) -> list[Path]:
 def each_with_progress(
     paths: Sequence[Path], on_progress: Progress
 ) -> Iterator[tuple[Path, Progress]]:
-    """Yield each path, and a function to call with what is done of that path, and in total.
+    """Yield each path with a progress function for this path alone, in any unit (done, total).
 
-    That function calls `on_progress` with the bytes done of all paths, and in total.
+    That function calls `on_progress` with the bytes done and in total of all paths.
     """
     sizes = [size_of(path) for path in paths]
     total = sum(sizes)

@@ -182,7 +182,7 @@ class InputFile:
             yield self.read(offset, min(_PIECE_BYTES, end - offset))
 
     def record(self, offset: int) -> Record:
-        """Return the record at `offset`.
+        """Return opcode, begin and end of the record at `offset`, whose content is not read.
 
         Raises:
             Damaged: The file ends before its content.
