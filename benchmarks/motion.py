@@ -46,7 +46,7 @@ WEAK_WHEEL = 0.97
 LAG_S = 0.04
 NOISE_M, NOISE_RAD = 0.002, 0.002
 TODAY_S = 20.7
-"""A lap of the 1 m square before the speed was planned ahead."""
+"""The time of a lap of the 1 m square without speed planning [s], for comparison."""
 
 WAYPOINTS = ((0.0, 0.0), (1.0, 0.0), (1.5, 0.8), (2.5, 0.8), (2.5, -0.5), (0.5, -1.0))
 PATHS: dict[str, tuple[Pattern, Course]] = {

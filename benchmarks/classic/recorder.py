@@ -34,7 +34,7 @@ class Recorder(Node):
                 self.subscribe(topic, types[0], [info.qos_profile for info in publishers])
 
     def subscribe(self, topic: str, type_name: str, offered: Sequence[QoSProfile]) -> None:
-        """Ask for what every publisher offers, as rosbag2 does."""
+        """Subscribe with a QoS that matches every publisher's offer, as rosbag2 does."""
         reliable = all(each.reliability == ReliabilityPolicy.RELIABLE for each in offered)
         latched = all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
         qos = QoSProfile(

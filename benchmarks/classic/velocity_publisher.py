@@ -1,4 +1,4 @@
-"""The classic velocity publisher: a square by the clock, while the mode is MOVING."""
+"""The classic velocity publisher: drives a square by time, without odometry, while MOVING."""
 
 import math
 from contextlib import suppress

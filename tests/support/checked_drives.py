@@ -43,17 +43,17 @@ from robotctl.testing.drives import BEGIN_NS, Written, drive, record
 
 @cache
 def drive_of_3_s() -> list[Written]:
-    """Return the drive that most tests of checks change; it is not to be changed in place."""
+    """Return the drive that most tests of checks copy and change; do not change it in place."""
     return drive(3.0, snapshots_s=(0.0, 1.5))
 
 
 def entries_of(written: list[Written]) -> list[JournalEntry]:
-    """Return the journal."""
+    """Return the journal entries of a drive."""
     return [each for each in written if isinstance(each, JournalEntry)]
 
 
 def from_snapshot(written: list[Written], number: int) -> list[Written]:
-    """Return what is written from a snapshot on, which has this number, as a later file has it."""
+    """Return a drive from its snapshot `number` (from 0) on, as if in a later file."""
     snapshots = [
         at
         for at, each in enumerate(written)
@@ -65,12 +65,12 @@ def from_snapshot(written: list[Written], number: int) -> list[Written]:
 def with_entries(
     written: list[Written], change: Callable[[JournalEntry], JournalEntry]
 ) -> list[Written]:
-    """Return what is written with each journal entry changed, and the CRCs computed anew."""
+    """Return a drive with each journal entry changed, and with the CRCs of the new entries."""
     return rechained([change(each) if isinstance(each, JournalEntry) else each for each in written])
 
 
 def with_snapshots(written: list[Written], old: str, new: str) -> list[Written]:
-    """Return what is written with another text in each snapshot."""
+    """Return a drive with `new` in place of the first `old` in each snapshot."""
 
     def change(entry: JournalEntry) -> JournalEntry:
         is_snapshot = entry.kind is EntryKind.SNAPSHOT

@@ -56,7 +56,7 @@ class Contents:
                 values[topic] = json.dumps({**counts, "lost": counts["lost"] + count})
 
     def unclosed(self) -> Contents:
-        """Return a copy without a ledger, as a recording that was not closed has none."""
+        """Return a copy without a ledger, as in a recording that was not closed."""
         edited = self.copy()
         edited.metadata = [each for each in edited.metadata if each[0] != LEDGER_RECORD]
         return edited

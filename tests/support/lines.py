@@ -36,7 +36,7 @@ class Ran:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """The object of --json."""
+        """The object that the command has printed with `--json`."""
         found: dict[str, Any] = json.loads(self.out)
         return found
 

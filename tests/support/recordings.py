@@ -157,7 +157,7 @@ def salvaged(path: Path) -> tuple[list[RecordedMessage], list[str]]:
 
 
 def first_numbers(count: int) -> list[bytes]:
-    """Return the data of the first messages."""
+    """Return the data of the first `count` numbered messages."""
     return [numbered(number) for number in range(1, count + 1)]
 
 
@@ -199,7 +199,7 @@ def record_sealed(
 
 @contextmanager
 def fork_server(*preloaded: str) -> Iterator[ForkServerContext]:
-    """Start processes from a server that has imported some modules, and then end the server."""
+    """Yield a multiprocessing context with `preloaded` modules; end its fork server at the end."""
     context = get_context("forkserver")
     context.set_forkserver_preload(list(preloaded))
     server: Any = forkserver._forkserver

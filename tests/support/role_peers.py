@@ -333,7 +333,7 @@ class StubBase(NodePeer):
         deadband_mps: float = 0.0,
         timeout_s: float | None = None,
     ) -> None:
-        """Begin. `command`: topic, type, QoS; `odometry`, `battery`: topic, QoS, rate [Hz], level.
+        """Begin. `command`: topic, type, QoS; `odometry`: topic, QoS, rate; `battery` also a level.
 
         The base follows with a lag, ignores speeds below the deadband, and stops at its timeout.
         """

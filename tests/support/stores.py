@@ -104,7 +104,7 @@ class MemoryStore:
 
 
 def environment(endpoint: str) -> dict[str, str]:
-    """Return what a user sets for a server without https at `endpoint`."""
+    """Return the variables that a user sets for an S3 server without https at `endpoint`."""
     return {
         "AWS_ENDPOINT_URL": endpoint,
         "AWS_ALLOW_HTTP": "true",

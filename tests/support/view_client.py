@@ -66,7 +66,7 @@ class ViewClient:
         await self.ask(op="subscribe", subscriptions=wanted)
 
     async def unsubscribe(self, topic: str) -> None:
-        """Subscribe to a topic no longer."""
+        """End the subscription to a topic."""
         await self.ask(op="unsubscribe", subscriptionIds=[1000 + self.channels[topic]["id"]])
 
     async def call(self, service: str, call_id: int = 1) -> None:

@@ -141,7 +141,7 @@ class HandsWithoutReleases:
         is_pasted = len(keys) > MAX_AT_ONCE
         if not (names or is_pasted):
             return None
-        name = names[-1] if names else ""  # keys read together are no repeats: they may have waited
+        name = names[-1] if names else ""  # one read is no repeat: its keys may have been buffered
         is_soon = now_s - self._last_s <= REPEAT_S
         repeats = name == self._last and is_soon
         self._is_forgotten = is_pasted or (self._is_forgotten and is_soon)

@@ -129,7 +129,7 @@ def wait_while_stdout_open(driving: Background[DriveAnswer], at_most_s: float = 
     end = time.monotonic() + at_most_s
     while (
         not driving.is_done and time.monotonic() < end
-    ):  # an interrupted join would mark the thread as ended
+    ):  # polls, because an interrupted join would mark the thread as ended
         if any(found & (select.POLLERR | select.POLLHUP) for _, found in poll.poll(POLL_S * 1000)):
             raise KeyboardInterrupt
 

@@ -93,7 +93,7 @@ class RosView:
             UsageError: There is no such topic, or it has several types and `type_name` is "".
         """
         expected = False
-        if self.through_daemon and not type_name:  # the daemon knows at once what does not exist
+        if self.through_daemon and not type_name:  # the daemon knows at once if there is no topic
             found = self.topic(topic)
             expected = bool(found["publishers"])
             type_name = only_type(topic, found["types"])
