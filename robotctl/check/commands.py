@@ -403,7 +403,7 @@ class CommandPairs:
                 counts.after_end += 1
 
     def end(self, cut: int, *, is_own: bool, is_closed: bool) -> None:
-        """Judge the commands and messages that are not paired yet, as the recording ends.
+        """Count the commands and messages that are not paired when the recording ends.
 
         Up to `cut` messages may belong to decisions after the end. A journal that was received from
         a robot (not `is_own`) may end before the recorded commands do.

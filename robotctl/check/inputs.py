@@ -104,7 +104,7 @@ class UnheardChange:
         self._is_begin = True
 
     def settle(self, stall_ns: int) -> None:
-        """Judge the messages up to the newest input; UNHEARD_NS is extended by `stall_ns`."""
+        """Check the messages up to the newest input; `stall_ns` extends UNHEARD_NS."""
         newest = max(self._heard, default=0)
         while self._waiting and self._waiting[0].sequence <= newest:
             self._take(self._waiting.popleft(), stall_ns)
@@ -112,7 +112,7 @@ class UnheardChange:
             self._heard.clear()
 
     def end(self, log_ns: int, stall_ns: int) -> None:
-        """Judge the messages up to the journal's end `log_ns`; `stall_ns` is as in `settle`."""
+        """Check the messages up to the journal's end `log_ns`; `stall_ns` extends UNHEARD_NS."""
         self.settle(stall_ns)
         for shown in self._waiting:
             if shown.log_ns <= log_ns:
@@ -262,7 +262,7 @@ class InputPairs:
         self._waiting.clear()
 
     def end(self, t_ns: int, stalled_ns: int) -> None:
-        """Judge what waits at the end `t_ns`; stalls may have delayed inputs by `stalled_ns`."""
+        """Count what is not paired at the end `t_ns`; stalls may delay inputs by `stalled_ns`."""
         left = [*self._waiting.rest()]
         newest = max((number for number, slot in left if slot.sent), default=0)
         newest = newest if self.has_one_publisher else 0

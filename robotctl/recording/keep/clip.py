@@ -275,7 +275,7 @@ def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) ->
 
 
 def clip_job(given: dict[str, Any], report: Report) -> None:
-    """Cut the clip of `given`, a ClipJob as JSON, in a separate process; report target and lost."""
+    """Cut the clip of the ClipJob in `given`, in a new process; report `target` and `lost`."""
     made = make_clip(msgspec.convert(given, ClipJob, dec_hook=lambda kind, value: kind(value)))
     report({"target": str(made.target), "lost": list(made.lost)})
 

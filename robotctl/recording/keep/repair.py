@@ -261,6 +261,6 @@ def tidy(job: TidyJob) -> Iterator[TidyNote]:
 
 
 def tidy_job(given: dict[str, Any], report: Report) -> None:
-    """Run `tidy` for `given`, a TidyJob as JSON, in a separate process, and report each note."""
+    """Run `tidy` for the TidyJob in `given`, and report each note. Called in a new process."""
     for note in tidy(msgspec.convert(given, TidyJob, dec_hook=lambda kind, value: kind(value))):
         report(note._asdict())
