@@ -1,6 +1,6 @@
 """The console script: runs one command line and maps every error to an exit code.
 
-Imports are inside the `try`: they take half of a quick command's time, when Ctrl-C may come.
+Imports are inside the `try`, because Ctrl-C may interrupt them: they take half of a quick command.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ def service_response(service_id: int, call_id: int, answer: Mapping[str, Any]) -
 
 
 def service_failure(service_id: int, call_id: int, message: str) -> str:
-    """Return the text that tells a viewer that its call failed; `message` says why."""
+    """Return the message about a failed service call; `message` says why it failed."""
     said = {"serviceId": service_id, "callId": call_id, "message": message}
     return json.dumps({"op": "serviceCallFailure", **said})
 

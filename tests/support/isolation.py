@@ -102,7 +102,7 @@ class FileSurroundings:
         self._before: Surroundings = {}
 
     def begin(self) -> None:
-        """Keep the surroundings before a file."""
+        """Store a snapshot of the surroundings before a file."""
         self._before = surroundings()
 
     def left_over(self, settling_s: float = SETTLING_S) -> list[str]:

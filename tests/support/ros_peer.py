@@ -204,7 +204,7 @@ class Peer(NodePeer):
         self.measure(0.0)
 
     def command(self, linear: float) -> None:
-        """Publish a velocity command, which only the daemon should do."""
+        """Publish a velocity command, in competition with the daemon."""
         self.node.create_publisher(Twist, "/cmd_vel", 10).publish(_forward(linear))
 
     def command_and_go(self, linear: float, namespace: str = "") -> int:

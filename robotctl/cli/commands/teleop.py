@@ -67,7 +67,7 @@ END_S: Final = 1.0
 
 
 class TeleopScreen:
-    """A context that draws the status of the robot below `lines()`; a thread calls both."""
+    """A context in which a thread draws `lines()` and, below them, the status of the robot."""
 
     def __init__(self, robot: str, lines: Callable[[], list[str]]) -> None:
         self._robot = robot

@@ -1,4 +1,4 @@
-"""Turn held keys or a gamepad into the wanted motion, and request it again and again."""
+"""Turn held keys or a gamepad into the wanted motion, and request the motion periodically."""
 
 from __future__ import annotations
 

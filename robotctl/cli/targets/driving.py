@@ -88,7 +88,7 @@ def interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
 
 @contextmanager
 def ignoring(numbers: Iterable[signal.Signals]) -> Iterator[None]:
-    """Ignore signals during a step that must be completed."""
+    """Ignore these signals during the block, which must be completed."""
     previous = {number: signal.signal(number, _ignore) for number in numbers}
     try:
         yield

@@ -1,1 +1,1 @@
-"""Commands about a recording."""
+"""The commands about recordings, one or many."""
