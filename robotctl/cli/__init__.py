@@ -1,1 +1,1 @@
-"""The command line: it sends requests to the daemon's socket and prints the answers."""
+"""The command line: commands query the daemon's socket, ROS or recordings, and print answers."""

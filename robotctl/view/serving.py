@@ -151,13 +151,13 @@ class LiveView:
     # From the tap
 
     def appeared(self, topic: str, type_name: str, definition: str) -> None:
-        """Offer a topic."""
+        """Offer a topic that the tap has found."""
         channel_id = self._server.offer(topic, type_name, definition)
         self._channels[topic] = channel_id
         self._topics[channel_id] = topic
 
     def vanished(self, topic: str) -> None:
-        """Withdraw a topic."""
+        """Withdraw a topic that has left the graph."""
         channel_id = self._channels.pop(topic)
         del self._topics[channel_id]
         self._server.withdraw(channel_id)

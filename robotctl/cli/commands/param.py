@@ -1,4 +1,4 @@
-"""config, param: the parameters in files, and those of a running daemon."""
+"""config, param: check parameter files; show and change the parameters of a running daemon."""
 
 from __future__ import annotations
 

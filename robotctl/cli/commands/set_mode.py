@@ -1,4 +1,4 @@
-"""set-mode, estop, reset: options and help; `cli.quick` implements them. And preflight."""
+"""set-mode, estop, reset: their options and help (`cli.quick` implements them); preflight."""
 
 from __future__ import annotations
 
