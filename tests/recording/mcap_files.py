@@ -15,6 +15,9 @@ from mcap.records import Channel, DataEnd, Footer, Header, Statistics
 from robotctl.recording.format.records import MAGIC, record_bytes
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
+DATA_START: Final = len(MAGIC) + len(record_bytes(Header("", "somebody")))
+"""Where the records after the header begin, in a file of somebody."""
+
 CHANNEL: Final = record_bytes(Channel(1, "/bomb", "cdr", {}, 0))
 
 
@@ -28,11 +31,18 @@ def chunk(records: bytes, compression: str = "zstd", level: int = 19) -> bytes:
     return stored_chunk(stored, compression, len(records))
 
 
-def stored_chunk(stored: bytes, compression: str, size: int) -> bytes:
-    """Return a chunk record that claims to unpack to `size` bytes."""
-    name = compression.encode()
+def stored_chunk(
+    stored: bytes, compression: str, size: int, *, claimed: int | None = None
+) -> bytes:
+    """Return a chunk record that claims to unpack to `size` bytes, and to store so many."""
+    name = compression.encode(errors="surrogateescape")
     content = struct.pack("<QQQII", 0, 1, size, 0, len(name)) + name
-    content += struct.pack("<Q", len(stored)) + stored
+    content += struct.pack("<Q", len(stored) if claimed is None else claimed) + stored
+    return chunk_record(content)
+
+
+def chunk_record(content: bytes) -> bytes:
+    """Return a chunk record with any content."""
     return RECORD_HEAD.pack(Opcode.CHUNK, len(content)) + content
 
 

@@ -12,8 +12,9 @@ import pytest
 from robotctl.base.errors import UnreadableFile, UsageError
 from robotctl.messages.definition import parse_definition
 from robotctl.messages.values import encode
-from robotctl.recording import Recorder, Topic, read_arrays, read_messages
+from robotctl.recording import Topic, read_arrays, read_messages
 from robotctl.testing.drives import GID
+from tests.support.recordings import Tape
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 START_NS = 1_700_000_000_000_000_000
@@ -37,7 +38,7 @@ bool y
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     """Return a recording of three messages, one second apart."""
-    recorder = Recorder(tmp_path / "run", on_failure=print)
+    recorder = Tape(tmp_path / "run")
     definition = parse_definition("p/msg/All", DEFINITION)
     channel = recorder.add_topic(Topic("/all", "p/msg/All", DEFINITION))
     for number in range(3):

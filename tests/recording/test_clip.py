@@ -62,7 +62,7 @@ from robotctl.testing.drives import (
 from tests.support.bags import STRING, text
 from tests.support.cases import for_each
 from tests.support.edited_recordings import Contents, contents_of, write_contents
-from tests.support.recordings import numbered, read_strictly
+from tests.support.recordings import Tape, flip, numbered, read_strictly
 from tests.support.waiting import until_longer
 
 DURATION_S = 40.0
@@ -81,17 +81,9 @@ def driven() -> list[Written]:
 
 
 def record_drive(folder: Path, driven: list[Written], *splits_s: float) -> Recorder:
-    """Record a drive with its commands, two maps, and an event every 10 s; do not close the
-    recorder.
-    """
-    begun: list[Path] = []
-    recorder = Recorder(
-        folder,
-        RecorderOptions(chunk_bytes=1 << 14),
-        metadata=lambda: {"robot": "robot", "mode": "IDLE"},
-        on_failure=pytest.fail,
-        on_split=begun.append,
-    )
+    """Record a drive with commands, two maps, and an event every 10 s; leave the recorder open."""
+    named = {"robot": "robot", "mode": "IDLE"}
+    recorder = Tape(folder, chunk_bytes=1 << 14, metadata=named.copy)
     journal, commands, maps = (recorder.add_topic(topic) for topic in (JOURNAL, TWIST, MAP))
     recorder.write(maps, text("old"), at_ns(0), at_ns(0), 1, b"a")
     recorder.write(maps, text("other"), at_ns(0.5), at_ns(0), 1, b"b")
@@ -104,9 +96,9 @@ def record_drive(folder: Path, driven: list[Written], *splits_s: float) -> Recor
                 recorder.write(maps, text("new"), at_ns(new.pop()), at_ns(25), 2, b"a")
             if splits and log_ns >= at_ns(splits[0]):
                 splits.pop(0)
-                count = len(begun)
+                count = len(recorder.begun)
                 recorder.split()
-                until_longer(begun, count)
+                until_longer(recorder.begun, count)
         else:
             assert isinstance(each, Twist)
             published += 1
@@ -218,9 +210,7 @@ def test_what_of_the_window_cannot_be_read_is_said(driven: list[Written], tmp_pa
     path = record_drive(tmp_path / "run", driven).close().file
     with Recording(path) as source:
         places = [p for p in source._files[0].index.places if at_ns(20) <= p.start_ns < at_ns(21)]
-    data = bytearray(path.read_bytes())
-    data[places[0].offset + places[0].length - 5] ^= 0xFF
-    path.write_bytes(data)
+    flip(path, places[0].offset + places[0].length - 5)
     made = clip(path, tmp_path / "clip.mcap", 19, 25)
     (lost,) = made.lost
     assert "are lost" in lost
@@ -232,7 +222,7 @@ def test_what_comes_after_the_event_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("robotctl.recording.keep.clip.PATIENCE_S", 30.0)
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    recorder = Tape(tmp_path / "run")
     channel, moment = recorder.add_topic(TWIST), Moment(time.time_ns(), EventKind.ERROR, "now")
     job = ClipJob(tmp_path / "run", moment, before_s=5.0, after_s=1.0)
     written: list[int] = []
@@ -260,7 +250,7 @@ def test_what_may_never_come_is_not_waited_for_without_end(
 ) -> None:
     monkeypatch.setattr("robotctl.recording.keep.clip.PATIENCE_S", 0.2)
     at_ns = time.time_ns() + ahead_s * NS_PER_S
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    recorder = Tape(tmp_path / "run")
     try:
         recorder.write(recorder.add_topic(TWIST), numbered(0), at_ns, 0, 0, GID)
         job = ClipJob(tmp_path / "run", Moment(at_ns), before_s=5.0, after_s=0.3)
@@ -270,7 +260,7 @@ def test_what_may_never_come_is_not_waited_for_without_end(
 
 
 def test_a_file_in_the_place_of_the_folder_of_clips_is_named(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    recorder = Tape(tmp_path / "run")
     recorder.write(recorder.add_topic(TWIST), numbered(0), 10**18, 0, 0, GID)
     recorder.close()
     (tmp_path / "run" / "clips").write_text("mine")

@@ -38,8 +38,6 @@ from zstandard import ZstdCompressor
 from robotctl.base.errors import Refused, UnreadableFile
 from robotctl.recording import (
     Compression,
-    Recorder,
-    RecorderOptions,
     Recording,
     read_info,
     read_messages,
@@ -51,9 +49,16 @@ from robotctl.recording.keep.recover import recover, recover_folder
 from robotctl.recording.read.messages import ALWAYS
 from robotctl.recording.read.whole_recording import RecordingProof, verify_recording
 from robotctl.rerun import Verdict, check_recording
-from robotctl.testing.drives import TWIST, drive, record
+from robotctl.testing.drives import drive, record
 from tests.support.bags import START_NS, data, talk, write_bag
-from tests.support.recordings import keyring, read_strictly, record_sealed, salvaged, write_numbered
+from tests.support.recordings import (
+    Tape,
+    keyring,
+    overwrite,
+    read_strictly,
+    record_sealed,
+    salvaged,
+)
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
@@ -158,9 +163,8 @@ def test_the_result_of_a_sealed_recording_is_whole_and_says_that_it_is_not_seale
 
 
 def test_files_are_split_by_size_and_joined(tmp_path: Path) -> None:
-    options = RecorderOptions(compression=Compression.NONE, chunk_bytes=1 << 12)
-    recorder = Recorder(tmp_path / "run", options, on_failure=print)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 4001))
+    recorder = Tape(tmp_path / "run", compression=Compression.NONE, chunk_bytes=1 << 12)
+    recorder.commands(range(1, 4001))
     recorder.close()
     convert(tmp_path / "run", tmp_path / "split", Form(Compression.NONE, split_bytes=50_000))
     sizes = [path.stat().st_size for path in (tmp_path / "split").glob("*.mcap")]
@@ -256,10 +260,7 @@ def test_odd_rows_are_left_out_and_told(tmp_path: Path) -> None:
 def test_what_a_damaged_database_still_holds_is_converted_and_the_loss_told(tmp_path: Path) -> None:
     bag = sqlite_bag(tmp_path / "bag", count=3000)
     (path,) = bag.glob("*.db3")
-    data = bytearray(path.read_bytes())
-    half = len(data) // 2
-    data[half : half + 20_000] = b"\xff" * 20_000
-    path.write_bytes(data)
+    overwrite(path, path.stat().st_size // 2, b"\xff" * 20_000)
     done = convert(bag, tmp_path / "copy", Form())
     assert 0 < done.message_count < 3000
     assert "the database is damaged after" in done.lost[0]

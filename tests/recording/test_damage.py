@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema, Statistics
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 
 from robotctl.base.errors import UnreadableFile
 from robotctl.recording import Compression, Recording, read_info, read_messages
@@ -28,9 +28,12 @@ from robotctl.recording.read.records import parse
 from robotctl.testing.faults import PAGE, chunks_of, mutated, record_boundaries, zero
 from tests.support.cases import for_each
 from tests.support.recordings import (
+    by_mcap,
     first_numbers,
+    flip,
     foreign,
     number_of,
+    overwrite,
     read_strictly,
     recorded,
     salvaged,
@@ -40,10 +43,9 @@ from tests.support.recordings import (
 @pytest.mark.parametrize("summary", [True, False])
 def test_one_damaged_chunk_costs_that_chunk_only(tmp_path: Path, summary: bool) -> None:
     path = recorded(tmp_path / "run", 1000)
-    data = bytearray(path.read_bytes())
-    chunks = [offset for offset in record_boundaries(bytes(data)) if data[offset] == Opcode.CHUNK]
-    data[chunks[10] + 80] ^= 0xFF
-    path.write_bytes(data if summary else data[:-40])
+    flip(path, chunks_of(path.read_bytes())[10][0] + 80)
+    if not summary:
+        path.write_bytes(path.read_bytes()[:-40])
     messages, missing = salvaged(path)
     lost = set(range(1, 1001)) - {number_of(m.data) for m in messages}
     per_chunk = 1024 // 83
@@ -59,16 +61,14 @@ def test_after_a_piece_of_nonsense_the_next_chunk_is_found(
     tmp_path: Path, write: Callable[[Path, int], Path], garbage: bytes
 ) -> None:
     path = write(tmp_path / "run", 1000)
-    whole = path.read_bytes()
-    chunks = [offset for offset in record_boundaries(whole) if whole[offset] == Opcode.CHUNK]
-    data = bytearray(whole[:-30])
-    data[chunks[10] : chunks[10] + 500] = garbage
-    path.write_bytes(data)
+    start, _ = chunks_of(path.read_bytes())[10]
+    path.write_bytes(path.read_bytes()[:-30])
+    overwrite(path, start, garbage)
     messages, missing = salvaged(path)
     numbers = [number_of(m.data) for m in messages]
     assert 960 < len(numbers) < 1000
     assert numbers == sorted(set(numbers))
-    assert f"bytes {chunks[10]} to" in missing[0]
+    assert f"bytes {start} to" in missing[0]
 
 
 def test_nonsense_without_end_is_searched_in_bounded_time(tmp_path: Path) -> None:
@@ -113,13 +113,10 @@ def test_a_record_that_promises_more_than_it_holds_is_damaged(kind: Any, content
 
 def test_what_is_missing_is_said_in_few_words(tmp_path: Path) -> None:
     path = recorded(tmp_path / "run", 2000)
-    whole = path.read_bytes()
-    data = bytearray(whole)
-    for offset in record_boundaries(whole):
-        if whole[offset] == Opcode.CHUNK:
-            data[offset + 80] ^= 0xFF
-    for content in (data, data[:-30]):
-        path.write_bytes(content)
+    for start, _ in chunks_of(path.read_bytes()):
+        flip(path, start + 80)
+    for end in (None, -30):
+        path.write_bytes(path.read_bytes()[:end])
         messages, missing = salvaged(path)
         assert messages == []
         assert len(read_info(path).missing) <= 21
@@ -245,13 +242,8 @@ def test_a_cut_compressed_chunk_is_read_as_far_as_it_unpacks(
     path = tmp_path / "cut.mcap"
     dice = random.Random(7)
     sent = [dice.randbytes(1000) for _ in range(2000)]
-    with path.open("wb") as stream:
-        writer = Writer(stream, chunk_size=10**9, compression=compression)
-        writer.start()
-        channel = writer.register_channel("/a", "cdr", 0)
-        for number, data in enumerate(sent):
-            writer.add_message(channel, number, data, number)
-        writer.finish()
+    numbered_data = [("/a", number, data) for number, data in enumerate(sent)]
+    by_mcap(path, numbered_data, chunk_size=10**9, compression=compression)
     path.write_bytes(path.read_bytes()[:1_000_000])
     messages, missing = salvaged(path)
     assert len(messages) > (500 if compression is CompressionType.ZSTD else -1)
@@ -349,10 +341,8 @@ def test_zeros_that_begin_anywhere_in_the_head_of_a_chunk_are_named(
 def test_a_chunk_that_is_not_what_the_index_says_is_named(tmp_path: Path, field: str) -> None:
     """The checksum covers only the messages, not the fields before them."""
     path = recorded(tmp_path / "run", COUNT, compression=Compression.NONE)
-    data = bytearray(path.read_bytes())
-    start, _ = chunks_of(bytes(data))[10]
-    data[start + {"length": 1, "start": 9, "end": 17, "size": 25}[field]] ^= 1
-    path.write_bytes(data)
+    start, _ = chunks_of(path.read_bytes())[10]
+    flip(path, start + {"length": 1, "start": 9, "end": 17, "size": 25}[field], 1)
     messages, missing = salvaged(path)
     assert len(messages) == COUNT - 1024 // 83
     assert len(missing) == 1
@@ -370,11 +360,9 @@ def test_times_that_the_chunk_indexes_contradict_are_not_believed(tmp_path: Path
 def test_messages_that_the_summary_counts_and_that_are_not_there_are_named(tmp_path: Path) -> None:
     """The chunk has no checksum, and its framing alone does not show the loss."""
     path = foreign(tmp_path / "a.mcap", COUNT, compression=CompressionType.NONE, enable_crcs=False)
-    data = bytearray(path.read_bytes())
-    start, _ = chunks_of(bytes(data))[10]
-    first = data.index(struct.pack("<BQ", Opcode.MESSAGE, 74), start)
-    data[first] = 0x80  # a private opcode, which readers skip
-    path.write_bytes(data)
+    data = path.read_bytes()
+    first = data.index(struct.pack("<BQ", Opcode.MESSAGE, 74), chunks_of(data)[10][0])
+    overwrite(path, first, b"\x80")  # a private opcode, which readers skip
     messages, missing = salvaged(path)
     assert len(messages) == COUNT - 1
     assert missing == [f"a.mcap: its summary counts {COUNT} messages, and {COUNT - 1} are there"]

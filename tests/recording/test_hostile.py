@@ -33,7 +33,6 @@ from mcap.records import (
     Schema,
     Statistics,
 )
-from mcap.writer import Writer
 
 from robotctl.base.errors import UnreadableFile, UsageError
 from robotctl.check.report import Verdict
@@ -65,9 +64,17 @@ from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.recording.write.buffer import ChunkEncoder, pack
 from robotctl.recording.write.mcap_writer import McapFile
 from robotctl.testing.drives import BEGIN_NS, drive, record
-from tests.recording.mcap_files import CHANNEL, RECORD_HEAD, chunk, finished, stored_chunk
+from tests.recording.mcap_files import (
+    CHANNEL,
+    DATA_START,
+    RECORD_HEAD,
+    chunk,
+    chunk_record,
+    finished,
+    stored_chunk,
+)
 from tests.support.cases import for_each
-from tests.support.recordings import numbered, salvaged
+from tests.support.recordings import by_mcap, numbered, salvaged
 
 SIZE: Final = 1_000_000
 _MIB: Final = 1 << 20
@@ -100,11 +107,10 @@ def counted(
 def indexed(chunk_record: bytes, chunks: int, claimed: int, size: int) -> bytes:
     """Return `count` chunks, and a summary that claims a total number of messages."""
     entries = []
-    offset = len(MAGIC) + len(record_bytes(Header("", "somebody")))
     length = len(chunk_record)
     stored = length - 9 - 28 - 4 - 4 - 8
     for number in range(chunks):
-        at = offset + number * length
+        at = DATA_START + number * length
         entries.append(record_bytes(ChunkIndex(length, at, "zstd", stored, 1, 0, {}, 0, size)))
     return finished(chunk_record * chunks, [CHANNEL, *entries], counted(claimed, chunks))
 
@@ -116,9 +122,7 @@ def _zeros(mib: int) -> bytes:
 def _nested_candidates() -> bytes:
     """Return a file in which each chunk header claims all bytes that follow, 64 MiB unpacked."""
     inner = b""
-    blocks = b"".join(
-        struct.pack("<I", 3 | (1 << 1) | (131_071 << 3))[:3] + b"\0" for _ in range(8)
-    )
+    blocks = (struct.pack("<I", 3 | (1 << 1) | (131_071 << 3))[:3] + b"\0") * 8
     while len(inner) < 100_000:
         raw = struct.pack("<I", (len(inner) << 3))[:3] + inner if len(inner) < 131_000 else b""
         frame = b"\x28\xb5\x2f\xfd\x00\x58" + raw + blocks + struct.pack("<I", 1)[:3]
@@ -127,37 +131,35 @@ def _nested_candidates() -> bytes:
 
 
 def _one_metadata_many_times() -> bytes:
-    header = len(MAGIC) + len(record_bytes(Header("", "somebody")))
     record = record_bytes(Metadata("m", {"k": "v" * (SIZE // 2)}))
-    index = record_bytes(MetadataIndex(header, len(record), "m"))
+    index = record_bytes(MetadataIndex(DATA_START, len(record), "m"))
     times = SIZE // 2 // len(index)
     return finished(record, [index] * times, counted(metadata=times))
 
 
 def _metadata_within_metadata() -> bytes:
     """Return a file in which a record begins every 100 bytes and claims all bytes that follow."""
-    header = len(MAGIC) + len(record_bytes(Header("", "somebody")))
     body = bytearray(b"x" * (SIZE // 2))
     indexes = []
     for offset in range(0, len(body) - 1000, 100):
         rest = len(body) - offset
         claim = RECORD_HEAD.pack(Opcode.METADATA, rest - 9) + struct.pack("<II", 0, rest - 9 - 8)
         body[offset : offset + 25] = claim + struct.pack("<II", rest, 0)[:8]
-        indexes.append(record_bytes(MetadataIndex(header + offset, rest, "")))
+        indexes.append(record_bytes(MetadataIndex(DATA_START + offset, rest, "")))
     return finished(bytes(body), indexes, counted(metadata=len(indexes)))
 
 
 def _attachments_within_attachments() -> bytes:
-    header = len(MAGIC) + len(record_bytes(Header("", "somebody")))
     body = bytearray(SIZE // 2)
     indexes = []
     for offset in range(0, len(body) - 1000, 100):
         length = len(body) - offset - 9
         fields = struct.pack("<QQIIQ", 0, 0, 0, 0, length - 36)
-        body[offset : offset + 9 + len(fields)] = (
-            RECORD_HEAD.pack(Opcode.ATTACHMENT, length) + fields
+        claim = RECORD_HEAD.pack(Opcode.ATTACHMENT, length) + fields
+        body[offset : offset + len(claim)] = claim
+        indexes.append(
+            record_bytes(AttachmentIndex(DATA_START + offset, length, 0, 0, 0, "a", "b"))
         )
-        indexes.append(record_bytes(AttachmentIndex(header + offset, length, 0, 0, 0, "a", "b")))
     return finished(bytes(body), indexes, counted(attachments=len(indexes)))
 
 
@@ -174,9 +176,8 @@ def _channels_without_end() -> bytes:
 
 
 def _one_attachment_many_times() -> bytes:
-    header = len(MAGIC) + len(record_bytes(Header("", "somebody")))
     record = record_bytes(Attachment(0, 0, "a", "b", bytes(SIZE // 2)))
-    index = record_bytes(AttachmentIndex(header, len(record), 0, 0, 0, "a", "b"))
+    index = record_bytes(AttachmentIndex(DATA_START, len(record), 0, 0, 0, "a", "b"))
     times = SIZE // 2 // len(index)
     return finished(record, [index] * times, counted(attachments=times))
 
@@ -428,23 +429,6 @@ def test_the_limits_grow_with_the_file() -> None:
     assert large.records == 10**9 // BYTES_PER_RECORD
 
 
-def crafted(chunk: bytes) -> bytes:
-    """Return a file of another writer whose only chunk has this content."""
-    header = b"\x01" + (8).to_bytes(8, "little") + bytes(8)
-    return MAGIC + header + b"\x06" + len(chunk).to_bytes(8, "little") + chunk
-
-
-def chunk_content(
-    compression: bytes, size: int, data: bytes, data_size: int | None = None
-) -> bytes:
-    return (
-        struct.pack("<QQQII", 0, 1, size, 0, len(compression))
-        + compression
-        + (len(data) if data_size is None else data_size).to_bytes(8, "little")
-        + data
-    )
-
-
 def zeros(size: int, compress: Callable[[], zstandard.ZstdCompressionObj]) -> bytes:
     stream = compress()
     block = bytes(1 << 20)
@@ -454,32 +438,33 @@ def zeros(size: int, compress: Callable[[], zstandard.ZstdCompressionObj]) -> by
 GIB = 1 << 30
 
 
+def gib(**options: int) -> bytes:
+    """Return 1 GiB of zeros in a frame that may tell its size."""
+    return zeros(GIB, lambda: zstandard.ZstdCompressor().compressobj(**options))
+
+
 @pytest.mark.parametrize(
     "content",
     [
-        lambda: chunk_content(b"zstd", 2**63, b"x"),
-        lambda: chunk_content(b"zstd", 100, zeros(GIB, zstandard.ZstdCompressor().compressobj)),
-        lambda: chunk_content(
-            b"zstd", GIB, zeros(GIB, lambda: zstandard.ZstdCompressor().compressobj(size=GIB))
-        ),
-        lambda: chunk_content(
-            b"zstd", 100, zeros(GIB, lambda: zstandard.ZstdCompressor().compressobj(size=GIB))
-        ),
-        lambda: chunk_content(b"lz4", 2**62, lz4.frame.compress(bytes(1000))),
-        lambda: chunk_content(b"lz4", 100, lz4.frame.compress(bytes(GIB // 8))),
-        lambda: chunk_content(b"", 2**40, b"", 2**40),
-        lambda: chunk_content(b"", 100, b"", 2**64 - 1),
-        lambda: chunk_content(b"rar", 100, b"x" * 100),
-        lambda: chunk_content(b"\xff" * 20, 100, b"x" * 100),
-        lambda: struct.pack("<QQQII", 0, 1, 5, 0, 2**32 - 1),
-        lambda: b"short",
+        lambda: stored_chunk(b"x", "zstd", 2**63),
+        lambda: stored_chunk(gib(), "zstd", 100),
+        lambda: stored_chunk(gib(size=GIB), "zstd", GIB),
+        lambda: stored_chunk(gib(size=GIB), "zstd", 100),
+        lambda: stored_chunk(lz4.frame.compress(bytes(1000)), "lz4", 2**62),
+        lambda: stored_chunk(lz4.frame.compress(bytes(GIB // 8)), "lz4", 100),
+        lambda: stored_chunk(b"", "", 2**40, claimed=2**40),
+        lambda: stored_chunk(b"", "", 100, claimed=2**64 - 1),
+        lambda: stored_chunk(b"x" * 100, "rar", 100),
+        lambda: stored_chunk(b"x" * 100, "\udcff" * 20, 100),
+        lambda: chunk_record(struct.pack("<QQQII", 0, 1, 5, 0, 2**32 - 1)),
+        lambda: chunk_record(b"short"),
     ],
 )
 def test_what_claims_to_be_huge_is_refused_before_memory_is_taken(
     tmp_path: Path, content: Callable[[], bytes]
 ) -> None:
     path = tmp_path / "bomb.mcap"
-    path.write_bytes(crafted(content()))
+    path.write_bytes(begun(content()))
     tracemalloc.start()
     try:
         info = read_info(path)
@@ -498,13 +483,8 @@ def test_chunks_that_all_overlap_are_not_all_held_in_memory(
     monkeypatch.setattr("robotctl.recording.read.read_limits.OPEN_BYTES", 10_000)
     monkeypatch.setattr("robotctl.recording.read.read_limits.OPEN_RATIO", 0)
     path = tmp_path / "overlap.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream, chunk_size=3000)
-        writer.start()
-        channel = writer.register_channel("/a", "cdr", 0)
-        for number in range(1000):
-            writer.add_message(channel, number % 20, numbered(number), 0)
-        writer.finish()
+    overlapping = [("/a", number % 20, numbered(number)) for number in range(1000)]
+    by_mcap(path, overlapping, chunk_size=3000)
     messages, missing = salvaged(path)
     assert 100 < len(messages) < 1000
     assert any("too many chunks overlap in time" in sentence for sentence in missing)

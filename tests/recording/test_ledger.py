@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.records import Metadata
 
-from robotctl.recording import Recorder, RecorderOptions, Recording, read_info
+from robotctl.recording import Recording, read_info
 from robotctl.recording.format.disk import Storage
 from robotctl.recording.format.names import EVENT_RECORD, EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
@@ -32,10 +32,10 @@ from robotctl.recording.write.channel_state import (
     ChannelState,
     SequenceGaps,
 )
-from robotctl.testing.drives import START_NS, TWIST, drive, record
+from robotctl.testing.drives import START_NS, drive, record
 from robotctl.testing.faults import FailingFile, chunks_of
 from tests.support.cases import for_each
-from tests.support.recordings import read_strictly, recorded, salvaged, write_numbered
+from tests.support.recordings import Tape, read_strictly, recorded, salvaged
 from tests.support.waiting import until
 
 
@@ -123,13 +123,12 @@ def test_a_latched_message_without_memory_gives_back_the_room_of_the_one_before(
 
 def recorded_twice(folder: Path) -> tuple[Path, bytes]:
     """Return a recording of 500 messages, and the content of its file at 200 messages."""
-    recorder = Recorder(folder, RecorderOptions(chunk_bytes=1024), on_failure=pytest.fail)
-    channel = recorder.add_topic(TWIST)
-    write_numbered(recorder, channel, range(1, 201))
+    recorder = Tape(folder, chunk_bytes=1024)
+    recorder.commands(range(1, 201))
     while recorder.stats().queued:
         time.sleep(0.001)
     earlier = recorder.stats().file.read_bytes()
-    write_numbered(recorder, channel, range(201, 501))
+    recorder.commands(range(201, 501))
     return recorder.close().file, earlier
 
 
@@ -152,11 +151,10 @@ def test_an_earlier_state_of_a_file_is_not_taken_for_all_of_it(
 def test_without_metadata_yaml_the_ledger_tells_what_is_missing_but_no_removed_file(
     tmp_path: Path,
 ) -> None:
-    recorder = Recorder(tmp_path / "run", RecorderOptions(chunk_bytes=1024), on_failure=pytest.fail)
-    channel = recorder.add_topic(TWIST)
-    write_numbered(recorder, channel, range(1, 201))
+    recorder = Tape(tmp_path / "run", chunk_bytes=1024)
+    recorder.commands(range(1, 201))
     recorder.split()
-    write_numbered(recorder, channel, range(201, 401))
+    recorder.commands(range(201, 401))
     recorder.close()
     first = tmp_path / "run" / "run_0.mcap"
     assert read_info(tmp_path / "run").missing == ()
@@ -177,12 +175,10 @@ def test_a_recording_that_a_full_disk_ended_says_nothing_untrue(
     def full_disk(path: Path, *_: object, **__: object) -> Storage:
         return FailingFile(path, fail_at)
 
-    failures: list[str] = []
-    options = RecorderOptions(chunk_bytes=1024, open_file=full_disk)
-    recorder = Recorder(tmp_path / "run", options, on_failure=failures.append)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 301), size)
+    recorder = Tape(tmp_path / "run", chunk_bytes=1024, open_file=full_disk, may_fail=True)
+    recorder.commands(range(1, 301), size)
     written = recorder.close().written
-    assert failures
+    assert recorder.failures
     info = read_info(tmp_path / "run")
     assert (info.message_count, info.missing) == (written, ())
 
@@ -242,8 +238,8 @@ EVENTS = (
 
 
 def test_an_event_is_found_while_the_file_grows_and_after_it_was_closed(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
+    recorder = Tape(tmp_path / "run")
+    recorder.commands(range(1, 11))
     for event in EVENTS:
         recorder.add_event(event)
     until(lambda: read_info(tmp_path / "run").events == EVENTS)
@@ -259,7 +255,7 @@ def test_events_without_end_go_on_in_another_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bag_writer, "MAX_EVENTS", 5)
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    recorder = Tape(tmp_path / "run")
     events = [RecordedEvent(EventKind.MARK, START_NS + n, str(n)) for n in range(12)]
     for event in events:
         recorder.add_event(event)

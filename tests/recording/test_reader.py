@@ -14,11 +14,12 @@ import threading
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, IndexType
 
 from robotctl.base.errors import UnreadableFile
 from robotctl.base.store import path_of
@@ -42,6 +43,8 @@ from robotctl.recording.read.records import InputFile
 from robotctl.testing.drives import GID, JOURNAL, ODOMETRY, START_NS, TWIST, drive, record
 from tests.support.cases import for_each
 from tests.support.recordings import (
+    Tape,
+    by_mcap,
     first_numbers,
     foreign,
     numbered,
@@ -54,9 +57,7 @@ from tests.support.stores import StoredFile, serving
 
 @pytest.mark.parametrize("compression", list(Compression))
 def test_our_own_recording_comes_back(tmp_path: Path, compression: Compression) -> None:
-    recorder = Recorder(
-        tmp_path / "run", RecorderOptions(compression=compression), on_failure=pytest.fail
-    )
+    recorder = Tape(tmp_path / "run", compression=compression)
     twist, odometry = recorder.add_topic(TWIST), recorder.add_topic(ODOMETRY)
     write_numbered(recorder, twist, range(1, 101))
     write_numbered(recorder, odometry, range(1, 51))
@@ -104,13 +105,8 @@ def test_messages_come_in_the_order_of_their_log_time_over_all_files(tmp_path: P
     numbers = list(range(1, 2001))
     dice.shuffle(numbers)
     for part in range(2):
-        with (tmp_path / f"bag_{part}.mcap").open("wb") as stream:
-            writer = Writer(stream, chunk_size=2048)
-            writer.start()
-            channel = writer.register_channel("/a", "cdr", 0)
-            for number in numbers[part::2]:
-                writer.add_message(channel, number // 2, numbered(number), 0, number)
-            writer.finish()
+        messages = [("/a", number // 2, numbered(number)) for number in numbers[part::2]]
+        by_mcap(tmp_path / f"bag_{part}.mcap", messages, chunk_size=2048)
     times = [message.log_ns for message in read_messages(tmp_path)]
     assert times == sorted(times)
     assert len(times) == 2000
@@ -134,16 +130,14 @@ def test_the_files_of_a_folder_are_read_in_their_natural_order_and_damage_hides_
 
 
 def test_a_recording_is_readable_while_it_grows(tmp_path: Path) -> None:
-    options = RecorderOptions(chunk_bytes=512, flush_s=0.001)
-    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail)
-    channel = recorder.add_topic(TWIST)
+    recorder = Tape(tmp_path / "run", chunk_bytes=512, flush_s=0.001)
     stop = threading.Event()
 
     def write() -> None:
         number = 0
         while not stop.is_set():
             number += 1
-            write_numbered(recorder, channel, range(number, number + 1))
+            recorder.commands(range(number, number + 1))
             stop.wait(0.0002)
 
     thread = threading.Thread(target=write)
@@ -226,16 +220,10 @@ moments = st.integers(0, 31)
 """Log times collide and run backwards, and chunks overlap."""
 
 
-def write(path: Path, messages: list[tuple[str, int]], **options: object) -> Path:
+def write(path: Path, messages: list[tuple[str, int]], **options: Any) -> Path:
     """Write a file with chunks of about three messages."""
-    with path.open("wb") as stream:
-        writer = Writer(stream, **{"chunk_size": 200, **options})  # type: ignore[arg-type]
-        writer.start()
-        channels = {topic: writer.register_channel(topic, "cdr", 0) for topic in TOPICS}
-        for number, (topic, at_ns) in enumerate(messages):
-            writer.add_message(channels[topic], at_ns, numbered(number, 48), at_ns, number)
-        writer.finish()
-    return path
+    told = [(topic, at_ns, numbered(n, 48)) for n, (topic, at_ns) in enumerate(messages)]
+    return by_mcap(path, told, chunk_size=200, **options)
 
 
 def everything(recording: Recording) -> list[Message]:
@@ -295,8 +283,7 @@ def test_what_lies_outside_is_not_read(tmp_path: Path, monkeypatch: pytest.Monke
 
 def record_journals(folder: Path, robot: str, topics: dict[str, Iterable[int]]) -> Path:
     """Return a recording of journals whose entries have these log times after START_NS."""
-    options = RecorderOptions(chunk_bytes=1024)
-    recorder = Recorder(folder, options, metadata=lambda: {"robot": robot}, on_failure=pytest.fail)
+    recorder = Tape(folder, chunk_bytes=1024, metadata=lambda: {"robot": robot})
     recorder.add_topic(TWIST)
     for name, times in topics.items():
         channel = recorder.add_topic(Topic(name, JOURNAL_ENTRY))

@@ -28,7 +28,6 @@ from robotctl.base.errors import Refused
 from robotctl.recording import (
     Compression,
     Recorder,
-    RecorderOptions,
     RecorderState,
     RecorderStats,
     Topic,
@@ -37,10 +36,10 @@ from robotctl.recording.write import bag_writer
 from robotctl.recording.write import recorder as recorder_module
 from robotctl.recording.write.writer_thread import NICE, SLICE_NS
 from robotctl.testing.drives import GID, ODOMETRY, QOS, START_NS, TWIST
-from tests.support.recordings import Stored, numbered, read_strictly, write_numbered
+from tests.support.recordings import Stored, Tape, numbered, read_strictly, write_numbered
 from tests.support.waiting import until
 
-OpenRecorder = Callable[..., Recorder]
+OpenRecorder = Callable[..., Tape]
 MIB = 1 << 20
 
 
@@ -52,18 +51,15 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def open_recorder(folder: Path) -> Iterator[OpenRecorder]:
     """Open recorders that are closed at the end; a failure of one fails the test."""
-    recorders: list[Recorder] = []
-    failures: list[str] = []
+    recorders: list[Tape] = []
 
-    def open_it(**options: object) -> Recorder:
-        recorder = Recorder(folder, RecorderOptions(**options), on_failure=failures.append)  # type: ignore[arg-type]
-        recorders.append(recorder)
-        return recorder
+    def open_it(**options: Any) -> Tape:
+        recorders.append(Tape(folder, **options))
+        return recorders[-1]
 
     yield open_it
     for recorder in recorders:
         recorder.close()
-    assert not failures
 
 
 def assert_accounted(stats: RecorderStats) -> None:
@@ -95,8 +91,7 @@ def test_any_message_is_kept_with_its_numbers_clamped_to_their_fields(
     chunk_bytes: int,
 ) -> None:
     folder = tmp_path_factory.mktemp("property") / "run"
-    options = RecorderOptions(compression=compression, chunk_bytes=chunk_bytes)
-    recorder = Recorder(folder, options, on_failure=pytest.fail)
+    recorder = Tape(folder, compression=compression, chunk_bytes=chunk_bytes)
     for number in range(4):
         recorder.add_topic(Topic(f"/topic{number}", "std_msgs/msg/String"))
     expected = []
@@ -162,7 +157,7 @@ def test_the_folder_is_a_bag_of_version_9_that_rosbags_opens_from_its_first_mome
     assert never == 2**63 - 1  # as rosbag2 writes it without messages
     with RosbagsReader(folder) as bag:
         assert bag.message_count == 0
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
+    recorder.commands(range(1, 101))
     write_numbered(recorder, recorder.add_topic(ODOMETRY), range(1, 51))
     recorder.close()
     assert listed()["message_count"] == 150
@@ -194,7 +189,7 @@ def test_the_folder_is_a_bag_that_plays_while_it_grows(
 
     monkeypatch.setattr(bag_writer, "METADATA_PERIOD_S", 3600.0)
     recorder = open_recorder(flush_s=0.01, sync_s=0.01)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
+    recorder.commands(range(1, 11))
     until(lambda: recorder.stats().written == 10)
     until(lambda: "/cmd_vel" in listed())
     with RosbagsReader(folder) as bag:
@@ -202,16 +197,15 @@ def test_the_folder_is_a_bag_that_plays_while_it_grows(
     monkeypatch.setattr(bag_writer, "METADATA_PERIOD_S", 0.01)
     write_numbered(recorder, recorder.add_topic(ODOMETRY), range(1, 11))
     until(lambda: "/odom" in listed())
-    write_numbered(recorder, recorder.add_topic(TWIST), range(11, 21))
+    recorder.commands(range(11, 21))
     until(lambda: listed() == {"/cmd_vel": 20, "/odom": 10})
 
 
 def test_the_file_describes_itself(folder: Path) -> None:
     metadata = {"robot": "robot", "mode": "IDLE"}
-    recorder = Recorder(folder, metadata=lambda: metadata, on_failure=pytest.fail)
-    channel = recorder.add_topic(TWIST)
-    write_numbered(recorder, channel, range(5, 15))
-    write_numbered(recorder, channel, range(18, 20))
+    recorder = Tape(folder, metadata=lambda: metadata)
+    recorder.commands(range(5, 15))
+    recorder.commands(range(18, 20))
     stats = recorder.close()
     with stats.file.open("rb") as stream:
         reader = make_reader(stream)
@@ -274,10 +268,9 @@ def test_a_message_larger_than_the_queue_is_dropped_and_counted(
     open_recorder: OpenRecorder,
 ) -> None:
     recorder = open_recorder(memory_bytes=8 * MIB)
-    channel = recorder.add_topic(TWIST)
-    write_numbered(recorder, channel, range(1, 2))
-    write_numbered(recorder, channel, range(2, 3), size=200 * MIB)
-    write_numbered(recorder, channel, range(3, 4))
+    recorder.commands(range(1, 2))
+    recorder.commands(range(2, 3), size=200 * MIB)
+    recorder.commands(range(3, 4))
     stats = recorder.close()
     assert [message.sequence for message in read_strictly(stats.file)] == [1, 3]
     assert (stats.received, stats.written, stats.dropped, stats.lost) == (3, 2, 1, 0)
@@ -307,10 +300,9 @@ def test_the_writer_thread_ranks_below_the_loop(open_recorder: OpenRecorder) -> 
 
 def test_after_close_nothing_is_written_and_all_is_counted(open_recorder: OpenRecorder) -> None:
     recorder = open_recorder()
-    channel = recorder.add_topic(TWIST)
-    write_numbered(recorder, channel, range(1, 11))
+    recorder.commands(range(1, 11))
     first = recorder.close()
-    write_numbered(recorder, channel, range(11, 14))
+    recorder.commands(range(11, 14))
     second = recorder.close()
     assert first.state is RecorderState.CLOSED
     assert (second.received, second.written, second.queued, second.dropped) == (13, 10, 0, 3)
@@ -321,7 +313,6 @@ def test_closing_while_the_loop_still_writes_loses_no_message_uncounted(
     open_recorder: OpenRecorder,
 ) -> None:
     recorder = open_recorder(chunk_bytes=2048, flush_s=0.0005)
-    channel = recorder.add_topic(TWIST)
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)  # the threads meet between any two bytecodes
     try:
@@ -330,7 +321,7 @@ def test_closing_while_the_loop_still_writes_loses_no_message_uncounted(
         number = 0
         while closer.is_alive():
             number += 1
-            write_numbered(recorder, channel, range(number, number + 1))
+            recorder.commands(range(number, number + 1))
             if number % 1000 == 0:
                 assert_accounted(recorder.stats())
     finally:

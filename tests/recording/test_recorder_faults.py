@@ -40,6 +40,7 @@ from robotctl.recording.write.writer_thread import WriterThread
 from robotctl.testing.drives import TWIST
 from robotctl.testing.faults import FailingFile, GatedFile, VolatileFile
 from tests.support.recordings import (
+    Tape,
     fork_server,
     number_of,
     numbered,
@@ -156,15 +157,12 @@ def test_a_file_that_may_not_grow_ends_in_one_failure_and_a_whole_file(
 
 @pytest.mark.parametrize("code", CURES)
 def test_each_error_of_the_disk_has_its_own_cure(tmp_path: Path, code: int) -> None:
-    failures: list[str] = []
     disk = partial(FailingFile, fail_at=2, code=code)
-    recorder = Recorder(
-        tmp_path / "run", RecorderOptions(open_file=disk), on_failure=failures.append
-    )
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
+    recorder = Tape(tmp_path / "run", open_file=disk, may_fail=True)
+    recorder.commands(range(1, 11))
     recorder.close()
     told = f"recording stopped: {os.strerror(code)} ({tmp_path / 'run' / 'run_0.mcap'})"
-    assert failures == [told + CURES[code]]
+    assert recorder.failures == [told + CURES[code]]
 
 
 def has_failed(recorder: Recorder) -> bool:
@@ -177,22 +175,21 @@ def test_an_error_at_any_write_keeps_what_was_written_before(
     tmp_path: Path, code: int, compression: Compression
 ) -> None:
     for fail_at in range(2, 16):
-        failures: list[str] = []
-        options = RecorderOptions(
+        recorder = Tape(
+            tmp_path / f"run{fail_at}",
             compression=compression,
             chunk_bytes=4 * KIB,
             open_file=partial(FailingFile, fail_at=fail_at, code=code),
+            may_fail=True,
         )
-        recorder = Recorder(tmp_path / f"run{fail_at}", options, on_failure=failures.append)
-        channel = recorder.add_topic(TWIST)
-        write_numbered(recorder, channel, range(1, 2001))
+        recorder.commands(range(1, 2001))
         until(partial(has_failed, recorder))
-        write_numbered(recorder, channel, range(2001, 2101))
+        recorder.commands(range(2001, 2101))
         stats = recorder.close()
-        assert len(failures) == 1
+        assert len(recorder.failures) == 1
         assert os.strerror(code) in stats.failure
         assert stats.failure.endswith(CURES[code])
-        assert stats.failure == failures[0]
+        assert stats.failure == recorder.failures[0]
         assert str(stats.file) in stats.failure
         assert_accounted(stats, 2100)
         assert stats.queued == 0
@@ -202,7 +199,6 @@ def test_an_error_at_any_write_keeps_what_was_written_before(
 
 
 def test_an_error_while_closing_keeps_every_message(tmp_path: Path) -> None:
-    failures: list[str] = []
     files: list[FailingFile] = []
 
     class FailsAtClose(FailingFile):
@@ -210,14 +206,12 @@ def test_an_error_while_closing_keeps_every_message(tmp_path: Path) -> None:
             super().__init__(path, fail_at=10**9)
             files.append(self)
 
-    recorder = Recorder(
-        tmp_path / "run", RecorderOptions(open_file=FailsAtClose), on_failure=failures.append
-    )
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
+    recorder = Tape(tmp_path / "run", open_file=FailsAtClose, may_fail=True)
+    recorder.commands(range(1, 101))
     until(lambda: recorder.stats().written == 100)
     files[0].fail_now()
     stats = recorder.close()
-    assert len(failures) == 1
+    assert len(recorder.failures) == 1
     assert_accounted(stats, 100)
     assert_first_numbers(stats.file, 100)
 
@@ -235,14 +229,11 @@ def test_a_file_that_was_finished_is_not_touched_when_it_fails_to_close(tmp_path
             super().close()
             raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    failures: list[str] = []
-    recorder = Recorder(
-        tmp_path / "run", RecorderOptions(open_file=FailsAtClose), on_failure=failures.append
-    )
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
+    recorder = Tape(tmp_path / "run", open_file=FailsAtClose, may_fail=True)
+    recorder.commands(range(1, 101))
     stats = recorder.close()
-    assert len(failures) == 1
-    assert "Input/output error" in failures[0]
+    assert len(recorder.failures) == 1
+    assert "Input/output error" in recorder.failures[0]
     assert_first_numbers(stats.file, 100)
 
 
@@ -258,30 +249,25 @@ def test_a_file_that_cannot_be_repaired_says_so(tmp_path: Path) -> None:
         def truncate(self, size: int) -> None:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    failures: list[str] = []
-    options = RecorderOptions(open_file=lambda path: Gone(path, 2))
-    recorder = Recorder(tmp_path / "run", options, on_failure=failures.append)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
+    recorder = Tape(tmp_path / "run", open_file=lambda path: Gone(path, 2), may_fail=True)
+    recorder.commands(range(1, 101))
     stats = recorder.close()
-    assert "could not be repaired" in failures[0]
+    assert "could not be repaired" in recorder.failures[0]
     assert_accounted(stats, 100)
     assert (stats.written, stats.dropped) == (0, 100)
 
 
 @pytest.mark.parametrize("what", ["file", "folder"])
 def test_a_recording_that_is_removed_has_failed(tmp_path: Path, what: str) -> None:
-    failures: list[str] = []
-    options = RecorderOptions(flush_s=0.005, sync_s=0.01)
-    recorder = Recorder(tmp_path / "run", options, on_failure=failures.append)
-    channel = recorder.add_topic(TWIST)
-    write_numbered(recorder, channel, range(1, 11))
-    until(lambda: recorder.stats().queued == 0)
+    recorder = Tape(tmp_path / "run", flush_s=0.005, sync_s=0.01, may_fail=True)
+    recorder.commands(range(1, 11))
+    recorder.settle()
     recorder.stats().file.unlink()
     if what == "folder":
         # At once: meanwhile the recorder may put a new metadata.yaml into it.
         rmtree((tmp_path / "run").rename(tmp_path / "removed"))
-    write_numbered(recorder, channel, range(11, 21))
-    until(lambda: bool(failures))
+    recorder.commands(range(11, 21))
+    until(lambda: bool(recorder.failures))
     stats = recorder.close()
     assert "recording stopped: " in stats.failure
     assert "the file was removed" in stats.failure or what == "folder"
@@ -296,11 +282,9 @@ def test_the_thread_that_writes_survives_what_nobody_thought_of(
         raise RuntimeError
 
     monkeypatch.setattr(PackBuffer, "take", take)
-    failures: list[str] = []
-    recorder = Recorder(tmp_path / "run", on_failure=failures.append)
-    channel = recorder.add_topic(TWIST)
-    until(lambda: bool(failures))
-    write_numbered(recorder, channel, range(1, 11))
+    recorder = Tape(tmp_path / "run", may_fail=True)
+    until(lambda: bool(recorder.failures))
+    recorder.commands(range(1, 11))
     stats = recorder.close()
     assert "RuntimeError" in stats.failure
     assert (stats.state, stats.dropped, stats.queued) == (RecorderState.FAILED, 10, 0)
@@ -313,25 +297,24 @@ INDEX_ENTRY_BYTES = 16
 def test_a_slow_disk_fills_the_queue_and_then_counts_drops(tmp_path: Path, size: int) -> None:
     gate = threading.Event()
     gate.set()
-    options = RecorderOptions(
+    recorder = Tape(
+        tmp_path / "run",
         chunk_bytes=16 * KIB,
         memory_bytes=256 * KIB,
         open_file=lambda path: GatedFile(path, gate.wait),
     )
-    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail)
-    channel = recorder.add_topic(TWIST)
     gate.clear()
     number = 0
     while recorder.stats().dropped < 100:
         number += 1
-        write_numbered(recorder, channel, range(number, number + 1), size)
+        recorder.commands(range(number, number + 1), size)
         assert number < 20_000, "the queue has no bound"
     stuck = recorder.stats()
     assert_accounted(stuck, number)
     assert stuck.queued * (MESSAGE_HEAD.size + size + INDEX_ENTRY_BYTES) <= (256 + 16) * KIB
     gate.set()
-    until(lambda: recorder.stats().queued == 0)
-    write_numbered(recorder, channel, range(number + 1, number + 4), size)
+    recorder.settle()
+    recorder.commands(range(number + 1, number + 4), size)
     stats = recorder.close()
     assert_accounted(stats, number + 3)
     assert stats.dropped == stuck.dropped
@@ -459,14 +442,13 @@ def test_without_any_memory_at_the_end_nothing_stays_queued(
 def test_the_thread_survives_a_failure_that_it_cannot_even_tell(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    failures: list[str] = []
-    recorder = Recorder(tmp_path / "run", on_failure=failures.append)
+    recorder = Tape(tmp_path / "run", may_fail=True)
     monkeypatch.setattr(WriterThread, "_turn", without_memory(WriterThread._turn, 3))
     monkeypatch.setattr(WriterThread, "_fail", without_memory(WriterThread._fail, 2))
     until(lambda: recorder.stats().failure)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
+    recorder.commands(range(1, 11))
     stats = recorder.close()
-    assert failures == [stats.failure]
+    assert recorder.failures == [stats.failure]
     assert "MemoryError" in stats.failure
     assert stats.failure.endswith("; free memory")
     assert (stats.dropped, stats.queued) == (10, 0)
@@ -527,31 +509,29 @@ def test_a_listener_that_raises_does_not_stop_the_counting(tmp_path: Path) -> No
 def test_the_memory_of_a_burst_is_given_back(tmp_path: Path) -> None:
     gate = threading.Event()
     gate.set()
-    options = RecorderOptions(
+    recorder = Tape(
+        tmp_path / "run",
         chunk_bytes=16 * KIB,
         memory_bytes=1024 * KIB,
         open_file=lambda path: GatedFile(path, gate.wait),
     )
-    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail)
-    channel = recorder.add_topic(TWIST)
     for burst in range(3):
         gate.clear()
-        write_numbered(recorder, channel, range(burst * 6000 + 1, burst * 6000 + 6001))
+        recorder.commands(range(burst * 6000 + 1, burst * 6000 + 6001))
         gate.set()
-        until(lambda: recorder.stats().queued == 0)
+        recorder.settle()
         assert len(recorder._thread.spare) <= 2
     stats = recorder.close()
     assert (stats.written, stats.dropped) == (18_000, 0)
 
 
 def test_a_folder_in_the_place_of_the_list_costs_no_message(tmp_path: Path) -> None:
-    failures: list[str] = []
-    recorder = Recorder(tmp_path / "run", on_failure=failures.append)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
+    recorder = Tape(tmp_path / "run", may_fail=True)
+    recorder.commands(range(1, 101))
     (tmp_path / "run" / "metadata.yaml").unlink()
     (tmp_path / "run" / "metadata.yaml").mkdir()
     stats = recorder.close()
-    assert failures == [
+    assert recorder.failures == [
         f"recording stopped: Is a directory ({stats.file}); check the disk and the folder"
     ]
     assert_accounted(stats, 100)

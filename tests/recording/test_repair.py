@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 from zstandard import ZstdDecompressor
 
 from robotctl.base.errors import Refused, UnreadableFile
-from robotctl.recording import Recorder, RecorderOptions, read_info, read_messages
+from robotctl.recording import read_info, read_messages
 from robotctl.recording.format.disk import DiskFile
 from robotctl.recording.keep import repair as repairing
 from robotctl.recording.keep.recover import recover
@@ -30,10 +30,17 @@ from robotctl.recording.read.file_index import FileIndex
 from robotctl.recording.read.indexing import find_unfinished_commit, index_from_summary, index_of
 from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.whole_recording import verify_recording
-from robotctl.testing.drives import TWIST
-from robotctl.testing.faults import FailingFile, mutated
-from tests.support.recordings import Stored, numbered, read_strictly, recorded, write_numbered
-from tests.support.waiting import until
+from robotctl.testing.faults import FailingFile, mutated, zero
+from tests.support.recordings import (
+    Stored,
+    Tape,
+    flip,
+    foreign,
+    numbered,
+    overwrite,
+    read_strictly,
+    recorded,
+)
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 needs_samples = pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"no sample bags at {SAMPLES}")
@@ -105,9 +112,7 @@ def attachments_of(path: Path) -> list[tuple[str, str, int, int, bytes]]:
 
 def test_a_damaged_attachment_is_said_to_be_lost(tmp_path: Path) -> None:
     source = theirs(tmp_path / "file.mcap", 10, attachment=True)
-    data = bytearray(source.read_bytes())
-    data[data.index(bytes(900)) + 100] = 1
-    source.write_bytes(data)
+    flip(source, source.read_bytes().index(bytes(900)) + 100)
     (lost,) = recover(source, tmp_path / "out.mcap").lost
     assert "attachment" in lost
     assert "its checksum is wrong" in lost
@@ -197,11 +202,10 @@ def repair(recordings: Path) -> list[str]:
 
 def crashed(folder: Path, count: int) -> Path:
     """Record `count` messages and leave the file as a killed process does."""
-    options = RecorderOptions(chunk_bytes=1024, flush_s=0.005)
-    recorder = Recorder(folder, options, on_failure=pytest.fail)
+    recorder = Tape(folder, chunk_bytes=1024, flush_s=0.005)
     listed = (folder / "metadata.yaml").read_bytes()  # from before the first message
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, count + 1))
-    until(lambda: recorder.stats().queued == 0)
+    recorder.commands(range(1, count + 1))
+    recorder.settle()
     file = folder / f"{folder.name}_0.mcap"
     data = file.read_bytes()
     recorder.close()
@@ -249,11 +253,9 @@ def test_a_torn_file_is_replaced_by_what_can_be_read(tmp_path: Path) -> None:
 
 def test_a_chunk_that_a_power_cut_has_emptied_is_taken_out(tmp_path: Path) -> None:
     file = crashed(tmp_path / "run", 500)
-    data = bytearray(file.read_bytes())
     with InputFile(file) as opened:
         middle = index_from_summary(opened).places[3].offset + 200
-    data[middle : middle + 50] = bytes(50)
-    file.write_bytes(data)
+    zero(file, middle, middle + 50)
     (sentence,) = repair(tmp_path)
     assert sentence.startswith("repaired: run_0.mcap was torn: ")
     assert 400 < len(read_strictly(file)) < 500
@@ -273,26 +275,21 @@ def test_what_cannot_be_repaired_stays_as_it_is(tmp_path: Path) -> None:
 
 
 def test_what_is_written_or_closed_and_files_of_others_are_not_touched(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "live", on_failure=pytest.fail)
+    recorder = Tape(tmp_path / "live")
     (tmp_path / "theirs").mkdir()
-    with (tmp_path / "theirs" / "theirs_0.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(library="somebody")
-        channel = writer.register_channel("/a", "cdr", 0)
-        writer.add_message(channel, 1, b"x", 1)
-        writer.finish()
-    whole = (tmp_path / "theirs" / "theirs_0.mcap").read_bytes()
-    (tmp_path / "theirs" / "theirs_0.mcap").write_bytes(whole[:-20])
+    torn = foreign(tmp_path / "theirs" / "theirs_0.mcap", 1)
+    whole = torn.read_bytes()
+    torn.write_bytes(whole[:-20])
     closed = recorded(tmp_path / "closed", 10).parent
     before_of = {path: path.read_bytes() for path in closed.iterdir()}
     elsewhere = crashed(tmp_path / "away" / "linked", 10)
     (tmp_path / "linked").symlink_to(elsewhere.parent)
     before = elsewhere.read_bytes()
     assert repair(tmp_path) == []
-    assert (tmp_path / "theirs" / "theirs_0.mcap").read_bytes() == whole[:-20]
+    assert torn.read_bytes() == whole[:-20]
     assert {path: path.read_bytes() for path in closed.iterdir()} == before_of
     assert elsewhere.read_bytes() == before
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
+    recorder.commands(range(1, 11))
     assert len(read_strictly(recorder.close().file)) == 10
 
 
@@ -481,14 +478,12 @@ def test_a_repair_removes_what_an_interrupted_one_left_and_nothing_else(tmp_path
 
 def test_a_foreign_record_among_the_chunks_cuts_off_none_of_them(tmp_path: Path) -> None:
     file = crashed(tmp_path / "run", 200)
-    data = bytearray(file.read_bytes())
     before = read_strictly(file)
     with InputFile(file) as source:
         place = index_of(source).places[1]
         offset = place.offset + place.length
         assert source.record(offset).opcode == Opcode.MESSAGE_INDEX
-    data[offset] = 0x90
-    file.write_bytes(data)
+    overwrite(file, offset, b"\x90")
     assert len(repair(tmp_path)) == 1
     assert [message.data for message in read_strictly(file)] == [m.data for m in before]
 

@@ -11,11 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from mcap.writer import Writer
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from robotctl.kernel.constants import DAY_S
-from robotctl.recording import Recorder, RecorderOptions, read_info
+from robotctl.recording import Recorder, read_info
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep.clip import ClipJob, Moment, make_clip
@@ -27,10 +26,10 @@ from robotctl.recording.keep.retention import (
     enforce_retention,
     note_removal,
 )
-from robotctl.testing.drives import START_NS, TWIST
+from robotctl.testing.drives import START_NS
 from tests.support.bags import TWIST as TWIST_TYPE
 from tests.support.bags import Line, twist, write_bag
-from tests.support.recordings import read_strictly, write_numbered
+from tests.support.recordings import Tape, by_mcap, read_strictly
 from tests.support.waiting import until, until_longer
 
 NOW_S = 2_000_000_000.0
@@ -38,14 +37,12 @@ NOW_S = 2_000_000_000.0
 
 def recorded(folder: Path, age_s: float, splits: int = 0) -> int:
     """Record some messages `age_s` ago; return the bytes of the recording's files."""
-    begun: list[Path] = []
-    recorder = Recorder(folder, on_failure=pytest.fail, on_split=begun.append)
-    channel = recorder.add_topic(TWIST)
-    write_numbered(recorder, channel, range(1, 11))
+    recorder = Tape(folder)
+    recorder.commands(range(1, 11))
     for split in range(splits):
         recorder.split()
-        until_longer(begun, split)
-        write_numbered(recorder, channel, range(11, 21))
+        until_longer(recorder.begun, split)
+        recorder.commands(range(11, 21))
     recorder.close()
     files = sorted(folder.glob("*.mcap"))
     for number, path in enumerate(files):
@@ -123,15 +120,11 @@ def test_clips_count_and_a_younger_one_outlives_its_recording(tmp_path: Path) ->
 
 
 def test_the_file_being_written_stays_and_its_bag_forgets_the_removed(tmp_path: Path) -> None:
-    begun: list[Path] = []
-    recorder = Recorder(
-        tmp_path / "run", RecorderOptions(), on_failure=pytest.fail, on_split=begun.append
-    )
-    channel = recorder.add_topic(TWIST)
-    write_numbered(recorder, channel, range(1, 11))
+    recorder = Tape(tmp_path / "run")
+    recorder.commands(range(1, 11))
     recorder.split()
-    until(lambda: bool(begun))
-    write_numbered(recorder, channel, range(11, 21))
+    until(lambda: bool(recorder.begun))
+    recorder.commands(range(11, 21))
     removed = enforce_retention(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
     assert [each.path.name for each in removed] == ["run_0.mcap"]
     until(lambda: read_info(tmp_path / "run").missing == ())  # also while it goes on
@@ -143,10 +136,7 @@ def test_the_file_being_written_stays_and_its_bag_forgets_the_removed(tmp_path: 
 
 def test_what_robotctl_has_not_recorded_stays(tmp_path: Path) -> None:
     (tmp_path / "theirs").mkdir()
-    with (tmp_path / "theirs" / "theirs_0.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(library="somebody")
-        writer.finish()
+    by_mcap(tmp_path / "theirs" / "theirs_0.mcap")
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "notes_0.mcap").write_text("not even MCAP")
     (tmp_path / "file.mcap").write_bytes(b"")
@@ -207,8 +197,8 @@ def test_a_removal_that_another_program_noted_is_told_once_when_it_is_done(tmp_p
 
 
 def record(folder: Path, *events: RecordedEvent) -> Recorder:
-    recorder = Recorder(folder, metadata=lambda: {"robot": "r2"}, on_failure=pytest.fail)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
+    recorder = Tape(folder, metadata=lambda: {"robot": "r2"})
+    recorder.commands(range(1, 101))
     for event in events:
         recorder.add_event(event)
     return recorder

@@ -19,7 +19,7 @@ from mcap.stream_reader import StreamReader
 
 from robotctl.base.paths import seal_folder
 from robotctl.decisions.journal import files_of, log_folder
-from robotctl.recording import Compression, Recorder, RecorderOptions, read_messages
+from robotctl.recording import Compression, read_messages
 from robotctl.recording.format.seal_records import LINK_OPCODE, Link, LinkKind, Opening, SealOfFile
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.keep.repair import repair
@@ -33,9 +33,7 @@ from robotctl.recording.read.whole_recording import (
 )
 from robotctl.recording.seal import KEY_FILE, Keyring, SigningKey, is_signed, known_heads
 from robotctl.recording.write import mcap_writer
-from robotctl.testing.drives import TWIST
-from tests.support.recordings import keyring, read_strictly, record_sealed, write_numbered
-from tests.support.waiting import until
+from tests.support.recordings import Tape, flip, keyring, read_strictly, record_sealed
 
 
 @pytest.fixture(autouse=True)
@@ -144,9 +142,7 @@ def test_a_consistent_edit_is_found_by_the_seal_alone(tmp_path: Path, keys: Keyr
 
 def test_another_opening_is_not_signed_by_the_key_before(tmp_path: Path, keys: Keyring) -> None:
     (file,) = record_sealed(tmp_path / "run", keys)
-    data = bytearray(file.read_bytes())
-    data[data.index(b'"robot":"robot"') + 10] ^= 1
-    file.write_bytes(data)
+    flip(file, file.read_bytes().index(b'"robot":"robot"') + 10, 1)
     (sentence,) = (text for text in sealed(file)[0].seal.wrong if "file before" in text)
     assert "not signed" in sentence
 
@@ -155,9 +151,7 @@ def test_the_place_of_a_change_is_told_between_two_links(tmp_path: Path, keys: K
     (file,) = record_sealed(tmp_path / "run", keys, compression=Compression.NONE)
     links = sealed(file)[0].seal.links
     at = links[1].covered + 300
-    data = bytearray(file.read_bytes())
-    data[at] ^= 1
-    file.write_bytes(data)
+    flip(file, at, 1)
     found = sealed(file)[0].seal
     assert found.links == links[:2]
     text = found.wrong[0]
@@ -232,12 +226,10 @@ class FailingSealer:
 def test_a_seal_that_fails_never_stops_the_recording_and_is_told(
     tmp_path: Path, keys: Keyring, step: str
 ) -> None:
-    failures: list[str] = []
-    options = RecorderOptions(sealer=FailingSealer(keys, step))
-    recorder = Recorder(tmp_path / "run", options, on_failure=failures.append)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(100))
+    recorder = Tape(tmp_path / "run", sealer=FailingSealer(keys, step), may_fail=True)
+    recorder.commands(range(100))
     stats = recorder.close()
-    assert not failures
+    assert not recorder.failures
     assert (stats.written, stats.dropped) == (100, 0)
     assert "not sealed" in stats.warning
     assert len(list(read_messages(tmp_path / "run"))) == 100
@@ -253,10 +245,9 @@ def test_a_damaged_key_is_told_and_not_replaced(tmp_path: Path, keys: Keyring) -
 
 
 def test_a_repair_says_so_and_forges_no_link(tmp_path: Path, keys: Keyring) -> None:
-    options = RecorderOptions(sealer=keys, chunk_bytes=1024, flush_s=0.005)
-    recorder = Recorder(tmp_path / "runs" / "run", options, on_failure=pytest.fail)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 200))
-    until(lambda: recorder.stats().queued == 0)
+    recorder = Tape(tmp_path / "runs" / "run", sealer=keys, chunk_bytes=1024, flush_s=0.005)
+    recorder.commands(range(1, 200))
+    recorder.settle()
     file = recorder.stats().file
     killed = file.read_bytes()
     recorder.close()

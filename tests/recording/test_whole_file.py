@@ -10,21 +10,22 @@ from pathlib import Path
 import pytest
 
 from robotctl.base.errors import UnreadableFile
-from robotctl.recording import Compression, Recorder, RecorderOptions
+from robotctl.recording import Compression
 from robotctl.recording.read.whole_data import FileState
 from robotctl.recording.read.whole_file import find_flip, read_whole_file
 from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.testing.drives import ODOMETRY, TWIST
 from tests.support.cases import for_each
-from tests.support.recordings import write_numbered
+from tests.support.recordings import Tape, write_numbered
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 
 
 def record(folder: Path, compression: Compression, splits: int = 0) -> Path:
     """Return a finished recording of two topics."""
-    options = RecorderOptions(compression=compression, chunk_bytes=1 << 13)
-    recorder = Recorder(folder, options, metadata=lambda: {"robot": "robot"}, on_failure=print)
+    recorder = Tape(
+        folder, compression=compression, chunk_bytes=1 << 13, metadata=lambda: {"robot": "robot"}
+    )
     twist, odometry = recorder.add_topic(TWIST), recorder.add_topic(ODOMETRY)
     for part in range(splits + 1):
         write_numbered(recorder, twist, range(1000 * part, 1000 * part + 300))
@@ -117,8 +118,8 @@ def test_a_recording_of_several_files_is_whole_until_one_is_missing(tmp_path: Pa
 
 
 def test_a_recording_that_is_still_written_is_whole(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "run", metadata=lambda: {"robot": "r"}, on_failure=print)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(100))
+    recorder = Tape(tmp_path / "run", metadata=lambda: {"robot": "r"})
+    recorder.commands(range(100))
     try:
         found = verify_recording(tmp_path / "run")
     finally:

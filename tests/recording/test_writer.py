@@ -24,7 +24,7 @@ from mcap.stream_reader import StreamReader
 
 from robotctl.base.errors import ConfigError
 from robotctl.config import Config, with_setting
-from robotctl.recording import Compression, Recorder, RecorderOptions, Topic, read_messages
+from robotctl.recording import Compression, Recorder, Topic, read_messages
 from robotctl.recording.format.records import MESSAGE_HEAD, PlainMessage
 from robotctl.recording.read.chunks import unpack
 from robotctl.recording.read.read_limits import Damaged
@@ -37,7 +37,7 @@ from robotctl.recording.write.recorder_options import RateByTopic, TopicFilter
 from robotctl.recording.write.writer_thread import EvidenceChunks
 from robotctl.testing.drives import GID, ODOMETRY, START_NS, TWIST
 from tests.support.cases import for_each
-from tests.support.recordings import number_of, numbered, read_strictly
+from tests.support.recordings import Tape, number_of, numbered, read_strictly
 
 
 def packing(buffer: PackBuffer, number: int, channel: int, log_ns: int) -> Iterator[None]:
@@ -158,8 +158,7 @@ def test_a_little_of_other_topics_stays_with_the_evidence() -> None:
 
 
 def record(folder: Path, compression: Compression, images: int) -> Recorder:
-    options = RecorderOptions(evidence=EVIDENCE, compression=compression, flush_s=3600.0)
-    recorder = Recorder(folder, options, on_failure=pytest.fail)
+    recorder = Tape(folder, evidence=EVIDENCE, compression=compression, flush_s=3600.0)
     twist, camera, odometry = map(recorder.add_topic, (TWIST, CAMERA, ODOMETRY))
     dice = random.Random(7)
     for number in range(images * 10):

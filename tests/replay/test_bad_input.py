@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from zstandard import ZstdCompressor
 from robotctl.cli import app
 from tests.replay.conftest import Stage
 from tests.support.bags import STRING, TWIST, Line, data, in_order, talk, text, twist, write_bag
+from tests.support.recordings import flip
 from tests.support.waiting import loop_until as until
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
@@ -20,9 +22,7 @@ SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 async def test_a_damaged_chunk_costs_its_own_messages_and_is_named(stage: Stage) -> None:
     lines = talk("/alpha", 200, 1.0)
     file = stage.bag(lines, heard=True, chunk_bytes=1000)
-    content = bytearray(file.read_bytes())
-    content[len(content) // 3] ^= 0xFF
-    file.write_bytes(content)
+    flip(file, file.stat().st_size // 3)
     ran = await stage.replay(file, "--json")
     assert ran.exit_code == 6
     assert ran.err.startswith(f"robotctl: {file} is incomplete: run.mcap: messages between bytes ")
@@ -119,8 +119,7 @@ async def test_of_a_truncated_file_what_can_be_read_is_played_and_the_rest_is_to
 ) -> None:
     lines = talk("/alpha", 200, 1.0)
     file = stage.bag(lines, heard=True, chunk_bytes=1000)
-    whole = file.read_bytes()
-    file.write_bytes(whole[: len(whole) // 2])
+    os.truncate(file, file.stat().st_size // 2)
     ran = await stage.replay(file, "--json")
     assert ran.exit_code == 6
     assert ran.err.startswith(f"robotctl: {file} is incomplete: ")

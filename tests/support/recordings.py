@@ -6,7 +6,7 @@ import random
 import resource
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from multiprocessing import forkserver, get_context
 from multiprocessing.connection import Connection
@@ -19,7 +19,7 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
-from robotctl.recording import Compression, Recorder, RecorderOptions, read_messages
+from robotctl.recording import Compression, Recorder, RecorderOptions, RecorderStats, read_messages
 from robotctl.recording import Message as RecordedMessage
 from robotctl.recording.format.seal_records import Link, Opening, SealOfFile
 from robotctl.recording.seal import SEED_BYTES, Keyring, SigningKey
@@ -27,6 +27,7 @@ from robotctl.recording.write.mcap_writer import Sealer
 from robotctl.testing.drives import GID, START_NS, TWIST
 from tests.support.edited_recordings import Stored as Stored
 from tests.support.edited_recordings import stored
+from tests.support.waiting import until
 
 
 def numbered(number: int, size: int = 52) -> bytes:
@@ -45,6 +46,59 @@ def write_numbered(recorder: Recorder, channel: int, numbers: range, size: int =
     for number in numbers:
         stamp = START_NS + number * 1_000_000
         recorder.write(channel, numbered(number, size), stamp, stamp - 500, number, GID)
+
+
+class Tape(Recorder):
+    """A recorder that keeps what it tells; a failure fails the test unless it `may_fail`."""
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        may_fail: bool = False,
+        tells_full: bool = False,
+        metadata: Callable[[], Mapping[str, str]] = dict,
+        **options: Any,
+    ) -> None:
+        self.failures: list[str] = []
+        self.begun: list[Path] = []
+        """The files after the first one."""
+
+        self.full: list[Path] = []
+        self._may_fail = may_fail
+        super().__init__(
+            folder,
+            RecorderOptions(**options),
+            metadata=metadata,
+            on_failure=self.failures.append,
+            on_split=self.begun.append,
+            on_full=self.full.append if tells_full else None,
+        )
+
+    def commands(self, numbers: range, size: int = 52) -> None:
+        """Write numbered messages of /cmd_vel."""
+        write_numbered(self, self.add_topic(TWIST), numbers, size)
+
+    def close(self) -> RecorderStats:
+        stats = super().close()
+        assert self._may_fail or self.failures == []
+        return stats
+
+    def settle(self) -> None:
+        """Wait until all is written."""
+        until(lambda: self.stats().queued == 0)
+
+
+def overwrite(path: Path, at: int, data: bytes) -> None:
+    """Put other bytes into a file."""
+    with path.open("r+b") as file:
+        file.seek(at)
+        file.write(data)
+
+
+def flip(path: Path, at: int, bits: int = 0xFF) -> None:
+    """Change bits of one byte of a file."""
+    overwrite(path, at, bytes([path.read_bytes()[at] ^ bits]))
 
 
 def read_strictly(path: Path) -> list[Stored]:
@@ -127,27 +181,36 @@ CHUNK_BYTES = 1024
 
 def recorded(folder: Path, count: int, **options: Any) -> Path:
     """Write a recording with `count` messages by robotctl's recorder; return its last file."""
-    recorder = Recorder(
-        folder, RecorderOptions(**{"chunk_bytes": CHUNK_BYTES, **options}), on_failure=print
-    )
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, count + 1))
+    recorder = Tape(folder, **{"chunk_bytes": CHUNK_BYTES, **options})
+    recorder.commands(range(1, count + 1))
     stats = recorder.close()
     assert stats.written == count, stats.failure
     return stats.file
 
 
-def foreign(path: Path, count: int, **options: Any) -> Path:
-    """Write a file by the writer of the mcap package; return its path."""
+def by_mcap(
+    path: Path, messages: Iterable[tuple[str, int, bytes]] = (), *, schema: str = "", **options: Any
+) -> Path:
+    """Write a file by the writer of the mcap package: topic, log time and data of each message."""
     with path.open("wb") as stream:
-        writer = Writer(stream, **{"chunk_size": CHUNK_BYTES, **options})
+        writer = Writer(stream, **options)
         writer.start(profile="ros2", library="somebody")
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
-        channel = writer.register_channel("/cmd_vel", "cdr", schema)
-        for number in range(1, count + 1):
-            stamp = START_NS + number * 1_000_000
-            writer.add_message(channel, stamp, numbered(number), stamp, number)
+        schema_id = writer.register_schema(schema, "ros2msg", b"string data\n") if schema else 0
+        channels: dict[str, int] = {}
+        for number, (topic, log_ns, data) in enumerate(messages, 1):
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, "cdr", schema_id)
+            writer.add_message(channels[topic], log_ns, data, log_ns, number)
         writer.finish()
     return path
+
+
+def foreign(path: Path, count: int, **options: Any) -> Path:
+    """Write a file of another program with `count` numbered messages."""
+    numbers = range(1, count + 1)
+    messages = [("/cmd_vel", START_NS + n * 1_000_000, numbered(n)) for n in numbers]
+    options = {"chunk_size": CHUNK_BYTES, **options}
+    return by_mcap(path, messages, schema="std_msgs/msg/String", **options)
 
 
 def salvaged(path: Path) -> tuple[list[RecordedMessage], list[str]]:
@@ -186,11 +249,12 @@ def record_sealed(
     folder: Path, sealer: Sealer, *, splits: int = 0, compression: Compression = Compression.ZSTD
 ) -> list[Path]:
     """Record messages in `splits` + 1 sealed files; return the files."""
-    options = RecorderOptions(sealer=sealer, compression=compression, chunk_bytes=1 << 12)
-    recorder = Recorder(folder, options, metadata=lambda: {"robot": "robot"}, on_failure=print)
-    channel = recorder.add_topic(TWIST)
+    named = {"robot": "robot"}
+    recorder = Tape(
+        folder, sealer=sealer, compression=compression, chunk_bytes=1 << 12, metadata=named.copy
+    )
     for part in range(splits + 1):
-        write_numbered(recorder, channel, range(1000 * part + 1, 1000 * part + 200))
+        recorder.commands(range(1000 * part + 1, 1000 * part + 200))
         if part < splits:
             recorder.split()
     recorder.close()
