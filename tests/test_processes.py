@@ -20,13 +20,16 @@ from typing import Any
 import pytest
 
 import robotctl
-from robotctl.base.jobs import job_command, reports_of
+from robotctl.base.jobs import job_command, reports_of, run_job
 from robotctl.base.processes import Child, LineSplitter, program, readable_within, start
 from robotctl.config import RecordingParams
 from robotctl.daemon.recording.black_box import BlackBox
+from robotctl.daemon.recording.housekeeping import TIDY
 from robotctl.recording import read_info
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
+from robotctl.recording.keep.repair import TidyJob
+from robotctl.recording.keep.retention import RetentionPolicy
 from robotctl.testing.drives import drive, record
 from tests.support.bags import talk, write_bag
 from tests.support.cases import for_each
@@ -298,6 +301,14 @@ def test_every_child_is_started_in_one_way() -> None:
             assert "import subprocess" not in text, path
             assert "posix_spawn" not in text, path
             assert "os.fork" not in text, path
+
+
+async def test_a_job_works_in_a_folder_whose_name_is_not_utf_8(tmp_path: Path) -> None:
+    recordings = tmp_path / os.fsdecode(b"recordings\xff")
+    recording = record(recordings / "one", drive(0.5))
+    job = TidyJob(recordings, RetentionPolicy(max_bytes=0), repairs=False)
+    notes = await run_job(job_command(TIDY, job))
+    assert [each["removed"] for each in notes] == [str(recording / "one_0.mcap")]
 
 
 async def test_a_child_that_lives_on_after_a_report_does_not_hold_up_the_loop() -> None:

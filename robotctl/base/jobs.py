@@ -39,9 +39,10 @@ class JobFailed(Exception):
 def job_command(work: str, job: object) -> tuple[str, ...]:
     """Return the command that calls `work`, a `module:function`, with `job` in a new process.
 
-    `job` is a JSON object or a data class; values that JSON cannot express become texts.
+    `job` is a JSON object or a data class; a path becomes a text, also one that is not UTF-8.
     """
-    return (*program("robotctl.base.jobs"), work, msgspec.json.encode(job, enc_hook=str).decode())
+    text = json.dumps(msgspec.to_builtins(job, enc_hook=str))
+    return (*program("robotctl.base.jobs"), work, text)
 
 
 async def run_job(command: Sequence[str]) -> list[dict[str, Any]]:
