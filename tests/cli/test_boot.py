@@ -117,9 +117,9 @@ def test_without_systemd_the_unit_is_written_and_the_command_that_enables_it_is_
     cli: Cli, units: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PATH", "")
-    ran = cli("boot", "install", "--", "--no-sim")
-    assert ran.exit_code == 0
-    assert "systemctl --user enable --now robotctl-robot.service" in ran.out
+    cli("boot", "install", "--", "--no-sim").succeeded(
+        "systemctl --user enable --now robotctl-robot.service"
+    )
     assert (units / "robotctl-robot.service").is_file()
 
 

@@ -48,9 +48,7 @@ def test_a_wrong_file_is_named_with_what_is_allowed(
     file = tmp_path / "robot.yaml"
     file.write_text(text)
     for command in (["validate", str(file)], ["show", "--config", str(file)]):
-        ran = cli("config", *command)
-        assert (ran.exit_code, ran.out) == (2, "")
-        assert said in ran.err
+        cli("config", *command).refused(2, said)
 
 
 @pytest.mark.parametrize("profile", PROFILES)
@@ -77,13 +75,12 @@ def test_each_number_of_a_profile_has_its_source(profile: Profile) -> None:
 def test_a_profile_is_one_that_exists_and_given_without_a_file(
     cli: Cli, command: list[str]
 ) -> None:
-    ran = cli(*command, "--profile", "turtlebot2")
-    assert ran.exit_code == 2
+    err = cli(*command, "--profile", "turtlebot2").failed(2)
     files = Profile.HUSKY.path.parent.glob("*.yaml")
-    assert all(path.stem in ran.err for path in files), "each file of a robot is a profile"
-    ran = cli(*command, "--profile", "husky", "--config", "robot.yaml")
-    assert ran.exit_code == 2
-    assert "--config with --profile" in ran.err
+    assert all(path.stem in err for path in files), "each file of a robot is a profile"
+    cli(*command, "--profile", "husky", "--config", "robot.yaml").failed(
+        2, "--config with --profile"
+    )
 
 
 def test_start_passes_the_file_of_the_profile_to_the_daemon(cli: Cli) -> None:

@@ -83,9 +83,8 @@ def test_set_mode_answers_as_the_service_does_and_tells_who_asked(daemon: None, 
 def test_estop_says_how_to_release_it_and_a_refusal_exits_with_4(daemon: None, cli: Cli) -> None:
     ran = cli("estop")
     assert ran.out == "Mode changed to EMERGENCY_STOP (release it with: robotctl reset)\n"
-    ran = cli("set-mode", "moving")
-    assert (ran.exit_code, ran.out) == (4, "")
-    assert ran.err == "robotctl: EMERGENCY_STOP is latched: release it with robotctl reset\n"
+    err = cli("set-mode", "moving").refused(4)
+    assert err == "robotctl: EMERGENCY_STOP is latched: release it with robotctl reset\n"
     assert cli("reset").out == "Mode changed to IDLE\n"
     assert cli("set-mode", "moving").exit_code == 0
 
@@ -103,9 +102,7 @@ def test_a_daemon_that_does_not_end_is_named(
 ) -> None:
     monkeypatch.setattr(processes, "readable_within", lambda process, seconds: False)
     pid = call("robot", "status")["pid"]
-    ran = cli("stop")
-    assert ran.exit_code == 1
-    assert f"(pid {pid}) is still running after 30 s: end it with kill -9 {pid}" in ran.err
+    cli("stop").failed(1, f"(pid {pid}) is still running after 30 s: end it with kill -9 {pid}")
 
 
 def test_drive_starts_and_is_not_replaced_by_accident_and_status_tells_its_errors(
@@ -121,9 +118,7 @@ def test_drive_starts_and_is_not_replaced_by_accident_and_status_tells_its_error
     )
     assert "\n".join(lines) in told
     assert max(map(len, lines)) <= 80
-    ran = cli("drive", "circle")
-    assert ran.exit_code == 4
-    assert "--replace" in ran.err
+    cli("drive", "circle").failed(4, "--replace")
     assert cli("drive", "circle", "--replace").exit_code == 0
 
 
@@ -369,9 +364,8 @@ def test_estop_of_one_robot_names_the_others_that_move_and_all_stops_them(
     }
     assert listed["r2"]["pid"]
     assert listed["r2"]["recording"].endswith(".mcap")
-    everybody = cli("estop", "--all", "--reason", "fire")
-    assert everybody.exit_code == 0
-    assert sorted(line.split(":")[0] for line in everybody.out.splitlines()) == ["r2", "robot"]
+    out = cli("estop", "--all", "--reason", "fire").succeeded()
+    assert sorted(line.split(":")[0] for line in out.splitlines()) == ["r2", "robot"]
     assert call("r2", "status")["mode"] == "EMERGENCY_STOP"
     assert "EMERGENCY_STOP" in cli("ps").out
     assert "release it with: robotctl reset --robot r2" in cli("estop", "--robot", "r2").out

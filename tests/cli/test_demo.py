@@ -26,8 +26,7 @@ def test_the_demo_shows_what_was_recorded_and_touches_no_running_daemon(
     daemon: None, cli: Cli, home: Path
 ) -> None:
     before = call("robot", "status")
-    ran = cli("demo")
-    assert ran.exit_code == 0, ran.err
+    out = cli("demo").succeeded()
     folder = next(Path("recordings").glob("demo_*"))
     assert (folder / "path.png").stat().st_size > 1000
     for shown in (
@@ -39,8 +38,8 @@ def test_the_demo_shows_what_was_recorded_and_touches_no_running_daemon(
         "closure     0.012 m",
         "\u2502",
     ):
-        assert shown in ran.out
-    assert max(len(line) for line in ran.out.splitlines()) <= 80
+        assert shown in out
+    assert max(len(line) for line in out.splitlines()) <= 80
     assert sockets(home) == ["robot"]
     after = call("robot", "status")
     assert (after["pid"], after["mode"]) == (before["pid"], "IDLE")
@@ -111,9 +110,8 @@ def test_a_daemon_that_does_not_start_is_reported(
     cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FAKE_START", "refuse")
-    ran = cli("demo")
-    assert ran.exit_code == 2
-    assert ran.err == "robotctl: robot.yaml: speed: nan is not allowed\n"
+    err = cli("demo").failed(2)
+    assert err == "robotctl: robot.yaml: speed: nan is not allowed\n"
 
 
 @pytest.mark.parametrize(

@@ -83,12 +83,10 @@ def test_without_a_daemon_every_command_says_how_to_start_one(arguments: str, cl
 def test_a_usage_error_is_one_sentence_with_exit_code_2(
     arguments: str, text: str, cli: Cli
 ) -> None:
-    ran = cli(*arguments.split())
-    assert ran.exit_code == 2
-    assert ran.out == ""
-    assert ran.err.startswith("robotctl: ")
-    assert ran.err.count("\n") == 1
-    assert text in ran.err
+    err = cli(*arguments.split()).refused(2)
+    assert err.startswith("robotctl: ")
+    assert err.count("\n") == 1
+    assert text in err
 
 
 WITH_JSON = [
@@ -195,10 +193,9 @@ def test_debug_shows_the_traceback(arguments: list[str], cli: Cli) -> None:
 
 
 def test_an_error_cannot_steer_the_terminal(cli: Cli) -> None:
-    ran = cli("set-mode", "\x1b[2J\n\u202e")
-    assert ran.exit_code == 2
-    assert ran.err.isascii()
-    assert ran.err.removesuffix("\n").isprintable()
+    err = cli("set-mode", "\x1b[2J\n\u202e").failed(2)
+    assert err.isascii()
+    assert err.removesuffix("\n").isprintable()
 
 
 def test_a_closed_pipe_is_no_error(daemon: None, command: list[str]) -> None:
@@ -258,9 +255,8 @@ def test_a_user_without_a_home_reads_what_to_set(cli: Cli, monkeypatch: pytest.M
 
     monkeypatch.delenv("XDG_STATE_HOME")
     monkeypatch.setattr(Path, "home", classmethod(unknown))
-    ran = cli("logs")
-    assert (ran.exit_code, ran.out) == (2, "")
-    assert ran.err == ("robotctl: you have no home folder: set XDG_STATE_HOME to a folder\n")
+    err = cli("logs").refused(2)
+    assert err == ("robotctl: you have no home folder: set XDG_STATE_HOME to a folder\n")
 
 
 INTERRUPTED_IMPORT = """
@@ -288,17 +284,15 @@ def test_the_version_is_the_packages(cli: Cli) -> None:
 
 
 def test_nothing_at_all_shows_the_help(cli: Cli) -> None:
-    ran = cli()
-    assert ran.exit_code == 0
-    assert ran.out == cli("--help").out
-    assert all(f"\n  {name} " in ran.out for name in OURS)
+    out = cli().succeeded()
+    assert out == cli("--help").out
+    assert all(f"\n  {name} " in out for name in OURS)
 
 
 @pytest.mark.parametrize("name", ["", *COMMANDS])
 def test_every_help_fits_80_columns(name: str, cli: Cli) -> None:
-    ran = cli(*name.split(), "--help")
-    assert ran.exit_code == 0
-    assert max(len(line) for line in ran.out.splitlines()) <= 80
+    out = cli(*name.split(), "--help").succeeded()
+    assert max(len(line) for line in out.splitlines()) <= 80
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -160,9 +160,7 @@ def test_a_changed_recording_exits_with_7(
 def test_a_changed_journal_exits_with_7(journal: Path, cli: Cli) -> None:
     (path,) = files_of(journal)
     path.write_bytes(path.read_bytes().replace(b'"by":"ada","answer"', b'"by":"eve","answer"'))
-    ran = cli("evidence", "--no-check")
-    assert ran.exit_code == 7
-    assert "does not sign the lines before it" in " ".join(ran.out.split())
+    cli("evidence", "--no-check").failed(7, out="does not sign the lines before it")
 
 
 def test_recordings_that_were_moved_are_found_by_name(
@@ -175,9 +173,7 @@ def test_recordings_that_were_moved_are_found_by_name(
 
 
 def test_a_robot_without_a_journal_is_told_how_to_begin(state: Path, cli: Cli) -> None:
-    ran = cli("evidence")
-    assert ran.exit_code == 4
-    assert "robotctl start" in ran.err
+    cli("evidence").failed(4, "robotctl start")
 
 
 NOW_NS = time.time_ns()
@@ -325,10 +321,9 @@ def written_again(by: str | None) -> Callable[[Path], None]:
 
 def test_sealed_recordings_of_the_journal_exit_with_0(sealed_runs: Path, cli: Cli) -> None:
     assert cli("verify", str(sealed_runs)).exit_code == 0
-    ran = cli("evidence")
-    assert ran.exit_code == 0, ran
-    assert ran.out.count("verify sealed, check same") == 2
-    assert "this machine's list of keys knows 2 of 2 files" in ran.out
+    out = cli("evidence").succeeded()
+    assert out.count("verify sealed, check same") == 2
+    assert "this machine's list of keys knows 2 of 2 files" in out
 
 
 @pytest.mark.parametrize(
@@ -346,9 +341,7 @@ def test_what_stands_in_the_place_of_a_sealed_file_exits_with_7(
 ) -> None:
     put(sealed_runs)
     for command in (("verify", str(sealed_runs)), ("evidence",)):
-        ran = cli(*command)
-        assert ran.exit_code == 7, ran
-        assert sentence in " ".join(ran.out.split())
+        cli(*command).failed(7, out=sentence)
     items = json.loads(cli("evidence", "--json").out)["recordings"]
     assert items[0]["verify"] == "broken"
 
@@ -366,13 +359,12 @@ def test_a_renamed_folder_and_a_copy_elsewhere_stay_sealed(
     sealed_runs: Path, cli: Cli, tmp_path: Path
 ) -> None:
     shutil.copytree(sealed_runs / FIRST, tmp_path / "copy" / "accident")
-    ran = cli("verify", str(tmp_path / "copy"))
-    assert ran.exit_code == 0
-    assert "it was sealed as" not in ran.out
+    out = cli("verify", str(tmp_path / "copy")).succeeded()
+    assert "it was sealed as" not in out
     shutil.copy(file_of(sealed_runs), tmp_path / "stop.mcap")
-    ran = cli("verify", str(tmp_path / "stop.mcap"))
-    assert ran.exit_code == 0
-    assert f"stop.mcap: it was sealed as {FIRST}_0.mcap: it was renamed" in ran.out
+    cli("verify", str(tmp_path / "stop.mcap")).succeeded(
+        f"stop.mcap: it was sealed as {FIRST}_0.mcap: it was renamed"
+    )
 
 
 def test_a_repaired_copy_is_no_forgery_but_evidence_misses_its_seal(
@@ -383,6 +375,4 @@ def test_a_repaired_copy_is_no_forgery_but_evidence_misses_its_seal(
     (sealed_runs / FIRST / "metadata.yaml").unlink()
     (tmp_path / "copy.mcap").replace(file_of(sealed_runs))
     assert cli("verify", str(sealed_runs)).exit_code == 4
-    ran = cli("evidence")
-    assert ran.exit_code == 6
-    assert "this machine knows its end, which no copy proves" in " ".join(ran.out.split())
+    cli("evidence").failed(6, out="this machine knows its end, which no copy proves")

@@ -132,8 +132,7 @@ def test_json_lines_are_valid_json_and_say_nan(cli: Cli, tmp_path: Path) -> None
 
 def test_parquet_has_the_types_and_values_of_the_messages(cli: Cli, tmp_path: Path) -> None:
     target = tmp_path / "o'ut.parquet"
-    ran = cli("export", str(written(tmp_path, 9)), "--topic", "/all", "-o", str(target))
-    assert ran.exit_code == 0, ran.err
+    cli("export", str(written(tmp_path, 9)), "--topic", "/all", "-o", str(target)).succeeded()
     table = duckdb.read_parquet(str(target))
     assert dict(zip(table.columns, map(str, table.types), strict=True)) == {
         "log_ns": "BIGINT",
@@ -165,9 +164,8 @@ def test_without_duckdb_one_sentence_says_what_to_install(
     cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "duckdb", None)
-    ran = cli("export", str(DRIVE), "--topic", "/odom", "-o", str(tmp_path / "x.parquet"))
-    assert ran.exit_code == 2
-    assert ran.err == (
+    err = cli("export", str(DRIVE), "--topic", "/odom", "-o", str(tmp_path / "x.parquet")).failed(2)
+    assert err == (
         "robotctl: Parquet needs duckdb, which is not installed: pip install 'robotctl[parquet]'\n"
     )
     assert not list(tmp_path.glob("*parquet*"))
@@ -211,9 +209,9 @@ def test_a_full_disk_is_named_and_leaves_nothing(command: list[str], tmp_path: P
 def test_the_name_of_the_file_chooses_the_format(
     cli: Cli, tmp_path: Path, name: str, begin: str
 ) -> None:
-    ran = cli("export", str(DRIVE), "--topic", "/odom", "-o", str(tmp_path / name))
-    assert ran.exit_code == 0
-    assert "83 rows, 92 columns" in ran.out
+    cli("export", str(DRIVE), "--topic", "/odom", "-o", str(tmp_path / name)).succeeded(
+        "83 rows, 92 columns"
+    )
     assert (tmp_path / name).read_text().startswith(begin)
 
 
@@ -243,9 +241,8 @@ def test_only_the_given_time_is_exported(cli: Cli, tmp_path: Path) -> None:
 def test_a_wrong_argument_is_named_with_its_cure(
     cli: Cli, arguments: list[str], sentence: str
 ) -> None:
-    ran = cli("export", str(DRIVE), *arguments)
-    assert ran.exit_code == 2
-    assert ran.err.startswith(f"robotctl: {sentence}")
+    err = cli("export", str(DRIVE), *arguments).failed(2)
+    assert err.startswith(f"robotctl: {sentence}")
 
 
 def test_no_file_is_overwritten_and_none_remains_after_a_failure(cli: Cli, tmp_path: Path) -> None:
@@ -334,9 +331,11 @@ def test_the_answer_names_the_new_files_and_counts_the_messages(cli: Cli, tmp_pa
 def test_a_loss_is_told_and_is_code_8(cli: Cli, tmp_path: Path) -> None:
     shutil.copytree(GOLDEN / "foreign", tmp_path / "run")
     next((tmp_path / "run").glob("*_1.mcap")).unlink()
-    ran = cli("convert", str(tmp_path / "run"), str(tmp_path / "copy"))
-    assert (ran.exit_code, "97 messages in 1 file" in ran.out) == (8, True)
-    assert "could not be converted completely: robot_20261122_041528_1.mcap" in ran.err
+    cli("convert", str(tmp_path / "run"), str(tmp_path / "copy")).failed(
+        8,
+        "could not be converted completely: robot_20261122_041528_1.mcap",
+        out="97 messages in 1 file",
+    )
 
 
 def test_of_a_recording_that_goes_on_the_answer_says_so(cli: Cli, tmp_path: Path) -> None:

@@ -69,9 +69,9 @@ def test_a_user_without_a_name_may_accept(
         raise problem
 
     monkeypatch.setattr(getpass, "getuser", unknown)
-    ran = cli("gate", *SLOW, "--baseline", "accepted.json", "--accept", "slow")
-    assert ran.exit_code == 0
-    assert f"accepted by uid {os.getuid()} at" in ran.out
+    cli("gate", *SLOW, "--baseline", "accepted.json", "--accept", "slow").succeeded(
+        f"accepted by uid {os.getuid()} at"
+    )
 
 
 @pytest.mark.parametrize("where", ["here", "a link", "files"])
@@ -81,9 +81,9 @@ def test_a_gate_that_finds_no_recordings_is_refused(cli: Cli, made: Path, where:
         (RECORDINGS / "robot").symlink_to(made)
     elif where == "files":
         (RECORDINGS / "notes.txt").touch()
-    ran = cli("gate", "--in", "recordings", "--junit", "gate.xml")
-    assert ran.exit_code == 4
-    assert "recordings holds no recordings, so nothing was judged: give --in" in ran.err
+    cli("gate", "--in", "recordings", "--junit", "gate.xml").failed(
+        4, "recordings holds no recordings, so nothing was judged: give --in"
+    )
     assert not Path("gate.xml").exists()
 
 
@@ -113,10 +113,9 @@ def test_an_answer_that_was_judged_is_printed_although_its_report_cannot_be_writ
 
     Path("reports").mkdir()
     monkeypatch.setattr(judging, "judge_here", judge_and_disturb)
-    ran = cli("gate", *parameters, "--junit", "reports/gate.xml")
-    assert ran.exit_code == exit_code
-    assert "1 recordings: 1 same" in ran.out
-    assert "cannot write reports/gate.xml" in ran.err
+    cli("gate", *parameters, "--junit", "reports/gate.xml").failed(
+        exit_code, "cannot write reports/gate.xml", out="1 recordings: 1 same"
+    )
 
 
 def test_a_what_if_tells_each_drive_before_and_after(

@@ -33,10 +33,8 @@ def indexed(made: Path, cli: Cli) -> None:
 
 def test_a_user_finds_the_drives_of_a_folder(cli: Cli) -> None:
     record(LAP, drive(2.0))
-    ran = cli("find", "drive >= 1")
-    assert ran.exit_code == 0
-    assert LAP.name in ran.out
-    assert ran.out.endswith("1 row\n")
+    out = cli("find", "drive >= 1").succeeded(LAP.name)
+    assert out.endswith("1 row\n")
     found = json.loads(cli("find", "--recordings", "--json").out)
     assert found["left_out"] == []
     assert found["rows"][0]["recording"] == LAP.name
@@ -54,19 +52,17 @@ def test_without_the_extra_a_question_is_one_sentence_with_its_cure(
     cli: Cli, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
 ) -> None:
     monkeypatch.setitem(sys.modules, "duckdb", None)
-    ran = cli(*command, "recordings")
-    assert (ran.exit_code, ran.out) == (2, "")
+    err = cli(*command, "recordings").refused(2)
     said = "an index needs duckdb, which is not installed: pip install 'robotctl[parquet]'"
-    assert ran.err.split("robotctl: ")[1:] == [f"{said}\n"]
+    assert err.split("robotctl: ")[1:] == [f"{said}\n"]
 
 
 @pytest.mark.usefixtures("indexed")
 def test_a_row_of_the_answer_is_opened_at_its_moment(
     cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = cli("find", "--open", "1")
-    assert page.exit_code == 0
-    assert page.out.startswith(f"{LAP}/report.html ")
+    out = cli("find", "--open", "1").succeeded()
+    assert out.startswith(f"{LAP}/report.html ")
     (event,) = json.loads(cli("find", "mode == 'MOVING'", "--events", "--json").out)["rows"]
     clip = json.loads(cli("find", "--events", "--open", "1", "--as", "clip", "--json").out)
     assert abs(clip["event_ns"] - event["start_ns"]) < 1_000_000
@@ -89,9 +85,8 @@ def test_a_row_of_the_answer_is_opened_at_its_moment(
 def test_a_row_that_cannot_be_opened_is_named(
     cli: Cli, arguments: tuple[str, ...], exit_code: int, says: str
 ) -> None:
-    ran = cli("find", *arguments)
-    assert ran.exit_code == exit_code
-    assert says in " ".join(ran.err.split())
+    err = cli("find", *arguments).failed(exit_code)
+    assert says in " ".join(err.split())
 
 
 @pytest.mark.usefixtures("indexed")
@@ -136,6 +131,5 @@ def test_a_browser_shows_the_page_at_the_moment_where_there_is_a_display(
 def test_options_that_contradict_each_other_are_named(
     cli: Cli, arguments: tuple[str, ...], says: str
 ) -> None:
-    ran = cli("find", *arguments)
-    assert ran.exit_code == 2
-    assert says in " ".join(ran.err.split())
+    err = cli("find", *arguments).failed(2)
+    assert says in " ".join(err.split())

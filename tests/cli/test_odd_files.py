@@ -86,10 +86,7 @@ def test_a_fifo_among_the_recordings_hides_no_other(run: Cli) -> None:
     os.mkfifo("recordings/robot_20260102_000000")
     Path("recordings/robot_20260103_000000").mkdir()
     os.mkfifo("recordings/robot_20260103_000000/robot_20260103_000000_0.mcap")
-    ran = run("recordings")
-    assert ran.exit_code == 0, ran
-    assert "robot_20260101_000000" in ran.out
-    assert "unreadable" in ran.out
+    run("recordings").succeeded("robot_20260101_000000", "unreadable")
 
 
 @pytest.mark.parametrize("path", ["fifo", "/dev/zero", "."])
@@ -119,17 +116,15 @@ def gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_a_working_folder_that_is_gone_is_named(arguments: str, gone: None, run: Cli) -> None:
-    ran = run(*arguments.split())
-    assert (ran.exit_code, ran.out) == (2, "")
-    assert ran.err == "robotctl: the working folder was removed: cd to a folder that exists\n"
+    err = run(*arguments.split()).refused(2)
+    assert err == "robotctl: the working folder was removed: cd to a folder that exists\n"
 
 
 @pytest.mark.parametrize("arguments", ["status", "estop", "reset", "stop", "mark x", "logs"])
 def test_what_needs_no_working_folder_works_without_one(
     arguments: str, gone: None, run: Cli
 ) -> None:
-    ran = run(*arguments.split())
-    assert ran.exit_code == 3
+    run(*arguments.split()).failed(3)
 
 
 def test_a_daemon_without_a_working_folder_says_what_it_needs(gone: None, tmp_path: Path) -> None:

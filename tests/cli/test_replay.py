@@ -48,9 +48,9 @@ def test_many_are_checked_and_the_gravest_decides_the_exit_code(
     verdicts = [each["verdict"] for each in json.loads(ran.out)["recordings"]]
     assert verdicts == ["same", "incomplete"]
     record(Path("recordings/c"), diverging(written))
-    ran = cli("replay", "recordings", "--check")
-    assert ran.exit_code == 7
-    assert "1 of 3 recordings would be decided differently" in ran.err
+    cli("replay", "recordings", "--check").failed(
+        7, "1 of 3 recordings would be decided differently"
+    )
 
 
 @pytest.mark.usefixtures("wide_terminal")
@@ -117,11 +117,10 @@ def square() -> list[Written]:
 @pytest.mark.usefixtures("wide_terminal")
 def test_an_open_loop_says_that_the_robot_does_not_react(cli: Cli, square: list[Written]) -> None:
     record(Path("run"), square)
-    ran = cli("replay", "run", "--what-if", "tracking.k_y=8")
-    assert ran.exit_code == 0
-    assert "The robot does not react here" in ran.out
-    assert "tracking.k_y                        20.0             8" in ran.out
-    assert max(map(len, ran.out.splitlines())) <= 80
+    out = cli("replay", "run", "--what-if", "tracking.k_y=8").succeeded(
+        "The robot does not react here", "tracking.k_y                        20.0             8"
+    )
+    assert max(map(len, out.splitlines())) <= 80
     found = json.loads(cli("replay", "run", "--what-if", "tracking.k_y=8", "--json").out)
     assert found["recordings"][0]["angular_rps"]["max"] > 0.0
 
@@ -129,11 +128,10 @@ def test_an_open_loop_says_that_the_robot_does_not_react(cli: Cli, square: list[
 def test_a_closed_loop_shows_the_error_before_and_after(cli: Cli, square: list[Written]) -> None:
     record(Path("run"), square)
     command = ("replay", "run", "--resim", "--what-if", "sim.lag_s=0.3")
-    ran = cli(*command)
-    assert ran.exit_code == 0
-    (header,) = [line for line in ran.out.splitlines() if "drive 1" in line]
+    out = cli(*command).succeeded()
+    (header,) = [line for line in out.splitlines() if "drive 1" in line]
     assert header.split() == ["drive", "1", "recorded", "simulated", "what", "if"]
-    (rms,) = [line for line in ran.out.splitlines() if "off track RMS" in line]
+    (rms,) = [line for line in out.splitlines() if "off track RMS" in line]
     _, simulated, other = map(float, rms.split("[m]")[1].split())
     assert other > simulated
     found = json.loads(cli(*command, "--json").out)["recordings"][0]["drives"][0]
@@ -149,20 +147,17 @@ def test_a_wrong_key_is_wrong_usage(cli: Cli, square: list[Written]) -> None:
 
 def test_settings_may_stand_one_behind_the_other(cli: Cli, square: list[Written]) -> None:
     record(Path("run"), square)
-    ran = cli("replay", "run", "--what-if", "tracking.k_y=8", "tracking.k_x=2", "--json")
-    assert ran.exit_code == 0
-    assert set(json.loads(ran.out)["recordings"][0]["settings"]) == {
-        *("tracking.k_y", "tracking.k_x")
-    }
+    out = cli(
+        "replay", "run", "--what-if", "tracking.k_y=8", "tracking.k_x=2", "--json"
+    ).succeeded()
+    assert set(json.loads(out)["recordings"][0]["settings"]) == {*("tracking.k_y", "tracking.k_x")}
     assert cli("replay", "--what-if", "tracking.k_y=8", "tracking.k_x=2").exit_code == 2
 
 
 def test_an_option_that_says_how_to_play_is_refused(cli: Cli, square: list[Written]) -> None:
     record(Path("run"), square)
     for mode in ("--check", "--resim", "--what-if tracking.k_y=8"):
-        ran = cli("replay", "run", *mode.split(), "--rate", "2")
-        assert ran.exit_code == 2
-        assert "--rate is only for playing" in ran.err
+        cli("replay", "run", *mode.split(), "--rate", "2").failed(2, "--rate is only for playing")
 
 
 def straight_ahead(seconds: int) -> list[Line]:

@@ -18,10 +18,7 @@ def folder() -> Path:
 
 
 def test_the_page_is_written_beside_the_recording(folder: Path, cli: Cli) -> None:
-    ran = cli("report", "last")
-    assert ran.exit_code == 0, ran.err
-    assert f"{folder}/report.html" in ran.out
-    assert "replay --check: same, verify: whole" in ran.out
+    cli("report", "last").succeeded(f"{folder}/report.html", "replay --check: same, verify: whole")
     page = HtmlPage((folder / "report.html").read_text())
     assert page.wrong == []
     assert "same" in page.sections["verdicts"]
@@ -44,9 +41,7 @@ def test_a_damaged_recording_is_shown_as_far_as_it_can_be_read(folder: Path, cli
     (file,) = folder.glob("*.mcap")
     data = file.read_bytes()
     Path("cut.mcap").write_bytes(data[: len(data) // 2])
-    ran = cli("report", "cut.mcap")
-    assert ran.exit_code == 6
-    assert "robotctl recover" in ran.err
+    cli("report", "cut.mcap").failed(6, "robotctl recover")
     assert "Not read:" in Path("cut.report.html").read_text()
 
 
@@ -56,13 +51,9 @@ def test_a_page_that_cannot_be_written_is_refused_with_the_reason(folder: Path, 
     before = (folder / "metadata.yaml").read_text()
     Path("folder.html").mkdir()
     for name in ("elsewhere.html", "no/such/folder.html", "folder.html"):
-        ran = cli("report", "last", "-o", name)
-        assert ran.exit_code == 4
-        assert f"cannot write {name}" in ran.err
-        assert "-o FILE" in ran.err
+        cli("report", "last", "-o", name).failed(4, f"cannot write {name}", "-o FILE")
     assert (folder / "metadata.yaml").read_text() == before
     (file,) = folder.glob("*.mcap")
     data = file.read_bytes()
-    ran = cli("report", "last", "-o", str(file))
-    assert (ran.exit_code, "ends in .html" in ran.err) == (2, True)
+    cli("report", "last", "-o", str(file)).failed(2, "ends in .html")
     assert file.read_bytes() == data, "a recording is never replaced by its page"

@@ -59,10 +59,9 @@ def test_any_other_url_is_answered_with_the_command_that_brings_it_here(
     cli: Cli, bucket: FaultyBucket, command: str
 ) -> None:
     url = URL if "URL" in command else "s3://robots/day"
-    ran = cli(*(url if word in ("URL", "DIR") else word for word in command.split()))
-    assert ran.exit_code == 2
+    err = cli(*(url if word in ("URL", "DIR") else word for word in command.split())).failed(2)
     says = f"{url} is not on this computer: first robotctl sync {url} DIR"
-    assert says in " ".join(ran.err.split())
+    assert says in " ".join(err.split())
     assert bucket.requests == 0
 
 
@@ -135,6 +134,6 @@ def test_the_cure_of_a_damaged_recording_in_a_store_begins_with_a_download(
 ) -> None:
     (path,) = STOPPED.glob("*.mcap")
     bucket["damaged.mcap"] = path.read_bytes()[:-2000]
-    ran = cli("info", "s3://robots/damaged.mcap")
-    assert ran.exit_code == 6
-    assert "download it, and save what can be read with robotctl recover" in ran.err
+    cli("info", "s3://robots/damaged.mcap").failed(
+        6, "download it, and save what can be read with robotctl recover"
+    )

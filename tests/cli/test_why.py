@@ -27,11 +27,10 @@ def stopped() -> list[Written]:
 
 def test_the_last_recording_is_meant_where_none_is_named(cli: Cli, stopped: list[Written]) -> None:
     record(FOLDER, stopped)
-    ran = cli("why")
-    assert ran.exit_code == 0
-    assert "moving is refused in EMERGENCY_STOP" in " ".join(ran.out.split())
-    assert ran.out == cli("why", "last").out == cli("why", str(FOLDER)).out
-    assert ran.out == cli("why", str(FOLDER.parent)).out
+    out = cli("why").succeeded()
+    assert "moving is refused in EMERGENCY_STOP" in " ".join(out.split())
+    assert out == cli("why", "last").out == cli("why", str(FOLDER)).out
+    assert out == cli("why", str(FOLDER.parent)).out
 
 
 def test_machines_get_the_same_as_an_object(cli: Cli, stopped: list[Written]) -> None:
@@ -48,9 +47,7 @@ def test_what_cannot_be_told_has_an_exit_code(cli: Cli) -> None:
     assert cli("why").exit_code == 4
     assert cli("why", "nowhere").exit_code == 6
     record(FOLDER, drive(0.5, requests=[]))
-    ran = cli("why")
-    assert ran.exit_code == 4
-    assert "nothing was refused" in ran.err
+    cli("why").failed(4, "nothing was refused")
     assert cli("why", "--at", "noon").exit_code == 2
 
 
@@ -67,16 +64,14 @@ def test_a_stop_is_not_forgotten_at_a_restart(cli: Cli, stopped: list[Written]) 
         assert f"recorded in {FOLDER}" in out
     found = json.loads(cli("why", "--json").out)
     assert (found["path"], found["later"]) == (str(FOLDER.absolute()), [str(LATER.absolute())])
-    ran = cli("why", str(LATER))
-    assert (ran.exit_code, "nothing was refused" in ran.err) == (4, True)
+    cli("why", str(LATER)).failed(4, "nothing was refused")
 
 
 def test_a_recording_that_cannot_be_read_does_not_hide_the_time_in_one_before_it(
     cli: Cli, stopped: list[Written]
 ) -> None:
     LATER.mkdir(parents=True)
-    ran = cli("why", "--at", "2.1")
-    assert (ran.exit_code, "holds no .mcap file" in ran.err) == (6, True)
+    cli("why", "--at", "2.1").failed(6, "holds no .mcap file")
     record(FOLDER, stopped)
     at = datetime.fromtimestamp(read_info(FOLDER).start_ns / 1e9 + 2.1, UTC).isoformat()
     for time in ("2.1", at):

@@ -128,11 +128,8 @@ class DaskProcesses:
 @contextmanager
 def dask_processes(workers: int = 3) -> Iterator[DaskProcesses]:
     """Yield a scheduler with workers, connected over TCP; kill all at the end."""
-    told = Told(peer_command("tests.collection.dask_processes"), os.environ | QUIET)
-    try:
+    with Told(peer_command("tests.collection.dask_processes"), os.environ | QUIET) as told:
         yield DaskProcesses(told, workers)
-    finally:
-        told.close()
 
 
 def _main() -> None:

@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, ExitStack, asynccontextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,8 +16,10 @@ import tests.support.rosidl_parser  # noqa: F401
 from robotctl.base.errors import NoDaemon
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.ipc.client import call
+from robotctl.recording import RecorderState, RecorderStats, TopicStats
+from robotctl.recording.format.topics import total
 from tests.support.waiting import DEADLINE_S, until
-from tests.support.world import Peer, World, new_world
+from tests.support.world import Peer, World, new_world, world_with_daemon
 
 
 @pytest.fixture
@@ -29,11 +32,9 @@ def world() -> Iterator[World]:
 @pytest.fixture(scope="module")
 def simulated() -> Iterator[World]:
     """A world with one daemon, which simulates its robot, for the tests of a module."""
-    with new_world() as made:
-        made.ok("start", "--sim")
+    with world_with_daemon() as made:
         until(lambda: made.here("preflight").exit_code == 0)
         yield made
-        made.ok("stop")
 
 
 @pytest.fixture
@@ -68,6 +69,24 @@ class Daemon:
                     if condition(status):
                         return status
                 await asyncio.sleep(0.02)
+
+
+def stats_of(*topics: TopicStats, failure: str = "") -> RecorderStats:
+    """Return the counts of a recorder with these topics."""
+    return RecorderStats(
+        state=RecorderState.FAILED if failure else RecorderState.RECORDING,
+        file=Path("/data/run_0.mcap"),
+        bytes=1,
+        **total(topics),
+        no_memory=0,
+        failure=failure,
+        warning="",
+        topics=topics,
+    )
+
+
+def is_moving(status: Any) -> bool:
+    return bool(status["mode"] == "MOVING" and status["velocity"]["linear"] > 0.02)
 
 
 @pytest.fixture

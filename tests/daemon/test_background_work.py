@@ -32,7 +32,7 @@ from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
 from robotctl.testing.drives import GID, TWIST
 from tests.support.recordings import numbered, write_numbered
 from tests.support.waiting import DEADLINE_S, loop_until, until
-from tests.support.world import InProcess, World
+from tests.support.world import PATIENT, InProcess, World
 
 _listeners: list[Callable[[str], None]] = []
 
@@ -81,9 +81,9 @@ def tidied_by_somebody(recordings: Path) -> Iterator[None]:
         os.close(folder)
 
 
-def tidying(world: World) -> list[int]:
-    found = world.processes().items()
-    return [pid for pid, command in found if TIDY in command]
+def at_work(world: World, job: str) -> list[int]:
+    """Return the processes that tidy or index."""
+    return [pid for pid, command in world.processes().items() if job in command]
 
 
 async def test_no_file_of_the_folder_is_opened_before_ready(
@@ -126,11 +126,11 @@ def test_start_split_and_stop_do_not_wait_for_another_process_that_tidies(world:
     size = file.stat().st_size
     with tidied_by_somebody(world.recordings):
         world.ok("start", "--sim")
-        until(lambda: tidying(world))
+        until(lambda: at_work(world, TIDY))
         until(lambda: world.status()["recorder"]["written"] > 100)
         world.ok("record", "split")
         world.ok("stop")
-        assert tidying(world) == []
+        assert at_work(world, TIDY) == []
         assert file.stat().st_size == size
     assert "could not be tidied" not in world.log()
 
@@ -140,27 +140,22 @@ pytest.importorskip("duckdb", reason="indexes are an extra: robotctl[parquet]")
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
 
-def indexing(world: World) -> list[int]:
-    found = world.processes().items()
-    return [pid for pid, command in found if module.INDEX in command]
-
-
 def test_each_closed_file_and_the_closed_recording_are_indexed_beside_it(world: World) -> None:
     """The last process outlives the daemon, and ends."""
-    world.patient.write_text(world.patient.read_text().replace("index: false", "index: true"))
+    world.patient.write_text(PATIENT.replace("index: false", "index: true"))
     world.ok("start", "--sim", "--drive", "square")
     recording = Path(world.status()["recorder"]["file"]).parent
     until(lambda: world.status()["recorder"]["written"] > 100)
-    assert tidying(world) == [], "a folder without other recordings costs no process"
+    assert at_work(world, TIDY) == [], "a folder without other recordings costs no process"
     world.ok("record", "split")
     until(index_path(recording).exists)
     (first,) = sorted(recording.glob("*.mcap"))[:1]
     assert stamps_in(index_path(recording)) == {recording.name: stamp_of([first])}
-    until(lambda: not indexing(world))
+    until(lambda: not at_work(world, module.INDEX))
     world.ok("stop")
     complete = {recording.name: stamp_of(files_of(recording))}
     until(lambda: stamps_in(index_path(recording)) == complete)
-    until(lambda: not indexing(world))
+    until(lambda: not at_work(world, module.INDEX))
     assert not list(recording.glob(".*"))
     enforce_retention(world.recordings, RetentionPolicy(max_bytes=1), 0.0)
     assert not recording.exists()

@@ -10,7 +10,6 @@ from geometry_msgs.msg import TwistStamped
 from rclpy.serialization import deserialize_message
 
 from robotctl.profiles import Profile
-from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
 from tests.support.world import PATIENT, NewPeer, World, read_back
 
@@ -21,16 +20,12 @@ def test_a_robot_that_wants_another_type_of_command_is_not_driven_blind(
     peer, another = new_peer(world), new_peer(world)
     peer("take_commands", kind="TwistStamped")
     peer("measure", x=0.0)
-    settings = world.folder / "twist.yaml"
-    settings.write_text('battery.topic: ""\ncommand.stamped: false\n')
-    start = world.spawn("start", "--no-sim", "--config", str(settings))  # waits for a base
+    settings = 'battery.topic: ""\ncommand.stamped: false\n'
+    start = world.spawn("start", "--no-sim", settings=settings)  # waits for a base
     until(lambda: world.here("status").exit_code == 0)
     wanted = "the robot takes geometry_msgs/msg/TwistStamped on cmd_vel"
     until(lambda: any(wanted in each for each in world.status()["warnings"]))
-    refused = world.here("drive", "square")
-    assert refused.exit_code == 4
-    assert wanted in refused.err
-    assert "if it runs, start robotctl again" in refused.err
+    world.here("drive", "square").failed(4, wanted, "if it runs, start robotctl again")
     another("take_commands", kind="Twist")
     start.communicate()
     until(lambda: world.here("set-mode", "moving").exit_code == 0)
@@ -63,24 +58,18 @@ BASES: dict[Profile, dict[str, Any]] = {
         "child_frame": "base_link",
     },
 }
-SLOW = pytest.mark.slow
+OTHERS = [
+    pytest.param(each, marks=pytest.mark.slow) for each in Profile if each is not Profile.HUSKY
+]
 
 
-@pytest.mark.parametrize(
-    "profile",
-    [
-        Profile.HUSKY,
-        *(pytest.param(each, marks=SLOW) for each in Profile if each is not Profile.HUSKY),
-    ],
-)
+@pytest.mark.parametrize("profile", [Profile.HUSKY, *OTHERS])
 def test_a_profile_drives_a_base_like_its_robot(world: World, profile: Profile) -> None:
-    base = Told(peer_command("tests.support.role_peers", "StubBase"), world.environment)
-    try:
+    with world.peer("StubBase") as base:
         base("begin", **BASES[profile])
-        settings = world.folder / "robot.yaml"
         patient = yaml.safe_load(PATIENT)  # its time limits hold for an idle machine only
-        settings.write_text(yaml.safe_dump(yaml.safe_load(profile.path.read_text()) | patient))
-        world.ok("start", "--no-sim", "--config", str(settings))
+        settings = yaml.safe_dump(yaml.safe_load(profile.path.read_text()) | patient)
+        world.ok("start", "--no-sim", settings=settings)
         until(lambda: world.robotctl("set-mode", "moving").exit_code == 0)
         until(lambda: base("driven")["x"] > 0.1)
         frames = base("driven")["frames"]
@@ -89,9 +78,7 @@ def test_a_profile_drives_a_base_like_its_robot(world: World, profile: Profile) 
         world.ok("set-mode", "idle")
         world.ok("stop")
         assert "same" in world.ok("replay", "--check", "last")
-        messages = read_back(next(world.recordings.iterdir()))[f"/{BASES[profile]['command'][0]}"]
-    finally:
-        base.close()
+        messages = read_back(world.recording)[f"/{BASES[profile]['command'][0]}"]
     if is_stamped:
         commands = [deserialize_message(each.data, TwistStamped) for each in messages]
         assert {each.header.frame_id for each in commands} == {BASES[profile]["child_frame"]}

@@ -6,7 +6,6 @@ import os
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,6 @@ from robotctl.recording import Recorder, RecorderOptions, RecorderStats, read_in
 from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from tests.support.bags import text
-from tests.support.lines import Ran
 from tests.support.recordings import read_strictly
 from tests.support.waiting import loop_until, until
 from tests.support.world import (
@@ -34,7 +32,6 @@ from tests.support.world import (
     World,
     journal_of,
     new_world,
-    read_back,
 )
 
 MARK = "the door \x1b[2J opened"
@@ -43,20 +40,33 @@ CLIPS = "recording.clip_before_s: 2.0\nrecording.clip_after_s: 0.5\n"
 CONFIG = PATIENT.replace("recording.clip_before_s: 0.0\n", CLIPS)
 
 
-@dataclass(frozen=True, slots=True)
 class Flight:
     """The observations of one run of the daemon."""
 
-    folder: Path
-    marked: Any
-    heard: Any
-    refused: list[Ran]
-    split: Any
-    during: Any
-    screen: str
-    live: Any
-    ended: Any
-    log: str
+    def __init__(self, world: World, peer: Peer) -> None:
+        """Drive, mark, split, fail and stop."""
+        subprocess.run(["git", "init", "-q"], cwd=world.folder, check=True)
+        world.ok("start", "--sim", settings=CONFIG)
+        peer("listen")
+        until(lambda: world.ok("mark", "does anybody hear?") and peer("heard")["marks"])
+        world.ok("drive", "circle")
+        until(lambda: world.status()["velocity"]["linear"] > 0.05)
+        self.marked = world.answer("mark", MARK)
+        until(lambda: any(MARK in each for each in peer("heard")["marks"]))
+        world.ok("record", "split")
+        until(lambda: world.status()["velocity"]["linear"] > 0.05)
+        world.ok("set-mode", "error")
+        until(lambda: "clip of the error" in world.log())
+        for command in (("record", "status"), ("recordings",)):
+            world.ok(*command)
+        world.ok("estop")
+        self.refused = [world.robotctl("mark", words) for words in ("x" * 1001, " ")]
+        self.heard = peer("heard")["marks"]
+        world.ok("stop")
+        self.refused += [world.robotctl(*each) for each in (("mark", "x"), ("record", "split"))]
+        self.ended = world.answer("info", "last")
+        self.folder = world.recording
+        self.log = world.log()
 
     @property
     def files(self) -> list[Path]:
@@ -66,64 +76,17 @@ class Flight:
     @property
     def clips(self) -> list[Path]:
         """The clips in the order of their events."""
-        found = [(read_info(path), path) for path in (self.folder / "clips").iterdir()]
-        return [
-            path
-            for _, path in sorted(
-                (int(info.metadata["robotctl.clip"]["event_ns"]), path) for info, path in found
-            )
-        ]
+        return sorted((self.folder / "clips").iterdir(), key=event_ns)
+
+
+def event_ns(clip: Path) -> int:
+    return int(read_info(clip).metadata["robotctl.clip"]["event_ns"])
 
 
 @pytest.fixture(scope="module")
 def flight() -> Iterator[Flight]:
-    """Drive, mark, split, fail and stop, once."""
-    with new_world() as world:
-        peer = Peer(world)
-        try:
-            yield _fly(world, peer)
-        finally:
-            peer.close()
-
-
-def _fly(world: World, peer: Peer) -> Flight:
-    (world.folder / "robot.yaml").write_text(CONFIG)
-    subprocess.run(["git", "init", "-q"], cwd=world.folder, check=True)
-    world.ok("start", "--sim", "--config", "robot.yaml")
-    peer("listen")
-    until(lambda: world.ok("mark", "does anybody hear?") and peer("heard")["marks"])
-    world.ok("drive", "circle")
-    until(lambda: world.status()["velocity"]["linear"] > 0.05)
-    marked = world.answer("mark", MARK)
-    until(lambda: any(MARK in each for each in peer("heard")["marks"]))
-    split = world.answer("record", "split")
-    during = world.answer("record", "status")
-    until(lambda: world.status()["velocity"]["linear"] > 0.05)
-    world.ok("set-mode", "error")
-    until(lambda: "clip of the error" in world.log())
-    live = world.answer("recordings")
-    screen = world.ok("record", "status")
-    world.ok("estop")
-    refused = [world.robotctl("mark", words) for words in ("x" * 1001, " ")]
-    heard = peer("heard")["marks"]
-    world.ok("stop")
-    refused += [world.robotctl(*each) for each in (("mark", "x"), ("record", "split"))]
-    ended = world.answer("info", "last")
-    return Flight(
-        folder=next(world.recordings.iterdir()),
-        marked=marked,
-        heard=heard,
-        refused=refused,
-        split=split,
-        during=during,
-        screen=screen,
-        live=live,
-        ended=ended,
-        log=world.log(),
-    )
-
-
-# Files
+    with new_world() as world, Peer(world) as peer:
+        yield Flight(world, peer)
 
 
 def test_every_file_of_a_split_recording_stands_alone(flight: Flight) -> None:
@@ -171,9 +134,6 @@ def test_the_ledger_is_in_the_file_and_accounts_for_every_message(flight: Flight
         assert repeated in ((0, 1) if topic["name"] in LATCHED else (0,)), topic["name"]
 
 
-# Marks
-
-
 def test_a_mark_is_recorded_published_and_named_with_its_source(flight: Flight) -> None:
     *_, message = read_messages(flight.folder, {"/robotctl/marks"})
     *_, event = (each for each in flight.ended["events"] if each["kind"] == "mark")
@@ -188,9 +148,6 @@ def test_a_mark_that_is_none_and_one_without_a_daemon_are_refused(flight: Flight
     assert [ran.exit_code for ran in flight.refused] == [2, 2, 3, 3]
     assert "a mark has 1 to 1000 characters, not 1001" in flight.refused[0].err
     assert all(ran.err.count("\n") == 1 and not ran.out for ran in flight.refused)
-
-
-# Clips
 
 
 def test_each_error_and_emergency_stop_has_a_clip(flight: Flight) -> None:
@@ -337,5 +294,5 @@ def test_a_hundred_clean_stops_lose_no_entry(world: World) -> None:
         world.ok("stop")
         assert ", 0 dropped, 0 lost" in world.log()
     for folder in world.recordings.iterdir():
-        journal = journal_of(read_back(folder)["/robotctl/journal"])
+        journal = journal_of(folder)
         assert [entry.seq for entry in journal] == list(range(len(journal)))

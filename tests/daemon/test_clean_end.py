@@ -6,7 +6,6 @@ import os
 import signal
 import socket
 import time
-from pathlib import Path
 
 import pytest
 
@@ -14,21 +13,6 @@ from robotctl.check.compare import first_divergence
 from robotctl.kernel.types import ModeChanged
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import PATIENT, World, journal_of, read_back
-
-
-def pid_of(world: World, robot: str = "robot") -> int:
-    return int(world.status(robot)["pid"])
-
-
-def last_command(folder: Path) -> bytes:
-    """The velocities of the last recorded command, as serialized."""
-    return bytes(read_back(folder)["/cmd_vel"][-1].data[4:])
-
-
-STILL = bytes(48)
-
-
-# The emergency stop outlives the process
 
 
 def test_an_emergency_stop_outlives_a_kill_and_a_stop_and_is_left_by_reset_only(
@@ -39,19 +23,16 @@ def test_an_emergency_stop_outlives_a_kill_and_a_stop_and_is_left_by_reset_only(
     until(lambda: world.status()["recorder"]["written"] > 100)
     assert "release it with: robotctl reset" in world.ok("estop")
     assert latch.exists()
-    refused = world.here("set-mode", "moving")
-    assert refused.exit_code == 4
-    assert "EMERGENCY_STOP" in refused.err
-    assert "robotctl reset" in refused.err
-    world.kill(pid_of(world))
+    world.here("set-mode", "moving").failed(4, "EMERGENCY_STOP", "robotctl reset")
+    world.kill(world.status()["pid"])
     assert world.sockets() != []
     assert world.robotctl("status").exit_code == 3
-    killed = next(world.recordings.iterdir())
+    killed = world.recording
     assert "the emergency stop is still latched" in world.ok("start", "--sim")
     assert world.status()["mode"] == "EMERGENCY_STOP"
     until(lambda: f"repaired: {killed.name}_0.mcap" in world.log())
     world.ok("stop")
-    journal = journal_of(read_back(killed)["/robotctl/journal"])
+    journal = journal_of(killed)
     assert any(entry.name == ModeChanged.__name__ for entry in journal)
     assert first_divergence(journal) is None
     world.ok("start", "--sim")
@@ -70,8 +51,8 @@ def test_a_latch_that_cannot_be_written_is_reported_and_the_robot_stops(simulate
     partial = simulated.folder / "state" / "robotctl" / "robot" / "emergency-stop.new"
     partial.mkdir()  # the path of the latch's temporary file
     ran = simulated.robotctl("estop")
-    assert (ran.exit_code, ran.out) == (1, "")
-    assert "Mode changed to EMERGENCY_STOP, but a restart would forget this stop" in ran.err
+    ran.failed(1, "Mode changed to EMERGENCY_STOP, but a restart would forget this stop")
+    assert ran.out == ""
     status = simulated.status()
     assert status["mode"] == "EMERGENCY_STOP"
     (warning,) = (text for text in status["warnings"] if "could not be saved" in text)
@@ -93,9 +74,7 @@ def test_a_stop_answers_with_any_owner_of_the_latch_folder(simulated: World) -> 
         asked = time.monotonic()
         ran = simulated.robotctl("estop")
         assert time.monotonic() - asked < 10.0, "as long as a client waits for a silent daemon"
-        assert ran.exit_code == 1
-        assert f"{folder} belongs to" in ran.err
-        assert "a restart would forget this stop" in ran.err
+        ran.failed(1, f"{folder} belongs to", "a restart would forget this stop")
     assert simulated.status()["mode"] == "EMERGENCY_STOP"
     os.chown(folder, 0, 0)
     until(lambda: (folder / "emergency-stop").exists())
@@ -106,18 +85,15 @@ def test_a_battery_stop_is_released_by_a_charged_battery_only_also_after_a_resta
     world: World,
 ) -> None:
     def start(level: float, life_s: float, *options: str) -> None:
-        config = world.folder / "battery.yaml"
-        config.write_text(f"{PATIENT}sim.battery_start: {level}\nsim.battery_life_s: {life_s}\n")
-        world.ok("start", "--sim", "--config", str(config), *options)
+        settings = f"{PATIENT}sim.battery_start: {level}\nsim.battery_life_s: {life_s}\n"
+        world.ok("start", "--sim", *options, settings=settings)
 
     start(0.155, 100.0, "--drive", "circle")
     until(lambda: world.status()["mode"] == "EMERGENCY_STOP")
     assert "at or below 15%" in world.status()["mode_reason"]
     world.ok("stop")
     start(0.165, 1e6)
-    refused = world.robotctl("reset")
-    assert refused.exit_code == 4
-    assert "the battery is at 16%, not yet at 20%" in refused.err
+    world.robotctl("reset").failed(4, "the battery is at 16%, not yet at 20%")
     world.ok("sim", "set", "battery=0.21")
     assert "released" in until(lambda: world.here("reset").out)
     world.ok("stop")
@@ -127,24 +103,21 @@ def test_a_battery_stop_is_released_by_a_charged_battery_only_also_after_a_resta
 def test_fifty_kills_are_followed_by_fifty_starts(world: World) -> None:
     for _ in range(50):
         world.ok("start", "--sim", "--drive", "circle")
-        world.kill(pid_of(world))
+        world.kill(world.status()["pid"])
     world.ok("start", "--sim")
     world.ok("stop")
     for folder in world.recordings.iterdir():
         # Killed within its first 0.3 s, a recording is valid and empty.
-        assert first_divergence(journal_of(read_back(folder).get("/robotctl/journal", []))) is None
-
-
-# Ended by a signal
+        assert first_divergence(journal_of(folder)) is None
 
 
 def test_a_signal_while_moving_ends_with_zero_and_a_closed_recording(world: World) -> None:
     assert "mode        MOVING" in world.ok("start", "--sim", "--drive", "circle")
     until(lambda: world.status()["velocity"]["linear"] > 0.05)
-    pid = pid_of(world)
+    pid = world.status()["pid"]
     os.kill(pid, signal.SIGHUP)
     until(lambda: pid not in world.processes())
-    assert last_command(next(world.recordings.iterdir())) == STILL
+    assert read_back(world.recording)["/cmd_vel"][-1].data[4:] == bytes(48)
     assert "0 dropped, 0 lost" in world.log()
     assert world.sockets() == []
 

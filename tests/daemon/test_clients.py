@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.support.waiting import DEADLINE_S, until
-from tests.support.world import PATIENT, World, new_world
+from tests.support.world import PATIENT, World, world_with_daemon
 
 
 def test_a_waited_drive_that_a_fault_ends_is_an_error_and_why_names_its_evidence(
@@ -41,8 +41,8 @@ def test_the_cures_of_a_named_robot_can_be_pasted_and_its_end_ends_a_waited_driv
     world.ok("start", "--sim", *r2)
     world.ok("set-mode", "error", *r2)
     refused = world.robotctl("drive", "square", "--json", *r2)
-    assert refused.exit_code == 4
-    cure = json.loads(refused.out)["error"]["cure"]
+    refused.failed(4)
+    cure = refused.summary["error"]["cure"]
     assert cure == "clear it: robotctl reset --robot r2"
     assert world.answer("why", *r2)["what"].endswith(cure)
     world.ok(*cure.split("robotctl ")[1].split())
@@ -56,9 +56,7 @@ def test_the_cures_of_a_named_robot_can_be_pasted_and_its_end_ends_a_waited_driv
 
 def test_a_drive_while_moving_is_refused_unless_it_replaces(simulated: World) -> None:
     simulated.ok("drive", "circle", "--laps", "0")
-    refused = simulated.robotctl("drive", "square")
-    assert refused.exit_code == 4
-    assert "--replace" in refused.err
+    simulated.robotctl("drive", "square").failed(4, "--replace")
     simulated.ok("drive", "square", "--replace")
     assert simulated.status()["mode"] == "MOVING"
     simulated.ok("set-mode", "idle")
@@ -71,12 +69,9 @@ GENTLE = f"{PATIENT}limits: {{linear_accel_mps2: 0.1, angular_accel_rps2: 0.3}}\
 @pytest.fixture(scope="module")
 def slow() -> Iterator[World]:
     """A robot that is slow to stop, for all of this module."""
-    with new_world() as made:
-        (made.folder / "gentle.yaml").write_text(GENTLE)
-        made.ok("start", "--sim", "--config", "gentle.yaml")
+    with world_with_daemon(settings=GENTLE) as made:
         until(lambda: made.status()["pose"] is not None and made.status()["battery"] is not None)
         yield made
-        made.ok("stop")
 
 
 @pytest.fixture

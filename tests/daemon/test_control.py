@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -53,10 +53,10 @@ from robotctl.recording import Recorder
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import RecordedEvent
-from robotctl.recording.write.recorder import RecorderState, RecorderStats
 from robotctl.recording.write.recorder_options import TopicFilter
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from robotctl.testing.kernels import moving
+from tests.daemon.conftest import stats_of
 from tests.support.waiting import loop_until
 
 
@@ -77,6 +77,11 @@ class Bench:
         )
         self.control.carry_out = lambda effect: self.do(effect)
         self.control.journal_snapshot(0)
+
+    def answer(self, effect: Effect) -> None:
+        """Carry out nothing but replies."""
+        if isinstance(effect, Reply):
+            self.requests.replies.settle(effect)
 
     @property
     def names(self) -> list[str]:
@@ -129,12 +134,8 @@ def test_the_effects_after_a_failed_one_are_carried_out() -> None:
 
     bench.do = fail_to_publish
     bench.control.dispatch(ModeRequested(1, 1, 3, "test"))
-    assert [type(effect).__name__ for effect in bench.done] == [
-        "LatchEmergencyStop",
-        "ModeChanged",
-        "Reply",
-    ]
-    reply = bench.done[-1]
+    latched, changed, reply = bench.done
+    assert (type(latched), type(changed)) == (LatchEmergencyStop, ModeChanged)
     assert isinstance(reply, Reply)
     assert (reply.ok, reply.mode) == (False, Mode.EMERGENCY_STOP)
     assert reply.message.endswith("but PublishTwist failed: no network")
@@ -143,19 +144,17 @@ def test_the_effects_after_a_failed_one_are_carried_out() -> None:
 
 def test_a_lasting_failure_is_reported_once() -> None:
     bench = Bench()
-    broken = True
 
-    def carry_out(effect: Effect) -> None:
-        if broken:
-            raise OSError("no network")
+    def fail(effect: Effect) -> None:
+        raise OSError("no network")
 
-    bench.do = carry_out
+    bench.do = fail
     for t_ns in range(1, 4):
         bench.control.dispatch(Tick(t_ns))
     assert bench.failures == ["PublishTwist failed: no network"]
-    broken = False
+    bench.do = bench.done.append
     bench.control.dispatch(Tick(4))
-    broken = True
+    bench.do = fail
     bench.control.dispatch(Tick(5))
     assert len(bench.failures) == 2
 
@@ -164,9 +163,7 @@ async def test_a_cancelled_request_is_removed() -> None:
     bench = Bench()
     bench.requests.replies.expect(1).cancel()
     bench.requests.replies.settle(Reply(1, True, "", Mode.IDLE))
-    bench.do = lambda effect: (
-        bench.requests.replies.settle(effect) if isinstance(effect, Reply) else None
-    )
+    bench.do = bench.answer
     reply = await bench.control.request(ResetRequested(1, 2, "test"))
     assert (reply.request_id, reply.ok) == (2, True)
     await loop_until(lambda: not bench.requests.replies._waiting)
@@ -174,9 +171,7 @@ async def test_a_cancelled_request_is_removed() -> None:
 
 async def test_no_motion_begins_while_the_daemon_ends() -> None:
     bench = Bench()
-    bench.do = lambda effect: (
-        bench.requests.replies.settle(effect) if type(effect) is Reply else None
-    )
+    bench.do = bench.answer
     await stand_still(bench.control, bench.published)
     assert bench.names[-2:] == ["Tick", "PublishTwist"]
     reply = await bench.control.request(ModeRequested(time.monotonic_ns(), 1, 1, "test"))
@@ -213,9 +208,7 @@ async def test_a_last_zero_that_fails_is_sent_again() -> None:
 
 async def test_a_ramp_that_takes_too_long_is_cut() -> None:
     bench = Bench(moving().kernel.params, moving().state)
-    bench.do = lambda effect: (
-        bench.requests.replies.settle(effect) if type(effect) is Reply else None
-    )
+    bench.do = bench.answer
     assert bench.control.state.command != ZERO
     await stand_still(  # without ticks
         bench.control,
@@ -235,19 +228,21 @@ class Recorded:
     """Records what the effects do."""
 
     def __init__(self, folder: Path) -> None:
-        self.latch_path = folder / "emergency-stop"
-        self.latch = Latch(self.latch_path)
-        self.requests = PendingRequests()
+        self.latch = Latch(folder / "emergency-stop")
         self.done: list[Any] = []
         self.noted: list[RecordedEvent] = []
-        self.effects = Effects(
-            self.done.append, self.done.append, self.noted.append, self.latch, self.requests, "r2"
-        )
+        requests = PendingRequests()
+        self.expect = requests.replies.expect
+        self.carry_out = Effects(
+            self.done.append, self.done.append, self.noted.append, self.latch, requests, "r2"
+        ).carry_out
 
 
 @pytest.fixture
-def recorded(tmp_path: Path) -> Recorded:
-    return Recorded(tmp_path)
+async def recorded(tmp_path: Path) -> AsyncIterator[Recorded]:
+    made = Recorded(tmp_path)
+    yield made
+    await made.latch.close()
 
 
 async def test_a_stop_is_confirmed_when_it_is_on_the_disk(
@@ -260,44 +255,44 @@ async def test_a_stop_is_confirmed_when_it_is_on_the_disk(
         write(path, stop)
 
     monkeypatch.setattr(latch, "write", write_slowly)
-    reply = recorded.requests.replies.expect(1)
-    recorded.effects.carry_out(LatchEmergencyStop("test"))
-    recorded.effects.carry_out(REPLY)
+    reply = recorded.expect(1)
+    recorded.carry_out(LatchEmergencyStop("test"))
+    recorded.carry_out(REPLY)
     assert not reply.done()
     disk.set()
     assert await reply == REPLY
     assert recorded.latch.read() == LatchedStop("test", Cause.OPERATOR_STOP)
-    await recorded.latch.close()
 
 
 async def test_the_latch_remembers_why_the_robot_stopped(recorded: Recorded) -> None:
-    recorded.effects.carry_out(LatchEmergencyStop("empty", Cause.BATTERY_LOW))
+    recorded.carry_out(LatchEmergencyStop("empty", Cause.BATTERY_LOW))
     await recorded.latch.close()
     assert recorded.latch.read() == LatchedStop("empty", Cause.BATTERY_LOW)
 
 
-async def test_a_stop_that_could_not_be_saved_is_confirmed_with_that(recorded: Recorded) -> None:
-    (recorded.latch_path.with_suffix(".new")).mkdir()
-    reply = recorded.requests.replies.expect(1)
-    recorded.effects.carry_out(LatchEmergencyStop("test"))
-    recorded.effects.carry_out(REPLY)
+async def test_a_stop_that_could_not_be_saved_is_confirmed_with_that(
+    recorded: Recorded, tmp_path: Path
+) -> None:
+    (tmp_path / "emergency-stop.new").mkdir()
+    reply = recorded.expect(1)
+    recorded.carry_out(LatchEmergencyStop("test"))
+    recorded.carry_out(REPLY)
     answer = await reply
     assert isinstance(answer, UnsavedReply)
     assert answer.ok
     assert f"{REPLY.message}, but a restart would forget this stop: " in answer.message
-    refused = recorded.requests.replies.expect(2)
-    recorded.effects.carry_out(Reply(2, False, "no", Mode.EMERGENCY_STOP))
+    refused = recorded.expect(2)
+    recorded.carry_out(Reply(2, False, "no", Mode.EMERGENCY_STOP))
     assert await refused == Reply(2, False, "no", Mode.EMERGENCY_STOP)
-    await recorded.latch.close()
 
 
 async def test_stops_errors_and_drive_ends_are_events_of_the_recording(recorded: Recorded) -> None:
     for mode in Mode:
-        recorded.effects.carry_out(ModeChanged(Mode.IDLE, mode, f"to {mode.name}"))
+        recorded.carry_out(ModeChanged(Mode.IDLE, mode, f"to {mode.name}"))
     report = DriveReport(2, 8.0, 0.01, 0.02, 0.005)
-    recorded.effects.carry_out(DriveEnded(1, True, "driven", report))
-    recorded.effects.carry_out(PublishTwist(Twist(0.1, 0.2)))
-    recorded.effects.carry_out(ReleaseEmergencyStop())
+    recorded.carry_out(DriveEnded(1, True, "driven", report))
+    recorded.carry_out(PublishTwist(Twist(0.1, 0.2)))
+    recorded.carry_out(ReleaseEmergencyStop())
     kinds = [(event.kind, event.text) for event in recorded.noted]
     assert kinds == [
         (EventKind.ERROR, "to ERROR"),
@@ -305,7 +300,6 @@ async def test_stops_errors_and_drive_ends_are_events_of_the_recording(recorded:
         (EventKind.DRIVE_ENDED, "driven"),
     ]
     assert recorded.done == [*Mode, Twist(0.1, 0.2)]
-    await recorded.latch.close()
 
 
 async def test_the_log_names_the_robot_in_a_cure(
@@ -313,32 +307,16 @@ async def test_the_log_names_the_robot_in_a_cure(
 ) -> None:
     caplog.set_level(logging.INFO)
     failed = ModeChanged(Mode.IDLE, Mode.ERROR, "no disk: see robotctl logs", Cause.RECORDER_FAILED)
-    recorded.effects.carry_out(failed)
+    recorded.carry_out(failed)
     assert "IDLE -> ERROR: no disk: see robotctl logs --robot r2: restart after that" in caplog.text
     assert "robotctl start --robot r2" in caplog.text
-    await recorded.latch.close()
 
 
 FAILURE = "the recorder failed: see robotctl logs"
 FAILURE_OF_R2 = f"{FAILURE} --robot r2"
 
 
-FAILED = RecorderStats(
-    state=RecorderState.FAILED,
-    file=Path("run.mcap"),
-    bytes=0,
-    received=0,
-    written=0,
-    queued=0,
-    dropped=0,
-    lost=0,
-    unseen=0,
-    not_repeated=0,
-    no_memory=0,
-    failure=FAILURE,
-    warning="",
-    topics=(),
-)
+FAILED = stats_of(failure=FAILURE)
 
 
 @pytest.fixture

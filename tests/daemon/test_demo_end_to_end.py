@@ -27,8 +27,7 @@ def test_the_demo_drives_a_lap_and_shows_what_was_recorded(world: World) -> None
     out = ran.out
     folder = next(world.recordings.iterdir())
     topics = read_back(folder)
-    verified = world.robotctl("verify", str(folder))
-    assert verified.exit_code == 0, verified
+    world.robotctl("verify", str(folder)).succeeded()
     robot = re.search(r"starting a simulated robot: (demo_\d+)", out)
     assert robot is not None
     assert f"recording   {folder.relative_to(world.folder)}" in out

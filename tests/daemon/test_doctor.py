@@ -11,24 +11,20 @@ from typing import Any
 import pytest
 
 from tests.support.waiting import until
-from tests.support.world import NewPeer, World, new_world
+from tests.support.world import NewPeer, World, world_with_daemon
 
 
 def findings(world: World, *options: str) -> list[dict[str, Any]]:
     """Return the findings, whatever the exit code is."""
-    found: list[dict[str, Any]] = json.loads(world.here("doctor", *options, "--json").out)[
-        "findings"
-    ]
+    found: list[dict[str, Any]] = world.here("doctor", *options, "--json").summary["findings"]
     return found
 
 
 @pytest.fixture(scope="module")
 def simulated() -> Iterator[World]:
     """A world with one daemon, which records elsewhere."""
-    with new_world() as made:
-        made.ok("start", "--sim", "--recordings", str(made.folder / "elsewhere"))
+    with world_with_daemon("--sim", "--recordings", "elsewhere") as made:
         yield made
-        made.ok("stop")
 
 
 def test_the_disk_is_the_one_on_which_the_daemon_records(simulated: World) -> None:
@@ -65,7 +61,7 @@ def test_what_a_killed_daemon_left_is_cleaned_and_a_shell_in_another_domain_is_t
     (left,) = (each for each in found if "robot r2" in each["text"])
     assert left["level"] == "warning"
     sockets = {path.name: path for path in world.sockets()}
-    answer = json.loads(world.here("doctor", "--clean", "--json").out)
+    answer = world.here("doctor", "--clean", "--json").summary
     assert str(sockets["r2.sock"]) in answer["removed"]
     assert [path.name for path in world.sockets()] == ["robot.sock"]
     assert not [each for each in answer["findings"] if "robot r2" in each["text"]]

@@ -32,6 +32,14 @@ def of(bench: Bench) -> RobotReport:
     return RobotReport(control)
 
 
+@pytest.fixture
+def bench() -> Bench:
+    """A kernel that moves, without ticks so far, with the parameters that a report reads."""
+    made = moving(ticks=0)
+    made.params = made.kernel.params  # type: ignore[attr-defined]
+    return made
+
+
 def test_a_robot_that_stands_leaves_one_point() -> None:
     seen = of(moving())
     for _ in range(100):
@@ -51,9 +59,7 @@ def test_of_a_long_way_every_second_point_is_forgotten(monkeypatch: pytest.Monke
     assert (driven[0], driven[-1]) == ([0.0, 0.0], [100.0, 0.0])
 
 
-def test_the_closure_is_told_from_the_end_of_the_first_lap_on() -> None:
-    bench = moving(ticks=0)
-    bench.params = bench.kernel.params  # type: ignore[attr-defined]
+def test_the_closure_is_told_from_the_end_of_the_first_lap_on(bench: Bench) -> None:
     bench.drive(Pattern(PatternKind.CIRCLE, 0.1), replacing=True)
     seen = of(bench)
     closures = []
@@ -76,9 +82,7 @@ ERRORS = ("cross_track_rms_m", "cross_track_max_m", "heading_rms_rad", "heading_
 
 
 @pytest.mark.parametrize("has_path", [True, False])
-def test_errors_are_told_of_a_drive_that_has_a_path(has_path: bool) -> None:
-    bench = moving(ticks=0)
-    bench.params = bench.kernel.params  # type: ignore[attr-defined]
+def test_errors_are_told_of_a_drive_that_has_a_path(bench: Bench, has_path: bool) -> None:
     course = PLAIN if has_path else Course(held=Held(0.2, 0.1, 5.0))
     bench.drive(Pattern(PatternKind.CIRCLE, 0.5), replacing=True, course=course)
     seen = of(bench)
@@ -97,8 +101,7 @@ def test_errors_are_told_of_a_drive_that_has_a_path(has_path: bool) -> None:
     assert report.duration_s == ended.report.duration_s
 
 
-def test_the_true_closure_is_that_of_the_moment_at_which_the_last_lap_ends() -> None:
-    bench = moving(ticks=0)
+def test_the_true_closure_is_that_of_the_moment_at_which_the_last_lap_ends(bench: Bench) -> None:
     seen = of(bench)
     seen.ground_truth.truth = lambda: ORIGIN  # the robot stands: it misses the end by the line
     bench.drive(Pattern(PatternKind.LINE, 0.2), 1, replacing=True, course=Course(open_loop=True))
@@ -116,11 +119,9 @@ def test_the_true_closure_is_that_of_the_moment_at_which_the_last_lap_ends() -> 
 
 
 @pytest.mark.parametrize(("level", "is_told"), [(0.31, False), (0.29, True)])
-def test_a_battery_below_30_percent_is_a_warning(level: float, is_told: bool) -> None:
-    bench = moving()
+def test_a_battery_below_30_percent_is_a_warning(bench: Bench, level: float, is_told: bool) -> None:
     bench.battery(level)
     control: Any = bench
-    bench.params = bench.kernel.params  # type: ignore[attr-defined]
     told = [text for text in of_robot(control) if "charge it soon" in text]
     assert bool(told) is is_told
 
@@ -166,17 +167,8 @@ def test_with_exact_odometry_the_true_errors_are_those_of_odometry(
 ) -> None:
     report, true = driven(EXACT, moved, course, pattern)
     assert true is not None
-    assert tuple(true) == pytest.approx(
-        (
-            report.cross_track_rms_m,
-            report.cross_track_max_m,
-            report.heading_rms_rad,
-            report.heading_max_rad,
-            report.closure_m,
-        ),
-        rel=0.02,
-        abs=5e-4,
-    )
+    errors = [getattr(report, name) for name in (*ERRORS, "closure_m")]
+    assert list(true) == pytest.approx(errors, rel=0.02, abs=5e-4)
 
 
 def test_what_odometry_does_not_see_is_told() -> None:
@@ -187,14 +179,11 @@ def test_what_odometry_does_not_see_is_told() -> None:
 
 
 def test_without_a_true_pose_or_a_path_there_are_no_true_errors() -> None:
-    bench, truth = ready(), GroundTruth()
-    bench.drive()
-    assert bench.state.drive is not None
-    truth.follow(bench.state.drive, Pose())
-    assert truth.errors(bench.state.drive.request_id) is None
-    held, held_truth = ready(), GroundTruth()
-    held_truth.truth = Pose
-    held.drive(course=Course(held=Held(0.1, 0.0, 1.0)))
-    assert held.state.drive is not None
-    held_truth.follow(held.state.drive, Pose())
-    assert held_truth.errors(held.state.drive.request_id) is None
+    held = Course(held=Held(0.1, 0.0, 1.0))
+    for true_pose, course in ((None, PLAIN), (Pose, held)):
+        bench, truth = ready(), GroundTruth()
+        truth.truth = true_pose or truth.truth
+        bench.drive(course=course)
+        assert bench.state.drive is not None
+        truth.follow(bench.state.drive, Pose())
+        assert truth.errors(bench.state.drive.request_id) is None

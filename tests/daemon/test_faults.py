@@ -34,6 +34,7 @@ from robotctl.recording import read_info
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from robotctl.ros.tap.tap import Tap
+from tests.daemon.conftest import is_moving
 from tests.support.waiting import loop_until, until
 from tests.support.world import InProcess, NewPeer, World, journal_of, read_back
 
@@ -54,8 +55,14 @@ class Bomb:
         patch.setattr(owner, name, passed)
 
 
-def is_moving(status: Any) -> bool:
-    return bool(status["mode"] == "MOVING" and status["velocity"]["linear"] > 0.02)
+async def ticks(daemon: Any, more: int) -> Any:
+    """Wait until that many more commands were sent; return the status then."""
+    before = commands_in(await daemon.ask("status"))
+    return await daemon.until(lambda status: commands_in(status) > before + more)
+
+
+def commands_in(status: Any) -> int:
+    return int(next(each["count"] for each in status["topics"] if each["name"] == "/cmd_vel"))
 
 
 def commands(world: World) -> list[tuple[float, float]]:
@@ -63,8 +70,8 @@ def commands(world: World) -> list[tuple[float, float]]:
     from geometry_msgs.msg import Twist
     from rclpy.serialization import deserialize_message
 
-    topics = read_back(next(world.recordings.iterdir()))
-    twists = [deserialize_message(message.data, Twist) for message in topics["/cmd_vel"]]
+    messages = read_back(world.recording)["/cmd_vel"]
+    twists = [deserialize_message(message.data, Twist) for message in messages]
     return [(twist.linear.x, twist.angular.z) for twist in twists]
 
 
@@ -93,8 +100,7 @@ async def test_a_part_that_raises_stops_the_robot_and_comes_back(
         status = await daemon.until(lambda status: status["mode"] == "ERROR")
         assert said in status["mode_reason"]
         assert "injected" in status["mode_reason"]
-        ticked = _count(status, "/cmd_vel")
-        await daemon.until(lambda status: _count(status, "/cmd_vel") > ticked + 20)
+        await ticks(daemon, 20)
     driven = commands(world)
     assert driven[-20:] == 20 * [(0.0, 0.0)]
     assert max(driven)[0] > 0.02
@@ -221,24 +227,16 @@ async def test_a_wall_clock_that_is_set_does_not_touch_the_drive(
 ) -> None:
     wall_ns = time.time_ns
     async with in_process(drive=PatternKind.CIRCLE) as daemon:
-        status = await daemon.until(is_moving)
+        await daemon.until(is_moving)
         for jump_s in (-3600, 3600):
             shift_ns = jump_s * 1_000_000_000
             monkeypatch.setattr(time, "time_ns", lambda shift_ns=shift_ns: wall_ns() + shift_ns)
-            ticked = _count(status, "/cmd_vel")
-            status = await daemon.until(
-                lambda now, ticked=ticked: _count(now, "/cmd_vel") > ticked + 25
-            )
-            assert status["mode"] == "MOVING"
-    (folder,) = world.recordings.iterdir()
-    journal = journal_of(read_back(folder)["/robotctl/journal"])
+            assert (await ticks(daemon, 25))["mode"] == "MOVING"
+    journal = journal_of(world.recording)
     assert [entry.name for entry in journal].count("ModeChanged") == 2  # began and ended
     assert first_divergence(journal) is None
     # Only Python's clock was set, and not that of the received messages: no check takes that.
-    rmtree(folder)
-
-
-# The loop stalls
+    rmtree(world.recording)
 
 
 def sleep(seconds: float) -> None:
@@ -291,8 +289,7 @@ async def test_a_stall_while_standing_is_counted_and_logged_and_needs_no_reset(
         status = await daemon.until(lambda status: status["stalls"] == 1)
         assert status["mode"] == "IDLE"
         assert any("stalls of the control loop: 1," in each for each in status["warnings"])
-        ticked = _count(status, "/cmd_vel")
-        await daemon.until(lambda status: _count(status, "/cmd_vel") > ticked + 5)
+        await ticks(daemon, 5)
         answer = await daemon.ask("set_mode", mode=1, source="test")
         assert answer["mode"] == "MOVING"  # the gate is open again
         await daemon.until(is_moving)
@@ -309,9 +306,8 @@ async def test_after_a_short_stall_the_robot_drives_on_from_zero(
         sleep(0.4)  # the patient configuration allows 5 s
         status = await daemon.until(lambda status: status["stalls"] >= 1)
         assert status["mode"] == "MOVING"
-        ticked = _count(status, "/cmd_vel")
-        await daemon.until(lambda status: _count(status, "/cmd_vel") > ticked + 20)
-    journal = journal_of(read_back(next(world.recordings.iterdir()))["/robotctl/journal"])
+        await ticks(daemon, 20)
+    journal = journal_of(world.recording)
     (stall, *_) = [json.loads(e.data) for e in journal if e.name == "LoopStalled"]
     assert stall["zeros"] > 3
     driven = commands(world)
@@ -320,10 +316,6 @@ async def test_after_a_short_stall_the_robot_drives_on_from_zero(
     went_on = next(each for each in driven[stalled:] if each != (0.0, 0.0))
     assert went_on[0] <= 0.05
     assert first_divergence(journal) is None
-
-
-def _count(status: Any, topic: str) -> int:
-    return int(next(entry["count"] for entry in status["topics"] if entry["name"] == topic))
 
 
 def test_a_fault_of_the_simulated_robot_stops_it_and_is_marked_in_the_recording(
@@ -336,16 +328,12 @@ def test_a_fault_of_the_simulated_robot_stops_it_and_is_marked_in_the_recording(
     assert "the battery is at 10%" in told["message"]
     assert "did not move" in world.ok("sim", "fault", "slip", "--for", "100ms")
     world.ok("sim", "set", "battery=0.5")
-    wrong = world.robotctl("sim", "fault", "slip", "--for", "2h", "--json")
-    assert (wrong.exit_code, json.loads(wrong.out)["error"]["kind"]) == (2, "usage")
+    world.robotctl("sim", "fault", "slip", "--for", "2h", "--json").failed(2, out='"usage"')
     assert world.robotctl("sim", "set", "battery=2").exit_code == 2
     world.ok("stop")
     events = world.answer("info", "last")["events"]
     marks = [each["text"] for each in events if each["kind"] == "mark"]
     assert marks[0].startswith("simulated fault: brownout for 1 s")
-
-
-STILL = bytes(48)
 
 
 @pytest.mark.parametrize(
@@ -385,7 +373,6 @@ async def test_without_memory_the_robot_stops_and_the_daemon_ends(
     monkeypatch.setattr(owner, name, fail)
     with pytest.raises(RobotctlError, match=OUT_OF_MEMORY):
         await drive()
-    last = read_back(next(world.recordings.iterdir()))["/cmd_vel"][-1]
-    assert last.data[4:] == STILL
+    assert commands(world)[-1] == (0.0, 0.0)
     assert caplog.text.count("out of memory") < 5
     assert "Traceback" not in caplog.text

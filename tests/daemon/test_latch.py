@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import stat
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,24 @@ from robotctl.kernel.types import Cause
 from tests.support.waiting import loop_until
 
 BY_OPERATOR = Cause.OPERATOR_STOP
+
+
+class AskedLatch(Latch):
+    """A latch that is asked for its problem when it is set; `problems` are the answers."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.problems: list[str] = []
+
+    def stop(self) -> None:
+        self.set("reason", BY_OPERATOR)
+        self.when_settled(self.problems.append)
+
+
+@pytest.fixture
+def latch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AskedLatch:
+    monkeypatch.setattr(latch_module, "RETRY_S", 0.01)
+    return AskedLatch(tmp_path / "emergency-stop")
 
 
 async def test_a_latch_is_on_the_disk_before_it_is_confirmed(tmp_path: Path) -> None:
@@ -33,16 +52,16 @@ async def test_a_latch_is_on_the_disk_before_it_is_confirmed(tmp_path: Path) -> 
 
 
 async def test_a_power_cut_leaves_the_old_latch_or_the_new_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    latch: AskedLatch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, sync, synced = tmp_path / "emergency-stop", os.fsync, []
+    sync, synced = os.fsync, []
 
     def fsync(fd: int) -> None:
-        synced.append((stat.S_ISDIR(os.fstat(fd).st_mode), path.exists()))
+        is_there = (tmp_path / "emergency-stop").exists()
+        synced.append((stat.S_ISDIR(os.fstat(fd).st_mode), is_there))
         sync(fd)
 
     monkeypatch.setattr(os, "fsync", fsync)
-    latch = Latch(path)
     latch.set("reason", BY_OPERATOR)
     latch.clear()
     await latch.close()
@@ -50,22 +69,17 @@ async def test_a_power_cut_leaves_the_old_latch_or_the_new_one(
     assert synced == [written, named, removed]
 
 
-async def test_a_latch_that_is_released_is_gone(tmp_path: Path) -> None:
-    latch = Latch(tmp_path / "emergency-stop")
+async def test_a_latch_that_is_released_is_gone(latch: AskedLatch) -> None:
     latch.set("reason", BY_OPERATOR)
     latch.clear()
     await latch.close()
     assert latch.read() is None
 
 
-# Failures to save
-
-
 @pytest.mark.parametrize("error", [OSError(30, "read-only"), UsageError("not yours"), KeyError(1)])
 async def test_a_latch_that_cannot_be_saved_says_so_until_it_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+    latch: AskedLatch, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    monkeypatch.setattr(latch_module, "RETRY_S", 0.01)
     failures, write = iter([error, error]), latch_module.write
 
     def fail_twice(path: Path, stop: LatchedStop) -> None:
@@ -74,41 +88,33 @@ async def test_a_latch_that_cannot_be_saved_says_so_until_it_is(
         write(path, stop)
 
     monkeypatch.setattr(latch_module, "write", fail_twice)
-    latch = Latch(tmp_path / "emergency-stop")
-    problems: list[str] = []
-    latch.set("reason", BY_OPERATOR)
-    latch.when_settled(problems.append)
-    await loop_until(lambda: problems)
-    assert "a restart would forget this stop: the emergency-stop latch could not" in problems[0]
-    assert str(error) in problems[0]
-    latch.when_settled(problems.append)  # as a second emergency stop does
-    assert problems[1] == problems[0]
-    assert latch.warning() == f"{problems[0]} (tried again each second)"
+    latch.stop()
+    await loop_until(lambda: latch.problems)
+    told = latch.problems[0]
+    assert "a restart would forget this stop: the emergency-stop latch could not" in told
+    assert str(error) in told
+    latch.when_settled(latch.problems.append)  # as a second emergency stop does
+    assert latch.problems[1] == told
+    assert latch.warning() == f"{told} (tried again each second)"
     await loop_until(lambda: latch.warning() == "")
     assert latch.read() == LatchedStop("reason", BY_OPERATOR)
     await latch.close()
 
 
 async def test_a_stop_whose_thread_cannot_start_is_saved_as_soon_as_one_can(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    latch: AskedLatch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(latch_module, "RETRY_S", 0.01)
-    start, starts = threading.Thread.start, 0
+    start, failures = threading.Thread.start, iter([RuntimeError("can't start new thread")] * 2)
 
     def fail_twice(thread: threading.Thread) -> None:
-        nonlocal starts
-        starts += 1
-        if starts <= 2:
-            raise RuntimeError("can't start new thread")
+        for failure in failures:
+            raise failure
         start(thread)
 
     monkeypatch.setattr(threading.Thread, "start", fail_twice)
-    latch = Latch(tmp_path / "emergency-stop")
-    problems: list[str] = []
-    latch.set("reason", BY_OPERATOR)
-    latch.when_settled(problems.append)
-    assert len(problems) == 1
-    assert problems[0].startswith("a restart would forget this stop")
+    latch.stop()
+    (told,) = latch.problems
+    assert told.startswith("a restart would forget this stop")
     assert "can't start new thread" in latch.warning()
     await loop_until(lambda: latch.warning() == "")
     assert latch.read() == LatchedStop("reason", BY_OPERATOR)
@@ -116,7 +122,7 @@ async def test_a_stop_whose_thread_cannot_start_is_saved_as_soon_as_one_can(
 
 
 async def test_a_disk_that_hangs_delays_the_answer_for_a_moment_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    latch: AskedLatch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(latch_module, "DISK_S", 0.05)
     disk, write = threading.Event(), latch_module.write
@@ -126,22 +132,18 @@ async def test_a_disk_that_hangs_delays_the_answer_for_a_moment_only(
         write(path, stop)
 
     monkeypatch.setattr(latch_module, "write", hang)
-    latch = Latch(tmp_path / "emergency-stop")
-    problems: list[str] = []
-    latch.set("reason", BY_OPERATOR)
-    latch.when_settled(problems.append)
+    latch.stop()
     await latch.close()  # does not wait for it either
-    assert "has not answered for 0.05 s" in problems[0]
+    assert "has not answered for 0.05 s" in latch.problems[0]
     assert "has not answered for 0.05 s" in latch.warning()
     disk.set()
     await loop_until(lambda: latch.warning() == "")
-    assert len(problems) == 1
+    assert len(latch.problems) == 1
 
 
 async def test_of_many_changes_during_one_write_each_is_answered_and_the_last_counts(
-    tmp_path: Path,
+    latch: AskedLatch,
 ) -> None:
-    latch = Latch(tmp_path / "emergency-stop")
     answered: list[int] = []
     for number in range(100):
         latch.set(f"stop {number}", BY_OPERATOR)
@@ -152,62 +154,56 @@ async def test_of_many_changes_during_one_write_each_is_answered_and_the_last_co
 
 
 @pytest.mark.parametrize("name", ["emergency-stop", "emergency-stop.new"])
-async def test_a_fifo_in_the_way_is_replaced_without_waiting(tmp_path: Path, name: str) -> None:
+async def test_a_fifo_in_the_way_is_replaced_without_waiting(
+    latch: AskedLatch, tmp_path: Path, name: str
+) -> None:
     os.mkfifo(tmp_path / name)
-    latch = Latch(tmp_path / "emergency-stop")
-    problems: list[str] = []
-    latch.set("reason", BY_OPERATOR)
-    latch.when_settled(problems.append)
+    latch.stop()
     await latch.close()
-    assert problems == [""]
+    assert latch.problems == [""]
     assert latch.read() == LatchedStop("reason", BY_OPERATOR)
-
-
-# Reading
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"\0", b"cause: battery l", b"cause: x"])
 def test_a_latch_that_a_power_cut_left_is_a_stop_by_the_operator(
-    tmp_path: Path, content: bytes
+    latch: AskedLatch, tmp_path: Path, content: bytes
 ) -> None:
-    path = tmp_path / "emergency-stop"
-    path.write_bytes(content)
-    stop = Latch(path).read()
+    (tmp_path / "emergency-stop").write_bytes(content)
+    stop = latch.read()
     assert stop is not None
     assert stop.reason
     assert stop.cause is BY_OPERATOR
 
 
-def test_a_latch_of_the_first_version_is_a_stop_by_the_operator(tmp_path: Path) -> None:
-    path = tmp_path / "emergency-stop"
-    path.write_text("requested by robotctl estop (uid 0, pid 1)")
-    assert Latch(path).read() == ("requested by robotctl estop (uid 0, pid 1)", BY_OPERATOR)
+def test_a_latch_of_the_first_version_is_a_stop_by_the_operator(
+    latch: AskedLatch, tmp_path: Path
+) -> None:
+    reason = "requested by robotctl estop (uid 0, pid 1)"
+    (tmp_path / "emergency-stop").write_text(reason)
+    assert latch.read() == (reason, BY_OPERATOR)
 
 
-async def test_a_reason_cannot_name_another_cause(tmp_path: Path) -> None:
-    latch = Latch(tmp_path / "emergency-stop")
+async def test_a_reason_cannot_name_another_cause(latch: AskedLatch) -> None:
     latch.set("mine\ncause: operator stop", Cause.BATTERY_LOW)
     await latch.close()
     assert latch.read() == ("mine cause: operator stop", Cause.BATTERY_LOW)
 
 
-@pytest.fixture(params=["folder", "fifo", "device", "link to nothing"])
-def unreadable(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    path = tmp_path / "emergency-stop"
-    match request.param:
-        case "folder":
-            path.mkdir()
-        case "fifo":
-            os.mkfifo(path)
-        case "device":
-            path.symlink_to("/dev/zero")
-        case _:
-            path.symlink_to(tmp_path / "nothing")
-    return path
-
-
-def test_a_latch_that_cannot_be_read_is_a_stop_by_the_operator(unreadable: Path) -> None:
-    stop = Latch(unreadable).read()
+@pytest.mark.parametrize(
+    "put",
+    [
+        Path.mkdir,
+        os.mkfifo,
+        lambda path: path.symlink_to("/dev/zero"),
+        lambda path: path.symlink_to("nothing"),
+    ],
+    ids=["folder", "fifo", "device", "link to nothing"],
+)
+def test_a_latch_that_cannot_be_read_is_a_stop_by_the_operator(
+    latch: AskedLatch, tmp_path: Path, put: Callable[[Path], None]
+) -> None:
+    put(tmp_path / "emergency-stop")
+    stop = latch.read()
     assert stop is not None
-    assert f"the latch {unreadable} cannot be read: " in stop.reason
+    assert f"the latch {tmp_path / 'emergency-stop'} cannot be read: " in stop.reason
     assert stop.cause is BY_OPERATOR

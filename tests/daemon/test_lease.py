@@ -31,13 +31,10 @@ def test_the_holder_alone_moves_the_robot_and_its_death_ramps_it_down(
     told = holder.stdout.readline()
     found = re.search(r"ROBOTCTL_LEASE=(\w+)", told)
     assert found, told
-    second = world.robotctl("lease", "take")
-    assert second.exit_code == 4
-    assert f"pid {holder.pid}) holds the lease (inspection)" in second.err
+    world.robotctl("lease", "take").failed(4, f"pid {holder.pid}) holds the lease (inspection)")
     for asked in ("set-mode moving", "drive circle", "lease release"):
-        refused = world.robotctl(*asked.split())
-        assert refused.exit_code == 4
-        assert re.search(r"holds the lease \(inspection\), and robotctl .* asked", refused.err)
+        err = world.robotctl(*asked.split()).failed(4)
+        assert re.search(r"holds the lease \(inspection\), and robotctl .* asked", err)
     over_ros = new_peer(world)("set_mode", mode=1)
     assert not over_ros["success"]
     assert "and the ROS service /set_mode asked" in over_ros["message"]
@@ -60,8 +57,9 @@ def test_the_holder_alone_moves_the_robot_and_its_death_ramps_it_down(
     third.send_signal(SIGINT)  # however soon after the line
     out, _ = third.communicate(timeout=DEADLINE_S)
     assert (third.returncode, "Lease released" in out) == (0, True)
-    ran = world.robotctl("lease", "take", "--", ROBOTCTL, "lease", "status", "--json")
-    assert (ran.exit_code, '"yours": true' in ran.out) == (0, True), ran
+    world.robotctl("lease", "take", "--", ROBOTCTL, "lease", "status", "--json").succeeded(
+        '"yours": true'
+    )
     world.ok("set-mode", "moving")
     world.ok("set-mode", "idle")
 

@@ -66,23 +66,16 @@ with log_to_stderr():
 print("ended", flush=True)
 """
 
-Run = Callable[..., subprocess.Popen[str]]
 
-
-@pytest.fixture
-def queued() -> Run:
+def queued(code: str, stderr: int) -> subprocess.Popen[str]:
     """Log in another process; its stdin and stdout are ours."""
-
-    def started(code: str, stderr: int) -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [sys.executable, "-c", LOGGING, code],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=stderr,
-            text=True,
-        )
-
-    return started
+    return subprocess.Popen(
+        [sys.executable, "-c", LOGGING, code],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=stderr,
+        text=True,
+    )
 
 
 def full_pipe() -> tuple[int, int]:
@@ -104,7 +97,7 @@ def read_all(reading: int) -> str:
         return pipe.read().decode().replace("-", "")
 
 
-def test_dropped_lines_are_counted_and_reported_when_stderr_takes_lines_again(queued: Run) -> None:
+def test_dropped_lines_are_counted_and_reported_when_stderr_takes_lines_again() -> None:
     reading, writing = full_pipe()
     lines, length = 3000, 1000
     assert lines * length > CAPACITY_BYTES
@@ -125,7 +118,7 @@ def test_dropped_lines_are_counted_and_reported_when_stderr_takes_lines_again(qu
     assert int(missing) > 0
 
 
-def test_the_end_does_not_wait_for_a_stderr_that_takes_nothing(queued: Run) -> None:
+def test_the_end_does_not_wait_for_a_stderr_that_takes_nothing() -> None:
     reading, writing = full_pipe()
     with queued("log.warning('unread')", writing) as process:
         os.close(writing)
@@ -135,7 +128,7 @@ def test_the_end_does_not_wait_for_a_stderr_that_takes_nothing(queued: Run) -> N
     os.close(reading)
 
 
-def test_what_libraries_and_warnings_write_does_not_wait_either(queued: Run) -> None:
+def test_what_libraries_and_warnings_write_does_not_wait_either() -> None:
     reading, writing = full_pipe()
     code = "ctypes.CDLL(None).write(2, b'C writes\\n', 9); warnings.warn('late'); asked()"
     with queued(code, writing) as process:
@@ -149,7 +142,7 @@ def test_what_libraries_and_warnings_write_does_not_wait_either(queued: Run) -> 
     assert "UserWarning: late" in text
 
 
-def test_all_is_written_in_order_before_the_end(queued: Run) -> None:
+def test_all_is_written_in_order_before_the_end() -> None:
     code = "for n in range(2000): log.info('%d', n)\nprint('plain', file=sys.stderr)"
     with queued(code, subprocess.PIPE) as process:
         out, text = process.communicate(timeout=DEADLINE_S)
@@ -158,7 +151,7 @@ def test_all_is_written_in_order_before_the_end(queued: Run) -> None:
     assert (plain, out) == ("plain", "ended\n")
 
 
-def test_a_reader_that_left_ends_nothing(queued: Run) -> None:
+def test_a_reader_that_left_ends_nothing() -> None:
     reading, writing = os.pipe()
     os.close(reading)
     with queued("log.info('one'); time.sleep(0.05); log.info('two')", writing) as process:
@@ -167,7 +160,7 @@ def test_a_reader_that_left_ends_nothing(queued: Run) -> None:
     assert process.returncode == 0
 
 
-def test_a_line_that_repeats_itself_is_written_three_times_and_counted(queued: Run) -> None:
+def test_a_line_that_repeats_itself_is_written_three_times_and_counted() -> None:
     code = """
 for n in range(2000):
     try:
@@ -199,6 +192,13 @@ def handler_of(
     return handler
 
 
+def told_by(log: logging.Logger) -> list[str]:
+    """Return a list that grows by each line that is published."""
+    told: list[str] = []
+    handler_of(log, lambda record, text: told.append(text))
+    return told
+
+
 async def test_lines_of_other_threads_are_published_in_the_loop(log: logging.Logger) -> None:
     told: list[tuple[str, str, int]] = []
 
@@ -214,8 +214,7 @@ async def test_lines_of_other_threads_are_published_in_the_loop(log: logging.Log
 
 
 async def test_a_burst_leaves_turns_of_the_loop_to_others(log: logging.Logger) -> None:
-    told: list[str] = []
-    handler_of(log, lambda record, text: told.append(text))
+    told = told_by(log)
     for number in range(3 * LINES_PER_TURN):
         log.info("%d", number)
     seen = []
@@ -227,8 +226,7 @@ async def test_a_burst_leaves_turns_of_the_loop_to_others(log: logging.Logger) -
 
 
 async def test_lines_that_do_not_fit_are_counted_and_told(log: logging.Logger) -> None:
-    told: list[str] = []
-    handler_of(log, lambda record, text: told.append(text))
+    told = told_by(log)
     for number in range(CAPACITY + 7):
         log.info("%d", number)
     await loop_until(lambda: len(told) > CAPACITY)
@@ -269,8 +267,8 @@ async def test_what_publishing_logs_leads_to_no_further_line(log: logging.Logger
 async def test_repeated_warnings_are_counted_and_the_end_tells_what_waits(
     log: logging.Logger,
 ) -> None:
-    told: list[str] = []
-    handler = handler_of(log, lambda record, text: told.append(text))
+    told = told_by(log)
+    (handler,) = log.handlers
     for _ in range(WRITTEN + 5):
         log.warning("again")
     log.removeHandler(handler)
@@ -345,14 +343,7 @@ def count_of(client: Client, topic: str) -> int:
 def test_a_blocked_log_delays_neither_the_stop_nor_the_zeros(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
-    while True:
-        try:
-            os.write(writing, b"-" * 4096)
-        except BlockingIOError:
-            break
-    os.set_blocking(writing, True)
+    reading, writing = full_pipe()
     process = world.spawn("start", "--foreground", "--sim", "--drive", "circle", stderr=writing)
     os.close(writing)
     world.enter(monkeypatch)
@@ -369,7 +360,6 @@ def test_a_blocked_log_delays_neither_the_stop_nor_the_zeros(
         sent = count_of(client, "/cmd_vel")
         until(lambda: count_of(client, "/cmd_vel") > sent + 50)
     process.send_signal(signal.SIGINT)
-    with open(reading, "rb") as pipe:
-        text = pipe.read().decode().lstrip("-")
+    text = read_all(reading)
     assert process.wait(DEADLINE_S) == 0
     assert re.search(r"^log: \d+ lines are missing here", text, re.MULTILINE)

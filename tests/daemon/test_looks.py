@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +15,18 @@ import yaml
 
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
-from tests.support.world import World, new_world
+from tests.support.world import World, world_with_daemon
 
 
 @pytest.fixture(scope="module")
 def world() -> Iterator[World]:
     """A world with a daemon, and two peers that announce topics of strange types."""
-    with new_world() as made, ExitStack() as stack:
-        made.ok("start", "--sim")
-        stack.callback(made.ok, "stop")
-        peers = [peer_command("tests.support.hostile_peer") for _ in range(2)]
-        one, other = (Told(command, made.environment) for command in peers)
-        stack.callback(one.close)
-        stack.callback(other.close)
+    hostile = peer_command("tests.support.hostile_peer")
+    with (
+        world_with_daemon() as made,
+        Told(hostile, made.environment) as one,
+        Told(hostile, made.environment) as other,
+    ):
         one("offer", topic="/strange", type_name="nowhere/msg/Type")
         one("offer", topic="/bad\xff\x1b[31m", type_name="std_msgs/msg/String")
         one("offer", topic="/two", type_name="std_msgs/msg/String")
@@ -137,10 +135,8 @@ def test_a_service_is_called_with_its_type_or_without(world: World) -> None:
 def test_what_cannot_be_done_is_a_sentence_and_an_exit_code(
     world: World, arguments: list[str], exit_code: int, said: str
 ) -> None:
-    ran = world.here(*arguments)
-    assert (ran.exit_code, ran.out) == (exit_code, ""), ran.err
-    assert said in ran.err
-    assert "\x1b" not in ran.err
+    err = world.here(*arguments).refused(exit_code, said)
+    assert "\x1b" not in err
 
 
 def first_line(process: subprocess.Popen[str]) -> str:

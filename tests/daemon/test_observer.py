@@ -4,85 +4,55 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
 from robotctl.replay.replay_guard import daemons_in, running_daemons
-from tests.support.lines import Ran, Told, peer_command
+from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
 from tests.support.world import InProcess, NewPeer, Peer, World, new_world, read_back
 
 COMMANDS = 200
 
 
-@dataclass(frozen=True, slots=True)
+REFUSED = ["set-mode moving", "estop", "reset", "drive square", "lease status", "sim fault slip"]
+REFUSED += ["drive velocity 0.1 0 --for 1s"]
+
+
 class Observed:
     """The observations of one run of an observer."""
 
-    started: str
-    status: Any
-    screen: str
-    line: str
-    nodes: list[str]
-    publishers: dict[str, list[str]]
-    services: list[str]
-    refusals: list[Ran]
-    still: Any
-    topics: dict[str, list[Any]]
+    def __init__(self, world: World, peer: Peer) -> None:
+        peer("be_a_robot")
+        self.started = world.ok("start", "--observe", "--exclude", "/odom,type:sensor_msgs/*")
+        peer("send", kind="Twist", topic="/cmd_vel", count=COMMANDS)
+        peer("send", kind="Twist", topic="/cmd_vel", count=COMMANDS)
+        until(lambda: _counts(world.status()).get("/cmd_vel", 0) == 2 * COMMANDS)
+        until(lambda: _counts(world.status()).get("/odom", 0) > 10)
+        told = _counts(world.status())["/diagnostics"]
+        until(lambda: _counts(world.status())["/diagnostics"] > told)
+        self.screen = world.ok("status")
+        world.ok("mark", "seen")
+        world.ok("record", "split")
+        watching = world.spawn("watch")
+        assert watching.stdout is not None
+        _, self.line = watching.stdout.readline(), watching.stdout.readline()
+        self.status = world.status()
+        self.nodes = peer("nodes")
+        self.publishers = peer("publishers")
+        self.services = peer("services")
+        self.refusals = [world.here(*command.split()) for command in REFUSED]
+        self.still = world.status()
+        world.ok("stop")
+        watching.communicate(timeout=30)
+        self.topics = read_back(world.recording)
 
 
 @pytest.fixture(scope="module")
 def observed() -> Iterator[Observed]:
-    """Run it once."""
-    with new_world() as world:
-        peer = Peer(world)
-        try:
-            yield _live(world, peer)
-        finally:
-            peer.close()
-
-
-def _live(world: World, peer: Peer) -> Observed:
-    peer("be_a_robot")
-    started = world.ok("start", "--observe", "--exclude", "/odom,type:sensor_msgs/*")
-    peer("send", kind="Twist", topic="/cmd_vel", count=COMMANDS)
-    peer("send", kind="Twist", topic="/cmd_vel", count=COMMANDS)
-    until(lambda: _counts(world.status()).get("/cmd_vel", 0) == 2 * COMMANDS)
-    until(lambda: _counts(world.status()).get("/odom", 0) > 10)
-    told = _counts(world.status())["/diagnostics"]
-    until(lambda: _counts(world.status())["/diagnostics"] > told)
-    screen = world.ok("status")
-    world.ok("mark", "seen")
-    world.ok("record", "split")
-    watching = world.spawn("watch")
-    assert watching.stdout is not None
-    _, line = watching.stdout.readline(), watching.stdout.readline()
-    refused = (
-        *(("set-mode", "moving"), ("estop",), ("reset",), ("drive", "square")),
-        *(
-            ("drive", "velocity", "0.1", "0", "--for", "1s"),
-            ("lease", "status"),
-            ("sim", "fault", "slip"),
-        ),
-    )
-    seen = Observed(
-        started=started,
-        status=world.status(),
-        screen=screen,
-        line=line,
-        nodes=peer("nodes"),
-        publishers=peer("publishers"),
-        services=peer("services"),
-        refusals=[world.here(*command) for command in refused],
-        still=world.status(),
-        topics={},
-    )
-    world.ok("stop")
-    watching.communicate(timeout=30)
-    seen.topics.update(read_back(next(world.recordings.iterdir())))
-    return seen
+    with new_world() as world, Peer(world) as peer:
+        yield Observed(world, peer)
 
 
 def _counts(status: Any) -> dict[str, int]:
@@ -91,12 +61,8 @@ def _counts(status: Any) -> dict[str, int]:
 
 def test_it_publishes_no_command_serves_no_mode_and_simulates_nothing(observed: Observed) -> None:
     assert observed.nodes == ["/_recorder"]
-    assert set(observed.publishers) == {
-        "/diagnostics",
-        "/robotctl/marks",
-        "/rosout",
-        "/parameter_events",  # as every node of rclpy
-    }
+    of_any_node = {"/rosout", "/parameter_events"}
+    assert set(observed.publishers) == {"/diagnostics", "/robotctl/marks", *of_any_node}
     assert observed.services == []
 
 
@@ -179,7 +145,7 @@ def test_a_message_larger_than_the_queue_is_counted_and_named(
     assert (status["recorder"]["dropped"], status["recorder"]["lost"]) == (1, 0)
     assert any("1 messages are not recorded, most of /large" in text for text in status["warnings"])
     world.ok("stop")
-    topics = read_back(next(world.recordings.iterdir()))
+    topics = read_back(world.recording)
     assert (len(topics["/cmd_vel"]), len(topics["/large"])) == (COMMANDS, 0)
 
 
@@ -187,9 +153,7 @@ def test_a_message_larger_than_the_queue_is_counted_and_named(
 def test_an_observer_that_is_to_drive_as_well_is_not_started(
     world: World, option: tuple[str, ...]
 ) -> None:
-    ran = world.here("start", "--observe", *option)
-    assert ran.exit_code == 2
-    assert "--observe records and does nothing else" in ran.err
+    world.here("start", "--observe", *option).failed(2, "--observe records and does nothing else")
     assert not world.recordings.exists()
 
 
@@ -218,9 +182,8 @@ def simulated() -> Iterator[World]:
 @pytest.fixture
 def hostile(simulated: World) -> Iterator[Told]:
     """A process that announces invalid data."""
-    told = Told(peer_command("tests.support.hostile_peer"), simulated.environment)
-    yield told
-    told.close()
+    with Told(peer_command("tests.support.hostile_peer"), simulated.environment) as told:
+        yield told
 
 
 def test_the_daemon_drives_on_and_names_what_it_does_not_record(
@@ -252,7 +215,5 @@ def test_each_publisher_of_commands_is_named_even_with_a_strange_name(
         return any(name in text for text in simulated.status()["warnings"])
 
     until(is_named)
-    ran = simulated.robotctl("set-mode", "moving")
-    assert ran.exit_code == 4
-    assert name in ran.err
+    simulated.robotctl("set-mode", "moving").failed(4, name)
     assert simulated.status()["mode"] == "IDLE"

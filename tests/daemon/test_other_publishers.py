@@ -20,9 +20,9 @@ from robotctl.kernel.types import (
     ForeignCommandHeard,
 )
 from robotctl.recording import read_messages
-from tests.support.lines import Told, peer_command
+from robotctl.recording.format.journal import decode
 from tests.support.waiting import loop_until, until
-from tests.support.world import PATIENT, NewPeer, World, journal_of, new_world
+from tests.support.world import PATIENT, NewPeer, World, world_with_daemon
 
 
 class Velocity:
@@ -57,11 +57,15 @@ async def look_again(velocity: Velocity, times: int) -> None:
     await loop_until(lambda: velocity.looks > looks + times)
 
 
-async def test_other_publishers_are_events_when_they_appear_and_disappear(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+@pytest.fixture
+def velocity(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(inputs, "PUBLISHER_POLL_S", 0.0)
-    velocity: Any = Velocity()
+    return Velocity()
+
+
+async def test_other_publishers_are_events_when_they_appear_and_disappear(
+    velocity: Any,
+) -> None:
     watching = asyncio.create_task(watch_graph(velocity, velocity, velocity.dispatch))
 
     async def seen(*names: str) -> list[tuple[str, ...]]:
@@ -76,11 +80,7 @@ async def test_other_publishers_are_events_when_they_appear_and_disappear(
     watching.cancel()
 
 
-async def test_a_change_of_the_command_subscribers_is_an_event(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(inputs, "PUBLISHER_POLL_S", 0.0)
-    velocity: Any = Velocity()
+async def test_a_change_of_the_command_subscribers_is_an_event(velocity: Any) -> None:
     watching = asyncio.create_task(watch_graph(velocity, velocity, velocity.dispatch))
     told: list[tuple[int, tuple[str, ...]]] = []
     for taking in ((0, ()), (1, ()), (0, ("x/msg/Other",)), (1, ("x/msg/Other",))):
@@ -108,29 +108,21 @@ class Publishers:
         return [event.publisher for event in self.events]  # type: ignore[union-attr]
 
 
-def test_our_own_commands_are_not_foreign() -> None:
-    publishers = Publishers(moves=True)
-    publishers.heard(b"ours")
-    assert publishers.told == []
-
-
-def test_the_first_command_of_another_publisher_is_enough() -> None:
-    publishers = Publishers(moves=True)
-    publishers.heard(b"theirs")
-    assert publishers.told == ["/teleop"]
-
-
-def test_a_publisher_that_is_already_gone_is_reported() -> None:
-    publishers = Publishers(moves=True)
-    publishers.heard(b"gone")
-    assert publishers.told == [NAMELESS]
-
-
-def test_a_flood_of_one_publisher_hides_no_other() -> None:
-    publishers = Publishers(moves=False)
-    for gid in (b"theirs", b"theirs", b"gone", b"theirs"):
+@pytest.mark.parametrize(
+    ("moves", "gids", "told"),
+    [
+        (True, [b"ours"], []),
+        (True, [b"theirs"], ["/teleop"]),
+        (True, [b"gone"], [NAMELESS]),
+        (False, [b"theirs", b"theirs", b"gone", b"theirs"], ["/teleop", NAMELESS]),
+    ],
+    ids=["our own", "the first is enough", "gone already", "a flood of one hides no other"],
+)
+def test_each_foreign_publisher_is_told(moves: bool, gids: list[bytes], told: list[str]) -> None:
+    publishers = Publishers(moves=moves)
+    for gid in gids:
         publishers.heard(gid)
-    assert publishers.told == ["/teleop", NAMELESS]
+    assert publishers.told == told
 
 
 def test_a_flood_of_new_publishers_gives_few_events() -> None:
@@ -153,11 +145,8 @@ EntryData = dict[str, float]
 @pytest.fixture(scope="module")
 def simulated() -> Iterator[World]:
     """A world with one daemon, for which a publisher of odometry is gone after 2 s."""
-    with new_world() as made:
-        made.patient.write_text(PATIENT.replace("timeout_s: 10.0", "timeout_s: 2.0"))
-        made.ok("start", "--sim")
+    with world_with_daemon(settings=PATIENT.replace("timeout_s: 10.0", "timeout_s: 2.0")) as made:
         yield made
-        made.ok("stop")
 
 
 @pytest.fixture
@@ -177,9 +166,9 @@ def driving(idle: World) -> World:
 
 def events(world: World, name: str) -> list[EntryData]:
     """Return the journal entries with this name that are in the recording so far."""
-    (recording,) = world.recordings.iterdir()
-    entries = journal_of(list(read_messages(recording, {"/robotctl/journal"})))
-    return [json.loads(entry.data) | {"seq": entry.seq} for entry in entries if entry.name == name]
+    messages = read_messages(world.recording, {"/robotctl/journal"})
+    entries = (decode(each.data) for each in messages)
+    return [json.loads(entry.data) for entry in entries if entry.name == name]
 
 
 def heard_since(world: World, begin_ns: int) -> bool:
@@ -216,8 +205,7 @@ def test_the_publisher_of_commands_is_shown_and_refuses_motion_until_it_is_gone(
     warning = "/somebody_else also publishes velocity commands"
     until(lambda: warning in driving.status()["warnings"])
     for request in (("set-mode", "moving"), ("reset",)):
-        refused = driving.here(*request)
-        assert (refused.exit_code, "stop the other publisher" in refused.err) == (4, True)
+        driving.here(*request).failed(4, "stop the other publisher")
     peer.close()
     until(lambda: warning not in driving.status()["warnings"])
 
@@ -228,10 +216,8 @@ def test_a_second_publisher_of_odometry_refuses_every_start(idle: World, new_pee
     until(lambda: any("and /somebody_else" in each for each in idle.status()["warnings"]))
     assert idle.status()["mode"] == "IDLE"
     for request in (("drive", "square", "--wait"), ("set-mode", "moving")):
-        refused = idle.here(*request)
-        assert refused.exit_code == 4
-        assert "odometry comes from two publishers, /simulated_robot and /somebody_else" in (
-            refused.err
+        idle.here(*request).failed(
+            4, "odometry comes from two publishers, /simulated_robot and /somebody_else"
         )
     assert idle.status()["odometry_dropped"] > 0
     peer.close()
@@ -263,11 +249,8 @@ command: {{when_idle: silent, foreign: yield}}
 
 
 def test_others_drive_in_idle_and_a_start_waits_until_they_are_quiet(world: World) -> None:
-    settings = world.folder / "simulated.yaml"
-    settings.write_text(SETTINGS)
-    world.ok("start", "--sim", "--config", str(settings))
-    joystick = Told(peer_command("tests.support.role_peers", "MuxPeer"), world.environment)
-    try:
+    world.ok("start", "--sim", settings=SETTINGS)
+    with world.peer("MuxPeer") as joystick:
         joystick("want", topic="/cmd_vel", linear=0.2)
         until(lambda: world.status()["velocity"]["linear"] > 0.18)
         assert world.status()["mode"] == "IDLE"
@@ -280,8 +263,6 @@ def test_others_drive_in_idle_and_a_start_waits_until_they_are_quiet(world: Worl
         joystick("rest")
         until(lambda: world.status()["velocity"]["linear"] < 0.01)
         until(lambda: world.here("reset").exit_code == 0)
-    finally:
-        joystick.close()
     world.ok("stop")
     (report,) = world.answer("replay", "last", "--check")["recordings"]
     assert report["verdict"] == "same"
@@ -304,11 +285,8 @@ command.lock_topic: robotctl/lock
 
 
 def test_a_planner_steers_in_moving_only_and_an_emergency_stop_locks_the_mux(world: World) -> None:
-    settings = world.folder / "guard.yaml"
-    settings.write_text(GUARDED)
-    world.ok("start", "--sim", "--config", str(settings))
-    planner = Told(peer_command("tests.support.role_peers", "MuxPeer"), world.environment)
-    try:
+    world.ok("start", "--sim", settings=GUARDED)
+    with world.peer("MuxPeer") as planner:
         planner("mux", lock="/robotctl/lock", wanted="/cmd_vel_nav")
         planner("want", topic="/cmd_vel_nav", linear=0.2)
         until(lambda: planner("state")["passed"])
@@ -325,8 +303,6 @@ def test_a_planner_steers_in_moving_only_and_an_emergency_stop_locks_the_mux(wor
         until(lambda: planner("state")["locked"])
         world.ok("reset")
         until(lambda: planner("state")["locked"] is False)
-    finally:
-        planner.close()
     world.ok("stop")
     (report,) = world.answer("replay", "last", "--check")["recordings"]
     assert report["verdict"] == "same"

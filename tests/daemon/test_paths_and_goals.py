@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing
 from math import hypot, isnan
 from pathlib import Path
 from typing import Any
@@ -11,16 +10,9 @@ from typing import Any
 import pytest
 
 from robotctl.recording import read_messages
-from tests.support.lines import Told, peer_command
+from tests.support.lines import Told
 from tests.support.waiting import until
-from tests.support.world import (
-    PATIENT,
-    NewPeer,
-    Peer,
-    World,
-    entries_of,
-    new_world,
-)
+from tests.support.world import PATIENT, NewPeer, Peer, World, entries_of, world_with_daemon
 
 ENDLESS = 100_000
 
@@ -32,42 +24,30 @@ limits: {{linear_accel_mps2: 2.0, angular_rps: 4.0, angular_accel_rps2: 10.0}}
 
 
 @pytest.fixture(scope="module")
-def acting() -> Iterator[World]:
-    """A world with a daemon."""
-    with new_world() as made:
-        (made.folder / "agile.yaml").write_text(AGILE)
-        made.ok("start", "--sim", "--config", "agile.yaml")
+def simulated() -> Iterator[World]:
+    with world_with_daemon(settings=AGILE) as made:
         until(lambda: made.here("preflight").exit_code == 0)
         yield made
-        made.ok("stop")
 
 
 @pytest.fixture(scope="module")
-def simulated(acting: World) -> World:
-    """The same world."""
-    return acting
-
-
-@pytest.fixture(scope="module")
-def client(acting: World) -> Iterator[Told]:
+def client(simulated: World) -> Iterator[Told]:
     """The client's process."""
-    with closing(
-        Told(peer_command("tests.support.role_peers", "ActionPeer"), acting.environment)
-    ) as made:
+    with simulated.peer("ActionPeer") as made:
         yield made
 
 
 @pytest.fixture
-def endless(acting: World, client: Told) -> Iterator[int]:
+def endless(simulated: World, client: Told) -> Iterator[int]:
     """A goal that has begun to move the robot, which is IDLE again at the end."""
     number = client("send", laps=ENDLESS)
-    until(lambda: acting.status()["velocity"]["linear"] > 0.05)
+    until(lambda: simulated.status()["velocity"]["linear"] > 0.05)
     yield number
-    if acting.status()["mode"] != "IDLE":
-        acting.ok("reset")
+    if simulated.status()["mode"] != "IDLE":
+        simulated.ok("reset")
 
 
-def test_a_goal_drives_its_laps_and_tells_how_well(acting: World, client: Told) -> None:
+def test_a_goal_drives_its_laps_and_tells_how_well(simulated: World, client: Told) -> None:
     number = client("send", pattern="circle", size=0.1, laps=2, speed=0.4)
     result = client("result", number=number)
     assert (result["status"], result["completed"], result["laps"]) == ("SUCCEEDED", True, 2)
@@ -80,24 +60,24 @@ def test_a_goal_drives_its_laps_and_tells_how_well(acting: World, client: Told) 
     assert distances == sorted(distances)
     assert {lap for _, lap, _ in heard} <= {1, 2}
     assert heard
-    file = Path(acting.answer_here("record", "split")["finished"])
+    file = Path(simulated.answer_here("record", "split")["finished"])
     (asked,) = (each.data for each in entries_of(file) if each.name == "DriveRequested")
     assert "the ROS action /drive_pattern" in asked
     for topic in ("feedback", "status"):
         assert any(read_messages(file, {f"/drive_pattern/_action/{topic}"}))
 
 
-def test_a_cancelled_goal_ramps_down(acting: World, client: Told, endless: int) -> None:
+def test_a_cancelled_goal_ramps_down(simulated: World, client: Told, endless: int) -> None:
     assert client("cancel", number=endless) == 1
     result = client("result", number=endless)
     assert (result["status"], result["completed"]) == ("CANCELED", False)
     assert result["reason"] == "requested by the ROS action /drive_pattern, which was cancelled"
     assert isnan(result["closure"])
-    assert acting.status()["mode"] == "IDLE"
+    assert simulated.status()["mode"] == "IDLE"
 
 
 def test_a_second_goal_is_refused_unless_it_replaces_the_first(
-    acting: World, client: Told, endless: int
+    simulated: World, client: Told, endless: int
 ) -> None:
     refused = client("result", number=client("send", laps=1))
     assert refused["status"] == "ABORTED"
@@ -106,15 +86,15 @@ def test_a_second_goal_is_refused_unless_it_replaces_the_first(
     replaced = client("result", number=endless)
     assert replaced["status"] == "ABORTED"
     assert replaced["reason"] == "replaced by another drive"
-    assert acting.status()["mode"] == "MOVING"
+    assert simulated.status()["mode"] == "MOVING"
     assert client("cancel", number=second) == 1
     assert client("result", number=second)["status"] == "CANCELED"
 
 
 def test_an_emergency_stop_ends_the_goal_and_refuses_the_next(
-    acting: World, client: Told, endless: int
+    simulated: World, client: Told, endless: int
 ) -> None:
-    acting.ok("estop")
+    simulated.ok("estop")
     result = client("result", number=endless)
     assert result["status"] == "ABORTED"
     assert result["reason"].startswith("requested by robotctl estop")
@@ -122,7 +102,7 @@ def test_an_emergency_stop_ends_the_goal_and_refuses_the_next(
     assert refused["status"] == "ABORTED"
     assert refused["reason"].startswith("moving is refused in EMERGENCY_STOP")
     assert refused["reason"].endswith("release it: robotctl reset")
-    assert acting.status()["mode"] == "EMERGENCY_STOP"
+    assert simulated.status()["mode"] == "EMERGENCY_STOP"
 
 
 @pytest.mark.parametrize(
@@ -139,25 +119,25 @@ def test_an_emergency_stop_ends_the_goal_and_refuses_the_next(
     ids=lambda value: str(value)[:20],
 )
 def test_a_goal_that_cannot_be_driven_is_aborted_with_the_reason(
-    acting: World, client: Told, goal: dict[str, Any], reason: str
+    simulated: World, client: Told, goal: dict[str, Any], reason: str
 ) -> None:
     result = client("result", number=client("send", **goal))
     assert (result["status"], result["completed"], result["laps"]) == ("ABORTED", False, 0)
     assert result["reason"].startswith(reason)
     assert isnan(result["cross_track_rms"])
-    assert acting.status()["mode"] == "IDLE"
+    assert simulated.status()["mode"] == "IDLE"
 
 
 def test_each_goal_of_a_flood_is_answered_and_a_stop_is_obeyed_meanwhile(
-    acting: World, client: Told
+    simulated: World, client: Told
 ) -> None:
     client("begin_flood", count=500)
-    acting.ok("estop")
+    simulated.ok("estop")
     answered = client("end_flood")
     assert answered["answered"] == 500
     assert answered["accepted"] < 500, "their status is published at each change of each of them"
-    assert acting.status()["mode"] == "EMERGENCY_STOP"
-    acting.ok("reset")
+    assert simulated.status()["mode"] == "EMERGENCY_STOP"
+    simulated.ok("reset")
 
 
 def place(world: World) -> tuple[float, float]:
@@ -193,23 +173,21 @@ def test_a_path_in_the_frame_of_odometry_is_driven_there_and_again_from_its_reco
 
 
 def test_a_file_whose_points_are_one_place_is_refused_by_name(simulated: World) -> None:
-    refused = simulated.here("drive", "path", write(simulated, (1.0, 2.0), (1.0, 2.0), (1.0, 2.0)))
-    assert (refused.exit_code, "all points of the path are the same" in refused.err) == (4, True)
+    simulated.here("drive", "path", write(simulated, (1.0, 2.0), (1.0, 2.0), (1.0, 2.0))).failed(
+        4, "all points of the path are the same"
+    )
     assert simulated.status()["mode"] == "IDLE"
 
 
 def test_another_process_hears_a_velocity_for_its_time_and_then_exact_zeros(
     simulated: World,
 ) -> None:
-    peer = Peer(simulated)
-    try:
+    with Peer(simulated) as peer:
         peer("listen")
         until(lambda: peer("heard")["commands"])
         begun = len(peer("heard")["commands"])
         driven = simulated.answer_here("drive", "velocity", "0.2", "-0.5", "--for", "0.6", "--wait")
         heard = until(lambda: ended(peer("heard")["commands"][begun:]))
-    finally:
-        peer.close()
     assert driven["duration_s"] == pytest.approx(0.8, abs=0.2)
     speeds = [(linear, angular) for _, _, linear, angular in heard]
     at_speed = [seen_ns for _, seen_ns, *speed in heard if speed == [0.2, -0.5]]
@@ -235,12 +213,9 @@ def test_the_path_of_a_node_is_driven_or_refused_by_name(
     driven = simulated.answer_here("drive", "path", "--topic", "plan", "--wait")
     assert driven["distance_m"] == pytest.approx(0.34, abs=0.05)
     planner("plan", topic="/plan", points=[[0.0, 0.0], [0.2, 0.0]], frame="map")
-    refused = simulated.here("drive", "path", "--topic", "/plan")
-    assert (refused.exit_code, "frame 'map'" in refused.err) == (4, True), refused
-    both = simulated.here("drive", "path", "points.csv", "--topic", "plan")
-    assert (both.exit_code, "not both" in both.err) == (2, True)
-    other = simulated.here("drive", "square", "--topic", "plan")
-    assert (other.exit_code, "a square has no --topic" in other.err) == (2, True)
+    simulated.here("drive", "path", "--topic", "/plan").failed(4, "frame 'map'")
+    simulated.here("drive", "path", "points.csv", "--topic", "plan").failed(2, "not both")
+    simulated.here("drive", "square", "--topic", "plan").failed(2, "a square has no --topic")
     file = Path(simulated.answer_here("record", "split")["finished"])
     asked = [each.data for each in entries_of(file) if each.name == "DriveRequested"]
     assert '"reason":"the path of /plan"' in asked[-1]

@@ -15,7 +15,6 @@ import pytest
 from robotctl.base.errors import Refused
 from robotctl.daemon import driver
 from robotctl.kernel.patterns import PatternKind
-from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import PATIENT, InProcess, NewPeer, World
 
@@ -24,9 +23,8 @@ def test_an_emergency_stop_topic_stops_a_drive_and_is_a_condition_of_the_next(
     world: World, new_peer: NewPeer
 ) -> None:
     peer = new_peer(world)
-    settings = world.folder / "button.yaml"
-    settings.write_text(f"{PATIENT}inputs.estop.use: optional\n")
-    world.ok("start", "--sim", "--drive", "circle", "--config", str(settings))
+    settings = f"{PATIENT}inputs.estop.use: optional\n"
+    world.ok("start", "--sim", "--drive", "circle", settings=settings)
     assert "FAILED" not in world.here("preflight").out
 
     def stops() -> bool:
@@ -34,11 +32,9 @@ def test_an_emergency_stop_topic_stops_a_drive_and_is_a_condition_of_the_next(
         return bool(world.status()["mode"] == "EMERGENCY_STOP")
 
     until(stops)
-    failed = world.here("preflight")
-    assert failed.exit_code == 4
-    assert "FAILED  emergency stop inputs released" in failed.out
-    assert "the emergency stop on estop_pressed is pressed" in failed.out
-    assert "release the button" in failed.err
+    refused = world.here("preflight")
+    refused.failed(4, "release the button", out="FAILED  emergency stop inputs released")
+    assert "the emergency stop on estop_pressed is pressed" in refused.out
     assert world.here("reset").exit_code == 4
 
     def releases() -> bool:
@@ -85,15 +81,12 @@ def test_an_input_of_another_type_prevents_motion_and_status_names_the_types(
     world: World, new_peer: NewPeer
 ) -> None:
     new_peer(world)("publish", kind="Twist", topic="estop_pressed")
-    settings = world.folder / "odd.yaml"
-    settings.write_text("inputs.estop.use: required\n")
-    start = world.spawn("start", "--sim", "--config", str(settings))  # waits for the input
+    settings = "inputs.estop.use: required\n"
+    start = world.spawn("start", "--sim", settings=settings)  # waits for the input
     until(lambda: world.here("status").exit_code == 0)
     types = "geometry_msgs/msg/Twist, std_msgs/msg/Bool"
     until(lambda: any(types in text for text in world.status()["warnings"]))
-    refused = world.here("set-mode", "moving")
-    assert refused.exit_code == 4
-    assert "nothing was received on estop_pressed" in refused.err
+    world.here("set-mode", "moving").failed(4, "nothing was received on estop_pressed")
     world.ok("stop")
     start.communicate()
 
@@ -110,12 +103,10 @@ BASE: dict[str, Any] = {
 
 @pytest.mark.slow
 def test_a_base_of_10_hz_with_lag_and_deadband_and_no_timeout_is_told_as_such(world: World) -> None:
-    base = Told(peer_command("tests.support.role_peers", "StubBase"), world.environment)
-    try:
+    settings = f"{PATIENT}battery.topic: ''\ncommand.stamped: true\n"
+    with world.peer("StubBase") as base:
         base("begin", **BASE)
-        settings = world.folder / "robot.yaml"
-        settings.write_text(f"{PATIENT}battery.topic: ''\ncommand.stamped: true\n")
-        world.ok("start", "--no-sim", "--config", str(settings))
+        world.ok("start", "--no-sim", settings=settings)
         world.ok("preflight", "--wait", "30")
         told = world.answer("commission", "--yes", "--out", "proposed.yaml")
         assert base("driven")["x"] > 0.2
@@ -128,35 +119,29 @@ def test_a_base_of_10_hz_with_lag_and_deadband_and_no_timeout_is_told_as_such(wo
         valid = world.answer("config", "validate", "proposed.yaml")
         assert valid["changed"]["command.stamped"] == "true"
         assert "tracking.lag_s" in valid["changed"]
-        again = world.robotctl("commission", "--yes", "--out", "proposed.yaml")
-        assert (again.exit_code, "exists already" in again.err) == (2, True)
+        world.robotctl("commission", "--yes", "--out", "proposed.yaml").failed(2, "exists already")
         assert world.status()["mode"] == "IDLE"
         assert world.answer("lease", "status")["holder"] is None
         world.ok("stop")
         why = world.answer("why", "last")
         assert "0.3 rad/s for 12 s: robotctl commission" in why["asked"]
-    finally:
-        base.close()
 
 
 def test_nobody_is_asked_without_a_terminal_and_nothing_moves(simulated: World) -> None:
     asked = simulated.here("commission", "--json")
     assert asked.exit_code == 2
     assert json.loads(asked.out)["error"]["cure"] == "give --yes"
-    lost = simulated.here("commission", "--yes", "--out", "nowhere/robot.yaml")
-    assert (lost.exit_code, "nowhere cannot be written to" in lost.err) == (2, True)
+    simulated.here("commission", "--yes", "--out", "nowhere/robot.yaml").failed(
+        2, "nowhere cannot be written to"
+    )
     holder = simulated.spawn("lease", "take")
     until(lambda: simulated.answer_here("lease", "status")["holder"] is not None)
-    refused = simulated.here("commission", "--yes")
-    assert refused.exit_code == 4
-    assert re.search(
-        r"lease take .* holds the lease, and robotctl commission .* asked", refused.err
-    )
+    err = simulated.here("commission", "--yes").failed(4)
+    assert re.search(r"lease take .* holds the lease, and robotctl commission .* asked", err)
     holder.send_signal(SIGINT)
     holder.communicate(timeout=DEADLINE_S)
     simulated.here("set-mode", "error")
-    failed = simulated.here("commission", "--yes")
-    assert (failed.exit_code, "reset" in failed.err) == (4, True)
+    simulated.here("commission", "--yes").failed(4, "reset")
     simulated.ok("reset")
 
 

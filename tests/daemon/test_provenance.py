@@ -7,6 +7,7 @@ import hashlib
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -113,13 +114,11 @@ def test_a_module_that_cannot_be_read_fails_no_start(package: Path) -> None:
 
 
 def test_each_file_names_the_software_and_the_device(tmp_path: Path) -> None:
-    def fail(_: object) -> None:
-        pytest.fail("the recorder failed")
-
+    fail: Any = pytest.fail
     recorder = open_recorder(tmp_path, "r2", Config(), lambda: "IDLE", fail, lambda _: None, fail)
     recorder.split()
     recorder.close()
-    files = sorted((tmp_path / recorder.stats().file.parent.name).glob("*.mcap"))
+    files = list(recorder.stats().file.parent.glob("*.mcap"))
     assert len(files) == 2
     for file in files:
         metadata = read_info(file).metadata
@@ -135,9 +134,8 @@ async def test_without_a_place_for_the_key_the_robot_starts_and_says_so(
     blocked.write_text("")
     async with in_process(observe=True, sim=None) as daemon:
         await daemon.until(lambda status: any("not sealed" in each for each in status["warnings"]))
-    (folder,) = world.recordings.iterdir()
-    assert read_info(folder).missing == ()
-    assert world.here("verify", str(folder)).exit_code == 4
+    assert read_info(world.recording).missing == ()
+    assert world.here("verify", str(world.recording)).exit_code == 4
 
 
 def test_heads_are_published_and_given_to_a_program(world: World) -> None:
@@ -146,15 +144,13 @@ def test_heads_are_published_and_given_to_a_program(world: World) -> None:
     program.write_text(f"#!/bin/sh\necho $1 $2 >> {kept}\n")
     program.chmod(0o700)
     settings = f"recording.publish_heads: true\nrecording.head_command: {program}\n"
-    world.patient.write_text(PATIENT + settings)
-    world.ok("start", "--observe")
+    world.ok("start", "--observe", settings=PATIENT + settings)
     until(lambda: kept.exists() and kept.read_text())
     until(lambda: any(each["name"] == "/robotctl/head" for each in world.status()["topics"]))
     world.ok("stop")
-    (folder,) = world.recordings.iterdir()
     head = kept.read_text().splitlines()[-1].split()[0]
     assert head == world.ok("key", "head").strip()
-    assert world.robotctl("verify", str(folder), "--head", head).exit_code == 0
+    world.ok("verify", str(world.recording), "--head", head)
 
 
 def head(number: int) -> Head:

@@ -21,6 +21,7 @@ from robotctl.kernel.patterns import PatternKind
 from robotctl.recording import Recorder, RecorderOptions, read_info
 from robotctl.ros.executor.runtime import Pool
 from robotctl.testing.faults import FailingFile
+from tests.daemon.conftest import is_moving
 from tests.support.world import PATIENT, InProcess, World
 
 NEVER = 1 << 60
@@ -39,10 +40,6 @@ def disk(world: World, monkeypatch: pytest.MonkeyPatch) -> list[FailingFile]:
     options = partial(RecorderOptions, open_file=open_file)
     monkeypatch.setattr(recordings_folder, "RecorderOptions", options)
     return opened
-
-
-def is_moving(status: Any) -> bool:
-    return bool(status["mode"] == "MOVING" and status["velocity"]["linear"] > 0.02)
 
 
 def has_failed(status: Any) -> bool:
@@ -179,11 +176,10 @@ def test_where_nothing_can_be_recorded_nothing_is_touched(
 
 def test_where_nothing_can_be_recorded_nothing_is_started(world: World) -> None:
     (world.folder / "file").write_text("somebody's")
-    ran = world.robotctl("start", "--observe", "--recordings", "file/below")
-    assert ran.exit_code == 4, ran
-    assert ran.err.startswith("robotctl: cannot record into ")
-    assert "Not a directory" in ran.err
-    assert "choose another folder (--recordings)" in ran.err
+    err = world.robotctl("start", "--observe", "--recordings", "file/below").failed(4)
+    assert err.startswith("robotctl: cannot record into ")
+    assert "Not a directory" in err
+    assert "choose another folder (--recordings)" in err
     assert world.processes() == {}
 
 
@@ -208,9 +204,8 @@ def test_a_pattern_that_names_no_topic_is_refused_and_shown_escaped(
     world: World, option: str
 ) -> None:
     for pattern in ("/a\n/b", "/\x1b[2J", "camera", "", "/a,", "type:", "/a b"):
-        ran = world.here("start", "--observe", option, pattern)
-        assert ran.exit_code == 2, pattern
-        assert ran.err.startswith(f"robotctl: {option}: ")
-        assert "use a topic (/scan), a glob (/camera/*) or a type" in ran.err
-        assert ran.err.rstrip("\n").isprintable()
+        err = world.here("start", "--observe", option, pattern).failed(2)
+        assert err.startswith(f"robotctl: {option}: ")
+        assert "use a topic (/scan), a glob (/camera/*) or a type" in err
+        assert err.rstrip("\n").isprintable()
     assert not world.recordings.exists()

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing
 from typing import Any
 
 import pytest
 
-from tests.support.lines import Told, peer_command
+from tests.support.lines import Told
 from tests.support.waiting import until
-from tests.support.world import PATIENT, NewPeer, World, new_world, read_back
+from tests.support.world import (
+    PATIENT,
+    NewPeer,
+    World,
+    new_world,
+    read_back,
+    world_with_daemon,
+)
 
 GENTLE = "limits.linear_accel_mps2: 0.1\n"
 """A ramp from 0.1 m/s takes 1 s."""
@@ -22,12 +28,8 @@ CALLS = IN_FLIGHT = 600
 @pytest.fixture(scope="module")
 def gentle() -> Iterator[World]:
     """A world with one daemon, whose robot is slow to stop."""
-    with new_world() as made:
-        gentle = made.folder / "gentle.yaml"
-        gentle.write_text(PATIENT + GENTLE)
-        made.ok("start", "--sim", "--config", str(gentle))
+    with world_with_daemon(settings=PATIENT + GENTLE) as made:
         yield made
-        made.ok("stop")
 
 
 def recorded(world: World, name: str) -> int:
@@ -64,31 +66,24 @@ def test_of_a_flood_of_calls_each_is_answered_and_each_stop_is_obeyed(
 @pytest.fixture(scope="module")
 def manual() -> Iterator[World]:
     """A world with a daemon that does not start by itself."""
+    settings = f"{PATIENT}autostart: false\nlimits.linear_accel_mps2: 0.3\n"
     with new_world() as made:
-        config = made.folder / "manual.yaml"
-        config.write_text(f"{PATIENT}autostart: false\nlimits.linear_accel_mps2: 0.3\n")
-        made.ok("start", "--sim", "--config", str(config))
+        made.ok("start", "--sim", settings=settings)
         yield made
         made.ok("stop")
-        (folder,) = made.recordings.iterdir()
-        topics = read_back(folder)
-        assert topics["/mode_service/transition_event"]
+        assert read_back(made.recording)["/mode_service/transition_event"]
 
 
 @pytest.fixture(scope="module")
 def caller(manual: World) -> Iterator[Told]:
     """The other process."""
-    with closing(
-        Told(peer_command("tests.support.role_peers", "LifecyclePeer"), manual.environment)
-    ) as made:
+    with manual.peer("LifecyclePeer") as made:
         yield made
 
 
 def test_a_robot_moves_only_while_its_node_is_active(manual: World, caller: Told) -> None:
     assert caller("state") == "unconfigured"
-    refused = manual.robotctl("set-mode", "moving")
-    assert refused.exit_code == 4
-    assert "mode_service is unconfigured, not active" in refused.err
+    manual.robotctl("set-mode", "moving").failed(4, "mode_service is unconfigured, not active")
     assert "mode_service is unconfigured, not active" in manual.status()["warnings"]
     assert caller("change", label="configure")
     assert caller("state") == "inactive"

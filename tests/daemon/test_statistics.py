@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,12 +24,13 @@ from robotctl.daemon.recording.recorder_report import (
     diagnose,
     topic_rows,
 )
-from robotctl.recording import Recorder, RecorderState, RecorderStats, Topic, TopicStats
-from robotctl.recording.format.topics import LATCHED_QOS, total
+from robotctl.recording import Recorder, Topic, TopicStats
+from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.write.bag_writer import repeats
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.writer_thread import WriterThread
 from robotctl.ros.nodes.publishers import DiagnosticLevel
+from tests.daemon.conftest import stats_of
 from tests.support.waiting import until
 
 S = 1_000_000_000
@@ -40,27 +42,11 @@ def topic(name: str = "/scan", type_name: str = "t", **counts: Any) -> TopicStat
     return TopicStats(name=name, type_name=type_name, **counts)
 
 
-def recorder(*topics: TopicStats, failure: str = "") -> RecorderStats:
-    return RecorderStats(
-        state=RecorderState.FAILED if failure else RecorderState.RECORDING,
-        file=Path("/data/run_0.mcap"),
-        bytes=1,
-        **total(topics),
-        no_memory=0,
-        failure=failure,
-        warning="",
-        topics=topics,
-    )
-
-
 def test_a_rate_is_that_between_the_last_two_samples() -> None:
     rates = RateMeter()
     rates.sample(10 * S, {SCAN: 100})
     rates.sample(12 * S, {SCAN: 150, CAMERA: 10})
     assert rates.rates == {SCAN: 25.0, CAMERA: 5.0}
-
-
-# Heavy topics
 
 
 def rates_of(sizes: Sequence[int]) -> list[float | None]:
@@ -77,42 +63,36 @@ def rates_of(sizes: Sequence[int]) -> list[float | None]:
 WINDOW = round(HEAVY_WINDOW_S)
 
 
+def sizes_of(steps: Sequence[int]) -> list[int]:
+    """Return the sizes of a topic that grows by these steps."""
+    return [0, *accumulate(steps)]
+
+
 def test_a_heavy_topic_is_found_once_its_window_is_full() -> None:
-    rates = rates_of([t * HEAVY for t in range(30)])
+    rates = rates_of(sizes_of([HEAVY] * 29))
     assert rates == [None] * WINDOW + [pytest.approx(HEAVY)] * (30 - WINDOW)
 
 
 def test_a_topic_that_calms_down_is_heavy_no_longer() -> None:
-    sizes = [0]
-    for step in [2 * HEAVY] * 10 + [0] * 10:
-        sizes.append(sizes[-1] + step)
-    rates = rates_of(sizes)
+    rates = rates_of(sizes_of([2 * HEAVY] * 10 + [0] * 10))
     assert rates[10] is not None
     assert rates[10 + WINDOW] is None
 
 
 def test_a_topic_at_the_limit_does_not_come_and_go() -> None:
-    sizes = [0]
-    for second in range(40):
-        sizes.append(sizes[-1] + round(HEAVY_BYTES_PER_S * (1.2 if second < 10 else 0.8)))
-    rates = rates_of(sizes)
+    rates = rates_of(sizes_of([HEAVY] * 10 + [round(0.8 * HEAVY_BYTES_PER_S)] * 30))
     assert None not in rates[WINDOW:]
 
 
 @given(st.lists(st.integers(0, 2 * HEAVY), min_size=1, max_size=40))
 def test_what_is_found_was_above_the_limit_over_its_window(steps: list[int]) -> None:
-    sizes = [0]
-    for step in steps:
-        sizes.append(sizes[-1] + step)
+    sizes = sizes_of(steps)
     means = [(sizes[t] - sizes[t - WINDOW]) / WINDOW for t in range(WINDOW, len(sizes))]
     assert any(rates_of(sizes)) == any(mean > HEAVY_BYTES_PER_S for mean in means)
 
 
-# The diagnosis
-
-
 def test_all_is_well_where_nothing_lacks() -> None:
-    diagnosis = diagnose(recorder(topic(received=7, written=7)), [])
+    diagnosis = diagnose(stats_of(topic(received=7, written=7)), [])
     assert (diagnosis.level, diagnosis.message) == (DiagnosticLevel.OK, "everything is recorded")
     assert diagnosis.values["received"] == "7"
     assert "/scan" not in diagnosis.values
@@ -120,7 +100,7 @@ def test_all_is_well_where_nothing_lacks() -> None:
 
 def test_what_lacks_is_named_by_topic() -> None:
     lacking = topic(received=9, written=7, dropped=2, lost=3)
-    diagnosis = diagnose(recorder(lacking, topic("/well")), [])
+    diagnosis = diagnose(stats_of(lacking, topic("/well")), [])
     assert diagnosis.level is DiagnosticLevel.WARN
     assert diagnosis.message == "2 messages dropped, 3 lost on their way here"
     assert diagnosis.values["/scan"] == diagnosis.message
@@ -128,13 +108,13 @@ def test_what_lacks_is_named_by_topic() -> None:
 
 
 def test_a_recorder_that_failed_is_an_error_in_its_own_words() -> None:
-    diagnosis = diagnose(recorder(topic(dropped=1), failure="the disk is full"), [])
+    diagnosis = diagnose(stats_of(topic(dropped=1), failure="the disk is full"), [])
     assert (diagnosis.level, diagnosis.message) == (DiagnosticLevel.ERROR, "the disk is full")
 
 
 def test_of_too_many_topics_those_that_lack_most_are_named() -> None:
     topics = [topic(f"/t{index}", dropped=index + 1) for index in range(MAX_TOPICS + 10)]
-    values = diagnose(recorder(*topics), []).values
+    values = diagnose(stats_of(*topics), []).values
     named = [name for name in values if name.startswith("/t")]
     assert named == [f"/t{index}" for index in reversed(range(10, MAX_TOPICS + 10))]
 

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -324,8 +325,7 @@ def test_another_stop_is_not_undone_by_a_key_that_is_still_down(world: World, si
 
 
 def test_it_needs_hands_and_a_robot_that_stands(world: World) -> None:
-    refused = world.here("teleop")
-    assert (refused.exit_code, "needs a terminal" in refused.err) == (2, True)
+    world.here("teleop").failed(2, "needs a terminal")
     world.ok("drive", "circle")
     terminal = Terminal("teleop", environment=world.environment)
     try:
@@ -351,26 +351,22 @@ def test_a_connection_that_is_lost_is_silence(
 def test_a_gamepad_steers_while_its_button_is_held_and_its_end_is_zero(
     world: World, sit: Sit
 ) -> None:
-    peer = Peer(world)
+    with Peer(world) as peer:
+        hold = partial(peer, "hold_gamepad", topic="/joy")
 
-    def press() -> None:
-        for pressed in (False, True):
-            peer("hold_gamepad", topic="/joy", pressed=pressed)
-            time.sleep(0.05)
+        def press() -> None:
+            for pressed in (False, True):
+                hold(pressed=pressed)
+                time.sleep(0.05)
 
-    try:
-        peer("hold_gamepad", topic="/joy", pressed=True)
+        hold(pressed=True)
         terminal = sit("--joy", "joy")
         terminal.until("let go of button 4 of /joy first")
         assert not moves(world), "the button was down before"
-        peer("hold_gamepad", topic="/joy", pressed=False)
+        hold(pressed=False)
         terminal.until(r"and steer\s")
-        until_let_go(
-            world, press, release=lambda: peer("hold_gamepad", topic="/joy", pressed=False)
-        )
+        until_let_go(world, press, release=partial(hold, pressed=False))
         until_fast(world, press)
-    finally:
-        peer.close()
     until(lambda: not moves(world))
     assert world.status()["mode_reason"] == "not held for 125 ms"
     terminal.until("nothing is heard on /joy")
@@ -392,10 +388,5 @@ def test_too_few_open_files_end_it_with_one_sentence(
 
 
 def test_a_speed_or_an_axis_that_cannot_be_is_refused(world: World) -> None:
-    for option, value in (
-        ("--speed", "nan"),
-        ("--axes", "1"),
-        ("--axes", "a,b"),
-        ("--button", "64"),
-    ):
-        assert world.here("teleop", "--joy", "joy", option, value).exit_code == 2
+    for words in ("--speed nan", "--axes 1", "--axes a,b", "--button 64"):
+        assert world.here("teleop", "--joy", "joy", *words.split()).exit_code == 2

@@ -26,7 +26,7 @@ from robotctl.recording.format.noted_events import DEFINITION, TYPE_NAME, encode
 from robotctl.view.remote_control import LET_GO_S
 from tests.support.view_client import ViewClient, view_client
 from tests.support.waiting import DEADLINE_S, until
-from tests.support.world import ROBOTCTL, InProcess, World, entries_of, new_world
+from tests.support.world import ROBOTCTL, InProcess, World, entries_of, world_with_daemon
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove-layout.json"
 
@@ -34,10 +34,8 @@ LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove-layout.json"
 @pytest.fixture(scope="module")
 def driving() -> Iterator[World]:
     """A world with a robot that drives."""
-    with new_world() as world:
-        world.ok("start", "--sim", "--drive", "circle")
+    with world_with_daemon("--sim", "--drive", "circle") as world:
         yield world
-        world.ok("stop")
 
 
 @contextmanager

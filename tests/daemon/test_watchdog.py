@@ -49,6 +49,11 @@ class Gate:
         return self.zeros, 2
 
 
+@pytest.fixture
+def gate() -> Gate:
+    return Gate()
+
+
 def stall_of(watchdog: Watchdog) -> LoopStalled:
     """Wait for a stall, and take it."""
     found = until(watchdog.take)
@@ -56,16 +61,14 @@ def stall_of(watchdog: Watchdog) -> LoopStalled:
     return found
 
 
-def test_before_the_first_tick_nothing_is_watched() -> None:
-    gate = Gate()
+def test_before_the_first_tick_nothing_is_watched(gate: Gate) -> None:
     with Watchdog(50.0, gate) as watchdog:
         assert "watchdog" not in {thread.name for thread in threading.enumerate()}
         assert watchdog.take() is None
     assert gate.closed == 0
 
 
-def test_zeros_are_sent_from_the_last_tick_until_the_stall_is_taken() -> None:
-    gate = Gate()
+def test_zeros_are_sent_from_the_last_tick_until_the_stall_is_taken(gate: Gate) -> None:
     with Watchdog(50.0, gate) as watchdog:
         watchdog.ping()
         until(lambda: gate.zeros > 3)
@@ -79,8 +82,7 @@ def test_zeros_are_sent_from_the_last_tick_until_the_stall_is_taken() -> None:
         assert watchdog.take() is None
 
 
-def test_after_a_stall_the_loop_is_watched_again() -> None:
-    gate = Gate()
+def test_after_a_stall_the_loop_is_watched_again(gate: Gate) -> None:
     with Watchdog(50.0, gate) as watchdog:
         watchdog.ping()
         for _ in range(2):
@@ -96,10 +98,9 @@ def test_a_stall_without_a_later_tick_continues() -> None:
             assert stall_of(watchdog).stalled_s == now_ns / 1e9
 
 
-def test_a_stall_within_a_tick_lasts_from_the_tick_before() -> None:
+def test_a_stall_within_a_tick_lasts_from_the_tick_before(gate: Gate) -> None:
     """The tick ends when the stall is over, and the next event takes the stall."""
     now_ns = 0
-    gate = Gate()
     with Watchdog(50.0, gate, lambda: now_ns) as watchdog:
         watchdog.ping()
         now_ns = 800_000_000
@@ -127,12 +128,19 @@ class TickingEvent(threading.Event):
         return super().wait(timeout if self.only_for_s else 0.001)
 
 
-def test_a_loop_that_ticks_is_left_alone() -> None:
-    gate, ended = Gate(), TickingEvent()
-    ended.watchdog = Watchdog(5.0, gate, ended=ended)  # ticks may be 0.5 s apart
+@pytest.mark.parametrize(
+    ("rate_hz", "only_for_s", "ticks"),
+    [(5.0, None, 100), (50.0, CONFIRM_S, 3)],  # at 5 Hz, ticks may be 0.5 s apart
+    ids=["it ticks", "it catches up after a pause of the process"],
+)
+def test_a_loop_that_ticks_is_left_alone(
+    gate: Gate, rate_hz: float, only_for_s: float | None, ticks: int
+) -> None:
+    ended = TickingEvent(only_for_s)
+    ended.watchdog = Watchdog(rate_hz, gate, ended=ended)
     with ended.watchdog as watchdog:
         watchdog.ping()
-        for _ in range(100):
+        for _ in range(ticks):
             assert ended.ticks.acquire(timeout=DEADLINE_S)
     assert (gate.closed, gate.zeros) == (0, 0)
 
@@ -175,8 +183,9 @@ class VirtualTime(threading.Event):
         ([125, 145], True),
     ],
 )
-def test_every_late_tick_is_given_its_confirmation(ticks_ms: list[int], stalled: bool) -> None:
-    gate = Gate()
+def test_every_late_tick_is_given_its_confirmation(
+    gate: Gate, ticks_ms: list[int], stalled: bool
+) -> None:
     VirtualTime(ticks_ms).run(50.0, gate)
     assert bool(gate.closed) == stalled
 
@@ -193,12 +202,11 @@ def test_a_thread_that_has_to_share_its_processor_has_waited() -> None:
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})  # for this thread and its children
     try:
-        spinning = subprocess.Popen([sys.executable, "-c", "while True: pass"])
-        try:
-            until(lambda: asked.waited_ns() > 1_000_000)
-        finally:
-            spinning.kill()
-            spinning.wait()
+        with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as spinning:
+            try:
+                until(lambda: asked.waited_ns() > 1_000_000)
+            finally:
+                spinning.kill()
     finally:
         os.sched_setaffinity(0, cores)
         asked.close()
@@ -247,8 +255,7 @@ def no_descriptor_left() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
-def test_without_a_free_descriptor_zeros_are_sent() -> None:
-    gate = Gate()
+def test_without_a_free_descriptor_zeros_are_sent(gate: Gate) -> None:
     with Watchdog(50.0, gate) as watchdog, no_descriptor_left():
         watchdog.ping()
         until(lambda: gate.zeros > 3)
@@ -256,8 +263,7 @@ def test_without_a_free_descriptor_zeros_are_sent() -> None:
 
 
 @pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_zero_that_cannot_be_sent_is_counted_and_followed_by_the_next() -> None:
-    gate = Gate()
+def test_a_zero_that_cannot_be_sent_is_counted_and_followed_by_the_next(gate: Gate) -> None:
     gate.broken = 2
     with Watchdog(50.0, gate) as watchdog:
         watchdog.ping()
@@ -266,8 +272,7 @@ def test_a_zero_that_cannot_be_sent_is_counted_and_followed_by_the_next() -> Non
 
 
 @pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_watchdog_that_dies_is_one_fault() -> None:
-    gate = Gate()
+def test_a_watchdog_that_dies_is_one_fault(gate: Gate) -> None:
     gate.broken, gate.error = 1, SystemExit("out of everything")
     with Watchdog(50.0, gate) as watchdog:
         watchdog.ping()
@@ -282,19 +287,8 @@ def test_a_watchdog_that_dies_is_one_fault() -> None:
 @pytest.mark.parametrize(("rate_hz", "limit_ms"), [(1000.0, 100), (50.0, 100), (5.0, 500)])
 @pytest.mark.parametrize(("late_ms", "stalled"), [(-1, False), (1, True)])
 def test_slow_ticks_are_given_their_time(
-    rate_hz: float, limit_ms: int, late_ms: int, stalled: bool
+    gate: Gate, rate_hz: float, limit_ms: int, late_ms: int, stalled: bool
 ) -> None:
-    gate = Gate()
     tick_ms = limit_ms + round(CONFIRM_S * 1000) + late_ms
     VirtualTime([tick_ms, tick_ms + 1]).run(rate_hz, gate)
     assert bool(gate.closed) == stalled
-
-
-def test_a_loop_that_catches_up_after_a_pause_of_the_process_is_left_alone() -> None:
-    gate, ended = Gate(), TickingEvent(only_for_s=CONFIRM_S)
-    ended.watchdog = Watchdog(50.0, gate, ended=ended)
-    with ended.watchdog as watchdog:
-        watchdog.ping()
-        for _ in range(3):
-            assert ended.ticks.acquire(timeout=DEADLINE_S)
-    assert (gate.closed, gate.zeros) == (0, 0)

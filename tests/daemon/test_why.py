@@ -98,27 +98,20 @@ async def test_what_the_disk_did_not_take_is_counted(
     assert answer["failure"] == recorder.failure
 
 
-class KeptLog:
-    """Keeps the entries that it is told."""
-
-    def __init__(self) -> None:
-        self.entries: list[tuple[DecisionKind, dict[str, Any]]] = []
-
-    def add(self, kind: DecisionKind, **values: Any) -> None:
-        self.entries.append((kind, values))
-
-    def add_values(self, kind: DecisionKind, values: dict[str, Any]) -> None:
-        self.entries.append((kind, values))
-
-
 class Told:
-    """A kernel whose requests and effects are told to the journal of decisions."""
+    """A kernel whose requests and effects are told to a journal of decisions, which keeps them."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
-        self.log = KeptLog()
-        self.decisions = Decisions(self.log)  # type: ignore[arg-type]
+        self.kept: list[tuple[DecisionKind, dict[str, Any]]] = []
+        self.decisions = Decisions(self)  # type: ignore[arg-type]
         self.next_id = 1000
+
+    def add(self, kind: DecisionKind, **values: Any) -> None:
+        self.kept.append((kind, values))
+
+    def add_values(self, kind: DecisionKind, values: dict[str, Any]) -> None:
+        self.kept.append((kind, values))
 
     def ask(self, kind: type[Any], *values: Any) -> None:
         self.next_id += 1
@@ -132,7 +125,7 @@ class Told:
                 self.decisions.decided(effect)
 
     def entries(self) -> list[tuple[DecisionKind, dict[str, Any]]]:
-        entries, self.log.entries = self.log.entries, []
+        entries, self.kept = self.kept, []
         return entries
 
 
@@ -143,25 +136,16 @@ def told() -> Told:
 
 def test_a_stop_its_refusals_and_its_release_are_noted_with_who_asked(told: Told) -> None:
     told.ask(ModeRequested, Mode.EMERGENCY_STOP, "a person")
+    stopped: dict[str, Any] = {
+        "from": "MOVING",
+        "to": "EMERGENCY_STOP",
+        "reason": "requested by a person",
+    }
+    stopped |= {"cause": Cause.OPERATOR_STOP.value, "latched": True}
+    answer = "Mode changed to EMERGENCY_STOP"
     assert told.entries() == [
-        (
-            DecisionKind.MODE,
-            {
-                "from": "MOVING",
-                "to": "EMERGENCY_STOP",
-                "reason": "requested by a person",
-                "cause": Cause.OPERATOR_STOP.value,
-                "latched": True,
-            },
-        ),
-        (
-            DecisionKind.REQUEST,
-            {
-                "asked": "EMERGENCY_STOP",
-                "by": "a person",
-                "answer": "Mode changed to EMERGENCY_STOP",
-            },
-        ),
+        (DecisionKind.MODE, stopped),
+        (DecisionKind.REQUEST, {"asked": "EMERGENCY_STOP", "by": "a person", "answer": answer}),
     ]
     told.ask(ModeRequested, Mode.MOVING, "a script")
     ((kind, values),) = told.entries()
@@ -207,12 +191,8 @@ def test_a_changed_setting_is_noted_with_who_changed_it_and_a_refusal_too(told: 
     told.ask(ModeRequested, Mode.EMERGENCY_STOP, "a person")
     told.entries()
     told.ask(ParameterRequested, *change)
-    assert told.entries() == [
-        (
-            DecisionKind.PARAMETER,
-            {"key": "limits.linear_mps", "from": "0.6", "to": "0.3", "by": "a person"},
-        )
-    ]
+    changed = {"key": "limits.linear_mps", "from": "0.6", "to": "0.3", "by": "a person"}
+    assert told.entries() == [(DecisionKind.PARAMETER, changed)]
 
 
 def of_kind(entries: list[Entry], kind: DecisionKind) -> list[Entry]:

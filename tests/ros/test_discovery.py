@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Self
 
 import pytest
 from rclpy.context import Context
@@ -148,10 +149,11 @@ class Hanging(Told):
         environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
         super().__init__(peer_command("tests.support.role_peers", "MuxPeer"), environment)
 
-    def __enter__(self) -> None:
+    def __enter__(self) -> Self:
         self._process.send_signal(signal.SIGSTOP)
         while "T" not in Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2]:
             time.sleep(0.001)
+        return self
 
     def __exit__(self, *_: object) -> None:
         self._process.send_signal(signal.SIGCONT)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from tests.support.waiting import DEADLINE_S
 
@@ -34,11 +34,32 @@ class Ran:
     out: str
     err: str
 
+    def succeeded(self, *texts: str) -> str:
+        """Expect success and these texts on stdout, however its lines are broken; return it."""
+        assert (self.exit_code, _missing(self.out, texts)) == (0, []), self
+        return self.out
+
+    def failed(self, exit_code: int, *texts: str, out: str = "") -> str:
+        """Expect this exit code and these texts on stderr, and one on stdout; return stderr."""
+        assert (self.exit_code, _missing(self.err, texts)) == (exit_code, []), self
+        assert _missing(self.out, [out]) == [], self
+        return self.err
+
+    def refused(self, exit_code: int, *texts: str) -> str:
+        """Expect one sentence with these texts and nothing on stdout; return the sentence."""
+        assert (self.out, self.err.count("\n")) == ("", 1), self
+        return self.failed(exit_code, *texts)
+
     @property
     def summary(self) -> dict[str, Any]:
         """The object that the command has printed with `--json`."""
         found: dict[str, Any] = json.loads(self.out)
         return found
+
+
+def _missing(stream: str, texts: Iterable[str]) -> list[str]:
+    told = f"{stream}\n{' '.join(stream.split())}"
+    return [text for text in texts if text not in told]
 
 
 class Told:
@@ -63,6 +84,13 @@ class Told:
         answer = json.loads(line)
         assert "error" not in answer, answer["error"]
         return answer["result"]
+
+    def __enter__(self) -> Self:
+        """End the process with the block."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def close(self) -> None:
         """End the process by its own shutdown, which leaves no shared memory behind."""

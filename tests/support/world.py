@@ -154,8 +154,12 @@ class World:
             self.environment[variable] = f"{path}:{known}" if known else str(path)
         self.environment["ROS_DISTRO"] = "humble"
 
-    def spawn(self, *arguments: str, **options: Any) -> subprocess.Popen[str]:
-        """Start a command line; `start` without a configuration gets `PATIENT`."""
+    def spawn(self, *arguments: str, settings: str = "", **options: Any) -> subprocess.Popen[str]:
+        """Start a command line; `start` without a configuration gets `settings`, or `PATIENT`."""
+        if settings:
+            config = self.folder / "robot.yaml"
+            config.write_text(settings)
+            arguments = (*arguments, "--config", str(config))
         if arguments[0] == "start" and "--config" not in arguments:
             arguments = (*arguments, "--config", str(self.patient))
         elif arguments[0] == "start" and "--ros-args" not in arguments:
@@ -175,9 +179,9 @@ class World:
         self._spawned.append(process)
         return process
 
-    def robotctl(self, *arguments: str) -> Ran:
+    def robotctl(self, *arguments: str, settings: str = "") -> Ran:
         """Run a command line to its end."""
-        process = self.spawn(*arguments)
+        process = self.spawn(*arguments, settings=settings)
         out, err = process.communicate(timeout=2 * DEADLINE_S)
         assert "Traceback" not in err
         return Ran(process.returncode, out, err)
@@ -197,15 +201,25 @@ class World:
         assert ran.exit_code == 0, (arguments, ran, self.log())
         return json.loads(ran.out)
 
-    def ok(self, *arguments: str) -> str:
+    def ok(self, *arguments: str, settings: str = "") -> str:
         """Run a command line that must succeed; return its output."""
-        ran = self.robotctl(*arguments)
+        ran = self.robotctl(*arguments, settings=settings)
         assert ran.exit_code == 0, (arguments, ran, self.log())
         return ran.out
 
     def answer(self, *arguments: str) -> Any:
         """Run a command line that must succeed; return its `--json` output."""
         return json.loads(self.ok(*arguments, "--json"))
+
+    def peer(self, role: str) -> Told:
+        """Start a process of tests.support.role_peers."""
+        return Told(peer_command("tests.support.role_peers", role), self.environment)
+
+    @property
+    def recording(self) -> Path:
+        """The only recording of this world."""
+        (folder,) = self.recordings.iterdir()
+        return folder
 
     def status(self, robot: str = "robot") -> Any:
         """Return the daemon's status from its socket, without a process: tests poll it."""
@@ -311,6 +325,15 @@ def new_world() -> Iterator[World]:
             raise AssertionError(f"left behind: {', '.join(left)}")
 
 
+@contextmanager
+def world_with_daemon(*options: str, settings: str = "") -> Iterator[World]:
+    """Make a world in which a daemon runs, by default with a simulated robot."""
+    with new_world() as made:
+        made.ok("start", *(options or ("--sim",)), settings=settings)
+        yield made
+        made.ok("stop")
+
+
 def read_back(folder: Path) -> dict[str, list[Any]]:
     """Read a recording with the `mcap` package; return its messages by topic."""
     from mcap.reader import make_reader
@@ -334,6 +357,7 @@ def entries_of(file: Path) -> list[JournalEntry]:
         return [each.entry for each in read_journal(recording, on_missing=pytest.fail)]
 
 
-def journal_of(messages: list[Any]) -> list[JournalEntry]:
+def journal_of(folder: Path) -> list[JournalEntry]:
     """Return the journal by sequence number: its log times may jump, as when the clock is set."""
-    return sorted((decode(message.data) for message in messages), key=lambda entry: entry.seq)
+    entries = (decode(each.data) for each in read_back(folder).get("/robotctl/journal", []))
+    return sorted(entries, key=lambda entry: entry.seq)
