@@ -32,7 +32,7 @@ from robotctl.ros.message_types import OwnTopic
 from robotctl.ros.session import Session
 from robotctl.ros.tap import subscription as subscription_module
 from robotctl.ros.tap.on_demand import OnDemandTap
-from robotctl.ros.tap.subscription import MAX_PUBLISHERS, LatchedMerge
+from robotctl.ros.tap.subscription import MAX_GAPS, MAX_PUBLISHERS, LatchedMerge
 from robotctl.ros.tap.tap import MAX_ENDPOINTS, Tap, mismatch
 from tests.support.waiting import loop_until as until
 
@@ -224,29 +224,23 @@ class Got:
             lambda data, received_ns, source_ns, sequence, gid: self.got.append((gid, sequence))
         )
 
-    def live(self, sequence: int, gid: bytes = b"one") -> None:
-        self.merge.live(b"", 0, 0, sequence, gid)
-
-    def latched(self, sequence: int, gid: bytes = b"one") -> None:
-        self.merge.latched(b"", 0, 0, sequence, gid)
+    def get(self, sequence: int, gid: bytes = b"one") -> None:
+        self.merge(b"", 0, 0, sequence, gid)
 
     @property
     def sequences(self) -> list[int]:
         return sorted(sequence for _, sequence in self.got)
 
 
-@given(st.integers(1, 9), st.integers(1, 9), st.integers(10, 20), st.integers())
-def test_each_message_is_handed_on_once(
-    first_latched: int, first_live: int, last: int, seed: int
+@given(st.sets(st.integers(1, 20)), st.sets(st.integers(1, 20)), st.integers())
+def test_what_one_subscription_lost_and_the_other_got_is_handed_on_once(
+    live: set[int], latched: set[int], seed: int
 ) -> None:
     dice, merged = Random(seed), Got()
-    live, latched = list(range(first_live, last + 1)), list(range(first_latched, last + 1))
-    while live or latched:
-        if not latched or (live and dice.random() < 0.5):
-            merged.live(live.pop(0))
-        else:
-            merged.latched(latched.pop(0))
-    assert merged.sequences == list(range(min(first_latched, first_live), last + 1))
+    queues = [sorted(live), sorted(latched)]
+    while queue := dice.choice([each for each in queues if each] or [[]]):
+        merged.get(queue.pop(0))
+    assert merged.sequences == sorted(live | latched)
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 3), st.integers(0, 4)), max_size=8))
@@ -255,45 +249,47 @@ def test_what_is_latched_is_handed_on_once_however_often_it_is_subscribed_to(
 ) -> None:
     merged, sent = Got(), 1
     for mixed, depth, more in phases:
-        merged.merge.restart()
         for sequence in range(max(1, sent - depth), sent + 1):
-            merged.latched(sequence)
+            merged.get(sequence)
         for _ in range(more):
             sent += 1
             if mixed:
-                merged.live(sent)
-            merged.latched(sent)
+                merged.get(sent)
+            merged.get(sent)
     assert merged.sequences == (list(range(1, sent + 1)) if phases else [])
 
 
 def test_what_a_publisher_repeats_that_was_lost_and_found_is_handed_on_once() -> None:
     merged = Got()
     for sequence in (1, 2, 3, 2, 3, 4):  # the same subscription: this process did not notice
-        merged.latched(sequence)
+        merged.get(sequence)
     assert merged.sequences == [1, 2, 3, 4]
 
 
 def test_a_publisher_that_does_not_count_is_heard() -> None:
     merged = Got()
-    merged.latched(0)
-    merged.latched(0)
+    merged.get(0)
+    merged.get(0)
     assert merged.sequences == [0, 0]
 
 
 def test_publishers_are_told_apart() -> None:
     merged = Got()
-    merged.latched(1, b"latching")
-    merged.live(1, b"other")
-    merged.live(1, b"latching")
+    merged.get(1, b"latching")
+    merged.get(1, b"other")
+    merged.get(1, b"latching")
     assert merged.got == [(b"latching", 1), (b"other", 1)]
 
 
 def test_publishers_that_keep_restarting_take_no_more_than_so_much_memory() -> None:
     merged = Got()
     for number in range(2 * MAX_PUBLISHERS):
-        merged.latched(1, number.to_bytes(16, "big"))
+        merged.get(1, number.to_bytes(16, "big"))
     assert len(merged.got) == 2 * MAX_PUBLISHERS
-    assert len(merged.merge._latched) == MAX_PUBLISHERS
+    for odd in range(3, 1_000, 2):
+        merged.get(odd, (1).to_bytes(16, "big"))
+    known = merged.merge._delivered
+    assert (len(known), len(known[(1).to_bytes(16, "big")].gaps)) == (MAX_PUBLISHERS, MAX_GAPS)
 
 
 RELIABLE = QoSProfile(depth=1)

@@ -12,7 +12,8 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import Any, TypeVar
+from dataclasses import dataclass, field
+from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -24,65 +25,60 @@ from robotctl.ros.executor import RawTap, SerializedData, ViewSink
 from robotctl.ros.graph import endpoints
 from robotctl.ros.message_types import message_class, subscribe_raw
 
-Span = tuple[int, int]
-"""The first and the last sequence number that one subscription delivered from a publisher."""
-
-NOTHING: Span = (1, 0)
 MAX_PUBLISHERS = 1024
 """Limit on the publishers of a topic that are remembered; the latched messages of a publisher that
 was forgotten may be recorded twice."""
 
-T = TypeVar("T")
+MAX_GAPS = 32
+"""Limit on the remembered gaps in the numbers of one publisher."""
+
+
+@dataclass(slots=True)
+class Delivered:
+    """The messages of one publisher that reached the sink: up to `last`, without those in `gaps`.
+
+    Messages count as numbered from 1 on.
+    """
+
+    last: int = 0
+    gaps: list[range] = field(default_factory=list)
+
+    def add(self, sequence: int) -> bool:
+        """Add a message; return whether it is new."""
+        if sequence > self.last:
+            if sequence > self.last + 1:
+                self.gaps = [*self.gaps, range(self.last + 1, sequence)][-MAX_GAPS:]
+            self.last = sequence
+            return True
+        for index, gap in enumerate(self.gaps):
+            if sequence in gap:
+                parts = range(gap.start, sequence), range(sequence + 1, gap.stop)
+                self.gaps[index : index + 1] = filter(None, parts)
+                return True
+        return False
 
 
 class LatchedMerge:
-    """Passes each message to the sink only once, even if two subscriptions deliver it.
+    """A sink that passes each message on once, even if several subscriptions deliver it.
 
-    It relies on each subscription to deliver the messages of one publisher in order.
+    A message without a sequence number (0) is always passed on.
     """
 
     def __init__(self, sink: ViewSink) -> None:
         self._sink = sink
-        self._live: dict[bytes, Span] = {}
-        self._latched: dict[bytes, Span] = {}
-        self._known: dict[bytes, int] = {}
-        """Publisher's gid -> the last sequence number that earlier subscriptions delivered."""
+        self._delivered: dict[bytes, Delivered] = {}
 
-    def live(
+    def __call__(
         self, data: SerializedData, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Accept a new message of the volatile subscription, from any publisher; drop a repeat."""
-        first, _ = self._live.get(gid, (sequence, sequence))
-        _keep(self._live, gid, (first, sequence))
-        first_latched, last_latched = self._latched.get(gid, NOTHING)
-        if not first_latched <= sequence <= last_latched:
+        """Pass a message on unless it is a repeat."""
+        known = self._delivered.get(gid)
+        if known is None:
+            if len(self._delivered) >= MAX_PUBLISHERS:
+                del self._delivered[next(iter(self._delivered))]
+            known = self._delivered[gid] = Delivered()
+        if not sequence or known.add(sequence):
             self._sink(data, received_ns, source_ns, sequence, gid)
-
-    def latched(
-        self, data: SerializedData, received_ns: int, source_ns: int, sequence: int, gid: bytes
-    ) -> None:
-        """Accept a latched or new message of the transient-local subscription; drop a repeat."""
-        _, last = self._latched.get(gid, NOTHING)
-        if 0 < sequence <= max(last, self._known.get(gid, 0)):
-            return  # a publisher that is discovered again after a loss repeats it as well
-        if gid not in self._live or sequence < self._live[gid][0]:
-            first, _ = self._latched.get(gid, (sequence, sequence))
-            _keep(self._latched, gid, (first, sequence))
-            self._sink(data, received_ns, source_ns, sequence, gid)
-
-    def restart(self) -> None:
-        """Prepare for new subscriptions, which deliver the same latched messages again."""
-        for spans in (self._live, self._latched):
-            for gid, (_, last) in spans.items():
-                _keep(self._known, gid, max(last, self._known.get(gid, 0)))
-            spans.clear()
-
-
-def _keep(known: dict[bytes, T], gid: bytes, what: T) -> None:
-    """Remember a value of a publisher; at the limit, forget the oldest publisher."""
-    if gid not in known and len(known) >= MAX_PUBLISHERS:
-        del known[next(iter(known))]
-    known[gid] = what
 
 
 def offered_types(node: Node, topic: str) -> dict[str, list[QoSProfile]]:
@@ -156,7 +152,6 @@ class TappedSubscription:
             self._node.destroy_subscription(self._subscriptions.pop())
 
     def _subscribe(self, requests: Requests) -> None:
-        self._merge.restart()
         try:
             for sink, requested in self._sinks(requests):
                 self._subscriptions.append(self._create(sink, requested))
@@ -167,10 +162,10 @@ class TappedSubscription:
     def _sinks(self, requests: Requests) -> Iterator[tuple[ViewSink, QoSProfile]]:
         requested, latched = requests
         if latched is not None:
-            yield self._merge.live, requested
-            yield self._merge.latched, latched
+            yield self._merge, requested
+            yield self._merge, latched
         elif requested.durability is DurabilityPolicy.TRANSIENT_LOCAL:
-            yield self._merge.latched, requested
+            yield self._merge, requested
         else:
             yield self._sink, requested
 
