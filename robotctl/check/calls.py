@@ -109,13 +109,13 @@ MAX_CALLS: Final = 100_000
 """How many calls of one service are compared."""
 
 MAX_AHEAD: Final = 1_000
-"""The request of a call is searched among this many requests; those skipped have no call."""
+"""A call is compared with at most this many requests, from the first that is not yet paired on."""
 
 ANSWER_NS: Final = NS_PER_S
 """A request at most this long before the end may lack its response, which follows a disk write."""
 
 MANY_IN_WORK: Final = 128
-"""A refusal as busy is believed only if more calls than this were open (robotctl accepts 256)."""
+"""A refusal as busy is plausible if more calls than this were open; robotctl accepts 256."""
 
 _BUSY = re.compile(r"busy: \d+ requests wait for their reply; try again")
 

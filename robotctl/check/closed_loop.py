@@ -227,7 +227,7 @@ def resimulate(
 ) -> dict[str, Any]:
     """Simulate a recording again, and return the JSON object of `replay --resim --json`.
 
-    If `settings` are given, simulate it once more with these. `on_progress` is called with the
+    Unless `settings` are empty, simulate it once more with these. `on_progress` is called with the
     simulated time and the length of the recording [ns].
 
     Raises:

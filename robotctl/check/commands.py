@@ -1,9 +1,9 @@
 """Pair each recorded velocity command with its decision in the journal, by number and value.
 
-Each decided command got the next sequence number of our publisher. So did each zero that the
-watchdog sent while the control loop stalled; the journal has their count after the stall. So the
-journal gives the velocity for each number. A message with another number or velocity is from
-another publisher, or was not decided.
+Each command that the kernel decides is sent with the next sequence number of our publisher. So is
+each zero that the watchdog sends while the control loop stalls; after the stall, the journal gets
+their count. The journal thus gives the velocity for each number. A message with another number or
+velocity is from another publisher, or was not decided.
 
 A daemon that fails sends its last zeros without a decision. If the recording ends too early, its
 journal explains neither these zeros nor those of the watchdog.
@@ -107,13 +107,13 @@ EDGE_NS: Final = 2 * NS_PER_S
 message of a command decided this long before the end may be missing."""
 
 RECENT: Final = 64
-"""The number of last commands that a stall may have withheld."""
+"""How many commands before a stall may have been withheld by it."""
 
 CUT: Final = 3
 """How many commands at the end of a clip may have their decision after the clip's end."""
 
 SEND_FAILED: Final = f"{PublishTwist.__name__} failed"
-"""The detail of the fault for a command that could not be sent contains this text."""
+"""Part of the detail of the fault that reports a command that could not be sent."""
 
 
 def follows(number: int, other: int) -> bool:
@@ -134,7 +134,7 @@ class DecidedCommand:
 
 
 class SentCommand(NamedTuple):
-    """A recorded command; `t_ns` is the time of the last event before it, `place` its position."""
+    """A recorded command: the last event before it was at `t_ns`; `place` counts the messages."""
 
     numbers: bytes
     publish_ns: int
@@ -201,11 +201,11 @@ class CommandCounts:
 
     old: int = 0
     recent: int = 0
-    """Decided commands at the end without a message: older and younger than EDGE_NS."""
+    """Decided commands at the end without a message: `old` by more than EDGE_NS, and `recent`."""
 
     out_of_order: int = 0
     resumed: int = 0
-    """How many snapshots count more or fewer commands than the journal decided before them."""
+    """How many snapshots have another count of commands than the journal before them."""
 
     unsent: bool = False
     """Whether the journal reports that a command could not be sent."""
@@ -224,7 +224,7 @@ class CommandPairs:
         self._waiting: Waiting[DecidedCommand, SentCommand] = Waiting(self._judge)
         self._recent: deque[DecidedCommand] = deque(maxlen=RECENT)
         self._has_ended = False
-        """Whether the last snapshot counts zeros without decision: the daemon must have ended."""
+        """Whether the last snapshot counts zeros without a decision: these end a daemon's life."""
 
         self._number = 0
         """The number of the last command that was decided in the journal or is in its counts."""
@@ -240,13 +240,13 @@ class CommandPairs:
 
         self._lacking = self._lacking_recent = 0
         self._lacking_example = ""
-        """Decided commands without a message, after the newest one with a message."""
+        """Count and example of decided commands without a message, after the last one with one."""
 
         self._t_ns = self._log_ns = self._tick_ns = 0
-        """When the last event was handled, by steady and by wall clock, and the last tick."""
+        """Time of the last event by the steady and the wall clock; steady time of the last tick."""
 
         self._places = self._last_place = 0
-        """The number of messages, and the place of the newest one that was paired."""
+        """The number of messages, and the `place` of the message with the highest paired number."""
 
     def message(self, number: int, data: bytes, publish_ns: int) -> None:
         """Read a message of the command topic: sequence number, content, time of publishing.
@@ -431,7 +431,7 @@ class CommandPairs:
         self.counts.old = self._lacking - self._lacking_recent
 
     def _may_end_with(self, message: SentCommand, later: int, is_own: bool) -> bool:
-        """Return whether a message `later` numbers after the last decision may lack one."""
+        """Return whether a message may lack its decision, `later` numbers after the last one."""
         after_ns = message.publish_ns - self._log_ns
         if not is_own:
             return after_ns > -JOURNAL_LAG_NS

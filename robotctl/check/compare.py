@@ -45,7 +45,7 @@ _READERS = {
 
 
 def without_retired_fields(entry: JournalEntry) -> JournalEntry:
-    """Return the entry without fields that this version has no more, if they have the default."""
+    """Return the entry without the fields that this version removed, where these are at default."""
     names = {
         path.partition(".")[2]: default
         for path, default in retired.JOURNAL_FIELDS.items()
@@ -69,7 +69,7 @@ def without_retired_fields(entry: JournalEntry) -> JournalEntry:
 
 
 class Vocabulary:
-    """Finds unknown fields in entries. Of entries that differ only in digits, it parses one."""
+    """Finds unknown fields in entries; it parses only one of all entries that differ in digits."""
 
     def __init__(self) -> None:
         self._known: set[tuple[str, bytes]] = set()
@@ -101,7 +101,7 @@ class JournalFormat:
         self._vocabulary: Vocabulary | None = Vocabulary()
 
     def begin(self, entry: JournalEntry) -> None:
-        """Report if the first snapshot should be of this version, but has other fields.
+        """Report a first snapshot that names this version, but has fields of another one.
 
         Raises:
             UnreadableFile: The entry is not a snapshot of this version.
@@ -167,12 +167,12 @@ _quick_json = msgspec.json.Encoder().encode
 """Same as `to_json` except for floats with an exponent, nan, inf, and text beyond ASCII."""
 
 DECISION_NAMES = frozenset(kind.__name__ for kind in get_args(Decision))
-"""The names in the journal of the effects that are compared with those of another version."""
+"""Names of the effects that are compared if another version made the recording."""
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Compares recorded with new decisions, bit for bit if `version` and `made_by` are ours."""
+    """Compares recorded with new decisions; `version` and `made_by` are those of the recording."""
 
     version: str = __version__
     made_by: str = MADE_BY

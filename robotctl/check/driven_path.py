@@ -22,7 +22,7 @@ from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import journal_topic, read_journal
 
 SPACING_M = 0.03
-"""Poses closer together than this are one point: a stopping robot may roll a little too far."""
+"""A pose closer than this to the last point is no new point: a stopped robot may roll a little."""
 
 TOLERANCE_M = 0.005
 """How far a point of the driven path may be from the path through the waypoints."""
@@ -32,7 +32,7 @@ def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> 
     """Return waypoints of the last motion in a recording, () if the robot did not drive.
 
     Without a journal, the waypoints are of all recorded odometry. `on_missing` gets a sentence
-    about each part of the recording that cannot be read; it may contain a later motion.
+    about each part of the recording that cannot be read: a later motion may be in that part.
 
     Raises:
         UnreadableFile: The recording cannot be read, or a part of the motion is missing.

@@ -46,7 +46,7 @@ class Ending:
     """Whether the recorder wrote the journal itself; a journal that it received may lag."""
 
     is_whole: bool
-    """Whether the recording is a folder with its last file, so that no messages come later."""
+    """Whether the recording is a folder whose last file is there: no message is in a later file."""
 
     has_begin: bool
     """Whether the journal is there from its first entry on."""
@@ -113,8 +113,8 @@ NOT_COMPARED: Final = (
 class JournalOrigin:
     """Whether the recorder wrote the journal itself, or received it from a robot.
 
-    A recorder of robotctl wrote the journal if the first entry has equal log and publish times, or
-    if its topic is of the recorder's robot and the recorder did not only observe.
+    robotctl writes entries of its own journal with equal log and publish times. If these differ in
+    the first entry, the journal is still its own if the topic is of the robot that it drove.
     """
 
     def __init__(self, info: RecordingInfo, topic: str) -> None:
@@ -263,7 +263,7 @@ class RecordingEnds:
             report.miss(sentence, is_outside=True)
 
     def snapshot(self, entry: JournalEntry, snapshot: Snapshot) -> int:
-        """Note a snapshot; return the `seq` of the previous one, 0 if that had no proof."""
+        """Note a snapshot; return the `seq` of the previous one, 0 if none or without a proof."""
         before = max(self._last_snapshot, 0)
         self._last_snapshot = entry.seq if snapshot.proof is not None else -1
         reported = snapshot.state.health.reported
@@ -271,10 +271,10 @@ class RecordingEnds:
         return before
 
     def check(self, events_before_snapshot: int) -> None:
-        """Check who wrote the journal, how it begins and ends, the types, and the loss ledger.
+        """Check who wrote the journal, how it begins and ends, and the loss ledger.
 
-        The ledger is in the last file if the recording was closed. Missing messages of a topic are
-        reported later, and explain no difference of another topic.
+        The ledger is in the last file if the recording was closed. What is reported as missing
+        after this call does not excuse differences: `Ending.has_gaps` stays as it is now.
         """
         ledger = read_ledger(self._recording.metadata_of_file(-1))
         self.origin.check(self._report)

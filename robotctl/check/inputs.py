@@ -1,8 +1,8 @@
 """Compare the inputs in the journal with the recorded messages that they came from.
 
-The control loop receives messages with best effort: some may be lost, but not all for long. Of a
-safety input, each changed value becomes an input of the kernel, an unchanged value only from time
-to time. A wanted velocity becomes an input in the mode MOVING alone.
+The control loop receives messages with best effort: some may be lost, but not all messages of half
+a second. Of a safety input, each changed value becomes an input of the kernel, an unchanged value
+only from time to time. A wanted velocity becomes an input only in the mode MOVING.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ UNHEARD_NS = NS_PER_S // 2
 """How long messages may fail to become inputs; a stall of the control loop adds its time."""
 
 GAP_NS = NS_PER_S // 10
-"""The time between two such messages counts as at most this: in a pause nothing is missed."""
+"""Of the time between two messages, at most this counts towards UNHEARD_NS: the rest is a pause."""
 
 BEGIN_NS = 3 * NS_PER_S
 """UNHEARD_NS at the beginning, when the control loop may not be connected yet."""
@@ -156,7 +156,7 @@ BURST: Final = 10.0
 """The messages under way may be this multiple of the number expected at the mean rate."""
 
 LOST: Final = 2
-"""The number of messages in a row that may be lost if no others are lost."""
+"""How many messages after the last input may be lost, in addition to as many as before it."""
 
 
 class Input(NamedTuple):
@@ -194,14 +194,14 @@ class InputPairs:
         """How many of `before_first` were sent before the recorder can have found the publisher."""
 
         self.at_begin = 0
-        """Inputs near the beginning without a message, before the first that has a message."""
+        """How many of the inputs before the first with a message are in the first EDGE_NS."""
 
         self.differing = 0
         """Inputs whose message has another value."""
 
         self.differing_example = ""
         self.unheard = 0
-        """Messages between paired ones that never became an input."""
+        """Messages that never became an input, although earlier and later ones did."""
 
         self.repeated = 0
         """Messages whose number is not above that of the previous message."""
@@ -378,7 +378,7 @@ class InputCheck:
         self._is_on = False
 
     def message(self, message: Message) -> None:
-        """Read a message; skip the repeat of a latched message at the beginning of a file."""
+        """Read a message; skip a latched one that repeats the one before, as each file begins."""
         is_repeat = self._is_latched and self._repeats.observe(message)
         if is_repeat or not self._is_on:
             return
@@ -471,8 +471,8 @@ class InputCheck:
     def _lost_at_end(self, ending: Ending, moment: JournalEnd, waited_ns: int, most: float) -> int:
         """Return how many messages after the last input were lost, and not still under way.
 
-        Messages of the last EDGE_NS + `waited_ns` may be under way. Report more than `most` lost
-        messages, and more messages under way than the rate allows; return 0 then.
+        Messages of the last EDGE_NS + `waited_ns` may be under way. Return 0 if nothing is known,
+        or after a report: of more than `most` lost messages, or too many under way for the rate.
         """
         pairs = self._pairs
         if not (pairs.paired and pairs.has_one_publisher and ending.is_own) or moment.clock_changed:
@@ -502,7 +502,7 @@ def _source(event: _Input) -> Hashable:
 
 
 def _value(event: _Input) -> Any:
-    """Return the value of an input; None for diagnostics: the journal has only the worst one."""
+    """Return the value of an input; None for diagnostics, of which only the worst level is kept."""
     match event:
         case OdomReceived():
             return sample_of(event.odometry)

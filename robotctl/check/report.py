@@ -130,7 +130,7 @@ class Report:
     """Whether the journal has other fields than those of the version that the recording names."""
 
     has_gaps: bool = field(default=False, init=False)
-    """Whether a part of the recording is missing whose absence may explain a difference."""
+    """Whether a missing part of the recording may explain a difference."""
 
     _other_rules: bool = field(default=False, init=False)
 

@@ -125,7 +125,7 @@ class Comparisons:
             CommandCheck(report, topics, clock),
             ServiceChecks(report, topics, clock),
         )
-        """The comparisons that skip odometry without effects, which most steps are."""
+        """The comparisons that need no odometry without effects; most steps are such odometry."""
 
         self._all = self._of_decisions + self._of_all
 

@@ -110,7 +110,7 @@ class ShownModes:
 
 
 class StatusCheck:
-    """Compares the statuses with the modes in the journal, from its first snapshot on."""
+    """Compares the statuses with the modes in the journal, from a snapshot with a `Proof` on."""
 
     def __init__(self, report: Report, topics: RobotTopics, clock: ClockChanges) -> None:
         self._name, self._is_told = topics.told("topic.robot_status")
@@ -144,10 +144,10 @@ class StatusCheck:
         return {} if self.topic is None else {self.topic: self._message}
 
     def _message(self, message: Message) -> None:
-        """Check a status; skip the repeat of the last one, with which each file and clip begins.
+        """Check a status; skip the copy of the last one, with which each file and clip begins.
 
-        If the recorder lags, this repeat may come before its original: then its log time, that of
-        the file's beginning, is before its publish time.
+        The log time of the copy is when the file began. If the recorder lags, the copy may precede
+        the status itself in the recording; its log time is then before its publish time.
         """
         if message.log_ns < message.publish_ns:
             self._repeats.count()

@@ -60,7 +60,7 @@ WINDOW_NS: Final = NS_PER_S
 
 LATE_NS: Final = NS_PER_S // 200
 LATE_PERIODS: Final = 0.75
-"""Ticks are missing if lateness stays higher by more than LATE_NS and by this many periods."""
+"""Ticks are missing if lateness rises by more than LATE_NS and this many periods, and stays."""
 
 
 class _Window(NamedTuple):
@@ -115,7 +115,7 @@ class TickSchedule:
     def stop(self) -> None:
         """Add the ticks that are missing so far to `missing`, then start over.
 
-        Call this before a gap in the journal, and at its end. The last window is not judged alone.
+        Call this before a gap in the journal, and at its end. A late last window proves nothing.
         """
         windows = self._windows if self._least is None else [*self._windows, self._least]
         before = accumulate(windows, min)
@@ -131,10 +131,10 @@ class TickSchedule:
 
 
 CLOCK_NS = NS_PER_S // 4
-"""If the offset between the clocks changes by more, the clock was set or the loop stalled."""
+"""If the offset between the clocks changes by more than this, one was set or the loop stalled."""
 
 EXCUSES_NS = 2 * NS_PER_S
-"""Wall-clock times are not compared if such a change is at most this far from them."""
+"""Wall-clock times are not compared within this time of a change by more than CLOCK_NS."""
 
 
 class _Step(NamedTuple):

@@ -55,13 +55,13 @@ class RobotTopics:
     def told(self, key: str) -> tuple[str, bool]:
         """Return the full name of a topic or service, and whether the metadata names it as `key`.
 
-        Otherwise the name is the last part of `key`, in the robot's namespace.
+        If it does not, the name is the last part of `key`, in the robot's namespace.
         """
         told = self.values.get(key)
         return told or f"{self.namespace}/{key.rpartition('.')[2]}", told is not None
 
     def recorded(self, parameter: str, default: str, *types: str) -> InputTopic:
-        """Return the topic that a parameter names; no name unless recorded with one of `types`."""
+        """Return the topic that a parameter names, if it is recorded with one of `types`."""
         name = self.named_by(parameter, default)
         if self.types.get(name) in types:
             return InputTopic(name, self.types[name])
@@ -94,9 +94,9 @@ class RobotTopics:
 class RepeatedLatched:
     """Counts the messages of a latched topic that repeat the previous message.
 
-    Each file begins with one such repeat and a snapshot, so that as many repeats as snapshots are
-    allowed, even in joined files. A received journal has its snapshots elsewhere, so that at least
-    as many repeats as files are allowed.
+    The recorder begins each file with the newest message of the topic and with a snapshot. One
+    repeat per snapshot is allowed, as joined files keep their snapshots. The snapshots in a journal
+    that was received are not at the beginnings of files: at least one repeat per file is allowed.
     """
 
     def __init__(self, info: RecordingInfo) -> None:
@@ -113,7 +113,7 @@ class RepeatedLatched:
         return is_again
 
     def count(self) -> None:
-        """Count a repeat that `observe` cannot find: it is recorded before its original."""
+        """Count a repeat that `observe` cannot find: it precedes the message that it repeats."""
         self._count += 1
 
     def snapshot(self) -> None:
@@ -122,12 +122,12 @@ class RepeatedLatched:
 
     @property
     def excess(self) -> int:
-        """By how much the repeats exceed what files and snapshots allow, at least 0."""
+        """The number of repeats above the number that is allowed, at least 0."""
         return max(self._count - max(self._files, self._snapshots), 0)
 
 
 MAX_WAITING: Final = 20_000
-"""How many numbers wait, several minutes of a topic; if there are more, the oldest is judged."""
+"""How many slots `Waiting` keeps: several minutes of a topic. Then it judges the oldest."""
 
 Entry = TypeVar("Entry")
 Sent = TypeVar("Sent")
@@ -145,7 +145,7 @@ class Waiting(Generic[Entry, Sent]):
     """Entries and messages that are not compared yet: a Slot per number, the oldest first."""
 
     def __init__(self, judge: Callable[[int, Slot[Entry, Sent]], None]) -> None:
-        """`judge` gets each slot with its number, when nothing more is to be expected."""
+        """`judge` gets the oldest number and its slot when there are more than MAX_WAITING."""
         self._judge = judge
         self._slots: dict[int, Slot[Entry, Sent]] = {}
 
