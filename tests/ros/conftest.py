@@ -23,6 +23,7 @@ from robotctl.ros import AsyncioExecutor
 from robotctl.ros.session import ros_session
 from robotctl.ros.tap.subscription import TappedSubscription
 from robotctl.ros.tap.tap import Tap
+from tests.ros.open_executor import Bench
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import loop_until, until
 
@@ -82,7 +83,7 @@ def context(domain_id: int) -> Iterator[Any]:
 @pytest.fixture
 def node(context: Any) -> Iterator[Any]:
     """A plain node without an executor."""
-    made = Node("tested", context=context)
+    made = Bench(context)
     yield made
     made.destroy_node()
 
@@ -97,6 +98,13 @@ async def executor(context: Any, node: Any) -> AsyncIterator[Any]:
         made.add_node(node)
         yield made
     assert raised == []
+
+
+@pytest.fixture
+def bench(executor: Any, node: Bench) -> Bench:
+    """The node, whose executor is open."""
+    node.opened = executor
+    return node
 
 
 @pytest.fixture

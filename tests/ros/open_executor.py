@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rclpy.serialization import deserialize_message
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor.engine import Engine
 from robotctl.ros.executor.runtime import Runtime
+from tests.support.waiting import DEADLINE_S
 
 if TYPE_CHECKING:
     import rclpy.node
@@ -52,6 +55,82 @@ def sources_of(executor: AsyncioExecutor) -> dict[Any, Any]:
 def runtime_of(executor: AsyncioExecutor) -> Runtime:
     """Return the state that its sources share."""
     return engine_of(executor).runtime
+
+
+class Heard(list[int]):
+    """The numbers that an entity has delivered."""
+
+    entity: Any
+    tap: RawTap
+
+
+class Bench(Node):
+    """A node of an open executor, with a topic that no other test uses."""
+
+    opened: AsyncioExecutor
+
+    def __init__(self, context: Any) -> None:
+        super().__init__("tested", context=context)
+        self.topic = f"/test_{time.monotonic_ns()}"
+        self._own_publishers: dict[str, Any] = {}
+
+    @property
+    def sources(self) -> dict[Any, Any]:
+        """The sources of its executor."""
+        return sources_of(self.opened)
+
+    @property
+    def runtime(self) -> Runtime:
+        """The state that the sources of its executor share."""
+        return runtime_of(self.opened)
+
+    def listen(
+        self, callback: Callable[..., object], topic: str = "", depth: int = 10, **options: Any
+    ) -> Any:
+        """Subscribe a callback to a topic of numbers."""
+        return self.create_subscription(UInt64, topic or self.topic, callback, depth, **options)
+
+    def hear(self, topic: str = "", depth: int = 10, **options: Any) -> Heard:
+        """Subscribe to numbers."""
+        heard = Heard()
+        heard.entity = self.listen(lambda m: heard.append(m.data), topic, depth, **options)
+        return heard
+
+    def tap(self, topic: str = "", depth: int = 1000, **options: Any) -> Heard:
+        """Tap a topic of numbers."""
+        heard = Heard()
+
+        def sink(data: bytes, *_: Any) -> None:
+            heard.append(deserialize_message(data, UInt64).data)
+
+        heard.tap = RawTap(sink, **options)
+        heard.entity = self.listen(heard.tap, topic, depth, raw=True)
+        return heard
+
+    def publisher(self, topic: str = "", depth: int = 1000) -> Any:
+        """Return the publisher of numbers on a topic; create it if there is none."""
+        name = topic or self.topic
+        if name not in self._own_publishers:
+            self._own_publishers[name] = self.create_publisher(UInt64, name, depth)
+        return self._own_publishers[name]
+
+    def publish(self, *numbers: int, topic: str = "") -> None:
+        """Publish numbers."""
+        publisher = self.publisher(topic)
+        for number in numbers:
+            publisher.publish(UInt64(data=number))
+
+    def ticks(self, period_s: float = 0.01, **options: Any) -> Heard:
+        """Create a timer; return what grows by one at each of its calls."""
+        ticks = Heard()
+        ticks.entity = self.create_timer(period_s, lambda: ticks.append(1), **options)
+        return ticks
+
+    async def client(self, service: str = "") -> Any:
+        """Return the client of a service, when the service is there."""
+        client = self.create_client(SetBool, service or self.topic)
+        await self.opened.wait_for_service(client, timeout_s=DEADLINE_S)
+        return client
 
 
 def populate(node: Any, topic: str, on_message: Callable[[Any], object]) -> Any:

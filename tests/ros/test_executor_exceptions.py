@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import RclCallFailed
-from tests.ros.open_executor import Node, populate, sources_of
+from tests.ros.open_executor import Bench, Node, populate, sources_of
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
@@ -173,43 +173,37 @@ async def test_a_failing_take_is_reported_and_tried_again_later(
     assert set(told) == {"cannot take"}
 
 
-async def test_a_node_added_twice_answers_false(executor: AsyncioExecutor, node: Node) -> None:
-    assert executor.add_node(node) is False
-    assert executor.get_nodes() == [node]
-    attached: Any = node.executor
-    assert attached is executor
+async def test_a_node_added_twice_answers_false(bench: Bench) -> None:
+    assert bench.opened.add_node(bench) is False
+    assert bench.opened.get_nodes() == [bench]
+    attached: Any = bench.executor
+    assert attached is bench.opened
 
 
-async def test_a_node_of_another_live_executor_is_refused(
-    context: Any, node: Node, executor: AsyncioExecutor
-) -> None:
+async def test_a_node_of_another_live_executor_is_refused(bench: Bench, context: Any) -> None:
     other = AsyncioExecutor(context)
     with pytest.raises(RuntimeError, match="/tested belongs to another executor"):
-        other.add_node(node)
-    executor.remove_node(node)
-    assert other.add_node(node)
+        other.add_node(bench)
+    bench.opened.remove_node(bench)
+    assert other.add_node(bench)
     other.shutdown()
     spinning = SingleThreadedExecutor(context=context)
-    spinning.add_node(node)
+    spinning.add_node(bench)
     with pytest.raises(RuntimeError, match="call its remove_node first"):
-        executor.add_node(node)
+        bench.opened.add_node(bench)
     spinning.shutdown()
-    assert executor.add_node(node)
+    assert bench.opened.add_node(bench)
 
 
-async def test_a_removed_node_is_left_alone_and_may_come_back(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
-    got: list[int] = []
-    node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10)
-    publisher = node.create_publisher(UInt64, topic, 10)
-    executor.remove_node(node)
-    assert sources_of(executor) == {}
-    executor.remove_node(node)
-    publisher.publish(UInt64(data=1))
+async def test_a_removed_node_is_left_alone_and_may_come_back(bench: Bench) -> None:
+    got = bench.hear()
+    bench.opened.remove_node(bench)
+    assert bench.sources == {}
+    bench.opened.remove_node(bench)
+    bench.publish(1)
     await asyncio.sleep(0.02)
     assert got == []
-    executor.add_node(node)
+    bench.opened.add_node(bench)
     await until(lambda: got == [1])
 
 
@@ -253,15 +247,15 @@ async def test_an_executor_that_is_not_open_or_is_open_already_says_so(context: 
         executor.spin_once(timeout_sec=0.0)
 
 
-async def test_another_loop_is_refused(executor: AsyncioExecutor, node: Node, topic: str) -> None:
-    client = node.create_client(SetBool, topic)
+async def test_another_loop_is_refused(bench: Bench) -> None:
+    client = bench.create_client(SetBool, bench.topic)
 
     def elsewhere() -> None:
         for waiting in (
-            lambda: executor.serve(),
-            lambda: executor.call(client, SetBool.Request(), timeout_s=1.0),
-            lambda: executor.wait_for_service(client, timeout_s=1.0),
-            lambda: executor.wait_for(Future(), timeout_s=1.0),
+            lambda: bench.opened.serve(),
+            lambda: bench.opened.call(client, SetBool.Request(), timeout_s=1.0),
+            lambda: bench.opened.wait_for_service(client, timeout_s=1.0),
+            lambda: bench.opened.wait_for(Future(), timeout_s=1.0),
         ):
 
             async def use(waiting: Any = waiting) -> None:

@@ -29,7 +29,7 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap, Ticker
-from tests.ros.open_executor import Node, loop_descriptors, populate, sources_of
+from tests.ros.open_executor import Bench, Node, loop_descriptors, populate
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
@@ -37,14 +37,14 @@ Peer = Callable[..., Coroutine[Any, Any, Any]]
 
 
 async def test_a_tap_sees_every_sequence_number_of_a_fast_publisher(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
+    bench: Bench, peer: Peer
 ) -> None:
     sequences: list[int] = []
     tap = RawTap(lambda data, received_ns, source_ns, sequence, gid: sequences.append(sequence))
-    subscription = node.create_subscription(UInt64, topic, tap, 10_000, raw=True)
-    await peer("open", topic=topic)
+    subscription = bench.listen(tap, depth=10_000, raw=True)
+    await peer("open", topic=bench.topic)
     await until(subscription.get_publisher_count)
-    sent = await peer("flood", topic=topic, hz=5000.0, seconds=1.0)
+    sent = await peer("flood", topic=bench.topic, hz=5000.0, seconds=1.0)
     await until(lambda: len(sequences) >= sent)
     assert sequences == list(range(1, sent + 1))
 
@@ -64,29 +64,26 @@ class Numbered:
         self.count += 1
 
 
-async def flood_for(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, seconds: float
-) -> int:
+async def flood_for(bench: Bench, peer: Peer, seconds: float) -> int:
     """Publish 10 kHz to a subscription and a tap, with a ticker and a service; return the losses.
 
     In any case the last message must arrive and every call must be answered.
     """
     typed, tapped = Numbered(), Numbered()
-    subscription = node.create_subscription(UInt64, topic, lambda m: typed.add(m.data), 10_000)
+    subscription = bench.listen(lambda m: typed.add(m.data), depth=10_000)
     tap = RawTap(lambda data, received_ns, source_ns, sequence, gid: tapped.add(sequence - 1))
-    node.create_subscription(UInt64, topic, tap, 10_000, raw=True)
-    node.create_service(SetBool, topic, lambda request, response: response)
-    client = node.create_client(SetBool, topic)
-    await executor.wait_for_service(client, timeout_s=20.0)
-    await peer("open", topic=topic)
+    bench.listen(tap, depth=10_000, raw=True)
+    bench.create_service(SetBool, bench.topic, lambda request, response: response)
+    client = await bench.client()
+    await peer("open", topic=bench.topic)
     await until(subscription.get_publisher_count)
-    flood = asyncio.create_task(peer("flood", topic=topic, hz=10_000.0, seconds=seconds))
+    flood = asyncio.create_task(peer("flood", topic=bench.topic, hz=10_000.0, seconds=seconds))
     ticks = 0
     async with Ticker(100.0) as ticker:
         async for _ in ticker:
             ticks += 1
             if ticks % 10 == 0:
-                await executor.call(client, SetBool.Request(), timeout_s=20.0)
+                await bench.opened.call(client, SetBool.Request(), timeout_s=20.0)
             if flood.done():
                 break
     sent = await flood
@@ -96,19 +93,15 @@ async def flood_for(
 
 
 @pytest.mark.slow
-async def test_10_khz_for_10_s_loses_nothing(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
-) -> None:
-    assert await flood_for(executor, node, peer, topic, 10.0) == 0
+async def test_10_khz_for_10_s_loses_nothing(bench: Bench, peer: Peer) -> None:
+    assert await flood_for(bench, peer, 10.0) == 0
 
 
 @pytest.mark.slow
-async def test_10_khz_for_10_minutes_never_hangs(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
-) -> None:
+async def test_10_khz_for_10_minutes_never_hangs(bench: Bench, peer: Peer) -> None:
     before = len(os.listdir("/proc/self/fd")), threading.active_count()
     # On a machine that starves the process for seconds the middleware may drop some.
-    await flood_for(executor, node, peer, topic, 600.0)
+    await flood_for(bench, peer, 600.0)
     after = len(os.listdir("/proc/self/fd")), threading.active_count()
     # The entities of the test: nine descriptors with their events, and no thread.
     assert after[0] - before[0] <= 12
@@ -120,7 +113,7 @@ Feed = Callable[[Any, list[int]], Awaitable[None]]
 
 
 async def test_entities_may_be_created_and_destroyed_in_any_callback(
-    executor: AsyncioExecutor, node: Node, peer: StartPeer, feed: Feed, topic: str
+    bench: Bench, peer: StartPeer, feed: Feed
 ) -> None:
     got: list[int] = []
     made: list[Any] = []
@@ -128,69 +121,57 @@ async def test_entities_may_be_created_and_destroyed_in_any_callback(
     def first(message: UInt64) -> None:
         got.append(message.data)
         if len(got) == 1:
-            made.append(node.create_subscription(UInt64, f"{topic}/second", second, 10))
-            made.append(node.create_timer(0.005, on_timer))
+            made.append(bench.listen(second, f"{bench.topic}/second"))
+            made.append(bench.create_timer(0.005, on_timer))
 
     def second(message: UInt64) -> None:
         got.append(message.data)
-        node.destroy_subscription(made[0])
+        bench.destroy_subscription(made[0])
 
     def on_timer() -> None:
         got.append(-1)
-        node.destroy_timer(made[1])
+        bench.destroy_timer(made[1])
 
-    subscription = node.create_subscription(UInt64, topic, first, 10)
+    subscription = bench.listen(first)
     await feed(subscription, [1])
-    await peer("publish", topic=f"{topic}/second", values=[2, 3, 4])
+    await peer("publish", topic=f"{bench.topic}/second", values=[2, 3, 4])
     await until(lambda: len(got) >= 3)
-    await peer("publish", topic=topic, values=[9])
+    await peer("publish", topic=bench.topic, values=[9])
     await until(lambda: 9 in got)
     # Of the second topic one message came, because its callback destroyed the subscription.
     assert sorted(got) == [-1, 1, 2, 9]
 
 
 async def test_a_subscription_destroyed_with_messages_waiting_delivers_none_of_them(
-    executor: AsyncioExecutor, node: Node, topic: str
+    bench: Bench,
 ) -> None:
-    got: list[int] = []
-    doomed = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 100)
-    publisher = node.create_publisher(UInt64, topic, 100)
-    reference: list[int] = []
-    node.create_subscription(UInt64, topic, lambda m: reference.append(m.data), 100)
+    got = bench.hear(depth=100)
+    reference = bench.hear(depth=100)
     await asyncio.sleep(0.01)  # Attached, and idle.
-    for value in range(50):
-        publisher.publish(UInt64(data=value))
+    bench.publish(*range(50))
     # After it was announced, and before its turn in the same round of the loop.
-    asyncio.get_running_loop().call_soon(node.destroy_subscription, doomed)
+    asyncio.get_running_loop().call_soon(bench.destroy_subscription, got.entity)
     await until(lambda: len(reference) == 50)
     assert got == []
 
 
 @pytest.mark.parametrize("from_thread", [False, True])
 async def test_entities_destroyed_with_something_pending_disturb_nothing(
-    executor: AsyncioExecutor, node: Node, topic: str, from_thread: bool
+    bench: Bench, from_thread: bool
 ) -> None:
-    alive: list[int] = []
-    node.create_timer(0.002, lambda: alive.append(1))
-    publisher = node.create_publisher(UInt64, topic, 100)
+    alive = bench.ticks(0.002)
     for _ in range(30):
         group: list[tuple[Any, Callable[..., object]]] = [
-            (
-                node.create_subscription(UInt64, topic, lambda m: None, 10),
-                node.destroy_subscription,
-            ),
-            (
-                node.create_subscription(UInt64, topic, RawTap(lambda *_: None), 10, raw=True),
-                node.destroy_subscription,
-            ),
-            (node.create_service(SetBool, topic, lambda q, r: r), node.destroy_service),
-            (node.create_client(SetBool, topic), node.destroy_client),
-            (node.create_timer(0.001, lambda: None), node.destroy_timer),
-            (node.create_guard_condition(lambda: None), node.destroy_guard_condition),
+            (bench.hear().entity, bench.destroy_subscription),
+            (bench.tap(depth=10).entity, bench.destroy_subscription),
+            (bench.create_service(SetBool, bench.topic, lambda q, r: r), bench.destroy_service),
+            (bench.create_client(SetBool, bench.topic), bench.destroy_client),
+            (bench.create_timer(0.001, lambda: None), bench.destroy_timer),
+            (bench.create_guard_condition(lambda: None), bench.destroy_guard_condition),
         ]
-        server = ActionServer(node, DrivePattern, topic, lambda handle: None)
+        server = ActionServer(bench, DrivePattern, bench.topic, lambda handle: None)
         await asyncio.sleep(0)  # Attached.
-        publisher.publish(UInt64())
+        bench.publish(0)
         group[3][0].call_async(SetBool.Request())
         group[5][0].trigger()
 
@@ -208,7 +189,7 @@ async def test_entities_destroyed_with_something_pending_disturb_nothing(
             destroy()
     count = len(alive)
     await until(lambda: len(alive) >= count + 3)
-    await until(lambda: len(sources_of(executor)) < 20)
+    await until(lambda: len(bench.sources) < 20)
 
 
 RunPython = Callable[..., CompletedProcess[str]]
@@ -317,15 +298,15 @@ ComesToRest = Callable[[], Awaitable[bool]]
 
 @pytest.mark.parametrize("kind", ["call", "call_async", "goal", "future", "task", "timer"])
 async def test_a_coroutine_that_waits_does_not_turn_the_loop(
-    executor: AsyncioExecutor, node: Node, topic: str, comes_to_rest: ComesToRest, kind: str
+    bench: Bench, comes_to_rest: ComesToRest, kind: str
 ) -> None:
-    client = node.create_client(SetBool, topic)
-    actions = ActionClient(node, DrivePattern, topic)
+    client = bench.create_client(SetBool, bench.topic)
+    actions = ActionClient(bench, DrivePattern, bench.topic)
 
     async def wait() -> None:
         match kind:
             case "call":
-                await executor.call(client, SetBool.Request(), timeout_s=None)
+                await bench.opened.call(client, SetBool.Request(), timeout_s=None)
             case "call_async":
                 await client.call_async(SetBool.Request())
             case "goal":
@@ -333,10 +314,10 @@ async def test_a_coroutine_that_waits_does_not_turn_the_loop(
             case "future":
                 await Future()
             case "task":
-                await executor.create_task(asyncio.sleep, DEADLINE_S)
+                await bench.opened.create_task(asyncio.sleep, DEADLINE_S)
             case "timer":
                 fired = asyncio.Event()
-                node.create_timer(DEADLINE_S, fired.set)
+                bench.create_timer(DEADLINE_S, fired.set)
                 await fired.wait()
 
     task = asyncio.create_task(wait())
@@ -348,7 +329,7 @@ async def test_a_coroutine_that_waits_does_not_turn_the_loop(
 
 
 async def test_an_entity_parked_behind_its_group_does_not_turn_the_loop(
-    executor: AsyncioExecutor, node: Node, topic: str, comes_to_rest: ComesToRest
+    bench: Bench, comes_to_rest: ComesToRest
 ) -> None:
     release = asyncio.Event()
     busy: list[int] = []
@@ -358,24 +339,23 @@ async def test_an_entity_parked_behind_its_group_does_not_turn_the_loop(
         await release.wait()
 
     group = MutuallyExclusiveCallbackGroup()
-    node.create_subscription(UInt64, topic, hold, 10, callback_group=group)
-    node.create_publisher(UInt64, topic, 10).publish(UInt64())
+    bench.listen(hold, callback_group=group)
+    bench.publish(0)
     await until(lambda: busy)
-    node.create_subscription(UInt64, topic, hold, 10, callback_group=group)
-    node.create_timer(0.01, lambda: None, callback_group=group)
-    node.create_guard_condition(lambda: None, callback_group=group).trigger()
+    bench.listen(hold, callback_group=group)
+    bench.create_timer(0.01, lambda: None, callback_group=group)
+    bench.create_guard_condition(lambda: None, callback_group=group).trigger()
     assert await comes_to_rest()
     release.set()
 
 
 async def test_a_ros_time_timer_whose_clock_stands_still_does_not_turn_the_loop(
-    executor: AsyncioExecutor, node: Node, comes_to_rest: ComesToRest
+    bench: Bench, comes_to_rest: ComesToRest
 ) -> None:
-    node.set_parameters([Parameter("use_sim_time", value=True)])
-    clock: Any = node.get_clock()
+    bench.set_parameters([Parameter("use_sim_time", value=True)])
+    clock: Any = bench.get_clock()
     clock.set_ros_time_override(Time(nanoseconds=10**9, clock_type=ClockType.ROS_TIME))
-    fired: list[int] = []
-    node.create_timer(0.001, lambda: fired.append(1))
+    fired = bench.ticks(0.001)
     await asyncio.sleep(0)
     assert await comes_to_rest()
     assert fired == []
@@ -384,34 +364,30 @@ async def test_a_ros_time_timer_whose_clock_stands_still_does_not_turn_the_loop(
 
 
 async def test_churn_of_subscriptions_under_traffic_loses_no_message_of_the_others(
-    executor: AsyncioExecutor, node: Node, topic: str
+    bench: Bench,
 ) -> None:
-    got: list[int] = []
-    node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10_000)
-    publisher = node.create_publisher(UInt64, topic, 10_000)
+    got = bench.hear(depth=10_000)
+    bench.publisher(depth=10_000)
     sent = 0
 
     def publish() -> None:
         nonlocal sent
-        publisher.publish(UInt64(data=sent))
+        bench.publish(sent)
         sent += 1
 
-    node.create_timer(0.0005, publish, callback_group=ReentrantCallbackGroup())
+    bench.create_timer(0.0005, publish, callback_group=ReentrantCallbackGroup())
     await until(lambda: got)
     before = loop_descriptors()
     for _ in range(60):
-        batch = [
-            node.create_subscription(UInt64, topic, lambda _: None, 10),
-            node.create_subscription(UInt64, topic, RawTap(lambda *_: None), 10, raw=True),
-        ]
+        batch = bench.hear(), bench.tap(depth=10)
         seen = len(got)
 
         def has_more(seen: int = seen) -> bool:
             return len(got) > seen
 
         await until(has_more)
-        for subscription in batch:
-            node.destroy_subscription(subscription)
+        for each in batch:
+            bench.destroy_subscription(each.entity)
     await until(lambda: loop_descriptors() == before)
     count = sent
     await until(lambda: len(got) >= count)
@@ -419,10 +395,9 @@ async def test_churn_of_subscriptions_under_traffic_loses_no_message_of_the_othe
 
 
 async def test_a_cancelled_timer_does_not_turn_the_loop(
-    executor: AsyncioExecutor, node: Node, comes_to_rest: ComesToRest
+    bench: Bench, comes_to_rest: ComesToRest
 ) -> None:
-    fired: list[int] = []
-    timer = node.create_timer(0.005, lambda: fired.append(1))
+    fired = bench.ticks(0.005)
     await until(lambda: fired)
-    timer.cancel()
+    fired.entity.cancel()
     assert await comes_to_rest()

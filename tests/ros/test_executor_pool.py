@@ -16,23 +16,17 @@ from typing import Any
 
 import pytest
 from rclpy.qos import HistoryPolicy, QoSProfile
-from rclpy.serialization import deserialize_message
 from std_msgs.msg import UInt64
 
-from robotctl.ros import AsyncioExecutor, RawTap
+from robotctl.ros import RawTap
 from robotctl.ros.executor import runtime as pool_module
 from robotctl.ros.executor.event_loop import NS_PER_S, beat_before
 from robotctl.ros.executor.loop_thread import LoopThread
 from robotctl.ros.executor.runtime import Pool
 from robotctl.ros.executor.subscriptions import affordable_rest_s
-from tests.ros.open_executor import Node, sources_of
+from tests.ros.open_executor import Bench, Heard
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
-
-
-def value_of(data: bytes) -> int:
-    value: int = deserialize_message(data, UInt64).data
-    return value
 
 
 async def publish_from_a_thread(publisher: Any, count: int, pause_s: float) -> None:
@@ -47,16 +41,11 @@ async def publish_from_a_thread(publisher: Any, count: int, pause_s: float) -> N
         await asyncio.sleep(0.01)
 
 
-async def test_a_tap_takes_what_collected_in_one_look(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
-    values: list[int] = []
-    node.create_subscription(
-        UInt64, topic, RawTap(lambda data, *_: values.append(value_of(data))), 1000, raw=True
-    )
-    publisher = node.create_publisher(UInt64, topic, 1000)
+async def test_a_tap_takes_what_collected_in_one_look(bench: Bench) -> None:
+    values = bench.tap()
+    publisher = bench.publisher()
     await asyncio.sleep(0.01)
-    (source,) = (s for s in sources_of(executor).values() if "tap" in s.where)
+    source = bench.sources[values.entity]
     polls = 0
     poll = source.poll
 
@@ -76,9 +65,7 @@ async def test_a_tap_takes_what_collected_in_one_look(
     assert polls <= took_s / 0.01 + 2
 
 
-async def test_several_taps_share_one_wake_up(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
+async def test_several_taps_share_one_wake_up(bench: Bench) -> None:
     turns: dict[int, set[int]] = {}
     turn = 0
     got = 0
@@ -93,8 +80,8 @@ async def test_several_taps_share_one_wake_up(
 
     publishers = []
     for index in range(5):
-        node.create_subscription(UInt64, f"{topic}/n{index}", tap(index), 1000, raw=True)
-        publishers.append(node.create_publisher(UInt64, f"{topic}/n{index}", 1000))
+        bench.listen(tap(index), f"{bench.topic}/n{index}", 1000, raw=True)
+        publishers.append(bench.publisher(f"{bench.topic}/n{index}"))
     await asyncio.sleep(0.05)  # Attached, and the pool at rest or watching.
     for publisher in publishers:
         publisher.publish(UInt64())
@@ -106,18 +93,17 @@ async def test_several_taps_share_one_wake_up(
 
 
 async def test_a_flooded_subscription_collects_until_it_is_calm_and_loses_nothing(
-    executor: AsyncioExecutor, node: Node, topic: str
+    bench: Bench,
 ) -> None:
-    got: list[int] = []
-    subscription = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10_000)
-    publisher = node.create_publisher(UInt64, topic, 10_000)
+    got = bench.hear(depth=10_000)
+    bench.publisher(depth=10_000)
     await asyncio.sleep(0)
-    source: Any = sources_of(executor)[subscription]
+    source: Any = bench.sources[got.entity]
     sent = 0
 
     async def publish(pause_s: float) -> None:
         nonlocal sent
-        publisher.publish(UInt64(data=sent))
+        bench.publish(sent)
         sent += 1
         await asyncio.sleep(pause_s)
 
@@ -134,66 +120,47 @@ async def test_a_flooded_subscription_collects_until_it_is_calm_and_loses_nothin
     assert got == list(range(sent))
 
 
-async def test_taps_may_be_destroyed_and_created_in_the_sink_of_another(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
-    got: list[int] = []
-    subscriptions: list[Any] = []
+async def test_taps_may_be_destroyed_and_created_in_the_sink_of_another(bench: Bench) -> None:
+    taps: list[Heard] = []
 
     def replace_all(*message: Any) -> None:
         # Descriptor numbers are freed and used again during a poll of the pool.
-        for subscription in subscriptions[1:]:
-            node.destroy_subscription(subscription)
-        del subscriptions[1:]
-        for _ in range(3):
-            tap = RawTap(lambda data, *_: got.append(value_of(data)))
-            subscriptions.append(node.create_subscription(UInt64, topic, tap, 1000, raw=True))
+        for tap in taps:
+            bench.destroy_subscription(tap.entity)
+        taps[:] = [bench.tap() for _ in range(3)]
 
-    subscriptions.append(
-        node.create_subscription(UInt64, topic, RawTap(replace_all), 1000, raw=True)
-    )
-    publisher = node.create_publisher(UInt64, topic, 1000)
+    replacing = bench.listen(RawTap(replace_all), depth=1000, raw=True)
     async with asyncio.timeout(DEADLINE_S):
         for value in range(20):
-            publisher.publish(UInt64(data=value))
+            bench.publish(value)
             await asyncio.sleep(0.015)
-    node.destroy_subscription(subscriptions.pop(0))
-    publisher.publish(UInt64(data=99))
-    await until(lambda: got.count(99) == 3)
+    bench.destroy_subscription(replacing)
+    bench.publish(99)
+    await until(lambda: [tap[-1:] for tap in taps] == [[99]] * 3)
 
 
 async def test_a_tap_without_latency_is_called_when_it_is_polled_and_wakes_nobody(
-    executor: AsyncioExecutor, node: Node, topic: str
+    bench: Bench,
 ) -> None:
-    values: list[int] = []
-    tap = RawTap(lambda data, *_: values.append(value_of(data)), latency_s=None)
-    node.create_subscription(UInt64, topic, tap, 10, raw=True)
-    heard: list[int] = []
-    node.create_subscription(UInt64, topic, lambda message: heard.append(message.data), 10)
-    publisher = node.create_publisher(UInt64, topic, 10)
-    await until(lambda: publisher.get_subscription_count() == 2)
-    publisher.publish(UInt64(data=7))
+    values, heard = bench.tap(latency_s=None), bench.hear()
+    await until(lambda: bench.publisher().get_subscription_count() == 2)
+    bench.publish(7)
     await until(lambda: heard == [7])
     assert values == []
 
     def is_taken() -> bool:
-        tap.poll()
+        values.tap.poll()
         return values == [7]
 
     await until(is_taken)
 
 
-async def test_a_tap_that_was_polled_in_the_same_turn_is_not_taken_twice(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
-    values: list[int] = []
-    tap = RawTap(lambda data, *_: values.append(value_of(data)), latency_s=0.0)
-    node.create_subscription(UInt64, topic, tap, 10, raw=True)
-    publisher = node.create_publisher(UInt64, topic, 10)
-    await until(publisher.get_subscription_count)
+async def test_a_tap_that_was_polled_in_the_same_turn_is_not_taken_twice(bench: Bench) -> None:
+    values = bench.tap(latency_s=0.0)
+    await until(bench.publisher().get_subscription_count)
     for value in range(20):
-        publisher.publish(UInt64(data=value))
-        tap.poll()
+        bench.publish(value)
+        values.tap.poll()
         await asyncio.sleep(0)
     await until(lambda: values == list(range(20)))
 
@@ -317,60 +284,39 @@ class _Loop:
         self.called.append(callback)
 
 
-async def test_a_tap_without_latency_is_looked_at_for_every_message(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
-    got: list[bytes] = []
-    tap = RawTap(lambda data, *_: got.append(data), latency_s=0.0)
-    subscription = node.create_subscription(UInt64, topic, tap, 1000, raw=True)
-    node.create_publisher(UInt64, topic, 10).publish(UInt64())
+async def test_a_tap_without_latency_is_looked_at_for_every_message(bench: Bench) -> None:
+    got = bench.tap(latency_s=0.0)
+    bench.publish(0)
     await until(lambda: got)
-    assert sources_of(executor)[subscription].pool is None
+    assert bench.sources[got.entity].pool is None
 
 
 async def test_taps_that_get_nothing_do_not_turn_the_loop(
-    executor: AsyncioExecutor, node: Node, topic: str, comes_to_rest: Callable[[], Awaitable[bool]]
+    bench: Bench, comes_to_rest: Callable[[], Awaitable[bool]]
 ) -> None:
-    got: list[bytes] = []
-    for index in range(5):
-        tap = RawTap(lambda data, *_: got.append(data))
-        node.create_subscription(UInt64, f"{topic}/n{index}", tap, 1000, raw=True)
-    node.create_publisher(UInt64, f"{topic}/n0", 10).publish(UInt64())
-    await until(lambda: got)
+    taps = [bench.tap(f"{bench.topic}/n{index}") for index in range(5)]
+    bench.publish(0, topic=f"{bench.topic}/n0")
+    await until(lambda: taps[0])
     assert await comes_to_rest()
 
 
-async def test_a_subscription_whose_queue_is_short_never_collects(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
-    got: list[int] = []
-    subscription = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10)
-    publisher = node.create_publisher(UInt64, topic, 10)
+async def test_a_subscription_whose_queue_is_short_never_collects(bench: Bench) -> None:
+    got = bench.hear()
     await asyncio.sleep(0)
-    source: Any = sources_of(executor)[subscription]
+    source: Any = bench.sources[got.entity]
     async with asyncio.timeout(DEADLINE_S):
         while len(got) < 500:
-            publisher.publish(UInt64(data=len(got)))
+            bench.publish(len(got))
             await asyncio.sleep(0)
     assert source.pool is None
 
 
-async def test_a_tap_destroyed_while_its_pool_rests_delivers_nothing_more(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
-    got: list[int] = []
-    other: list[int] = []
-    doomed = node.create_subscription(
-        UInt64, topic, RawTap(lambda data, *_: got.append(value_of(data))), 1000, raw=True
-    )
-    node.create_subscription(
-        UInt64, topic, RawTap(lambda data, *_: other.append(value_of(data))), 1000, raw=True
-    )
-    publisher = node.create_publisher(UInt64, topic, 1000)
-    publisher.publish(UInt64(data=1))
+async def test_a_tap_destroyed_while_its_pool_rests_delivers_nothing_more(bench: Bench) -> None:
+    got, other = bench.tap(), bench.tap()
+    bench.publish(1)
     await until(lambda: got == other == [1])
-    publisher.publish(UInt64(data=2))
-    node.destroy_subscription(doomed)
+    bench.publish(2)
+    bench.destroy_subscription(got.entity)
     await until(lambda: other == [1, 2])
     assert got == [1]
 

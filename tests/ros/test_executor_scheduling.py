@@ -26,14 +26,14 @@ from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap, Ticker
 from robotctl.ros.executor.event_loop import SHORTEST_SLICE_NS, SLICE_NS, TURN_NS
-from tests.ros.open_executor import Node, runtime_of
+from tests.ros.open_executor import Bench, Node
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
 
 @pytest.mark.parametrize("raw", [False, True])
 async def test_a_flooded_subscription_ends_its_slice_and_goes_on_in_the_next(
-    executor: AsyncioExecutor, node: Node, topic: str, raw: bool
+    bench: Bench, raw: bool
 ) -> None:
     turns: list[int] = []
     turn = 0
@@ -42,59 +42,41 @@ async def test_a_flooded_subscription_ends_its_slice_and_goes_on_in_the_next(
         time.sleep(0.0001)
         turns.append(turn)
 
-    if raw:
-        node.create_subscription(UInt64, topic, RawTap(work), 1000, raw=True)
-    else:
-        node.create_subscription(UInt64, topic, work, 1000)
-    publisher = node.create_publisher(UInt64, topic, 1000)
+    bench.listen(RawTap(work) if raw else work, depth=1000, raw=raw)
     await asyncio.sleep(0.01)
-    for value in range(200):
-        publisher.publish(UInt64(data=value))
-
-    async def count_turns() -> None:
-        nonlocal turn
+    bench.publish(*range(200))
+    async with asyncio.timeout(DEADLINE_S):
         while len(turns) < 200:
             turn += 1
             await asyncio.sleep(0)
-
-    async with asyncio.timeout(DEADLINE_S):
-        await count_turns()
     # 0.1 ms each in slices of 0.3 ms: a few a turn, never a long run.
     per_turn = [turns.count(number) for number in set(turns)]
     assert max(per_turn) <= 1 + SLICE_NS // 100_000
     assert len(per_turn) >= 200 // (1 + SLICE_NS // 100_000)
 
 
-async def test_a_flood_delays_neither_a_service_nor_the_tick_by_its_backlog(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
+async def test_a_flood_delays_neither_a_service_nor_the_tick_by_its_backlog(bench: Bench) -> None:
     got: list[int] = []
 
     def work(message: UInt64) -> None:
         time.sleep(0.0005)
         got.append(message.data)
 
-    node.create_subscription(UInt64, topic, work, 2000)
-    node.create_service(SetBool, topic, lambda request, response: response)
-    client = node.create_client(SetBool, topic)
-    await executor.wait_for_service(client, timeout_s=DEADLINE_S)
-    publisher = node.create_publisher(UInt64, topic, 2000)
-    backlog = 1000
-    for value in range(backlog):
-        publisher.publish(UInt64(data=value))
+    bench.listen(work, depth=2000)
+    bench.create_service(SetBool, bench.topic, lambda request, response: response)
+    client, backlog = await bench.client(), 1000
+    bench.publish(*range(backlog))
     # Half a second of work waits. Later entities are served before it is done.
     async with asyncio.timeout(DEADLINE_S), Ticker(1000.0) as ticker:
         for _ in range(2):
-            await executor.call(client, SetBool.Request(), timeout_s=DEADLINE_S)
+            await bench.opened.call(client, SetBool.Request(), timeout_s=DEADLINE_S)
             await anext(ticker)
     assert 0 < len(got) < backlog
     await until(lambda: len(got) == backlog)
 
 
-async def test_many_flooded_entities_share_one_turn(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
-    runtime = runtime_of(executor)
+async def test_many_flooded_entities_share_one_turn(bench: Bench) -> None:
+    runtime = bench.runtime
     floods = 10
     got = [0] * floods
     slices: set[int] = set()
@@ -107,14 +89,12 @@ async def test_many_flooded_entities_share_one_turn(
 
         return work
 
-    publishers = []
-    for index in range(floods):
-        node.create_subscription(UInt64, f"{topic}/n{index}", worker(index), 100)
-        publishers.append(node.create_publisher(UInt64, f"{topic}/n{index}", 100))
+    topics = [f"{bench.topic}/n{index}" for index in range(floods)]
+    for index, topic in enumerate(topics):
+        bench.listen(worker(index), topic, 100)
     await asyncio.sleep(0.01)
-    for publisher in publishers:
-        for value in range(50):
-            publisher.publish(UInt64(data=value))
+    for topic in topics:
+        bench.publish(*range(50), topic=topic)
     await until(lambda: got == [50] * floods)
     assert min(slices) == max(TURN_NS // floods, SHORTEST_SLICE_NS)
     await until(lambda: runtime.slice_ns == SLICE_NS)
@@ -160,7 +140,7 @@ def named_ms(caplog: pytest.LogCaptureFixture, whom: str) -> list[int]:
 
 @pytest.mark.parametrize("kind", ["subscription", "tap", "service", "timer", "guard", "task"])
 async def test_a_callback_that_holds_the_loop_is_named_with_its_duration(
-    executor: AsyncioExecutor, node: Node, topic: str, caplog: pytest.LogCaptureFixture, kind: str
+    bench: Bench, caplog: pytest.LogCaptureFixture, kind: str
 ) -> None:
     def hog(*arguments: Any) -> Any:
         time.sleep(0.06)
@@ -168,28 +148,25 @@ async def test_a_callback_that_holds_the_loop_is_named_with_its_duration(
 
     match kind:
         case "subscription":
-            node.create_subscription(UInt64, topic, hog, 10)
+            bench.listen(hog)
         case "tap":
-            node.create_subscription(UInt64, topic, RawTap(hog), 10, raw=True)
+            bench.listen(RawTap(hog), raw=True)
         case "service":
-            node.create_service(SetBool, topic, hog)
-            node.create_client(SetBool, topic).call_async(SetBool.Request())
+            bench.create_service(SetBool, bench.topic, hog)
+            bench.create_client(SetBool, bench.topic).call_async(SetBool.Request())
         case "timer":
-            node.create_timer(0.1, hog)
+            bench.create_timer(0.1, hog)
         case "guard":
-            node.create_guard_condition(hog).trigger()
+            bench.create_guard_condition(hog).trigger()
         case "task":
-            executor.create_task(hog)
-    node.create_publisher(UInt64, topic, 10).publish(UInt64())
+            bench.opened.create_task(hog)
+    bench.publish(0)
     await until(lambda: any(ms >= 60 for ms in named_ms(caplog, kind)))
     assert ("hog" in caplog.text) or kind == "tap"
 
 
 async def test_a_callback_that_blocks_again_and_again_is_not_named_every_time(
-    executor: AsyncioExecutor,
-    node: Node,
-    caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
+    bench: Bench, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     called: list[int] = []
 
@@ -197,16 +174,16 @@ async def test_a_callback_that_blocks_again_and_again_is_not_named_every_time(
         called.append(1)
         time.sleep(0.06)
 
-    node.create_timer(0.001, hog)
+    bench.create_timer(0.001, hog)
     await until(lambda: len(called) >= 3)
     assert len(named_ms(caplog, "hog")) == 1
-    monkeypatch.setattr(runtime_of(executor).slow, "_quiet_until_ns", {})
+    monkeypatch.setattr(bench.runtime.slow, "_quiet_until_ns", {})
     await until(lambda: len(named_ms(caplog, "hog")) == 2)
     assert "times since the last warning" in caplog.text
 
 
 async def test_an_async_callback_that_blocks_between_two_awaits_is_named(
-    executor: AsyncioExecutor, node: Node, topic: str, caplog: pytest.LogCaptureFixture
+    bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
     took_ms: list[float] = []
 
@@ -217,8 +194,8 @@ async def test_an_async_callback_that_blocks_between_two_awaits_is_named(
         took_ms.append((time.monotonic() - begun) * 1e3)
         await asyncio.sleep(0)
 
-    node.create_subscription(UInt64, topic, hog, 10)
-    node.create_publisher(UInt64, topic, 10).publish(UInt64())
+    bench.listen(hog)
+    bench.publish(0)
     await until(lambda: any(ms >= 60 for ms in named_ms(caplog, "hog")))
     assert max(named_ms(caplog, "hog")) < took_ms[0]  # the time of its wait does not count
 
@@ -268,18 +245,16 @@ def make_everything(node: Node, topic: str, group: CallbackGroup, overlap: Overl
 
 @pytest.mark.parametrize("kind", [MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup])
 async def test_async_callbacks_overlap_in_a_reentrant_group_only(
-    executor: AsyncioExecutor, node: Node, topic: str, kind: type[CallbackGroup]
+    bench: Bench, kind: type[CallbackGroup]
 ) -> None:
     overlap = Overlap()
-    make_everything(node, topic, kind(), overlap)
+    make_everything(bench, bench.topic, kind(), overlap)
     await until(lambda: overlap.done.count("subscription") == 5)
     await until(lambda: {*overlap.done} == {"subscription", "service", "timer", "guard"})
     assert (overlap.most > 1) is (kind is ReentrantCallbackGroup)
 
 
-async def test_a_group_of_the_users_own_is_asked_for_every_callback(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
+async def test_a_group_of_the_users_own_is_asked_for_every_callback(bench: Bench) -> None:
     class Counting(CallbackGroup):
         open_now = 0
         begun = 0
@@ -305,15 +280,13 @@ async def test_a_group_of_the_users_own_is_asked_for_every_callback(
         open_in_callback.append(group.open_now)
 
     others: dict[str, int] = {}
-    node.create_timer(0.001, lambda: others.update(timer=group.open_now), callback_group=group)
-    guard = node.create_guard_condition(
+    bench.create_timer(0.001, lambda: others.update(timer=group.open_now), callback_group=group)
+    guard = bench.create_guard_condition(
         lambda: others.update(guard=group.open_now), callback_group=group
     )
     guard.trigger()
-    node.create_subscription(UInt64, topic, callback, 10, callback_group=group)
-    publisher = node.create_publisher(UInt64, topic, 10)
-    for value in range(5):
-        publisher.publish(UInt64(data=value))
+    bench.listen(callback, callback_group=group)
+    bench.publish(*range(5))
     await until(lambda: got == [0, 1, 2, 3, 4])
     await until(lambda: len(others) == 2)
     assert open_in_callback == [1] * 5
@@ -322,9 +295,7 @@ async def test_a_group_of_the_users_own_is_asked_for_every_callback(
     assert group.open_now == 0
 
 
-async def test_a_cancelled_async_callback_frees_its_group(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
+async def test_a_cancelled_async_callback_frees_its_group(bench: Bench) -> None:
     tasks: list[asyncio.Task[Any]] = []
     got: list[int] = []
 
@@ -336,10 +307,8 @@ async def test_a_cancelled_async_callback_frees_its_group(
             tasks.append(task)
             await asyncio.sleep(DEADLINE_S)
 
-    node.create_subscription(UInt64, topic, callback, 10)
-    publisher = node.create_publisher(UInt64, topic, 10)
-    publisher.publish(UInt64(data=0))
-    publisher.publish(UInt64(data=1))
+    bench.listen(callback)
+    bench.publish(0, 1)
     await until(lambda: tasks)
     assert got == [0]
     tasks[0].cancel()
@@ -347,7 +316,7 @@ async def test_a_cancelled_async_callback_frees_its_group(
 
 
 async def test_a_guard_condition_triggered_while_its_group_is_busy_runs_afterwards(
-    executor: AsyncioExecutor, node: Node, topic: str
+    bench: Bench,
 ) -> None:
     release = asyncio.Event()
     order: list[str] = []
@@ -358,13 +327,13 @@ async def test_a_guard_condition_triggered_while_its_group_is_busy_runs_afterwar
         order.append("free")
 
     group = MutuallyExclusiveCallbackGroup()
-    node.create_subscription(UInt64, topic, hold, 10, callback_group=group)
-    guard = node.create_guard_condition(lambda: order.append("guard"), callback_group=group)
+    bench.listen(hold, callback_group=group)
+    guard = bench.create_guard_condition(lambda: order.append("guard"), callback_group=group)
     seen: list[int] = []
-    free = node.create_guard_condition(
+    free = bench.create_guard_condition(
         lambda: seen.append(1), callback_group=ReentrantCallbackGroup()
     )
-    node.create_publisher(UInt64, topic, 10).publish(UInt64())
+    bench.publish(0)
     await until(lambda: order == ["held"])
     guard.trigger()
     free.trigger()
@@ -374,9 +343,7 @@ async def test_a_guard_condition_triggered_while_its_group_is_busy_runs_afterwar
     await until(lambda: order == ["held", "free", "guard"])
 
 
-async def test_a_parked_entity_may_be_destroyed(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
+async def test_a_parked_entity_may_be_destroyed(bench: Bench) -> None:
     release = asyncio.Event()
     got: list[int] = []
 
@@ -385,24 +352,16 @@ async def test_a_parked_entity_may_be_destroyed(
         await release.wait()
 
     group = MutuallyExclusiveCallbackGroup()
-    node.create_subscription(UInt64, topic, callback, 10, callback_group=group)
-    parked = node.create_subscription(
-        UInt64, f"{topic}/parked", lambda m: got.append(-1), 10, callback_group=group
-    )
-    seen: list[int] = []
-    node.create_subscription(
-        UInt64,
-        f"{topic}/parked",
-        lambda m: seen.append(1),
-        10,
-        callback_group=ReentrantCallbackGroup(),
-    )
-    node.create_publisher(UInt64, topic, 10).publish(UInt64(data=7))
+    bench.listen(callback, callback_group=group)
+    topic = f"{bench.topic}/parked"
+    parked = bench.hear(topic, callback_group=group)
+    seen = bench.hear(topic, callback_group=ReentrantCallbackGroup())
+    bench.publish(7)
     await until(lambda: got == [7])
-    node.create_publisher(UInt64, f"{topic}/parked", 10).publish(UInt64())
+    bench.publish(0, topic=topic)
     await until(lambda: seen)
-    node.destroy_subscription(parked)
+    bench.destroy_subscription(parked.entity)
     await asyncio.sleep(0)
     release.set()
-    await until(lambda: not runtime_of(executor).tasks)
-    assert got == [7]
+    await until(lambda: not bench.runtime.tasks)
+    assert (got, parked) == ([7], [])

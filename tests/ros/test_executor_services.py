@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 from rclpy.action.client import ActionClient
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
-from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from robot_controller.action import DrivePattern
@@ -21,29 +20,25 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from robotctl.daemon.control.inputs import HOST
-from robotctl.ros import AsyncioExecutor
 from robotctl.ros.executor import replies, requester
 from robotctl.ros.executor.replies import MAX_WAITING, Replies
 from robotctl.ros.executor.services import ServiceSource
 from robotctl.ros.graph.endpoints import gid_of
+from tests.ros.open_executor import Bench
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
 Peer = Callable[..., Awaitable[Any]]
 
 
-async def client_of(
-    peer: Peer, executor: AsyncioExecutor, node: Node, service: str, **options: Any
-) -> Client:
+async def client_of(bench: Bench, peer: Peer, service: str, **options: Any) -> Any:
     """Return the client of a service that the peer serves."""
     await peer("serve", service=service, **options)
-    client = node.create_client(SetBool, service)
-    await executor.wait_for_service(client, timeout_s=DEADLINE_S)
-    return client
+    return await bench.client(service)
 
 
 async def test_a_service_answers_the_other_process_and_knows_that_it_is_of_this_host(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
+    bench: Bench, peer: Peer
 ) -> None:
     seen: set[bytes | None] = set()
 
@@ -52,72 +47,68 @@ async def test_a_service_answers_the_other_process_and_knows_that_it_is_of_this_
         response.success, response.message = not request.data, "here"
         return response
 
-    node.create_service(SetBool, topic, answer)
-    assert await peer("call", service=topic, data=False, times=5) == [[True, "here"]] * 5
+    bench.create_service(SetBool, bench.topic, answer)
+    assert await peer("call", service=bench.topic, data=False, times=5) == [[True, "here"]] * 5
     (gid,) = seen
     assert gid is not None
-    own = gid_of(node.create_publisher(String, f"{topic}_own", 1))
+    own = gid_of(bench.create_publisher(String, f"{bench.topic}_own", 1))
     assert gid[HOST] == own[HOST]
     assert gid[:12] != own[:12]
     assert requester() is None
 
 
 async def test_an_async_service_may_await_asyncio_and_another_service(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
+    bench: Bench, peer: Peer
 ) -> None:
     # In the callback group of the service itself: with an executor of rclpy this deadlocks.
-    client = await client_of(peer, executor, node, f"{topic}/inner")
+    client = await client_of(bench, peer, f"{bench.topic}/inner")
 
     async def answer(request: Any, response: Any) -> Any:
         await asyncio.sleep(0.01)
-        inner = await executor.call(client, request, timeout_s=DEADLINE_S)
+        inner = await bench.opened.call(client, request, timeout_s=DEADLINE_S)
         response.success, response.message = inner.success, f"{inner.message}, passed on"
         return response
 
-    node.create_service(SetBool, topic, answer)
-    assert await peer("call", service=topic, data=True) == [[True, "from the peer, passed on"]]
+    bench.create_service(SetBool, bench.topic, answer)
+    assert await peer("call", service=bench.topic, data=True) == [
+        [True, "from the peer, passed on"]
+    ]
 
 
-async def test_calls_in_flight_at_once_get_their_own_responses(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
-) -> None:
-    client = await client_of(peer, executor, node, topic)
+async def test_calls_in_flight_at_once_get_their_own_responses(bench: Bench, peer: Peer) -> None:
+    client = await client_of(bench, peer, bench.topic)
     wanted = [number % 3 == 0 for number in range(8)]  # A service's queue holds ten.
     replies = await asyncio.gather(
-        *(executor.call(client, SetBool.Request(data=d), timeout_s=DEADLINE_S) for d in wanted)
+        *(bench.opened.call(client, SetBool.Request(data=d), timeout_s=DEADLINE_S) for d in wanted)
     )
     assert [reply.success for reply in replies] == wanted
 
 
 async def test_a_call_that_nobody_answers_ends_at_its_deadline_and_is_forgotten(
-    executor: AsyncioExecutor, node: Node, topic: str
+    bench: Bench,
 ) -> None:
-    client = node.create_client(SetBool, topic)
-    with pytest.raises(TimeoutError, match=f"no response from service {topic} within 0.05 s"):
-        await executor.call(client, SetBool.Request(), timeout_s=0.05)
+    client = bench.create_client(SetBool, bench.topic)
+    with pytest.raises(TimeoutError, match=f"no response from service {bench.topic} within 0.05 s"):
+        await bench.opened.call(client, SetBool.Request(), timeout_s=0.05)
     assert client._pending_requests == {}
-    with pytest.raises(TimeoutError, match=f"no server for {topic} within 0.05 s"):
-        await executor.wait_for_service(client, timeout_s=0.05)
+    with pytest.raises(TimeoutError, match=f"no server for {bench.topic} within 0.05 s"):
+        await bench.opened.wait_for_service(client, timeout_s=0.05)
 
 
-async def test_a_response_after_the_deadline_disturbs_nothing(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
-) -> None:
-    client = await client_of(peer, executor, node, topic, delay_s=0.2)
+async def test_a_response_after_the_deadline_disturbs_nothing(bench: Bench, peer: Peer) -> None:
+    client = await client_of(bench, peer, bench.topic, delay_s=0.2)
     with pytest.raises(TimeoutError):
-        await executor.call(client, SetBool.Request(), timeout_s=0.02)
+        await bench.opened.call(client, SetBool.Request(), timeout_s=0.02)
     # The peer answers in order: after this response the late one has arrived as well.
-    reply = await executor.call(client, SetBool.Request(data=True), timeout_s=DEADLINE_S)
+    reply = await bench.opened.call(client, SetBool.Request(data=True), timeout_s=DEADLINE_S)
     assert reply.success
 
 
-async def test_parameter_services_answer_the_other_process(
-    executor: AsyncioExecutor, node: Node, peer: Peer
-) -> None:
-    node.declare_parameter("laps", 3)
+async def test_parameter_services_answer_the_other_process(bench: Bench, peer: Peer) -> None:
+    bench.declare_parameter("laps", 3)
     assert await peer("get_parameter", node="/tested", name="laps") == 3
     assert await peer("set_parameter", node="/tested", name="laps", value=4)
-    assert node.get_parameter("laps").value == 4
+    assert bench.get_parameter("laps").value == 4
 
 
 class Queue:
@@ -142,23 +133,21 @@ def test_requests_that_cannot_be_read_hide_none_that_stands_behind(unreadable: i
     assert source.take() is None
 
 
-async def test_an_action_server_runs_a_goal_of_the_other_process(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
-) -> None:
+async def test_an_action_server_runs_a_goal_of_the_other_process(bench: Bench, peer: Peer) -> None:
 
     async def execute(handle: Any) -> Any:
         # The goal may arrive before its feedback subscription is discovered.
-        await until(lambda: node.count_subscribers(f"{topic}/_action/feedback"))
+        await until(lambda: bench.count_subscribers(f"{bench.topic}/_action/feedback"))
         for number in range(handle.request.laps):
             await asyncio.sleep(0.005)
             handle.publish_feedback(DrivePattern.Feedback(lap=number))
         handle.succeed()
         return DrivePattern.Result(laps=sum(range(handle.request.laps)))
 
-    relative = topic.removeprefix("/")
-    assert relative != topic
-    server = ActionServer(node, DrivePattern, relative, execute)
-    report = await peer("run_goal", action=topic, laps=5, feedbacks=5)
+    relative = bench.topic.removeprefix("/")
+    assert relative != bench.topic
+    server = ActionServer(bench, DrivePattern, relative, execute)
+    report = await peer("run_goal", action=bench.topic, laps=5, feedbacks=5)
     server.destroy()
     assert report == {
         "accepted": True,
@@ -169,9 +158,7 @@ async def test_an_action_server_runs_a_goal_of_the_other_process(
     }
 
 
-async def test_an_action_server_refuses_and_cancels_goals(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
-) -> None:
+async def test_an_action_server_refuses_and_cancels_goals(bench: Bench, peer: Peer) -> None:
 
     async def execute(handle: Any) -> Any:
         number = 0
@@ -183,15 +170,15 @@ async def test_an_action_server_refuses_and_cancels_goals(
         return DrivePattern.Result(laps=7)
 
     server = ActionServer(
-        node,
+        bench,
         DrivePattern,
-        topic,
+        bench.topic,
         execute,
         goal_callback=lambda goal: GoalResponse.ACCEPT if goal.laps else GoalResponse.REJECT,
         cancel_callback=lambda _: CancelResponse.ACCEPT,
     )
-    assert (await peer("run_goal", action=topic, laps=0))["accepted"] is False
-    report = await peer("run_goal", action=topic, laps=1, cancel_after=3)
+    assert (await peer("run_goal", action=bench.topic, laps=0))["accepted"] is False
+    report = await peer("run_goal", action=bench.topic, laps=1, cancel_after=3)
     server.destroy()
     assert report["cancelling"] == 1
     assert report["canceled"] is True
@@ -199,7 +186,7 @@ async def test_an_action_server_refuses_and_cancels_goals(
 
 
 async def test_finished_goals_are_forgotten_after_their_result_timeout(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, peer: Peer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("robotctl.ros.executor.services.EXPIRY_POLL_S", 0.05)
 
@@ -207,20 +194,18 @@ async def test_finished_goals_are_forgotten_after_their_result_timeout(
         handle.succeed()
         return DrivePattern.Result()
 
-    server = ActionServer(node, DrivePattern, topic, execute, result_timeout=0)
+    server = ActionServer(bench, DrivePattern, bench.topic, execute, result_timeout=0)
     for _ in range(2):
-        await peer("run_goal", action=topic, laps=1)
+        await peer("run_goal", action=bench.topic, laps=1)
         await until(lambda: not server._goal_handles)
         await asyncio.sleep(0.2)  # Until no check for expired goals is scheduled.
     server.destroy()
 
 
-async def test_an_action_client_sends_follows_and_cancels_goals(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
-) -> None:
-    await peer("serve_action", action=topic)
-    client = ActionClient(node, DrivePattern, topic)
-    await executor.wait_for_service(client, timeout_s=DEADLINE_S)
+async def test_an_action_client_sends_follows_and_cancels_goals(bench: Bench, peer: Peer) -> None:
+    await peer("serve_action", action=bench.topic)
+    client = ActionClient(bench, DrivePattern, bench.topic)
+    await bench.opened.wait_for_service(client, timeout_s=DEADLINE_S)
     async with asyncio.timeout(DEADLINE_S):
         refused = await client.send_goal_async(DrivePattern.Goal(laps=1001))
         assert not refused.accepted
@@ -353,7 +338,7 @@ class Late:
 
 
 async def test_a_service_answers_once_its_client_is_discovered(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, peer: Peer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(replies, "WAIT_S", DEADLINE_S)
     late = Late(monkeypatch)
@@ -364,8 +349,8 @@ async def test_a_service_answers_once_its_client_is_discovered(
         response.success, response.message = True, "late"
         return response
 
-    node.create_service(SetBool, topic, answer)
-    call = asyncio.ensure_future(peer("call", service=topic, data=True))
+    bench.create_service(SetBool, bench.topic, answer)
+    call = asyncio.ensure_future(peer("call", service=bench.topic, data=True))
     await until(lambda: heard)
     await asyncio.sleep(3 * replies.POLL_S)
     assert not call.done()
@@ -374,7 +359,7 @@ async def test_a_service_answers_once_its_client_is_discovered(
 
 
 async def test_a_goal_begins_once_its_client_is_discovered(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, peer: Peer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(replies, "WAIT_S", DEADLINE_S)
     late = Late(monkeypatch)
@@ -393,8 +378,8 @@ async def test_a_goal_begins_once_its_client_is_discovered(
         handle.succeed()
         return DrivePattern.Result(laps=7)
 
-    server = ActionServer(node, DrivePattern, topic, execute)
-    goal = asyncio.ensure_future(peer("run_goal", action=topic, laps=5))
+    server = ActionServer(bench, DrivePattern, bench.topic, execute)
+    goal = asyncio.ensure_future(peer("run_goal", action=bench.topic, laps=5))
     await until(lambda: waiting)
     await asyncio.sleep(3 * replies.POLL_S)
     assert begun == []
@@ -405,7 +390,7 @@ async def test_a_goal_begins_once_its_client_is_discovered(
 
 
 async def test_a_client_that_cannot_be_reached_holds_up_no_other(
-    executor: AsyncioExecutor, node: Node, topic: str, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(replies, "PAUSE_S", 3600.0)
     attempts: list[bool] = []
@@ -422,24 +407,21 @@ async def test_a_client_that_cannot_be_reached_holds_up_no_other(
         heard.append(request.data)
         return response
 
-    node.create_service(SetBool, topic, answer)
+    bench.create_service(SetBool, bench.topic, answer)
     # The service's responses are volatile, so this reader never matches; its requests arrive.
     latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    unreachable = node.create_client(SetBool, topic, qos_profile=latched)
+    unreachable = bench.create_client(SetBool, bench.topic, qos_profile=latched)
     while len(heard) < 3:
         unreachable.call_async(SetBool.Request(data=True))
         await asyncio.sleep(0.05)
     await until(lambda: attempts)
     assert attempts == [False]
-    client = node.create_client(SetBool, topic)
-    await executor.wait_for_service(client, timeout_s=DEADLINE_S)
-    await executor.call(client, SetBool.Request(), timeout_s=DEADLINE_S)
+    client = await bench.client()
+    await bench.opened.call(client, SetBool.Request(), timeout_s=DEADLINE_S)
     assert attempts == [False, True]
 
 
-async def test_call_async_of_rclpy_can_be_awaited_as_it_is(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
-) -> None:
-    client = await client_of(peer, executor, node, topic)
+async def test_call_async_of_rclpy_can_be_awaited_as_it_is(bench: Bench, peer: Peer) -> None:
+    client = await client_of(bench, peer, bench.topic)
     async with asyncio.timeout(DEADLINE_S):
         assert (await client.call_async(SetBool.Request(data=True))).success

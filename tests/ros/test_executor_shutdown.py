@@ -18,7 +18,7 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
-from tests.ros.open_executor import engine_of, loop_descriptors, populate
+from tests.ros.open_executor import Bench, engine_of, loop_descriptors, populate
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
@@ -143,13 +143,11 @@ async def test_a_call_that_waits_when_the_executor_shuts_down_is_told(
         assert isinstance(plain.exception(), ShutdownException)
 
 
-async def test_a_call_whose_client_is_destroyed_is_told(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
-    client = node.create_client(SetBool, topic)
-    call = asyncio.create_task(executor.call(client, SetBool.Request(), timeout_s=None))
+async def test_a_call_whose_client_is_destroyed_is_told(bench: Bench) -> None:
+    client = bench.create_client(SetBool, bench.topic)
+    call = asyncio.create_task(bench.opened.call(client, SetBool.Request(), timeout_s=None))
     await asyncio.sleep(0.01)
-    node.destroy_client(client)
+    bench.destroy_client(client)
     async with asyncio.timeout(DEADLINE_S):
         with pytest.raises(ShutdownException, match="destroyed while a call waited"):
             await call

@@ -23,7 +23,7 @@ from std_msgs.msg import String, UInt64
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import announcements, subscriptions
 from robotctl.ros.executor.raw_tap import LARGE_BYTES, SerializedTaker
-from tests.ros.open_executor import Node, sources_of
+from tests.ros.open_executor import Bench, Node
 from tests.support.waiting import loop_until as until
 from tests.support.waiting import until as wait_until
 
@@ -32,52 +32,41 @@ Feed = Callable[[Any, list[int]], Awaitable[None]]
 
 
 async def test_a_typed_subscription_delivers_every_message_in_order(
-    executor: AsyncioExecutor, node: Node, feed: Feed, topic: str
+    bench: Bench, feed: Feed
 ) -> None:
-    got: list[int] = []
-    subscription = node.create_subscription(
-        UInt64, topic, lambda message: got.append(message.data), 1000
-    )
-    await feed(subscription, list(range(500)))
+    got = bench.hear(depth=1000)
+    await feed(got.entity, list(range(500)))
     await until(lambda: len(got) >= 500)
     assert got == list(range(500))
 
 
-async def test_a_callback_of_two_arguments_gets_the_message_info(
-    executor: AsyncioExecutor, node: Node, feed: Feed, topic: str
-) -> None:
+async def test_a_callback_of_two_arguments_gets_the_message_info(bench: Bench, feed: Feed) -> None:
     got: list[tuple[int, dict[str, int]]] = []
-    subscription = node.create_subscription(
-        UInt64, topic, lambda message, info: got.append((message, info)), 10
-    )
+    subscription = bench.listen(lambda message, info: got.append((message, info)))
     await feed(subscription, [5, 6])
     await until(lambda: len(got) == 2)
     assert [info["publication_sequence_number"] for _, info in got] == [1, 2]
     assert 0 < got[0][1]["source_timestamp"] <= got[0][1]["received_timestamp"]
 
 
-async def test_a_raw_subscription_gets_the_serialized_bytes(
-    executor: AsyncioExecutor, node: Node, feed: Feed, topic: str
-) -> None:
+async def test_a_raw_subscription_gets_the_serialized_bytes(bench: Bench, feed: Feed) -> None:
     got: list[bytes] = []
-    subscription = node.create_subscription(UInt64, topic, got.append, 10, raw=True)
+    subscription = bench.listen(got.append, raw=True)
     await feed(subscription, [7])
     await until(lambda: got)
     assert deserialize_message(got[0], UInt64).data == 7
 
 
 async def test_a_tap_tells_two_publishers_apart_and_numbers_the_messages_of_each(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
+    bench: Bench, peer: Peer
 ) -> None:
     got: list[tuple[bytes, int, int, int, bytes]] = []
     tap = RawTap(lambda *item: got.append(item))
-    subscription = node.create_subscription(UInt64, topic, tap, 100, raw=True)
-    own = node.create_publisher(UInt64, topic, 10)
-    for value in (100, 101, 102):
-        own.publish(UInt64(data=value))
-    await peer("open", topic=topic)
+    subscription = bench.listen(tap, depth=100, raw=True)
+    bench.publish(100, 101, 102)
+    await peer("open", topic=bench.topic)
     await until(lambda: subscription.get_publisher_count() == 2)
-    await peer("publish", topic=topic, values=[0, 1, 2])
+    await peer("publish", topic=bench.topic, values=[0, 1, 2])
     await until(lambda: len(got) == 6)
     by_publisher: dict[bytes, list[tuple[int, int]]] = {}
     for data, received_ns, source_ns, sequence, gid in got:
@@ -85,22 +74,19 @@ async def test_a_tap_tells_two_publishers_apart_and_numbers_the_messages_of_each
         assert len(gid) == 16
         value = deserialize_message(data, UInt64).data
         by_publisher.setdefault(gid, []).append((sequence, value))
-    assert sorted(by_publisher.values()) == [
-        [(1, 0), (2, 1), (3, 2)],
-        [(1, 100), (2, 101), (3, 102)],
-    ]
-    infos = node.get_publishers_info_by_topic(topic)
+    theirs, ours = sorted(by_publisher.values())
+    assert theirs == [(1, 0), (2, 1), (3, 2)]
+    assert ours == [(1, 100), (2, 101), (3, 102)]
+    infos = bench.get_publishers_info_by_topic(bench.topic)
     assert set(by_publisher) == {bytes(info.endpoint_gid[:16]) for info in infos}
 
 
-async def test_a_tap_takes_messages_of_growing_and_shrinking_size(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
+async def test_a_tap_takes_messages_of_growing_and_shrinking_size(bench: Bench) -> None:
     got: list[bytes] = []
-    node.create_subscription(
-        String, topic, RawTap(lambda data, *_: got.append(data)), 100, raw=True
+    bench.create_subscription(
+        String, bench.topic, RawTap(lambda data, *_: got.append(data)), 100, raw=True
     )
-    publisher = node.create_publisher(String, topic, 100)
+    publisher = bench.create_publisher(String, bench.topic, 100)
     sizes = [1, 5000, 3, 200_000, 0, 200_001]
     for size in sizes:
         publisher.publish(String(data="x" * size))
@@ -142,7 +128,7 @@ async def meet_incompatible(
 
 
 async def test_matched_events_come_when_the_other_side_appears_and_goes(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
+    bench: Bench, peer: Peer
 ) -> None:
     seen: list[tuple[int, int]] = []
 
@@ -150,10 +136,10 @@ async def test_matched_events_come_when_the_other_side_appears_and_goes(
         seen.append((event.current_count, event.current_count_change))
 
     callbacks = SubscriptionEventCallbacks(matched=tell)
-    node.create_subscription(UInt64, topic, lambda _: None, 10, event_callbacks=callbacks)
-    await peer("offer", topic=topic)
+    bench.listen(lambda _: None, event_callbacks=callbacks)
+    await peer("offer", topic=bench.topic)
     await until(lambda: seen == [(1, 1)])
-    await peer("withdraw", topic=topic)
+    await peer("withdraw", topic=bench.topic)
     await until(lambda: seen == [(1, 1), (0, -1)])
 
 
@@ -186,41 +172,31 @@ def takes(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
     return found
 
 
-async def test_a_message_is_taken_once_and_nothing_else(
-    executor: AsyncioExecutor, node: Node, topic: str, takes: list[bool]
-) -> None:
-    got: list[int] = []
-    node.create_subscription(UInt64, topic, lambda message: got.append(message.data), 10)
-    publisher = node.create_publisher(UInt64, topic, 10)
+async def test_a_message_is_taken_once_and_nothing_else(bench: Bench, takes: list[bool]) -> None:
+    got = bench.hear()
     await until(lambda: takes == [False])  # what was there before the executor
     for value in range(5):
-        publisher.publish(UInt64(data=value))
+        bench.publish(value)
         await until(lambda: len(got) > value)  # noqa: B023
     assert takes == [False, *[True] * 5]
 
 
 async def test_a_middleware_that_does_not_count_messages_is_asked_until_none_is_left(
-    executor: AsyncioExecutor,
-    node: Node,
-    topic: str,
-    takes: list[bool],
-    monkeypatch: pytest.MonkeyPatch,
+    bench: Bench, takes: list[bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(subscriptions, "counts_each_message", lambda: False)
-    got: list[int] = []
-    node.create_subscription(UInt64, topic, lambda message: got.append(message.data), 10)
-    publisher = node.create_publisher(UInt64, topic, 10)
+    got = bench.hear()
     await until(lambda: takes == [False])
-    publisher.publish(UInt64(data=1))
+    bench.publish(1)
     await until(lambda: got)
     assert takes == [False, True, False]
 
 
 async def test_a_guard_condition_runs_its_callback_for_a_trigger_from_any_thread(
-    executor: AsyncioExecutor, node: Node
+    bench: Bench,
 ) -> None:
     fired: list[asyncio.AbstractEventLoop] = []
-    guard = node.create_guard_condition(lambda: fired.append(asyncio.get_running_loop()))
+    guard = bench.create_guard_condition(lambda: fired.append(asyncio.get_running_loop()))
     guard.trigger()
     await until(lambda: len(fired) == 1)
     await asyncio.to_thread(guard.trigger)
@@ -379,28 +355,23 @@ async def test_what_an_executor_of_rclpy_has_told_is_not_told_again(
 
 
 async def test_an_event_announced_after_it_was_taken_is_not_told_again(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
+    bench: Bench, peer: Peer
 ) -> None:
     seen: list[int] = []
 
     def tell(event: Any) -> None:
         seen.append(event.total_count_change)
 
-    await meet_incompatible(node, peer, topic, tell)
+    await meet_incompatible(bench, peer, bench.topic, tell)
     await until(lambda: seen == [1])
-    (announced,) = (
-        source for source in sources_of(executor).values() if source.entity.callback is tell
-    )
+    (announced,) = (source for source in bench.sources.values() if source.entity.callback is tell)
     announced.resume()
-    reference: list[int] = []
-    node.create_timer(0.01, lambda: reference.append(1))
+    reference = bench.ticks()
     await until(lambda: len(reference) >= 5)
     assert seen == [1]
 
 
-async def test_a_missed_deadline_is_told(
-    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
-) -> None:
+async def test_a_missed_deadline_is_told(bench: Bench, peer: Peer) -> None:
     seen: list[int] = []
     qos = QoSProfile(depth=10, deadline=Duration(nanoseconds=50_000_000))
 
@@ -408,36 +379,32 @@ async def test_a_missed_deadline_is_told(
         seen.append(event.total_count_change)
 
     callbacks = SubscriptionEventCallbacks(deadline=tell)
-    node.create_subscription(UInt64, topic, lambda _: None, qos, event_callbacks=callbacks)
-    await peer("offer", topic=topic, deadline_s=0.05)
-    await peer("publish", topic=topic, values=[1])
+    bench.create_subscription(UInt64, bench.topic, lambda _: None, qos, event_callbacks=callbacks)
+    await peer("offer", topic=bench.topic, deadline_s=0.05)
+    await peer("publish", topic=bench.topic, values=[1])
     await until(lambda: sum(seen) >= 2)
 
 
 async def test_message_lost_events_are_watched_without_inventing_any(
-    executor: AsyncioExecutor, node: Node, feed: Feed, topic: str
+    bench: Bench, feed: Feed
 ) -> None:
     # This middleware never sends the event (sequence gaps show losses instead). The test shows only
     # that it is attached and that no event is invented.
     seen: list[object] = []
-    got: list[int] = []
-    callbacks = SubscriptionEventCallbacks(message_lost=seen.append)
-    subscription = node.create_subscription(
-        UInt64, topic, lambda m: got.append(m.data), 10, event_callbacks=callbacks
-    )
-    await feed(subscription, [1, 2, 3])
+    got = bench.hear(event_callbacks=SubscriptionEventCallbacks(message_lost=seen.append))
+    await feed(got.entity, [1, 2, 3])
     await until(lambda: got == [1, 2, 3])
     assert seen == []
-    paths = [source.woken_by for source in sources_of(executor).values() if "LOST" in source.where]
+    paths = [source.woken_by for source in bench.sources.values() if "LOST" in source.where]
     assert paths == ["eventfd"]
 
 
 async def test_the_memory_of_a_large_message_is_looked_after_at_once(
-    executor: AsyncioExecutor, node: Node, topic: str, takes: list[bool]
+    bench: Bench, takes: list[bool]
 ) -> None:
     got: list[str] = []
-    node.create_subscription(String, topic, lambda message: got.append(message.data), 10)
-    publisher = node.create_publisher(String, topic, 10)
+    bench.create_subscription(String, bench.topic, lambda message: got.append(message.data), 10)
+    publisher = bench.create_publisher(String, bench.topic, 10)
     await until(lambda: takes == [False])
     publisher.publish(String(data="x" * LARGE_BYTES))
     await until(lambda: got)
@@ -445,25 +412,21 @@ async def test_the_memory_of_a_large_message_is_looked_after_at_once(
 
 
 async def test_messages_that_waited_for_their_callback_group_are_all_delivered(
-    executor: AsyncioExecutor, node: Node, topic: str, takes: list[bool]
+    bench: Bench, takes: list[bool]
 ) -> None:
-    got: list[int] = []
     busy, free = asyncio.Event(), asyncio.Event()
 
     async def occupy(_: UInt64) -> None:
         busy.set()
         await free.wait()
 
-    node.create_subscription(UInt64, f"{topic}_first", occupy, 10)
-    node.create_subscription(UInt64, topic, lambda message: got.append(message.data), 10)
-    first = node.create_publisher(UInt64, f"{topic}_first", 10)
-    publisher = node.create_publisher(UInt64, topic, 10)
+    bench.listen(occupy, f"{bench.topic}_first")
+    got = bench.hear()
     await until(lambda: takes == [False, False])
-    first.publish(UInt64())
+    bench.publish(0, topic=f"{bench.topic}_first")
     await busy.wait()
-    for value in range(5):
-        publisher.publish(UInt64(data=value))
-    engine = executor._engine
+    bench.publish(*range(5))
+    engine = bench.opened._engine
     await until(lambda: engine is not None and engine.runtime._parked)
     assert got == []
     free.set()

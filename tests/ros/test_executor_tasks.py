@@ -13,7 +13,7 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
-from tests.ros.open_executor import loop_descriptors, populate
+from tests.ros.open_executor import Bench, loop_descriptors, populate
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
@@ -45,12 +45,10 @@ async def test_opening_may_be_cancelled_at_any_await(
         assert second.add_node(node)
 
 
-async def test_cancelling_a_call_makes_the_client_forget_it(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
-    client = node.create_client(SetBool, topic)
+async def test_cancelling_a_call_makes_the_client_forget_it(bench: Bench) -> None:
+    client = bench.create_client(SetBool, bench.topic)
     for turns in range(4):
-        call = asyncio.create_task(executor.call(client, SetBool.Request(), timeout_s=None))
+        call = asyncio.create_task(bench.opened.call(client, SetBool.Request(), timeout_s=None))
         for _ in range(turns):
             await asyncio.sleep(0)
         call.cancel()
@@ -59,15 +57,13 @@ async def test_cancelling_a_call_makes_the_client_forget_it(
         assert client._pending_requests == {}
 
 
-async def test_cancelling_the_waits_leaves_the_executor_working(
-    executor: AsyncioExecutor, node: Node, topic: str
-) -> None:
-    client = node.create_client(SetBool, topic)
+async def test_cancelling_the_waits_leaves_the_executor_working(bench: Bench) -> None:
+    client = bench.create_client(SetBool, bench.topic)
     future = Future()
     for waiting in (
-        executor.serve(),
-        executor.wait_for_service(client, timeout_s=None),
-        executor.wait_for(future, timeout_s=None),
+        bench.opened.serve(),
+        bench.opened.wait_for_service(client, timeout_s=None),
+        bench.opened.wait_for(future, timeout_s=None),
     ):
         task = asyncio.create_task(waiting)
         await asyncio.sleep(0.01)
@@ -75,8 +71,7 @@ async def test_cancelling_the_waits_leaves_the_executor_working(
         with pytest.raises(asyncio.CancelledError):
             await task
     assert future.cancelled()
-    got: list[int] = []
-    node.create_timer(0.001, lambda: got.append(1))
+    got = bench.ticks(0.001)
     await until(lambda: got)
 
 

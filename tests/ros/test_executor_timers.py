@@ -14,52 +14,41 @@ from typing import Any
 import pytest
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from robotctl.ros import AsyncioExecutor, Tick, Ticker
-from tests.ros.open_executor import loop_descriptors
+from robotctl.ros import Tick, Ticker
+from tests.ros.open_executor import Bench, loop_descriptors
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
 Peer = Callable[..., Awaitable[Any]]
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 async def test_a_steady_timer_fires_and_a_cancelled_one_does_not_until_its_reset(
-    executor: AsyncioExecutor, node: Node
+    bench: Bench,
 ) -> None:
-    fired: list[int] = []
-    steady = Clock(clock_type=ClockType.STEADY_TIME)
-    timer = node.create_timer(0.01, lambda: fired.append(1), clock=steady)
-    reference: list[int] = []
-    node.create_timer(0.01, lambda: reference.append(1), clock=steady)
+    fired, reference = bench.ticks(clock=STEADY), bench.ticks(clock=STEADY)
     await until(lambda: len(fired) >= 3)
 
-    timer.cancel()
+    fired.entity.cancel()
     count, passed = len(fired), len(reference)
     await until(lambda: len(reference) >= passed + 5)
     assert len(fired) == count
 
-    timer.reset()
+    fired.entity.reset()
     await until(lambda: len(fired) >= count + 3)
 
 
-async def test_a_timer_created_stopped_starts_with_its_reset(
-    executor: AsyncioExecutor, node: Node
-) -> None:
-    fired: list[int] = []
-    reference: list[int] = []
-    timer = node.create_timer(0.01, lambda: fired.append(1), autostart=False)
-    node.create_timer(0.01, lambda: reference.append(1))
+async def test_a_timer_created_stopped_starts_with_its_reset(bench: Bench) -> None:
+    fired, reference = bench.ticks(autostart=False), bench.ticks()
     await until(lambda: len(reference) >= 5)
     assert fired == []
-    timer.reset()
+    fired.entity.reset()
     await until(lambda: len(fired) >= 2)
 
 
-async def test_a_timer_may_cancel_itself_and_take_an_async_callback(
-    executor: AsyncioExecutor, node: Node
-) -> None:
+async def test_a_timer_may_cancel_itself_and_take_an_async_callback(bench: Bench) -> None:
     fired: list[int] = []
 
     async def callback() -> None:
@@ -67,31 +56,27 @@ async def test_a_timer_may_cancel_itself_and_take_an_async_callback(
         await asyncio.sleep(0.001)
         fired.append(1)
 
-    timer = node.create_timer(0.005, callback)
-    reference: list[int] = []
-    node.create_timer(0.005, lambda: reference.append(1))
+    timer = bench.create_timer(0.005, callback)
+    reference = bench.ticks(0.005)
     await until(lambda: fired and len(reference) >= 6)
     assert fired == [1]
 
 
-async def test_a_ros_time_timer_follows_clock_and_nothing_else(
-    executor: AsyncioExecutor, node: Node, peer: Peer
-) -> None:
-    node.set_parameters([Parameter("use_sim_time", value=True)])
+async def test_a_ros_time_timer_follows_clock_and_nothing_else(bench: Bench, peer: Peer) -> None:
+    bench.set_parameters([Parameter("use_sim_time", value=True)])
     fired: list[int] = []
-    steady: list[int] = []
 
     async def tell(nanoseconds: int) -> None:
         # Best effort: the first messages may be sent before the two have matched.
         async with asyncio.timeout(DEADLINE_S):
-            while node.get_clock().now().nanoseconds != nanoseconds:
+            while bench.get_clock().now().nanoseconds != nanoseconds:
                 await peer("tell_time", nanoseconds=nanoseconds)
                 await asyncio.sleep(0.02)
 
     second = 10**9
     await tell(100 * second)
-    node.create_timer(1.0, lambda: fired.append(node.get_clock().now().nanoseconds))
-    node.create_timer(0.01, lambda: steady.append(1), clock=Clock(clock_type=ClockType.STEADY_TIME))
+    bench.create_timer(1.0, lambda: fired.append(bench.get_clock().now().nanoseconds))
+    steady = bench.ticks(clock=STEADY)
     await until(lambda: len(steady) >= 10)
     assert fired == []
 
@@ -109,17 +94,13 @@ async def test_a_ros_time_timer_follows_clock_and_nothing_else(
     await until(lambda: fired == [101 * second, 111 * second, 112 * second])
 
 
-async def test_a_ros_time_timer_runs_again_when_sim_time_ends(
-    executor: AsyncioExecutor, node: Node
-) -> None:
-    node.set_parameters([Parameter("use_sim_time", value=True)])
-    fired: list[int] = []
-    node.create_timer(0.01, lambda: fired.append(1))
-    steady: list[int] = []
-    node.create_timer(0.01, lambda: steady.append(1), clock=Clock(clock_type=ClockType.STEADY_TIME))
+async def test_a_ros_time_timer_runs_again_when_sim_time_ends(bench: Bench) -> None:
+    bench.set_parameters([Parameter("use_sim_time", value=True)])
+    fired = bench.ticks()
+    steady = bench.ticks(clock=STEADY)
     await until(lambda: len(steady) >= 5)
     assert fired == []
-    node.set_parameters([Parameter("use_sim_time", value=False)])
+    bench.set_parameters([Parameter("use_sim_time", value=False)])
     await until(lambda: len(fired) >= 2)
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy
 import pytest
-from ament_index_python.resources import get_resource
+from ament_index_python.resources import get_resource, get_resources
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Twist as TwistMessage
 from geometry_msgs.msg import TwistStamped as TwistStampedMessage
@@ -58,32 +58,9 @@ from robotctl.ros.message_types import message_class, type_name_of
 from robotctl.ros.playback import serialized_type
 from tests.support.cases import for_each
 
-PACKAGES = (
-    "actionlib_msgs",
-    "action_msgs",
-    "builtin_interfaces",
-    "diagnostic_msgs",
-    "geometry_msgs",
-    "nav_msgs",
-    "rcl_interfaces",
-    "robot_controller",
-    "rosgraph_msgs",
-    "sensor_msgs",
-    "service_msgs",
-    "shape_msgs",
-    "statistics_msgs",
-    "std_msgs",
-    "stereo_msgs",
-    "test_msgs",
-    "trajectory_msgs",
-    "type_description_interfaces",
-    "unique_identifier_msgs",
-    "visualization_msgs",
-)
-
 
 def installed_types() -> Iterator[Any]:
-    for package in PACKAGES:
+    for package in sorted(get_resources("rosidl_interfaces")):
         try:
             module = import_module(f"{package}.msg")
         except ImportError:
