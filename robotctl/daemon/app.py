@@ -45,13 +45,13 @@ from robotctl.ros.nodes.velocity_publisher import is_monitor
 from robotctl.ros.session import RECORDER_NODE, ros_session
 
 PROBE_NODE = "_command_probe"
-"""A short-lived node that looks for a base; ROS tools hide names with a leading underscore."""
+"""Name of the hidden node that finds out to which command type the robot subscribes."""
 
 
 async def choose_command_type(host: Host) -> CommandType:
-    """Return the configured command type; for `auto`, the type that the topic's subscribers use.
+    """Return the configured command type.
 
-    `auto` gives TwistStamped only if all discovered subscribers use it, otherwise Twist.
+    `auto` means TwistStamped if all discovered robots subscribe to that type, otherwise Twist.
     """
     command = host.config.kernel.command
     if command.stamped is Stamping.AUTO and not (host.alone or host.options.sim):
@@ -122,7 +122,7 @@ async def refuse_same_names(host: Host) -> None:
 
 
 OF_ONE_START: Final = ("directory", "git.directory", "user")
-"""Keys of `provenance` that describe one start, and not the software."""
+"""Keys of `provenance` that describe one start of the daemon; the others describe the software."""
 
 
 def _note_start(

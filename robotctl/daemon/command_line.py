@@ -19,7 +19,7 @@ from robotctl.kernel.patterns import PatternKind
 
 @dataclass(frozen=True, slots=True)
 class DaemonOptions:
-    """The options of a start; `sim` None: simulate the robot unless a node publishes odometry."""
+    """The options of a daemon; if `sim` is None, simulate unless a node publishes odometry."""
 
     robot: str
     config: Path | None
@@ -55,9 +55,9 @@ class DaemonOptions:
         return namespace_of(self.robot)
 
     def applied_to(self, config: Config, warn: Callable[[str], object]) -> RosSettings:
-        """Return `config` with the changes of the command line, and the settings that rcl applies.
+        """Apply `--ros-args` and the topic patterns to `config`; return it with rcl's settings.
 
-        `warn` is called with a sentence for each retired key.
+        `warn` is called with a sentence for each retired key of the configuration.
 
         Raises:
             ConfigError: A parameter, a value or a parameter file is wrong.

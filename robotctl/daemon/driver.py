@@ -272,5 +272,5 @@ def _first_state(stop: LatchedStop | None, *, autostart: bool) -> State:
 
 
 def _sentence(reply: Reply, robot: str) -> str:
-    """Return the message of a reply with its cure, as one sentence."""
+    """Return a reply's message, followed by what the operator can do about it, if anything."""
     return advice(reply.message, reply.remedies, robot).sentence

@@ -1,4 +1,4 @@
-"""One daemon for each robot: an flock, which Linux releases when its owner ends in any way."""
+"""One daemon for each robot: an flock, which Linux releases even if its owner is killed."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _locked(fd: int) -> bool:
 
 
 def _living_owner(fd: int) -> int:
-    """Return the pid in the file; 0 if there is none yet, or its process has ended."""
+    """Return the pid in the file; 0 if the file has no pid yet, or the process has ended."""
     try:
         pid = int(os.pread(fd, 20, 0))
         os.kill(pid, 0)

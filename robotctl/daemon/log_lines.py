@@ -161,7 +161,7 @@ class _StderrListener(QueueListener):
         super().__init__(no_queue)
 
     def dequeue(self, block: bool) -> Any:
-        """Return data from the pipe; at its end, write the last data and return None."""
+        """Return data from the pipe; after the last data, which is written here, return None."""
         data = os.read(self._reading, _READ_BYTES)
         if not (self._is_ending and _END in data):
             return data
@@ -183,7 +183,7 @@ class _StderrListener(QueueListener):
                 return
 
     def stop(self) -> None:
-        """Write the queued lines and restore stderr; after FLUSH_S, drop the rest of all output."""
+        """Write the lines and restore stderr, or drop all output if that takes over FLUSH_S."""
         self._is_ending = True
         with suppress(BlockingIOError):
             os.write(self.writing, _END)  # fd 2 keeps the pipe open, so there is no end of file
@@ -199,7 +199,7 @@ class _StderrListener(QueueListener):
 
 
 class _StderrHandler(LineHandler):
-    """Writes lines to a listener's pipe; after lost lines, a note with their number comes first."""
+    """Writes lines to a listener's pipe; the line after lost ones begins with their number."""
 
     def __init__(self, listener: _StderrListener, line: str) -> None:
         super().__init__()
@@ -215,7 +215,7 @@ class _StderrHandler(LineHandler):
         """Queue a line.
 
         Raises:
-            BlockingIOError: The line does not fit.
+            BlockingIOError: The pipe has no room.
         """
         untold = self._untold()
         note = f"log: {untold} lines are missing here, stderr did not take them\n" if untold else ""

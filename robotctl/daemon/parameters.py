@@ -126,8 +126,8 @@ def serve_parameters(session: Session, parameters: Parameters, robot: str) -> No
 
 
 def _served_by(key: str, nodes: Container[str]) -> str:
-    """Return the node that declares a key: `node_of(key)` if that is in `nodes` or is the simulated
-    robot, else `mode_service`."""
+    """Return the node that declares a key: `node_of(key)`, or `mode_service` if `nodes` lacks it.
+    The simulated robot is returned even if it is not in `nodes`: no node declares its keys then."""
     node = node_of(key)
     return node if node in nodes or node == SIMULATED_ROBOT else MODE_SERVICE
 

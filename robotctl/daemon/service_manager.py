@@ -12,7 +12,7 @@ STATUS_PERIOD_S = 1.0
 
 
 class ServiceManager:
-    """Sends reports to the socket of the service manager, or does nothing if there is none.
+    """Sends reports to the socket of the service manager; without such a socket, does nothing.
 
     The socket is opened once, so that later reports need no free descriptor. A report that cannot
     be sent is dropped, as sd_notify(3) recommends.
@@ -37,7 +37,7 @@ class ServiceManager:
 
     @asynccontextmanager
     async def reporting(self, status: Callable[[], str]) -> AsyncIterator[None]:
-        """Report keep-alives and the status within the block; then that the daemon is stopping."""
+        """Within the block, report keep-alives and the status; at its end, report "stopping"."""
         task = asyncio.create_task(self._run(status))
         try:
             yield

@@ -34,7 +34,7 @@ async def stand_still(
     ramp_down_s: float = RAMP_DOWN_S,
     now_ns: Callable[[], int] = time.monotonic_ns,
 ) -> None:
-    """Ramp down, or command zero at once if that takes too long; then send one more zero.
+    """Ramp down; if that takes over `ramp_down_s`, command zero at once. Then send one more zero.
 
     From now on the kernel starts no motion. `published()` returns the number of commands sent: if
     it does not grow, because memory or the middleware fails, zero is retried for LAST_ZERO_S.
@@ -58,9 +58,9 @@ async def stand_still(
 
 
 def send_zero(control: Control, velocity: VelocityPublisher) -> None:
-    """Send a last zero: through the kernel or, if that is MOVING or sends none, directly.
+    """Send a last zero by a tick of the kernel or, if that is MOVING or sends none, directly.
 
-    Before that, report the fault DAEMON_ENDS, which marks the end in the journal.
+    Before the tick, report the fault DAEMON_ENDS, which marks the end in the journal.
     """
     sent = velocity.published
     with suppress(Exception):  # the kernel may be what has failed

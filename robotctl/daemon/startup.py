@@ -69,7 +69,7 @@ class StartReport:
 
 
 def _write(descriptor: int, line: bytes) -> bool:
-    """Write the line; return whether that worked: if not, its reader no longer exists."""
+    """Write the line; return False if that fails: the reader of `descriptor` has probably ended."""
     try:
         os.write(descriptor, line)
     except OSError as error:

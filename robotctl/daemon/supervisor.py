@@ -115,7 +115,7 @@ DISCOVERY_S = 4.0
 
 
 async def until(condition: Callable[[], bool], deadline_s: float) -> bool:
-    """Wait until the condition holds, for `deadline_s` seconds at most; return whether it holds."""
+    """Wait at most `deadline_s` seconds for `condition()` to be true; return whether it is."""
     end = time.monotonic() + deadline_s
     while not condition():
         if time.monotonic() > end:

@@ -43,17 +43,17 @@ CONDITIONS: Final = {
     Cause.COMMAND_TYPES_MIXED: "one type of command wanted",
     Cause.TOPIC_TROUBLE: "topics of others as expected",
 }
-"""The start condition that is not met while a cause applies."""
+"""Cause -> the start condition that is not met while the cause applies, in words."""
 
 
 _COMMAND = re.compile(
     r"\brobotctl (logs|reset|set-mode idle|start|status|stop)\b(?! \(uid | --robot )"
 )
-"""Matches a command without `--robot`, but not a requester's name, after which ` (uid` stands."""
+"""Matches a command without `--robot`, but not in the name `robotctl stop (uid 1000)` of a user."""
 
 
 class Advice(NamedTuple):
-    """`cause` says what is wrong, `cure` what to do about it, or "" if there is no remedy."""
+    """`cause` says what is wrong, `cure` what to do about it; `cure` may be ""."""
 
     cause: str
     cure: str

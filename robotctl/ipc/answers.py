@@ -10,7 +10,7 @@ from typing import TypedDict
 
 
 class DriveFigures(TypedDict, total=False):
-    """The figures of a drive; None: unknown, or without a path to measure against."""
+    """The errors of a drive; None: unknown, or the drive follows no path (such as `hold`)."""
 
     laps: int
     distance_m: float | None
@@ -60,11 +60,11 @@ class ModeAnswer(MessageAnswer):
 
 
 class DriveAnswer(ModeAnswer, DriveFigures):
-    """The answer of `drive`, `drive_path` and `drive_velocity`; the figures only after `wait`."""
+    """The answer of `drive`, `drive_path`, `drive_velocity`; has DriveFigures only with `wait`."""
 
 
 class HoldAnswer(ModeAnswer):
-    """The answer of `hold`; for a repeated request, `message` is the reason for the mode."""
+    """The answer of `hold`; from the second request on, `message` is the reason for the mode."""
 
     hold: int
     """The number of the held motion, for the next request; 0: the motion has ended."""
@@ -95,7 +95,7 @@ class VelocityAnswer(TypedDict):
 
 
 class RobotFacts(TypedDict):
-    """The robot's part of `status`; None: unknown, as each value is in a daemon that observes."""
+    """The robot's part of `status`; None: unknown. A daemon with `--observe` knows none of them."""
 
     mode: str | None
     phase: str | None
@@ -288,7 +288,7 @@ class NameAndTypes(TypedDict):
 
 
 class Graph(TypedDict):
-    """The names that the daemon sees on ROS; `left_out` counts the names above a limit."""
+    """The names that the daemon sees on ROS; `left_out` counts those that a limit leaves out."""
 
     topics: list[NameAndTypes]
     services: list[NameAndTypes]

@@ -250,7 +250,7 @@ class Client:
         return line
 
     def _check_alive(self) -> None:
-        """Raise NoDaemon, TimeoutError or ConnectionError if hello on a new connection fails."""
+        """Say hello on a new connection; if that fails: NoDaemon, TimeoutError, ConnectionError."""
         with Client(self._robot) as other:
             other._write(encode_request(_HELLO_ID, "hello", {"protocol": PROTOCOL_VERSION}))
             other._greet(time.monotonic() + LIVENESS_S)

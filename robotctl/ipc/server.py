@@ -339,7 +339,7 @@ class Connection:
 
     @contextmanager
     def _until_hangup(self, deadline: asyncio.Timeout) -> Iterator[None]:
-        """Within the `with` block, make `deadline` expire as soon as the client disconnects.
+        """Within the `with` block, make `deadline` expire when the client has disconnected.
 
         The end of the client's stream does not show a disconnect: the client may have closed only
         its sending half. So the state of the socket is polled.

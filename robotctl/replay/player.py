@@ -17,7 +17,7 @@ from robotctl.replay.playback_control import PlaybackControl
 from robotctl.replay.timeline import Entry
 
 SPIN_NS: Final = 40_000
-"""The last part of a wait polls the clock, as the scheduler may wake a thread up to this late."""
+"""How late the scheduler may wake a thread: the last part of a wait, this long, polls the clock."""
 
 _PR_SET_TIMERSLACK: Final = 29
 _NO_SLACK_NS: Final = 1
@@ -212,7 +212,7 @@ class Player:
                 self.position_ns = at_ns
 
     def _wait_for(self, at_ns: int) -> int | None:
-        """Wait until the message is due; return that time, None at rate `max`, a step or a stop."""
+        """Wait until the message is due; return its time; None at rate `max`, a step, a stop."""
         clock, control = self._clock, self.control
         while not self._stopped:
             schedule = control.schedule

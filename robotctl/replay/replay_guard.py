@@ -99,7 +99,7 @@ COMMAND_NAME: Final = "cmd_vel"
 
 
 class DomainGraph(Protocol):
-    """The part of the ROS graph that the guard needs: which robots have a daemon in the domain."""
+    """The part of the ROS graph that ReplayGuard needs: the robots with a daemon in the domain."""
 
     def robots_with_daemon(self) -> list[str]:
         """Return the names of the robots whose daemons, of any user, are in the domain."""
@@ -143,7 +143,7 @@ class ReplayGuard:
     def withheld(self, routes: Iterable[Route]) -> list[Route]:
         """Return the routes that a robot would obey and the user did not name.
 
-        With a prefix, the list is empty. Routes without subscribers count: a robot may join.
+        With a prefix, the list is empty. Routes without subscribers are in it: a robot may join.
         """
         if self.prefix:
             return []

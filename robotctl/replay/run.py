@@ -53,7 +53,7 @@ class ReplayReport:
             self._emit({"note": text})
 
     def skip(self, topic: str, reason: str) -> None:
-        """Report that a topic is not played; `reason` follows the word "it": "has no type"."""
+        """Report that a topic is not played; `reason` continues "it", as "has no type" does."""
         self.skipped[topic] = reason
         self.note(f"{topic} is skipped: it {reason}")
 
@@ -183,7 +183,7 @@ def open_routes(
 
 
 def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> ClockPublisher | None:
-    """Return the publisher of /clock, None without --clock. In a loop, each pass sets time back.
+    """Return the publisher of /clock, None without --clock. With --loop, the time jumps back.
 
     Raises:
         Refused: Another node publishes the clock topic.

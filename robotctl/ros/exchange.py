@@ -96,7 +96,7 @@ async def call(visitor: Membership, request: dict[str, Any], send: Send) -> None
 
 
 def _type_of(name: str, wanted: str, types: list[str]) -> str:
-    """Return which of a service's `types` to call it with; `wanted` is the requested one, or "".
+    """Return the type with which to call a service that has `types`: `wanted`; if "", the only one.
 
     Raises:
         UsageError: `types` lacks the wanted type, or has several while `wanted` is "".

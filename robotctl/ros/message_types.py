@@ -107,7 +107,7 @@ COMMANDS = {
     CommandQos.BEST_EFFORT: QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
     CommandQos.TRANSIENT_LOCAL: QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
 }
-"""The profile for each value of `command.qos`; a latched command is at most one tick old."""
+"""Value of `command.qos` -> profile. Depth 1: a command that waits is at most one tick old."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """A late subscriber gets the last message."""
 
 SENSOR = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Best effort: usual for what robots publish; a subscription with it matches any publisher."""
+"""Best effort, as robots usually publish; a best-effort subscription matches any publisher."""
 
 JOURNAL = QoSProfile(depth=1000)
 
@@ -40,7 +40,7 @@ SERVICE_EVENTS = QoSProfile(depth=100)
 events: its request and its response."""
 
 REQUESTS = QoSProfile(depth=1_500)
-"""For a service that must lose no request: this number of requests, and of responses, can wait
+"""For a service that must lose no request: of requests, and of responses, this number can wait
 before a new one overwrites the oldest. rclpy's default is 10."""
 
 PARAMETERS = QoSProfile(depth=10)

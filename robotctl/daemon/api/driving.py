@@ -82,7 +82,7 @@ def shape_size_m(params: DriveParams) -> float | None:
 
 
 def shape_course(params: DriveParams) -> Course:
-    """Return the options (`Course`) of the drive of a pattern.
+    """Return how to drive the pattern: corner radius, angle, reverse and open loop, or defaults.
 
     Raises:
         UsageError: A corner radius or an angle was given, but the pattern has none.
@@ -114,7 +114,7 @@ class DrivingMethods:
         robot: str = DEFAULT_ROBOT,
         client_of: Callable[[str | None], int] = lambda token: 0,
     ) -> None:
-        """`client_of(token)` returns the number of the client that has the token of a lease."""
+        """`client_of(token)` returns the number of the lease's holder, 0 for any other token."""
         self._client_of = client_of
         self._robot = robot
         self._control = control
@@ -263,7 +263,7 @@ class DrivingMethods:
         return granted(await self._control.request(self._idle_request(params.source)), self._robot)
 
     async def _hold(self, params: HoldParams) -> HoldAnswer:
-        """Begin a motion, which ends unless the client repeats the request, or handle a repeat."""
+        """Begin a motion, which ends if the client is silent; `params.hold` keeps one going."""
         if params.hold:
             return self._hold_again(params)
         now_ns, request_id = self._control.stamp()

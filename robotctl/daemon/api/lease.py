@@ -22,10 +22,10 @@ from robotctl.ipc.server import Method
 from robotctl.kernel.types import LeaseLost, LeaseRequested
 
 NOBODY = 0
-"""The client number of each request without the token of the present lease."""
+"""The client number of a request that does not have the token of the present lease."""
 
 LISTEN_S = 0.25
-"""The period of the check whether the holder of the lease has called `lease_keep`."""
+"""How often [s] to check whether the holder of the lease has called `lease_keep`."""
 
 SILENT_PERIODS = 4
 """The lease ends after this many periods of LISTEN_S without a `lease_keep` of its holder."""
@@ -33,7 +33,7 @@ SILENT_PERIODS = 4
 
 @dataclass(slots=True)
 class _Holder:
-    """A client that requested the lease; the result of `ended` is the reason of the release."""
+    """A client that requested the lease; its release sets `ended`, to a sentence about it."""
 
     client: int
     token: str
@@ -42,10 +42,10 @@ class _Holder:
 
 
 class LeaseMethods:
-    """The handlers of the lease, which ends when the connection of `lease_take` closes.
+    """The handlers of the lease's methods.
 
-    The lease ends earlier if `lease_keep` is not called for SILENT_PERIODS periods of `listen_s`
-    [s]: a frozen process keeps its connection open, but makes no calls.
+    A lease ends when its holder releases it, closes the connection on which it called `lease_take`,
+    or does not call `lease_keep` for SILENT_PERIODS periods of `listen_s` [s], as if frozen.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class LeaseMethods:
         }
 
     def client_of(self, token: str | None) -> int:
-        """Return the number of the client that holds the lease with this token, or NOBODY."""
+        """Return the number of the lease's holder if `token` is the lease's token, else NOBODY."""
         holder = self._holder
         return holder.client if holder is not None and holder.token == token else NOBODY
 

@@ -72,7 +72,7 @@ def graph_methods(tap: Tap) -> dict[str, Method[Any]]:
 
 
 class StatusSource:
-    """Makes the answer of `status` and the summary of a start."""
+    """Makes the answer of `status` and the summary that a ready daemon reports."""
 
     def __init__(
         self,
@@ -152,7 +152,7 @@ SPLIT_DEADLINE_S = 5.0
 """How long the disk may take to finish one file and start the next."""
 
 COMMIT_DEADLINE_S = 5.0
-"""How long the disk may take to write the queue; the recorder writes four times a second."""
+"""How long `record_commit` waits for the disk; the recorder writes its queue every 0.25 s."""
 
 
 def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[Any]]:

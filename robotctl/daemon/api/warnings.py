@@ -1,8 +1,8 @@
-"""The warnings of `robotctl status`: this module makes or collects all of them, as sentences.
+"""The warnings that `robotctl status` and `/diagnostics` show, one sentence each.
 
-To add a warning, yield its sentence in `of_robot`, or in `of_recording`, which `record status` uses
-too; `status` and `/diagnostics` then show it. A part of the daemon that also logs its warning makes
-the sentence itself; this module calls a function of that part (`PartWarning`) to get it.
+To add a warning, yield its sentence in `of_robot` or in `of_recording`; `record status` shows those
+of `of_recording` only. If a part of the daemon makes its own sentence, as it also logs the problem,
+append the function that returns the sentence (`PartWarning`) to `Host.warnings`.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ _CHECKS = tuple(
 class Warnings:
     """Collects the warnings of a daemon; some suggest commands for `robot`.
 
-    In a daemon that only records, `control` is None, and `faults` are the failures of its tasks.
-    Each function in `parts` returns the warning of one part of the daemon, or "".
+    Each function in `parts` returns the warning of one part of the daemon, or "". In a daemon that
+    only records, `control` is None. Only there, `faults` has a sentence for each task that failed.
     """
 
     def __init__(

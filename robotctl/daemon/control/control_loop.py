@@ -29,8 +29,8 @@ LINE_BYTES: Final = 128
 class ProcessorWait:
     """Measures how long the thread that creates this object has waited for a CPU.
 
-    Any thread may call `waited_ns`. Linux's file `schedstat` is opened only once, at the creation:
-    later, no descriptor may be free.
+    Any thread may call `waited_ns`. Linux's file `schedstat` is opened here and kept open, because
+    the process may run out of descriptors later.
     """
 
     def __init__(self) -> None:
@@ -155,7 +155,7 @@ class Watchdog:
     def take(self) -> LoopStalled | FaultReported | None:
         """Return LoopStalled after a stall (and open the gate), FaultReported if the thread failed.
 
-        Return None otherwise. Call it in the loop's thread; the kernel must handle the event first.
+        Else return None. Call it in the loop's thread; the event must be the kernel's next one.
         """
         if self._holding:
             return self._end_stall()
@@ -237,10 +237,10 @@ def where(frame: FrameType | None) -> str:
 
 
 LOOKS_ENOUGH_HZ: Final = 50.0
-"""From this control rate on, it is enough to handle foreign commands once in each tick."""
+"""At this control rate or above, commands of other publishers are handled once in each tick."""
 
 COMMAND_LATENCY_S: Final = 0.01
-"""At a lower control rate, foreign commands are handled within this time."""
+"""Below LOOKS_ENOUGH_HZ, commands of other publishers are handled within this time."""
 
 
 class ControlLoop:
@@ -264,7 +264,7 @@ class ControlLoop:
         )
 
     async def run(self, look_at_odometry: Callable[[], None]) -> None:
-        """Until cancelled, handle foreign commands, odometry and then a tick in each period."""
+        """In each period, handle foreign commands, odometry, then a tick. Runs until cancelled."""
 
         def decide(tick: LoopTick) -> None:
             self.look_at_commands()

@@ -38,17 +38,17 @@ class Decisions:
         self._log = log
         self._show = show
         self._open: dict[int, tuple[Request, int]] = {}
-        """The unanswered requests by id, each with the value of `_changes` when it arrived."""
+        """Unanswered requests by id, each with the number of changes before it (`_changes`)."""
         self._changes = 0
         self._latch: dict[str, bool] = {}
-        """`latched` or `released`, to be added to the next entry of a mode change."""
+        """{"latched": True} or {"released": True}, for the log entry of the next mode change."""
 
     def asked(self, request: Request) -> None:
         """Note a request before the kernel decides on it."""
         self._open[request.request_id] = request, self._changes
 
     def decided(self, effect: Effect) -> None:
-        """Log an effect; the caller may leave out velocity commands, which are never logged."""
+        """Log an effect of the kernel; velocity commands, which are too many, are ignored."""
         match effect:
             case LatchEmergencyStop():
                 self._latch = {"latched": True}

@@ -1,4 +1,4 @@
-"""The one place where events enter the kernel, which makes all decisions, and effects leave it."""
+"""Passes every event to the kernel, which makes all decisions, and has its effects carried out."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ T = TypeVar("T", Reply, DriveEnded)
 
 
 class Pending(Generic[T]):
-    """The futures of replies or of ends of drives, by request id; for the loop's thread only."""
+    """Futures by request id: of replies, or of the ends of drives. For the loop's thread only."""
 
     def __init__(self) -> None:
         self._waiting: dict[int, asyncio.Future[T]] = {}
@@ -109,7 +109,7 @@ class PendingRequests:
         return self._last_id
 
     def expect_reply_now(self, request_id: int) -> None:
-        """Prepare for a reply that the caller gets by `reply_now`, and not by a future."""
+        """Expect a reply during the next dispatch, which the caller then gets from `reply_now`."""
         self._replies_now[request_id] = None
 
     def keep_now(self, reply: Reply) -> bool:
@@ -193,7 +193,7 @@ class Control:
             self._busy = False
 
     def journal_snapshot(self, t_ns: int) -> None:
-        """Write a snapshot of the kernel into the journal now, and from now on every 10 s.
+        """Write a snapshot of the kernel into the journal now; `dispatch` repeats it every 10 s.
 
         A file that begins with a snapshot can be checked without the files before it.
         """

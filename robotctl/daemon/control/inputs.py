@@ -31,21 +31,21 @@ from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 
 REPEAT_NS = 200_000_000
-"""The minimum time between two events about one publisher while the robot does not move: a flood of
-commands must not fill the journal."""
+"""While the robot does not move, the least time between two events about one foreign publisher: a
+flood of commands must not fill the journal."""
 
 MAX_TOLD = 16
-"""Limit on the publishers that cause an event in `REPEAT_NS` while the robot does not move."""
+"""While the robot does not move, a limit on the foreign publishers with an event in REPEAT_NS."""
 
 NAMELESS = "a publisher that is gone, or has no name yet,"
 
 
 class ForeignCommands:
-    """Checks the publisher of each command: a command that is not ours becomes an event.
+    """Dispatches an event for a velocity command that another publisher (not `own_gid`) has sent.
 
     `name_of(gid)` returns the name of the node with this publisher, "" if unknown. While `moves()`
-    returns true, each such command is an event, because it may end the motion. Otherwise, each
-    publisher causes at most one event in 0.2 s.
+    returns true, each such command is an event, because it may end the motion. While it returns
+    false, each publisher causes at most one event in 0.2 s.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class ForeignCommands:
         """Time of the last event of each recent publisher [steady ns]."""
 
     def heard(self, gid: bytes) -> None:
-        """Handle one command of the publisher with this gid."""
+        """Handle a command that was received from the publisher with this gid."""
         if gid == self._own_gid:
             return
         now_ns = time.monotonic_ns()
@@ -84,13 +84,13 @@ class ForeignCommands:
 PUBLISHER_POLL_S = 0.2
 
 LOOKS_PER_INSPECTION = 5
-"""Each fifth look inspects the subscriptions, even if their number is the same as before."""
+"""Every fifth time, `watch_graph` reads the subscriptions even if their count has not changed."""
 
 
 async def has_odometry_publisher(
     odometry: OdomSubscriber, stop: asyncio.Event, until_s: float
 ) -> bool:
-    """Wait for a publisher of odometry, until `until_s` or `stop`; return whether there is one."""
+    """Return whether odometry has a publisher; wait for it until `stop` or `until_s` [steady s]."""
     remaining_s = until_s - time.monotonic()
     await until(lambda: odometry.count_publishers() > 0 or stop.is_set(), remaining_s)
     return odometry.count_publishers() > 0
@@ -144,7 +144,7 @@ class Inputs:
             self._robot_report.drove_to(odometry.pose)
 
     def hears(self, kind: Callable[..., Event]) -> Callable[..., None]:
-        """Return the handler of an input; its arguments are the fields of `kind` after the time."""
+        """Return a handler that dispatches a `kind`; its arguments: the fields except the time."""
         return lambda *values: self._control.dispatch(kind(time.monotonic_ns(), *values))
 
     def guarded_command(self, twist: Twist, publisher: str, sequence: int) -> None:

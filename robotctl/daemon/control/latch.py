@@ -131,8 +131,8 @@ class _Waiter:
 class Latch:
     """The latch of one robot; its methods are called in the loop's thread.
 
-    Its own thread carries out one change at a time. Of the changes that arrive meanwhile, it
-    carries out only the last.
+    Its own thread writes one change at a time to the disk. Of the changes that are requested during
+    a write, only the last is written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -154,12 +154,12 @@ class Latch:
         return read(self._path)
 
     def set(self, reason: str, cause: Cause) -> None:
-        """Begin to save a stop, and return at once."""
+        """Save a stop in the latch's thread; return at once."""
         stop = LatchedStop(reason, cause)
         self._begin(partial(write, self._path, stop), "a restart would forget this stop")
 
     def clear(self) -> None:
-        """Begin to remove the saved stop, and return at once."""
+        """Remove the saved stop in the latch's thread; return at once."""
         fault = "a restart would stop the robot again"
         self._begin(partial(remove, self._path), fault)
 

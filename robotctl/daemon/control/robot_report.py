@@ -26,9 +26,9 @@ from robotctl.ros.nodes.publishers import CommandLock
 
 
 class TrueErrors(NamedTuple):
-    """The errors of a drive by the true pose; `kernel.types.DriveReport` has those by odometry.
+    """The errors of a drive measured with the simulated robot's true pose.
 
-    `closure_m` is NaN until a lap is complete.
+    `kernel.types.DriveReport` has those by odometry. `closure_m` is NaN until lap 1 is complete.
     """
 
     cross_track_rms_m: float
@@ -39,9 +39,9 @@ class TrueErrors(NamedTuple):
 
 
 class GroundTruth:
-    """Computes the true errors of the present or last drive, if `truth()` returns the true pose.
+    """Computes a drive's errors from the true pose that `truth()` returns (None: a real robot).
 
-    At a drive's first sample, true and measured pose count as equal: earlier drift is no error.
+    The true path is moved so that it begins at the first measured pose: earlier drift is no error.
     """
 
     def __init__(self) -> None:
@@ -71,9 +71,9 @@ class GroundTruth:
             self._closure_m = end.distance(pose)
 
     def end(self, ended: DriveEnded) -> None:
-        """Set the true closure if the last lap ended together with the drive.
+        """Set the true closure (distance from the lap's end) if the drive ended with its last lap.
 
-        `follow` is not called after such a lap, so it has not measured the closure.
+        In this case `follow` is not called again, so it has not set the closure.
         """
         true, drive = self.truth(), self._drive
         if true is None or drive is None or drive.request_id != ended.request_id:
@@ -252,7 +252,7 @@ SHOW_PERIOD_S = 1.0
 
 
 class ShownStatus:
-    """Publishes the robot status and the lock, a topic by which a mux blocks other commands."""
+    """Publishes the robot status and the command lock, by which a mux can block other commands."""
 
     def __init__(self, modes: ModeService, control: Control, lock: CommandLock) -> None:
         self._lock = lock

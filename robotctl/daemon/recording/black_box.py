@@ -27,7 +27,7 @@ CLIPPED: Final = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 
 @dataclass(frozen=True, slots=True)
 class ClipLimits:
-    """Limits on the number of clips, and on the time for cutting them [s]."""
+    """Limits on the number of clips, and on the times for cutting them [s]."""
 
     waiting: int = 8
     clips: int = 100
@@ -35,10 +35,10 @@ class ClipLimits:
 
     cut_s: float = 20.0
     end_s: float = 10.0
-    """Limit on the time for all clips that are still to be cut when the daemon ends."""
+    """At the daemon's end, the limit on the time for cutting all clips that are not cut yet."""
 
     patience_s: float = PATIENCE_S
-    """Added to the time limit of each clip, because its process waits for the recorder's commit."""
+    """Added to each clip's time limit, as its process waits until the recorder has written."""
 
 
 DEFAULT_LIMITS = ClipLimits()

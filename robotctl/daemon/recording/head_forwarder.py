@@ -55,7 +55,7 @@ class HeadForwarder:
             self._arrived.set()
 
     async def run(self) -> None:
-        """Whenever heads have arrived, run the program for the newest head, until cancelled."""
+        """Run the program each time that a new head has arrived, until cancelled."""
         while True:
             await self._arrived.wait()
             await self._forward(COMMAND_TIMEOUT_S)

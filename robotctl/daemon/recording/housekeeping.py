@@ -27,9 +27,9 @@ MAX_PROBLEMS: Final = 10
 class Tidier:
     """Starts processes of the lowest priority that tidy the folder of recordings.
 
-    The first process runs after `begun`: it removes what exceeds the retention policy, and repairs
-    what a crash left. Each later process runs after `finished` and only removes. The daemon
-    does not do this itself, as files may be of any origin and size. For the loop's thread.
+    When `begun` is set, the first process removes what exceeds the retention policy, and repairs
+    what a crash left. Each time that `finished` is set, another one only removes. The daemon does
+    not do this itself, as files may be of any origin and size. For the loop's thread.
     """
 
     def __init__(self, policy: RetentionPolicy, recording: Path) -> None:
@@ -110,7 +110,7 @@ class Indexer:
     """
 
     def __init__(self, recording: Path, log: Path, *, enabled: bool) -> None:
-        """The last process writes its output to the file `log` if it exists, else to nowhere."""
+        """The output of the last process is appended to the file `log`, or dropped without one."""
         self._recording = recording
         self._command = job_command(INDEX, {"recording": str(recording)})
         self._log = log

@@ -33,8 +33,8 @@ WHEELS: Final = {
     "isal": "isal",
     "numpy": "numpy",
 }
-"""The wheel whose version is recorded for each library. For rclpy, it is the ROS wheel, because the
-metadata of the package inside still names the version before the last patch."""
+"""The wheel whose version is recorded for each library. For rclpy this is the wheel of ROS: the
+metadata of the Python package `rclpy` in it still has the version before the last patch."""
 
 _REVISION = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")
 
@@ -104,7 +104,7 @@ def revision(folder: Path) -> str:
 
 
 def _values(git: Path, name: str) -> Iterator[str]:
-    """Yield each value of the reference `name` in git's files; the first that is a hash counts."""
+    """Yield each text that git's files have for the reference `name`; not every one is a hash."""
     common = git / "commondir"
     for place in (git, git / _text(common)) if common.exists() else (git,):
         if (place / name).is_file():

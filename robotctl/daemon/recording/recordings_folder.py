@@ -29,7 +29,7 @@ _log = logging.getLogger(__name__)
 LOOK_S: Final = 2.0
 
 STEP: Final = 0.1
-"""One more topic is stopped each time that a further tenth of the reserve is used."""
+"""One topic is stopped below 100 % of the reserve, another below 90 %, the next below 80 %, etc."""
 
 REOPEN: Final = 1.1
 """Topics are recorded again when the free space is at least this many times the reserve."""
@@ -69,7 +69,8 @@ class DiskReserve:
             await asyncio.sleep(LOOK_S)
 
     def look(self, free_bytes: int, sizes: Mapping[str, int]) -> None:
-        """At low `free_bytes`, stop the topic that grew most in `sizes`; at high, record all."""
+        """If `free_bytes` is too low, stop the topic whose bytes in `sizes` have grown most since
+        the last call; if it is high enough again, record all topics."""
         self._free_bytes = free_bytes
         grown = {topic: size - self._sizes.get(topic, 0) for topic, size in sizes.items()}
         self._sizes = sizes

@@ -2,8 +2,8 @@
 
 If P is the expected period (the mean gap between messages), a topic is
 - silent, after max(1 s, 3 P) without a message,
-- slow, with fewer than half of the expected messages in a window of max(0.8 s, 3.5 P), so that
-  one lost message of a topic with a long period is no trouble,
+- slow, with fewer than half of the expected messages in a window of max(0.8 s, 3.5 P), which is so
+  long that a topic with one lost message is not slow,
 - fast, with 1.7 times the expected messages in a window, unless they only make up for late ones.
 
 A topic is regular if one minute has at least FEWEST messages, no gap is much longer than the mean
@@ -26,7 +26,7 @@ from robotctl.kernel.constants import NS_PER_S, TWIST, TWIST_STAMPED
 from robotctl.recording.write.recorder_options import RateByTopic
 
 LOOK_S: Final = 0.2
-"""The time between two looks."""
+"""The time between two calls of `TopicHealth.look`."""
 
 SILENT_S: Final = 1.0
 SILENT_PERIODS: Final = 3.0
@@ -63,7 +63,7 @@ class TopicWatch:
         """When a publisher replaced an earlier one, or None if that never happened."""
 
         self._patience_s = max(SILENT_S, SILENT_PERIODS * period_s) - LOOK_S
-        """The silence [s] that a look tolerates: the limit of SILENT less the period of looks."""
+        """From this silence [s] on, a look finds SILENT; the next look would be over the limit."""
 
         self._window_s = max(WINDOW_S, WINDOW_PERIODS * period_s)
         self._expected = self._window_s / period_s
@@ -73,8 +73,8 @@ class TopicWatch:
         self._begin(now_s)
         self._publishers = 0
         self._replaced: tuple[float, dict[bytes, int]] | None = None
-        """When a new publisher appeared, and each older one's next sequence number then; None if no
-        new publisher has to be judged."""
+        """When a new publisher appeared, and the next sequence number that each older publisher had
+        at this time; None if it is known whether the new publisher replaces an older one."""
 
     @property
     def rate_hz(self) -> float:
@@ -109,7 +109,7 @@ class TopicWatch:
                 self.restarted_s, self._replaced = since_s, None
 
     def pause(self, now_s: float) -> None:
-        """Begin new windows, after a gap between looks: some messages may not be counted yet."""
+        """Begin new windows, since the last look was too long ago to judge the present ones."""
         if self.trouble is not Trouble.SILENT:
             self.newest_s = now_s
         self._begin(now_s)
@@ -119,7 +119,7 @@ class TopicWatch:
         # Pairs (time, count): first the last pair before the window, then those within it.
         self._window: deque[tuple[float, int]] = deque([(now_s, self._count)])
         self._before: deque[tuple[float, int]] = deque()
-        """Pairs as in `_window`, for the window before it."""
+        """Pairs (time, count) as in `_window`, for the window before the present one."""
 
     def _judge(self, now_s: float) -> Trouble:
         if now_s - self.newest_s >= self._patience_s:
@@ -145,16 +145,16 @@ class TopicWatch:
 
 MINUTE_S: Final = 60.0
 FEWEST: Final = 20
-"""The least messages of a regular topic in a minute: fewer random ones might look regular."""
+"""The fewest messages a minute of a regular topic; fewer, at random times, might look regular."""
 
 ROUNDS: Final = 3
-"""After this many irregular minutes, learning the period of a topic is given up."""
+"""Learning the period of a topic is given up when this number of minutes were irregular."""
 
 LONGEST_GAP: Final = 1.6
 """The longest gap of a regular topic is at most this many mean gaps, plus GAP_SLACK_S."""
 
 GAP_SLACK_S: Final = 0.25
-"""Tolerance for measured gaps: a look comes only every LOOK_S."""
+"""Tolerance for measured gaps, as the messages are counted only every LOOK_S."""
 
 SPAN_S: Final = 0.8
 FEWEST_IN_SPAN, MOST_IN_SPAN = 0.7, 1.4
@@ -182,7 +182,7 @@ class LearnedPeriod:
     def look(self, now_s: float, count: int, newest_s: float, *, late: bool) -> float | None:
         """Count the new messages; return the expected period [s] once it is learned, None before.
 
-        `late` is true after a gap between looks: some messages may not be counted yet.
+        `late` is true if the last call was longer than LATE_S ago: the gap is then not judged.
         """
         if self._first is None:
             if count != self._before:
@@ -227,7 +227,7 @@ class LearnedPeriod:
 _log = logging.getLogger(__name__)
 
 LATE_S: Final = 2.0 * LOOK_S
-"""After a longer gap since the last look, a look is late: some messages may not be counted yet."""
+"""After a longer time without a look, windows and gaps are not judged: the loop was held up."""
 
 RECENT_S: Final = 60.0
 """How long `status` still shows a trouble that is over."""
@@ -241,7 +241,7 @@ MAX_LOGGED: Final = 1_000
 """Limit on the logged sentences: a topic may stop and go without end."""
 
 _STAMP_SLACK_S: Final = 0.1
-"""A new message may be this much older than the last look: the tap batches for up to 0.05 s."""
+"""A new message may be this much older than the last look, as `Tap` batches for up to 0.05 s."""
 
 EVENTS: Final = frozenset(
     (
@@ -261,7 +261,7 @@ def may_be_learned(topic: str, type_name: str) -> bool:
 
 
 class Arrivals(Protocol):
-    """Counts what has arrived on a channel, recorded or not; always up to date."""
+    """Counts the messages that have arrived on a channel, recorded or not; always up to date."""
 
     @property
     def arrived(self) -> int:
@@ -273,7 +273,7 @@ class Arrivals(Protocol):
 
     @property
     def expected(self) -> Mapping[bytes, int]:
-        """The next sequence number of each publisher, by gid; the oldest publisher is first."""
+        """Publisher's gid -> its next sequence number; the publisher known longest is first."""
 
 
 @dataclass(slots=True)
@@ -300,12 +300,12 @@ class TopicHealth:
     """
 
     def __init__(self, expected: RateByTopic, names: Iterable[str], now_s: float) -> None:
-        """`expected` has the configured rates; `names` are topics that must have messages."""
+        """`expected` has the configured rates; topics in `names` are watched before they exist."""
         self._expected = expected
         self._topics: dict[str, _Topic] = {}
         self._active: dict[str, _Topic] = {}
         self._told: dict[str, _Topic] = {}
-        """The topics that may have a warning: the few that `warnings` has to examine."""
+        """Topics by name whose trouble has changed: only these may have a warning."""
 
         self._looked_s = now_s
         self._logged = 0
@@ -321,7 +321,7 @@ class TopicHealth:
         learns: bool,
         now_s: float,
     ) -> None:
-        """Watch a channel of a topic; if `learns`, learn its rate unless a rate is configured."""
+        """Watch a channel of a topic; if `learns` and no rate is configured, learn its rate."""
         self._topic(name, type_name, learns=learns, now_s=now_s).channels.append(channel)
 
     def _topic(self, name: str, type_name: str, *, learns: bool, now_s: float) -> _Topic:

@@ -48,7 +48,7 @@ class TopicSinks:
         named = [name for name, _, rate in expected if is_plain_name(name) and float(rate)]
         self.health = TopicHealth(RateByTopic(params.expected_rates), named, time.monotonic())
         self.on_news: Callable[[], None] = lambda: None
-        """Called when a trouble has changed or a publisher was restarted."""
+        """Called when `TopicHealth.look` has found a change."""
 
         self.on_troubles: Callable[[str], None] | None = None
         """Called with `TopicHealth.troubles()` each time that this text changes."""

@@ -67,7 +67,7 @@ class ModeService(Node):
         self.get_logger().warning(f"{NO_ROBOT}; to drive one: robotctl start")
 
     def robot(self) -> str:
-        """Return a clause that names the sign of a robot in the graph, or "" if there is none."""
+        """Return why there may be a robot in the domain ("odometry is published"), or ""."""
         if self.count_publishers("odom"):
             return "odometry is published"
         if self.count_subscribers("cmd_vel"):

@@ -1,7 +1,7 @@
 """An event loop with cheap wake-ups, the beat on which timers expire, and time limits.
 
-When a descriptor is ready, asyncio makes a selector key and a handle, and queues the handle. That
-is a tenth of the CPU time of a message at 1 kHz. `EventLoop` calls the callback directly.
+When a descriptor is ready, asyncio makes a selector key and a handle, and queues the handle. This
+takes a tenth of the CPU time that a message costs at 1 kHz. `EventLoop` calls the callback at once.
 
 A wake-up costs more than most of the work in it. So tickers of one rate expire together, and
 timers whose exact time does not matter expire together on a beat.
@@ -31,8 +31,8 @@ SLICE_NS = 300_000
 """How long one entity may handle messages before the others get their turn."""
 
 TURN_NS = 1_000_000
-"""The time in one turn of the loop that all flooded entities share, so that the entities without
-a flood do not wait long."""
+"""All flooded entities together may handle messages for this time in one turn of the loop, so that
+the others do not wait long."""
 
 SHORTEST_SLICE_NS = 50_000
 """The shortest slice of a flooded entity: with a shorter one, changing between entities would cost
@@ -80,7 +80,7 @@ T = TypeVar("T")
 
 
 class _CallingSelector(EpollSelector):
-    """A selector that calls the callback of each ready watched descriptor; returns the others."""
+    """A selector that calls the callback of a ready descriptor in `calls`; returns the others."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -47,7 +47,9 @@ class LoopThread:
             callback()
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call `callback` in a later turn of the loop; before `open`, keep it or call it at once.
+        """Call `callback` in a later turn of the loop.
+
+        Before `open`, keep it for the loop or, after `give_up`, call it at once.
 
         Raises:
             RuntimeError: The loop is closed.

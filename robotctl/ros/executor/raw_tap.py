@@ -103,19 +103,19 @@ LARGE_BYTES = 1 << 20
 """A message above this size is passed as a view, not as a copy, if views are asked for."""
 
 KEPT_BYTES = 64 << 20
-"""Limit on the buffers above LARGE_BYTES that all takers of the process keep for their next
-message; a buffer beyond the limit is freed at once."""
+"""Limit on the total size of the buffers above LARGE_BYTES that this process keeps for the next
+large messages; a buffer beyond the limit is freed after its message."""
 
 
 class SerializedTaker:
-    """Takes serialized messages of one subscription through one reused buffer.
+    """Takes the serialized messages of one subscription, through one reused buffer.
 
     Each message comes with its publisher's gid: without the gid, sequence numbers mean nothing on a
-    topic with two publishers. Together, all takers keep at most KEPT_BYTES of large buffers.
+    topic with two publishers. All objects together keep at most KEPT_BYTES of large buffers.
     """
 
     _kept_by_all = 0
-    """Total size [bytes] of the large buffers that all takers keep."""
+    """Total size [bytes] of the large buffers that all SerializedTakers keep."""
 
     __slots__ = (
         "_bare",
@@ -137,8 +137,8 @@ class SerializedTaker:
     def __init__(self, pointer: int, *, views: bool = False, bare: bool = False) -> None:
         """Take from the rcl_subscription_t at `pointer`, which must outlive this object.
 
-        With `views`, large messages are memoryviews that are valid until the next take. With
-        `bare`, only the data is taken out of a message, which is faster.
+        With `views`, `take` returns large data as a memoryview, which is valid until the next
+        `take`. With `bare`, `take` returns the data alone, without times and gid: this is faster.
         """
         self._bare = bare
         self._views = views
@@ -157,10 +157,7 @@ class SerializedTaker:
         self._buffer: Any = None
 
     def take(self) -> Taken | bytes | memoryview | None:
-        """Return the next message as (data, received_ns, source_ns, sequence, gid).
-
-        None if no message has arrived. With `bare`, return only the data. The fields mean what
-        they mean in `Taken`.
+        """Return the next message as a `Taken` or, with `bare`, its data; None if there is none.
 
         Raises:
             RclCallFailed: rcl could not take the message.
@@ -209,7 +206,7 @@ class SerializedTaker:
         return view if self._views else bytes(view)
 
     def _end_large(self) -> None:
-        """Release the lent view; free the buffer if the kept ones would exceed KEPT_BYTES."""
+        """Release `lent`; free its buffer if all kept buffers together would exceed KEPT_BYTES."""
         assert self.lent is not None
         self.lent.release()
         self.lent = None

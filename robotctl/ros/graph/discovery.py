@@ -302,8 +302,8 @@ def _discovered(node: Node) -> Iterator[FoundEndpoint]:
 
 
 def count_complete(known: Iterable[FoundEndpoint], introduced: Mapping[bytes, Introduction]) -> int:
-    """Return how many processes of `introduced` are fully discovered: `known` has all endpoints in
-    the process's introduction, and the process's nodes have no others in `known`."""
+    """Return how many processes of `introduced` are fully discovered: `known` has each endpoint of
+    the process's introduction and, except on `ros_discovery_info`, no other of the process."""
     of_nodes: dict[bytes, set[bytes]] = {}
     all_gids: dict[bytes, set[bytes]] = {}
     for each in known:

@@ -73,7 +73,7 @@ class ParameterServices(ParameterService):
             )
 
     def show(self, key: str, value: Any) -> None:
-        """Set the parameter that clients see to `value`, set elsewhere; ignore an unknown `key`."""
+        """Show clients the `value` that the daemon gave to parameter `key`, if the node has it."""
         if key not in self._keys or self._asking:  # rclpy stores accepted values itself
             return
         self._showing = True

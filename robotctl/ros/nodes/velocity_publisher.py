@@ -26,7 +26,7 @@ MAX_NAMED = 8
 """Limit on the other publishers, and on the other command types, that a sentence names."""
 
 LOCK_TIMEOUT_S = 0.02
-"""How long to wait for the lock: no publication takes that long, unless it hangs in rclpy."""
+"""How long `publish_zero` waits for a publication that runs: a longer one hangs in rclpy."""
 
 
 def is_monitor(node_name: str) -> bool:

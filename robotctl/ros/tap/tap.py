@@ -62,7 +62,7 @@ class Sentences:
             yield f"{len(self.by_topic) - self._most} more topics {self._more}"
 
     def say(self, sentence: str) -> None:
-        """Log a sentence, unless it was logged before or MAX_SAID sentences were."""
+        """Log a sentence, unless it was logged before, or MAX_SAID other sentences were logged."""
         if sentence not in self._said and len(self._said) < MAX_SAID:
             self._said.add(sentence)
             _log.warning("%s", sentence)
@@ -178,8 +178,8 @@ LOOKS_PER_COUNT = 4
 """The publishers of a tapped topic are counted once in this number of looks at the graph."""
 
 LOOKS_PER_INSPECTION = 40
-"""Once in this number of looks, the QoS and types of a topic's publishers are read again, as one
-publisher may replace another. Each graph change causes this number of quick looks."""
+"""Once in this number of looks, the QoS and types of a topic's publishers are read again, even if
+their count is the same. After a graph change, at least this number of looks come at POLL_S."""
 
 TOPICS_PER_TURN = 50
 """Limit on the topics that are checked in one turn of the loop, so as not to hold up the loop."""
