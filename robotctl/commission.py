@@ -135,7 +135,7 @@ def _refuse(missing: str) -> None:
 
 
 STEADY_S = 0.8
-"""The base counts as at full speed in this time [s] before the last command at that speed."""
+"""The full speed is measured in this time [s] before the last command of the wanted speed."""
 
 STANDS_S = 0.4
 """How long the base must stand at the end of a motion's odometry [s]."""
@@ -144,7 +144,7 @@ MOVES_SHARE = 0.2
 """A base moves if its speed is at least this share of the commanded one."""
 
 NEAR_S = 0.02
-"""A base stands when its final position is nearer than it drives at full speed in this time [s]."""
+"""A base stands once it is nearer to its final position than its full speed times this [s]."""
 
 MIN_SAMPLES = 3
 
@@ -183,7 +183,7 @@ class Measured:
     stopping_s: float
     """The time from the zero command to the standstill."""
     base_timeout_s: float | None
-    """How long the base moves on without a command, None if it still moved after `quiet_s`."""
+    """How long the base moves on without a command, None if longer than `quiet_s`."""
     quiet_s: float
     turn: Turned | None
     """None if the base cannot turn on the spot, like a car."""
@@ -262,7 +262,7 @@ def _delay_s(motion: Motion, line: _Line) -> float:
 
 
 def _commanded_since_s(motion: Motion) -> float:
-    """Return when [s] a step to the wanted speed must begin to command the ramp's distance."""
+    """Return when [s] the wanted speed must begin, without a ramp, to command the same distance."""
     last_s = _last_s(motion)
     sent = [(t_s, value) for t_s, value in motion.sent() if t_s <= last_s]
     driven = sum(value * (after_s - t_s) for (t_s, value), (after_s, _) in pairwise(sent))
@@ -312,7 +312,7 @@ def _rest(motion: Motion, from_s: float, until_s: float) -> tuple[float, bool]:
 
 
 def _stop(motion: Motion, line: _Line) -> tuple[float, float]:
-    """Return distance [m], in a turn [rad], and time [s] from the first zero to the standstill.
+    """Return the distance [m; rad in a turn] and the time [s] from the zero command to standstill.
 
     Raises:
         Refused: The base did not stand at the end, or odometry ended before it stood.

@@ -302,7 +302,7 @@ SETTLED_S: Final = 10.0
 """Files younger than this are kept: their process may not have locked them yet."""
 
 SCARCE_SHARED_BYTES: Final = 16 << 20
-"""Least free shared memory: a Fast DDS participant uses 0.6 MB, and more if it sends images."""
+"""Less free shared memory is a fault: a Fast DDS participant uses 0.6 MB, more for images."""
 
 _LOCKED = re.compile(r"fastrtps_(?:[0-9a-f]{16}|port\d+)_el")
 
@@ -467,7 +467,7 @@ _UNMATCHED: Final = (
     ("reliability", "best_effort", "reliable"),
     ("durability", "volatile", "transient_local"),
 )
-"""A QoS policy, and an offered and a requested value of it that do not match."""
+"""For each QoS policy, an offered and a requested value that do not match."""
 
 MAX_NAMED: Final = 5
 

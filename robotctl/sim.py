@@ -72,8 +72,8 @@ class SimParams:
     """How the simulated robot differs from a perfect one.
 
     Actuation errors change the motion, so odometry measures them. Odometry errors change only what
-    is reported, so only a comparison with the true pose shows them. Random numbers with mean 1
-    multiply the linear and the angular factor; each noise is their standard deviation.
+    is reported, so only a comparison with the true pose shows them. At each step, a random number
+    multiplies each factor: mean 1, standard deviation `actuation_noise` or `odometry_noise`.
     """
 
     lag_s: float = bounded(0.08, 0.0, 2.0, "s", "time constant of the drives", Change.START)

@@ -96,7 +96,7 @@ def participants_here(domain_id: int) -> int | None:
 def reserved_domain() -> Iterator[int]:
     """Reserve an unused domain of this machine until the block ends, and yield its number.
 
-    The reservation is a bound port: the system releases it when the process ends in any way.
+    The reservation is a bound port, which the system releases even if the process is killed.
 
     Raises:
         Refused: Every domain is in use.

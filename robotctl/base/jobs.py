@@ -39,7 +39,7 @@ class JobFailed(Exception):
 def job_command(work: str, job: object) -> tuple[str, ...]:
     """Return the command that calls `work`, a `module:function`, with `job` in a new process.
 
-    `job` is a JSON object or a data class; a path becomes a text, also one that is not UTF-8.
+    `job` is a JSON object or a data class. A path in it becomes a string, even if not UTF-8.
     """
     text = json.dumps(msgspec.to_builtins(job, enc_hook=str))
     return (*program("robotctl.base.jobs"), work, text)

@@ -37,7 +37,7 @@ FORMAT: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """An accepted result; `recording` is the recording's hash, `settings` are other parameters.
+    """An accepted result; `recording` is its hash, `settings` are the parameters that were tried.
 
     `outcome` is the hash over all findings; `verdict` and `says` are the result in words.
     """

@@ -72,7 +72,7 @@ _CLOSED: Final[Mapping[str, str]] = {
     "python_enable_replacements": "false",
     "lock_configuration": "true",
 }
-"""`lock_configuration` must be last: after it, nothing can be set."""
+"""The settings that limit a database; the last one forbids all further changes."""
 
 
 def write_parquet(

@@ -211,7 +211,7 @@ def outcome_of(
 
 
 def _missing(report: Report) -> list[str]:
-    """Return `report.missing` without the divergence, which another version repeats there."""
+    """Return `report.missing` without the names of versions, and without the first divergence."""
     found = "" if report.divergence is None else report.divergence.sentence()
     sentences = [_OTHER_RULES.sub("", each) for each in report.missing]
     return [each for each in sentences if each != found]
@@ -220,9 +220,9 @@ def _missing(report: Report) -> list[str]:
 VerdictName = Literal["diverged", "broken", "crashed", "incomplete", "unfit", "unreadable", "same"]
 """The verdicts of `replay --check` and three more, the most severe first.
 
-In the gate a recording may be `diverged` whatever version recorded it. `crashed`: robotctl itself
-fails on it. `unfit`: its parameters conflict with the other parameters to be tried. `unreadable`:
-the check, or the run with the other parameters, cannot read it.
+`diverged`: also if another version recorded it, which the check calls `incomplete`. `crashed`:
+robotctl itself fails on it. `unfit`: its parameters conflict with the other parameters to be
+tried. `unreadable`: the check, or the run with the other parameters, cannot read it.
 """
 
 VERDICTS: Final[tuple[VerdictName, ...]] = VerdictName.__args__  # type: ignore[attr-defined]
@@ -262,10 +262,7 @@ class Judgement:
 
     @property
     def differs(self) -> bool:
-        """Whether other parameters change modes or answers, or make the kernel fail.
-
-        Changed velocities do not count.
-        """
+        """Whether other parameters change modes or answers (not only velocities), or fail."""
         other = self.other or {}
         return any(other.get(key) for key in ("mode_differs_s", "answer_count", "failure"))
 

@@ -271,7 +271,7 @@ def _recording(path: Path, now_ns: int) -> OfferedRecording:
 
 
 def _link(recording: OfferedRecording, path: Path) -> None:
-    """Report a link to recordings elsewhere; ignore a link to a neighbour, which is copied too."""
+    """Report a link to recordings outside the link's folder; those inside are copied anyway."""
     target = path.resolve()
     if target.is_relative_to(path.parent.resolve()):
         return
@@ -323,7 +323,7 @@ def _add_data(recording: OfferedRecording, path: Path, key: str, now_ns: int) ->
 
 
 def _is_live(path: Path, file: FileIO, status: os.stat_result, now_ns: int) -> bool:
-    """Return whether a file is being written: it is locked, or foreign, recent and without end."""
+    """Return whether a file is locked, or an unfinished file of another recorder (see YOUNG_NS)."""
     try:
         if is_locked(file.fileno()):
             return True

@@ -178,7 +178,7 @@ class _Copy:
                 self._send(file)
 
     def _more_is_there(self) -> bool:
-        """Return whether the store has data that is gone here; its metadata must then stay."""
+        """Return whether the store has data files that are gone here: its metadata must stay."""
         here = {file.key for file in self._recording.files}
         return any(
             recording_of(key) == self._recording.name and key.endswith(SUFFIX) and key not in here

@@ -168,7 +168,7 @@ def _given_values(given: RosArguments, namespace: str) -> dict[str, object]:
 
 
 def _settings(setting: Assignment | Path, names: dict[str, str]) -> Iterator[tuple[str, object]]:
-    """Yield each key and value that a `-p` or a file sets; `names` has our nodes' full names."""
+    """Yield each key and value that a `-p` or a file sets; `names` maps our nodes to full names."""
     if isinstance(setting, Assignment):
         if setting.node:
             _check_node(setting.node, f"-p {setting.node}:{setting.key}")

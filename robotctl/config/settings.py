@@ -130,7 +130,7 @@ class Config:
         Change.START,
         choices=("warn", "refuse"),
     )
-    """If the node of the topic is not robotctl's own: warn, or refuse to start a motion."""
+    """With `refuse`, no motion starts while a topic has no messages or an unexpected rate."""
 
 
 _TOPIC = re.compile(r"(?!.*__)(?=.{1,200}\Z)/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")

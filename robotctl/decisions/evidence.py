@@ -14,7 +14,7 @@ STANDING: Final = ("ERROR", "EMERGENCY_STOP")
 ENDED: Final = "in order"
 KILLED: Final = "killed, or the power was cut"
 RUNS: Final = "it runs"
-"""The values of `ended` of a daemon; if the daemon failed, `ended` is its error instead."""
+"""Values of `ended` in `Evidence.daemons`; for a daemon that failed, `ended` is its error."""
 
 
 @dataclass(slots=True)
@@ -104,7 +104,7 @@ def _place(found: Evidence, entry: Entry) -> list[dict[str, Any]] | None:
 def _change(
     before: Mapping[str, Any], after: Mapping[str, Any], daemon: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return who made a change, and `[old, new]` of each changed key; None for a missing key."""
+    """Return a dict: `by`, `first` (no value before), `changed` (key -> [old, new])."""
     keys = [*before, *(key for key in after if key not in before)] if before else []
     changed = {
         key: [before.get(key), after.get(key)] for key in keys if before.get(key) != after.get(key)

@@ -298,7 +298,7 @@ def head_of(folder: Path) -> str:
 
 @dataclass(frozen=True, slots=True)
 class OpenedLine:
-    """An OPENED entry at `place`; its value `journal` must match the digests `before` it."""
+    """An OPENED entry at line `place`; its value `journal` must equal the digests `before` it."""
 
     entry: Entry
     place: str
@@ -315,11 +315,11 @@ class LogContent:
 
     opened: list[OpenedLine] = field(default_factory=list)
     broken: list[str] = field(default_factory=list)
-    """Sentences about entries that were changed, removed or added."""
+    """Sentences about files that are missing or unreadable; callers add what else they find."""
     notes: list[str] = field(default_factory=list)
     """Sentences about harmless findings: torn lines, and files that robotctl removed."""
     heads: set[str] = field(default_factory=set)
-    """All digests that recordings may store: of a file up to any line; of one line (early ones)."""
+    """Digests that recordings may store: of a file up to a line, or (early versions) of a line."""
 
     @property
     def begins_later(self) -> bool:
@@ -330,9 +330,9 @@ class LogContent:
 def read_log(folder: Path) -> LogContent:
     """Return the content of the journal in `folder`.
 
-    A line that was torn by a kill or a full disk causes a note. Changed entries are not detected,
-    nor entries removed from the end: for that, compare the digests in each entry of `opened` with
-    its `before`, and the digests in recordings with `heads`.
+    A line that a kill or a full disk has torn causes a note. Entries that were changed, or removed
+    from the end, are not found here: compare the digests in each line of `opened` with its
+    `before`, and the digests in recordings with `heads`.
     """
     log = LogContent(files_of(folder))
     numbers = [_number_of(path) for path in log.files]

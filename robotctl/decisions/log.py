@@ -102,11 +102,11 @@ class DecisionLog:
         self._counts_due_s = 0.0
 
     def add(self, kind: DecisionKind, **values: Any) -> None:
-        """Queue an entry with the present time."""
+        """Queue an entry with the present time; see `add_values`."""
         self.add_values(kind, values)
 
     def add_values(self, kind: DecisionKind, values: Mapping[str, Any]) -> None:
-        """Queue an entry with the present time; the keys of `values` may be any text.
+        """Queue an entry with the present time, or only count it if MAX_WAITING entries wait.
 
         A SOFTWARE or CONFIGURATION entry is written only if it differs from the last such entry.
         """
@@ -153,7 +153,7 @@ class DecisionLog:
                 return
 
     def _retried(self, write: Callable[..., None], *arguments: Entry) -> None:
-        """Call `write` until it succeeds, or once at the end; entries wait in the queue."""
+        """Call `write` until it succeeds or the daemon ends; other entries wait in the queue."""
         is_done = False
         while not is_done:
             try:

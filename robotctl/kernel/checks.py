@@ -16,7 +16,7 @@ from robotctl.kernel.state import Health, is_level
 from robotctl.kernel.types import Cause, LifecycleState
 
 FOREIGN_COMMAND_S = 1.0
-"""For how long one command of another node prevents motion, as that node may send rarely."""
+"""Motion is refused for this long after a command of another node, which may send rarely."""
 
 
 def _age_s(then_ns: int, t_ns: int) -> float:
@@ -124,7 +124,7 @@ def odometry_contradicted(health: Health, params: KernelParams, t_ns: int) -> st
 
 
 def second_odometry(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if two nodes publish odometry at present, else ""."""
+    """Return a sentence if a publisher that is not followed sends odometry too, else ""."""
     second = health.odometry_sources.second
     if second is None or _age_s(second.t_ns, t_ns) > params.odometry.timeout_s:
         return ""
@@ -164,7 +164,10 @@ def foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def foreign_command(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if another node sends commands or (unless YIELD) has a publisher."""
+    """Return a sentence if another node sends commands or has a publisher for them, else "".
+
+    A silent publisher counts unless `command.foreign` is YIELD.
+    """
     if health.foreign_publishers and params.command.foreign is not Foreign.YIELD:
         names = ", ".join(health.foreign_publishers)
         verb = "publishes" if len(health.foreign_publishers) == 1 else "publish"
@@ -267,7 +270,7 @@ def tilted(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def base_fault(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if the diagnostics of the base report an error, else ""."""
+    """Return a sentence if the diagnostics report an error or are unreadable, else ""."""
     reading = _used(health, params.inputs.diagnostics, _DIAGNOSTICS)
     if reading is None or reading.value < LEVEL_OF_ERROR:
         return ""

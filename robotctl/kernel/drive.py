@@ -33,7 +33,7 @@ stop, the distance from the reference to the lead, and the speed of the referenc
 class Progress:
     """How far the reference has come: `laps` complete laps, then `segment` segments, then `length`.
 
-    Lengths are in m, in a turn in rad, of a held velocity in s; speeds are per second.
+    Lengths are in m (in a turn: rad; with a held velocity: s), speeds in the same unit per second.
 
     - `speed`, `accel`: the speed and the acceleration of the reference.
     - `ahead`, `lead_speed`: how far the lead is ahead of the reference; the speed of the lead.
@@ -57,7 +57,7 @@ class Progress:
 def begun(speed: float, ticks: int, dt_s: float, legs: tuple[Leg, ...], *, turns: bool) -> Progress:
     """Return the progress of a reference and a lead that begin at `speed` [m/s].
 
-    They begin at speed 0 if the path begins with a turn (`turns`) or with a leg that is too short.
+    They begin at speed 0 if the first leg is a turn (`turns`), or would end before the lead.
     """
     ahead = 0.5 * speed * dt_s * (ticks - 1)
     if turns or speed <= 0.0 or legs[0].length <= ahead:
@@ -184,7 +184,7 @@ class Drive:
         return held is not None and held.quiet_s > 0.0 and self.progress.length >= held.for_s
 
     def ending(self) -> str:
-        """Return the reason for the end of this drive: it is finished, or its client let it go."""
+        """Return why this drive ends: it is finished, or its client let go or became silent."""
         held = self.course.held
         if held is not None and held.is_held_to_run:
             return "let go" if held.is_let_go else f"not held for {held.for_s * 1e3:g} ms"

@@ -49,8 +49,8 @@ def with_odometry(state: State, event: OdomReceived, params: OdometryParams) -> 
 def odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -> str:
     """Return why this sample is impossible, "" if it is possible.
 
-    Its stamp must not be before the previous stamp, even if the previous sample was impossible:
-    when the wall clock is set back, only one sample is dropped.
+    Its stamp must not be before that of the sample just before it, possible or not: so only one
+    sample is impossible when the wall clock is set back.
     """
     last = health.odometry
     if not is_finite(odometry):

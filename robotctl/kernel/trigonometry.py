@@ -22,7 +22,7 @@ _PARTS_BELOW = (
     (6.07710050630396597660e-11, 2.02226624879595063154e-21),
     (2.02226624871116645580e-21, 8.47842766036889956997e-32),
 )
-"""The same split of that rest, then of its own rest: the leading 33 bits, and what remains."""
+"""The second 33 bits of pi/2 and the rest after them; the third 33 bits and their rest."""
 
 _QUARTER_PI, _MANY_TURNS_RAD = 0.25 * pi, 2.0**19
 

@@ -143,7 +143,7 @@ class Definition:
         return one * (field.length or 0) if self.is_split(field) else 1
 
     def is_split(self, field: Field) -> bool:
-        """Return whether a field is an array to split: not bytes, and at most MAX_SPLIT leaves."""
+        """Return whether a field is an array of fixed length and few leaves, and not of bytes."""
         if field.shape is not FieldShape.ARRAY or NUMBERS.get(field.type_name) == BYTE:
             return False
         return self.leaf_count(field.item) * (field.length or 0) <= MAX_SPLIT
@@ -200,7 +200,7 @@ def parse_definition(type_name: str, text: str) -> Definition:
 
 
 def fields_in(owner: str, text: str, most: int) -> Iterator[Field]:
-    """Yield the fields in `text`, the .msg text of the type `owner` (`pkg/T`) alone.
+    """Yield the fields in `text`, the content of the .msg file of the type `owner` (`pkg/T`).
 
     Raises:
         UnreadableType: A line is no field, or there are more than `most` fields.
@@ -337,8 +337,8 @@ def read_description(type_name: str, description: Mapping[str, Any]) -> Definiti
     """Return the definition of `type_name`: the described type, or a type that it needs.
 
     Raises:
-        UnreadableType: The description exceeds a limit, has a type that ros2msg cannot express
-            (long double, fixed strings), has another form, or a fault that `_checked` finds.
+        UnreadableType: The description is malformed, exceeds a limit, has a type that ros2msg
+            cannot express (long double, fixed strings), or a fault that `_checked` finds.
     """
     try:
         known = [description["type_description"], *description["referenced_type_descriptions"]]

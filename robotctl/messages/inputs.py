@@ -234,7 +234,7 @@ def nearest_by_sector(data: bytes) -> tuple[float, ...]:
     REP-117, -inf is an object too close to measure and becomes 0, and inf is no object.
 
     Raises:
-        struct.error: The message is cut short, not in plain CDR, or has no sensible angles.
+        struct.error: The message is cut short, not in plain CDR, or has impossible angles or size.
     """
     import numpy as np  # here: a check of a recording without scans need not load it
 

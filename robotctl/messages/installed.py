@@ -44,7 +44,7 @@ _BYTES = re.compile(r"^\s*(?:u?int8|byte|char)\[\]\s", re.MULTILINE)
 
 
 class UnusableType(ImportError):
-    """A type cannot be used here; the message says why in words that follow "the type, which"."""
+    """A type cannot be used here; the text is a predicate, such as "is not installed"."""
 
 
 class TypeName(NamedTuple):

@@ -81,7 +81,7 @@ Step = tuple[Event, tuple[Effect, ...]]
 JOURNAL = installed_topic("/robotctl/journal", cdr.JOURNAL_ENTRY)
 
 MAX_QUEUED = 20_000
-"""The number of messages that may be queued; the recorder would drop more."""
+"""`record` waits while more messages than this are queued: a full queue drops messages."""
 
 Written = JournalEntry | Twist | bytes
 """One item to record: a journal entry, a published command, or serialized odometry."""
@@ -120,7 +120,7 @@ def journaled(
 ) -> Iterator[Written]:
     """Yield what a daemon writes for the steps of a kernel.
 
-    There is a snapshot at each given time, and one at the end, after the daemon's last event.
+    There is a snapshot at each given time; the last items are a fault DAEMON_ENDS and a snapshot.
     """
     written: list[Written] = []
     commands = 0

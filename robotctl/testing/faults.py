@@ -131,7 +131,7 @@ def record_boundaries(data: bytes) -> Iterator[int]:
 
 
 def mutated(data: bytes, dice: random.Random) -> bytes:
-    """Return `data` with one to three random damages: bits, lengths, cuts, holes, repetitions."""
+    """Return `data` with one to three random defects: wrong, missing, random or repeated bytes."""
     damaged = bytearray(data)
     for _ in range(dice.randint(1, 3)):
         at = dice.randrange(len(damaged)) if damaged else 0

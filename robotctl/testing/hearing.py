@@ -83,7 +83,7 @@ def _scan(sectors: tuple[float, ...]) -> bytes:
 class HearingKernel(Kernel):
     """A kernel that serializes and numbers the message of each input before it decides.
 
-    `heard` is the event of the last step; `messages` has the messages, by topic and number.
+    `heard` is the event that it decided on last; `messages` maps (topic, number) to a message.
     """
 
     def __init__(self, config: Config) -> None:

@@ -1,4 +1,4 @@
-"""Kernels in every mode, and a simulated drive around one, without clock, ROS and processes."""
+"""Kernels in every mode, and simulated drives, without clock, ROS and processes."""
 
 from __future__ import annotations
 

@@ -203,8 +203,8 @@ class RemoteStore:
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
         """Store an object unless the key is in use; return whether it was stored.
 
-        For an object larger than PART_BYTES this is not atomic, because stores have no conditional
-        multipart upload: if another process stores the same key meanwhile, one object is lost.
+        For an object larger than PART_BYTES this is not atomic, because the library's multipart
+        upload has no condition: if another process stores the same key meanwhile, one is lost.
         """
         begin, rest = _beginning(parts)
         if len(begin) <= PART_BYTES:

@@ -169,7 +169,7 @@ def _name_if_free(path: Path, target: Path) -> None:
 
     Raises:
         FileExistsError: `target` exists.
-        OSError: The file system offers neither links nor renames of this kind.
+        OSError: The file system has neither hard links nor a rename that replaces nothing.
     """
     try:
         os.link(path, target)

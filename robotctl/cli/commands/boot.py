@@ -212,8 +212,8 @@ def install_sync(
 ) -> None:
     """Write a service that runs `robotctl sync`, and its timer; enable the timer, and start it.
 
-    The service runs at the lowest priority. Credentials, such as AWS_ACCESS_KEY_ID=..., belong
-    into the file sync.env that the service names; make it readable for its user alone.
+    The service has the lowest CPU and disk priority. Put credentials (AWS_ACCESS_KEY_ID=...) into
+    the file sync.env that the service names; only the service's user should be able to read it.
 
     \b
     Examples:
