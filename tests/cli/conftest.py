@@ -15,6 +15,7 @@ import pytest
 
 import robotctl
 from robotctl.base.errors import NoDaemon
+from robotctl.base.paths import recordings_note_path
 from robotctl.base.processes import Child, start
 from robotctl.cli import app
 from robotctl.cli.targets import launch
@@ -72,6 +73,14 @@ def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
         return Ran(exit_code, *capsys.readouterr())
 
     return run
+
+
+def note_recordings(folder: Path, robot: str = "robot") -> Path:
+    """Note the folder to which a robot's last daemon recorded; return the note."""
+    note = recordings_note_path(robot)
+    note.parent.mkdir(parents=True)
+    note.write_text(f"{folder}\n")
+    return note
 
 
 @pytest.fixture

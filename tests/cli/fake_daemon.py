@@ -16,8 +16,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from mcap.writer import Writer
-
 from robotctl import __version__
 from robotctl.base.errors import Refused
 from robotctl.base.paths import log_path, socket_path
@@ -29,6 +27,7 @@ from robotctl.ipc.method_params import (
     SetModeParams,
 )
 from robotctl.ipc.server import ControlServer, Identity, Method
+from tests.support.bags import odometry, write_bag
 
 MODES = ["IDLE", "MOVING", "ERROR", "EMERGENCY_STOP"]
 DRIVE_S = 0.3
@@ -70,7 +69,7 @@ class FakeDaemon:
         name = f"{options.robot}_20260101_120000"
         self.file = Path(options.recordings).absolute() / name / f"{name}_0.mcap"
         self.file.parent.mkdir(parents=True)
-        record(self.file)
+        write_bag(self.file, [odometry(20.0 * number, 0.0) for number in range(20)])
 
     async def status(self, _: NoParams) -> dict[str, Any]:
         return {
@@ -198,19 +197,6 @@ class FakeDaemon:
             await self.stopped.wait()
             serving.cancel()
             await asyncio.gather(serving, return_exceptions=True)
-
-
-def record(file: Path) -> None:
-    """Write a recording of 20 messages."""
-    with file.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start("ros2")
-        schema = writer.register_schema("nav_msgs/msg/Odometry", "ros2msg", b"")
-        channel = writer.register_channel("/odom", "cdr", schema)
-        for index in range(20):
-            at_ns = 1_767_268_800_000_000_000 + index * 20_000_000
-            writer.add_message(channel, at_ns, b"\0" * 16, at_ns)
-        writer.finish()
 
 
 def say_ready(descriptor: int | None, said: object) -> None:

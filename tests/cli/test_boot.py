@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pwd
 import shutil
 import subprocess
@@ -44,7 +43,7 @@ def started(text: str) -> str:
 
 
 def test_the_unit_starts_the_daemon_as_one_that_reports(cli: Cli, units: Path, home: Path) -> None:
-    made = json.loads(cli("boot", "show", "--robot", "r2", "--json", "--", "--no-sim").out)
+    made = cli("boot", "show", "--robot", "r2", "--json", "--", "--no-sim").summary
     assert made["path"] == str(units / "robotctl-r2.service")
     lines = made["text"].splitlines()
     for line in ("Type=notify", "Restart=on-failure", "WatchdogSec=10", "UMask=0077"):

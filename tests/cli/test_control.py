@@ -42,9 +42,8 @@ def mode() -> str:
 
 @pytest.mark.usefixtures("wide_terminal")
 def test_status_is_one_screen_of_80_columns_and_one_line_of_json(daemon: None, cli: Cli) -> None:
-    ran = cli("status")
-    lines = ran.out.splitlines()
-    assert ran.exit_code == 0
+    out = cli("status").succeeded("warning: \\x1b[2Jforged")
+    lines = out.splitlines()
     assert lines[0] == "robot: IDLE"
     assert len(lines) <= 24
     shown = " ".join(lines)
@@ -52,9 +51,8 @@ def test_status_is_one_screen_of_80_columns_and_one_line_of_json(daemon: None, c
         assert text in shown
     # The socket's path is as long as the temporary folder's; everything else has its columns.
     assert all(len(line) <= 80 for line in lines if "socket" not in line)
-    assert "warning: \\x1b[2Jforged" in ran.out
     told = cli("status", "--json").out
-    assert "\x1b" not in ran.out + told
+    assert "\x1b" not in out + told
     assert told.count("\n") == 1
     assert json.loads(told).keys() >= Status.__required_keys__
     assert json.loads(told)["mode"] == "IDLE"
@@ -74,10 +72,8 @@ def test_set_mode_answers_as_the_service_does_and_tells_who_asked(daemon: None, 
     assert cli("set-mode", "moving").out == "Mode changed to MOVING\n"
     reason = call("robot", "status")["mode_reason"]
     assert reason == f"robotctl set-mode (uid {os.getuid()}, pid {os.getpid()})"
-    assert json.loads(cli("set-mode", "idle", "--json").out) == {
-        "message": "Mode changed to IDLE",
-        "mode": "IDLE",
-    }
+    told = {"message": "Mode changed to IDLE", "mode": "IDLE"}
+    assert cli("set-mode", "idle", "--json").summary == told
 
 
 def test_estop_says_how_to_release_it_and_a_refusal_exits_with_4(daemon: None, cli: Cli) -> None:
@@ -137,7 +133,7 @@ def test_drive_wait_ends_with_the_tracking_numbers_and_a_picture_beside_the_reco
     PICTURE.unlink()
     cli("drive", "square", "--replace")
     assert not PICTURE.exists()
-    answer = json.loads(cli("drive", "square", "--wait", "--replace", "--json").out)
+    answer = cli("drive", "square", "--wait", "--replace", "--json").summary
     numbers = {"laps", "distance_m", "cross_track_rms_m", "cross_track_max_m", "closure_m"}
     assert answer.keys() >= numbers
     assert Path(answer["picture"]) == PICTURE.absolute()
@@ -158,7 +154,7 @@ def test_a_picture_that_cannot_be_drawn_changes_nothing_but_is_told(
     PICTURE.symlink_to(other)
     ran = cli("drive", "square", "--wait", "--json")
     assert ran.exit_code == 0
-    assert json.loads(ran.out)["picture"] is None
+    assert ran.summary["picture"] is None
     assert "no path.png was drawn" in ran.err
     assert other.read_text() == "of another user"
 
@@ -356,8 +352,8 @@ def test_estop_of_one_robot_names_the_others_that_move_and_all_stops_them(
         assert cli("set-mode", "moving", "--robot", robot).exit_code == 0
     stopped = cli("estop")
     assert "still MOVING: r2 (all robots: robotctl estop --all)" in stopped.out
-    assert json.loads(cli("estop", "--json").out)["others_moving"] == ["r2"]
-    listed = {each["robot"]: each for each in json.loads(cli("ps", "--json").out)["robots"]}
+    assert cli("estop", "--json").summary["others_moving"] == ["r2"]
+    listed = {each["robot"]: each for each in cli("ps", "--json").summary["robots"]}
     assert {name: each["mode"] for name, each in listed.items()} == {
         "r2": "MOVING",
         "robot": "EMERGENCY_STOP",
@@ -374,5 +370,5 @@ def test_estop_of_one_robot_names_the_others_that_move_and_all_stops_them(
 @pytest.mark.usefixtures("home")
 def test_where_no_daemon_runs_ps_says_so_and_a_stop_of_all_fails(cli: Cli) -> None:
     assert cli("ps").out == "no daemon runs\n"
-    assert json.loads(cli("ps", "--json").out) == {"robots": []}
+    assert cli("ps", "--json").summary == {"robots": []}
     assert cli("estop", "--all").exit_code == 3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import signal
 from pathlib import Path
@@ -78,7 +77,7 @@ def test_keep_leaves_the_daemon_and_says_how_to_go_on(cli: Cli, home: Path) -> N
 def test_json_is_one_line_with_every_number(cli: Cli) -> None:
     ran = cli("demo", "--json")
     assert ran.out.count("\n") == 1
-    said = json.loads(ran.out)
+    said = ran.summary
     assert said["messages"] == {"/odom": 20}
     assert said["lost"] == 0
     assert Path(said["picture"]).exists()

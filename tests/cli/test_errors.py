@@ -18,10 +18,8 @@ import robotctl
 from robotctl.base.errors import NoDaemon
 from robotctl.cli import quick, registry
 from robotctl.cli.registry import COMMANDS as OURS
-from robotctl.recording import Recorder
-from robotctl.testing.drives import TWIST
 from tests.cli.conftest import Cli
-from tests.support.recordings import write_numbered
+from tests.support.recordings import recorded
 
 COMMANDS = [
     *(*OURS, "record status", "record split"),
@@ -83,10 +81,7 @@ def test_without_a_daemon_every_command_says_how_to_start_one(arguments: str, cl
 def test_a_usage_error_is_one_sentence_with_exit_code_2(
     arguments: str, text: str, cli: Cli
 ) -> None:
-    err = cli(*arguments.split()).refused(2)
-    assert err.startswith("robotctl: ")
-    assert err.count("\n") == 1
-    assert text in err
+    assert cli(*arguments.split()).refused(2, text).startswith("robotctl: ")
 
 
 WITH_JSON = [
@@ -113,7 +108,7 @@ def test_a_failure_with_json_is_one_object_on_stdout(
 
 
 def test_the_object_of_a_failure_separates_cause_and_cure(cli: Cli) -> None:
-    error = json.loads(cli("status", "--robot", "r2", "--json").out)["error"]
+    error = cli("status", "--robot", "r2", "--json").summary["error"]
     assert error == {
         "kind": "no_daemon",
         "message": NO_DAEMON.removeprefix("robotctl: ").strip().replace("'robot'", "'r2'")[:-1]
@@ -139,27 +134,24 @@ def test_a_bug_and_ctrl_c_are_answered_in_json_too(
         monkeypatch.setattr(quick, "call", fail)
         ran = cli("status", "--json")
         assert ran.exit_code == exit_code
-        error = json.loads(ran.out)["error"]
+        error = ran.summary["error"]
         assert (error["kind"], error["exit_code"]) == (kind, exit_code)
         assert error["message"]
 
 
 def record_cut_short(folder: Path) -> Path:
     """Record 100 messages, and cut off the end of the file."""
-    recorder = Recorder(folder / "run", on_failure=pytest.fail)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
-    file = recorder.close().file
+    file = recorded(folder / "run", 100)
     file.write_bytes(file.read_bytes()[:-30])
     return file
 
 
 def test_what_was_found_stands_in_the_object_beside_the_error(cli: Cli, tmp_path: Path) -> None:
     file = record_cut_short(tmp_path)
-    for command, key in (("info", "messages"), ("recover", "messages")):
+    for command in ("info", "recover"):
         ran = cli(command, str(file), "--json")
-        found = json.loads(ran.out)
-        assert found[key] == 100
-        assert found["error"]["exit_code"] == ran.exit_code != 0
+        assert ran.summary["messages"] == 100
+        assert ran.summary["error"]["exit_code"] == ran.exit_code != 0
 
 
 @pytest.mark.parametrize(

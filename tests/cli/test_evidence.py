@@ -97,7 +97,7 @@ def journal(state: Path, recorded: Path) -> Path:
 def report(cli: Cli, *options: str, exit_code: int = 0) -> Any:
     ran = cli("evidence", "--json", *options)
     assert ran.exit_code == exit_code, ran
-    return json.loads(ran.out)
+    return ran.summary
 
 
 def test_changes_are_told_with_old_and_new_value_and_author(journal: Path, cli: Cli) -> None:
@@ -342,7 +342,7 @@ def test_what_stands_in_the_place_of_a_sealed_file_exits_with_7(
     put(sealed_runs)
     for command in (("verify", str(sealed_runs)), ("evidence",)):
         cli(*command).failed(7, out=sentence)
-    items = json.loads(cli("evidence", "--json").out)["recordings"]
+    items = cli("evidence", "--json").summary["recordings"]
     assert items[0]["verify"] == "broken"
 
 
@@ -352,7 +352,7 @@ def test_two_copies_of_a_file_break_the_chain_of_both(sealed_runs: Path, cli: Cl
     shutil.rmtree(seal_folder("robot").parent)
     ran = cli("verify", str(sealed_runs), "--json")
     assert ran.exit_code == 7
-    assert "have the same place in the chain" in json.loads(ran.out)["wrong"][0]
+    assert "have the same place in the chain" in ran.summary["wrong"][0]
 
 
 def test_a_renamed_folder_and_a_copy_elsewhere_stay_sealed(

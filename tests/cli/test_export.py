@@ -20,11 +20,13 @@ import pytest
 from robotctl.messages.definition import parse_definition
 from robotctl.messages.fields import parse_path, value_at
 from robotctl.messages.values import Decoder, encode
-from robotctl.recording import Recorder, Topic, arrays, read_info, read_messages
+from robotctl.recording import Topic, arrays, read_info, read_messages
 from robotctl.testing.drives import GID
 from tests.cli.conftest import Cli
+from tests.support.recordings import Tape
 
-DRIVE = Path(__file__).parents[1] / "golden" / "stopped"
+GOLDEN = Path(__file__).parents[1] / "golden"
+DRIVE = GOLDEN / "stopped"
 START_NS = 1_700_000_000_000_000_000
 
 DEFINITION = """\
@@ -63,14 +65,20 @@ def message(number: int) -> dict[str, Any]:
 
 def written(folder: Path, count: int = 8) -> Path:
     """Return a recording with `count` messages, one second apart."""
-    recorder = Recorder(folder / "run", on_failure=print)
-    channel = recorder.add_topic(TOPIC)
     definition = parse_definition(TOPIC.type_name, DEFINITION)
-    for number in range(count):
+    messages = (encode(definition, message(number)) for number in range(count))
+    return recording_of(folder / "run", TOPIC, *messages)
+
+
+def recording_of(folder: Path, topic: Topic, *messages: bytes) -> Path:
+    """Record messages of a topic, one second apart; return the folder."""
+    recorder = Tape(folder)
+    channel = recorder.add_topic(topic)
+    for number, data in enumerate(messages):
         log_ns = START_NS + number * 1_000_000_000
-        recorder.write(channel, encode(definition, message(number)), log_ns, log_ns - 5, 1, GID)
+        recorder.write(channel, data, log_ns, log_ns - 5, 1, GID)
     recorder.close()
-    return folder / "run"
+    return folder
 
 
 def test_csv_holds_each_field_of_each_message_and_its_times(cli: Cli) -> None:
@@ -104,12 +112,10 @@ def test_csv_keeps_what_is_no_number_lists_bytes_and_any_text(cli: Cli, tmp_path
 
 
 def test_a_carriage_return_in_a_text_ends_no_row_of_csv(cli: Cli) -> None:
-    recorder = Recorder(Path("returns"), on_failure=print)
-    definition = parse_definition("p/msg/Text", "string a\nstring b\n")
-    channel = recorder.add_topic(Topic("/text", "p/msg/Text", "string a\nstring b\n"))
+    topic = Topic("/text", "p/msg/Text", "string a\nstring b\n")
     texts = {"a": "one\rtwo", "b": "end\r"}
-    recorder.write(channel, encode(definition, texts), START_NS, START_NS, 1, GID)
-    recorder.close()
+    data = encode(parse_definition(topic.type_name, topic.definition), texts)
+    recording_of(Path("returns"), topic, data)
     assert cli("export", "returns", "--topic", "/text", "-o", "text.csv").exit_code == 0
     assert not Path("text.csv").read_bytes().endswith(b"\r\n")
     with Path("text.csv").open(newline="") as stream:
@@ -272,25 +278,19 @@ def test_the_file_is_private_as_its_recording(cli: Cli, tmp_path: Path) -> None:
 def test_messages_that_do_not_fit_their_type_are_left_out_and_told(
     cli: Cli, tmp_path: Path
 ) -> None:
-    recorder = Recorder(tmp_path / "bad", on_failure=print)
-    channel = recorder.add_topic(Topic("/n", "p/msg/N", "int64 n\n"))
-    for data in (b"\0\1\0\0" + bytes(8), b"\0\1\0\0" + bytes(3)):
-        recorder.write(channel, data, START_NS, START_NS, 1, GID)
-    recorder.close()
+    topic = Topic("/n", "p/msg/N", "int64 n\n")
+    recording_of(tmp_path / "bad", topic, b"\0\1\0\0" + bytes(8), b"\0\1\0\0" + bytes(3))
     ran = cli("export", str(tmp_path / "bad"), "--topic", "/n")
-    assert (ran.exit_code, ran.out.count("\n")) == (8, 2)
-    assert "1 messages of /n cannot be decoded" in ran.err
+    ran.failed(8, "1 messages of /n cannot be decoded")
+    assert ran.out.count("\n") == 2
 
 
 def test_a_field_with_the_name_of_a_time_keeps_a_column_of_its_own(
     cli: Cli, tmp_path: Path
 ) -> None:
-    recorder = Recorder(tmp_path / "named", on_failure=print)
-    channel = recorder.add_topic(Topic("/n", "p/msg/N", "int64 log_ns\n"))
-    recorder.write(channel, b"\0\1\0\0\x07" + bytes(7), START_NS, START_NS, 1, GID)
-    recorder.close()
-    ran = cli("export", str(tmp_path / "named"), "--topic", "/n", "--json")
-    row = json.loads(ran.out)
+    topic = Topic("/n", "p/msg/N", "int64 log_ns\n")
+    run = recording_of(tmp_path / "named", topic, b"\0\1\0\0\x07" + bytes(7))
+    row = cli("export", str(run), "--topic", "/n", "--json").summary
     assert (row["log_ns"], row["message.log_ns"]) == (START_NS, 7)
 
 
@@ -307,14 +307,11 @@ def test_control_characters_reach_a_file_but_no_terminal(
     assert b"0: a " in shown
 
 
-GOLDEN = Path(__file__).parents[1] / "golden"
-
-
 def test_the_answer_names_the_new_files_and_counts_the_messages(cli: Cli, tmp_path: Path) -> None:
     target = tmp_path / "copy"
     ran = cli("convert", str(GOLDEN / "foreign"), str(target), "--json")
     assert (ran.exit_code, ran.err) == (0, "")
-    assert json.loads(ran.out) == {
+    assert ran.summary == {
         "source": str(GOLDEN / "foreign"),
         "target": str(target),
         "files": ["copy_0.mcap", "copy_1.mcap"],
@@ -339,11 +336,9 @@ def test_a_loss_is_told_and_is_code_8(cli: Cli, tmp_path: Path) -> None:
 
 
 def test_of_a_recording_that_goes_on_the_answer_says_so(cli: Cli, tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "run", on_failure=print)
-    try:
-        ran = cli("convert", str(tmp_path / "run"), str(tmp_path / "copy"))
-    finally:
-        recorder.close()
+    recorder = Tape(tmp_path / "run")
+    ran = cli("convert", str(tmp_path / "run"), str(tmp_path / "copy"))
+    recorder.close()
     assert ran.exit_code == 0
     assert ran.err == f"robotctl: {tmp_path}/run is still being recorded: the copy ends here\n"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import getpass
-import json
 import os
 import shutil
 from functools import partial
@@ -42,14 +41,14 @@ def _in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("lap")
 def test_machines_are_told_who_accepted_what_and_why(cli: Cli) -> None:
-    same = json.loads(cli("gate", "--json", "--junit", "gate.xml").out)
+    same = cli("gate", "--json", "--junit", "gate.xml").summary
     assert (same["failed"], same["counts"]["same"]) == (0, 1)
     assert LAP.name in Path("gate.xml").read_text()
     assert cli("gate").exit_code == 0
     assert cli("gate", *SLOW).exit_code == 7
     accepting = ("--baseline", "accepted.json", "--accept", "the base is slower")
     assert cli("gate", *SLOW, *accepting).exit_code == 0
-    found = json.loads(cli("gate", *SLOW, "--baseline", "accepted.json", "--json").out)
+    found = cli("gate", *SLOW, "--baseline", "accepted.json", "--json").summary
     (recording,) = found["recordings"]
     assert recording["state"] == "accepted"
     at = recording["accepted"].pop("at")
@@ -131,7 +130,7 @@ def test_a_what_if_tells_each_drive_before_and_after(
     (title,) = (each for each in lines if each.startswith(f"  {LAP.name}, drive 1: "))
     assert title.split(": ")[1].startswith("1 lap, 4.")
     assert any("the robot does not react" in each for each in lines)
-    found = json.loads(cli("gate", *slow, "--json").out)
+    found = cli("gate", *slow, "--json").summary
     drives = {Path(each["path"]).name: each["other"]["drives"] for each in found["recordings"]}
     assert drives["still"] == []
     (one,) = drives[LAP.name]

@@ -53,7 +53,7 @@ def test_a_latched_stop_is_shown_with_its_release(
 
 def test_the_options_reach_the_daemon_and_json_is_what_it_said(cli: Cli) -> None:
     options = ["--config=a.yaml", "--recordings=r", "--drive=circle", "--no-sim"]
-    said = json.loads(cli("start", *options, "--json").out)
+    said = cli("start", *options, "--json").summary
     assert (said["ready"], said["pid"]) == (True, call("robot", "status")["pid"])
     logged = cli("logs").out
     for option in options:

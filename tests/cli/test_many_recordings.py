@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 from pathlib import Path
@@ -35,10 +34,10 @@ def test_a_user_finds_the_drives_of_a_folder(cli: Cli) -> None:
     record(LAP, drive(2.0))
     out = cli("find", "drive >= 1").succeeded(LAP.name)
     assert out.endswith("1 row\n")
-    found = json.loads(cli("find", "--recordings", "--json").out)
+    found = cli("find", "--recordings", "--json").summary
     assert found["left_out"] == []
     assert found["rows"][0]["recording"] == LAP.name
-    indexed = json.loads(cli("index", "--json").out)
+    indexed = cli("index", "--json").summary
     assert indexed["indexed"] == 1
     counted = cli("find", "--sql", "SELECT count(*) AS drives FROM drives").out
     assert counted.split() == ["drives", "1", "1", "row"]
@@ -63,13 +62,13 @@ def test_a_row_of_the_answer_is_opened_at_its_moment(
 ) -> None:
     out = cli("find", "--open", "1").succeeded()
     assert out.startswith(f"{LAP}/report.html ")
-    (event,) = json.loads(cli("find", "mode == 'MOVING'", "--events", "--json").out)["rows"]
-    clip = json.loads(cli("find", "--events", "--open", "1", "--as", "clip", "--json").out)
+    (event,) = cli("find", "mode == 'MOVING'", "--events", "--json").summary["rows"]
+    clip = cli("find", "--events", "--open", "1", "--as", "clip", "--json").summary
     assert abs(clip["event_ns"] - event["start_ns"]) < 1_000_000
     assert Path(clip["target"]).parent == LAP.absolute() / "clips"
     query = "SELECT recording, start_ns + 1000000000 AS start_ns FROM drives"
     later = cli("find", "--sql", query, "--open", "1", "--as", "clip", "--json")
-    assert abs(json.loads(later.out)["event_ns"] - event["start_ns"] - 1_000_000_000) < 1_000_000
+    assert abs(later.summary["event_ns"] - event["start_ns"] - 1_000_000_000) < 1_000_000
 
 
 @pytest.mark.usefixtures("indexed")

@@ -9,12 +9,12 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from mcap.writer import Writer
 from PIL import Image
 
 from robotctl.messages.definition import parse_definition
 from robotctl.messages.values import encode
 from tests.cli.conftest import Cli
+from tests.support.bags import Line, write_bag
 
 DEFINITION = """\
 float64 x
@@ -37,22 +37,16 @@ Point[] points
 MSG: a/Point
 int32 y
 """
-START_NS = 1_700_000_000_000_000_000
 
 
 def write(path: Path, rows: list[tuple[float, list[float]]], definition: str = DEFINITION) -> None:
     """Write messages 0.1 s apart: x, and ranges."""
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start("ros2")
-        schema = writer.register_schema("a/msg/T", "ros2msg", definition.encode())
-        channel = writer.register_channel("/t", "cdr", schema)
-        for number, (x, ranges) in enumerate(rows):
-            data = b"\0\1\0\0" + struct.pack("<3dI", x, 2 * x, 3 * x, len(ranges))
-            data += struct.pack(f"<{len(ranges)}fI5s", *ranges, 5, b"name\0")
-            at_ns = START_NS + number * 100_000_000
-            writer.add_message(channel, at_ns, data, at_ns)
-        writer.finish()
+    lines = []
+    for number, (x, ranges) in enumerate(rows):
+        data = b"\0\1\0\0" + struct.pack("<3dI", x, 2 * x, 3 * x, len(ranges))
+        data += struct.pack(f"<{len(ranges)}fI5s", *ranges, 5, b"name\0")
+        lines.append(Line("/t", "a/msg/T", 100.0 * number, data, definition=definition))
+    write_bag(path, lines)
 
 
 @pytest.fixture(autouse=True)
@@ -154,15 +148,8 @@ def write_transforms(path: Path) -> None:
     """Write two messages, the first with a list of two messages, the second with none."""
     definition = parse_definition("a/msg/T", TRANSFORMS)
     place = {"names": ["a"], "x": 1.5, "points": [{"y": 3}, {"y": 4}]}
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start("ros2")
-        schema = writer.register_schema("a/msg/T", "ros2msg", TRANSFORMS.encode())
-        channel = writer.register_channel("/tf", "cdr", schema)
-        for number, places in enumerate(([place, place], [])):
-            data = encode(definition, {"places": places})
-            writer.add_message(channel, START_NS + number, data, START_NS)
-        writer.finish()
+    both = [encode(definition, {"places": places}) for places in ([place, place], [])]
+    write_bag(path, [Line("/tf", "a/msg/T", 0.0, data, definition=TRANSFORMS) for data in both])
 
 
 def test_numbers_of_messages_in_a_list_are_named_and_drawn(cli: Cli) -> None:
@@ -186,7 +173,7 @@ def test_a_type_of_endless_lists_is_searched_for_a_moment_only(cli: Cli) -> None
     parts = ["P0[] a\nP0[] b\n"]
     parts += [f"MSG: a/P{n}\nP{n + 1}[] a\nP{n + 1}[] b\n" for n in range(50)]
     parts += ["MSG: a/P50\nstring s\n", *(f"MSG: a/Q{n}\nfloat64 x\n" for n in range(140))]
-    write(Path("lists.mcap"), [], f"{'=' * 80}\n".join(parts))
+    write(Path("lists.mcap"), [(0.0, [])], f"{'=' * 80}\n".join(parts))
     before_s = time.process_time()
     assert "it has no numbers" in cli("plot", "lists.mcap", "/t").err
     assert "a is no number: it has no numbers" in cli("plot", "lists.mcap", "/t", "a").err

@@ -12,30 +12,35 @@ from datetime import datetime
 from pathlib import Path
 
 import pytest
-from mcap.writer import Writer
 
 from robotctl.base.errors import Refused, UsageError
-from robotctl.base.paths import recordings_note_path
 from robotctl.cli.commands.recordings.info import qos_text, remove
 from robotctl.cli.targets.recordings import parse_moment
 from robotctl.cli.ui import text
-from robotctl.recording import Recorder
 from robotctl.recording.format.names import EventKind
 from robotctl.recording.format.recorded_events import ERRORS, RecordedEvent
 from robotctl.recording.keep.listing import CLIPS_FOLDER, set_kept
-from robotctl.testing.drives import START_NS, TWIST
-from tests.cli.conftest import Cli
-from tests.support.recordings import read_strictly, write_numbered
+from robotctl.testing.drives import START_NS
+from tests.cli.conftest import Cli, note_recordings
+from tests.support.bags import ODOMETRY, VOLATILE, Line, odometry, write_bag
+from tests.support.recordings import Tape, read_strictly
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 OLDER, NEWER = "robot_20260101_120000", "robot_20260101_120000-2"
 
 
-def record(folder: Path, count: int = 100) -> Path:
-    recorder = Recorder(folder, on_failure=pytest.fail)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, count + 1))
-    recorder.add_event(RecordedEvent(EventKind.EMERGENCY_STOP, START_NS, "requested by \x1b[2J"))
-    return recorder.close().file
+STOP = RecordedEvent(EventKind.EMERGENCY_STOP, START_NS, "requested by \x1b[2J")
+
+
+def begun(folder: Path, event: RecordedEvent = STOP) -> Tape:
+    recorder = Tape(folder)
+    recorder.commands(range(1, 101))
+    recorder.add_event(event)
+    return recorder
+
+
+def record(folder: Path) -> Path:
+    return begun(folder).close().file
 
 
 @pytest.fixture
@@ -44,9 +49,7 @@ def library(tmp_path: Path) -> Path:
     folder = tmp_path / "library"
     for name in (OLDER, NEWER):
         record(folder / name)
-    note = recordings_note_path("robot")
-    note.parent.mkdir(parents=True)
-    note.write_text(f"{folder}\n")
+    note_recordings(folder)
     return folder
 
 
@@ -60,7 +63,7 @@ def test_the_list_is_that_of_the_last_daemon_from_any_directory(library: Path, c
 
 
 def test_the_list_for_machines_has_every_fact(library: Path, cli: Cli) -> None:
-    found = json.loads(cli("recordings", "--json").out)
+    found = cli("recordings", "--json").summary
     assert found["folder"] == str(library)
     first = found["recordings"][0]
     assert first == {
@@ -87,26 +90,21 @@ def test_the_list_tells_the_errors_and_the_time_of_drives_within_80_columns(
     cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(text, "_terminal_columns", lambda: 80)
-    folder = tmp_path / "driven" / OLDER
-    recorder = Recorder(folder, on_failure=pytest.fail)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 10))
+    folder = tmp_path / "driven"
     names = ("cross_track_max_m", "heading_max_rad", "closure_m")
     errors = dict(zip(names, (0.021, 0.031, 0.005), strict=True))
     errors |= dict(zip((f"true_{name}" for name in names), (0.024, 0.034, 0.006), strict=True))
     ended = RecordedEvent(
         EventKind.DRIVE_ENDED, START_NS, "drive finished: 1 lap", 1, **errors, drive_s=77.0
     )
-    recorder.add_event(ended)
-    recorder.close()
-    lines = cli("recordings", "--recordings", str(folder.parent)).out.splitlines()
+    begun(folder / OLDER, ended).close()
+    lines = cli("recordings", "--recordings", str(folder)).out.splitlines()
     assert max(map(len, lines[1:])) <= 80
     assert [line.strip() for line in lines[3:]] == [
         "drives: 0.021 m off track (0.024 in truth), 0.031 rad off heading (0.034 in",
         "truth), 0.005 m closure (0.006 in truth), 1 min 17 s",
     ]
-    (found,) = json.loads(cli("recordings", "--recordings", str(folder.parent), "--json").out)[
-        "recordings"
-    ]
+    (found,) = cli("recordings", "--recordings", str(folder), "--json").summary["recordings"]
     assert {name: found[name] for name in errors} == errors
     assert found["driven_s"] == 77.0
 
@@ -119,14 +117,14 @@ def test_another_folder_may_be_named(library: Path, cli: Cli, tmp_path: Path) ->
 
 def test_keep_marks_a_recording_and_unkeep_takes_it_back(library: Path, cli: Cli) -> None:
     assert cli("recordings", "keep", OLDER).exit_code == 0
-    answer = json.loads(cli("recordings", "keep", "last", "--json").out)
+    answer = cli("recordings", "keep", "last", "--json").summary
     assert answer == {"path": str(library / NEWER), "kept": True}
     assert (library / OLDER / "keep").exists()
     assert (library / NEWER / "keep").exists()
     assert cli("recordings").out.count("kept") == 2
     assert cli("recordings", "unkeep", OLDER).exit_code == 0
     assert not (library / OLDER / "keep").exists()
-    answer = json.loads(cli("recordings", "unkeep", "last", "--json").out)
+    answer = cli("recordings", "unkeep", "last", "--json").summary
     assert answer == {"path": str(library / NEWER), "kept": False}
     ran = cli("recordings", "keep", "nothing")
     assert (ran.exit_code, ran.err.count("\n")) == (4, 1)
@@ -163,7 +161,7 @@ def test_last_is_the_newest_in_the_folder_at_hand(library: Path, cli: Cli) -> No
 
 def test_info_tells_machines_events_ledger_and_metadata(library: Path, cli: Cli) -> None:
     assert "estop        requested by \\x1b[2J" in cli("info", OLDER).out
-    found = json.loads(cli("info", OLDER, "--json").out)
+    found = cli("info", OLDER, "--json").summary
     assert found["events"] == [
         {"kind": "estop", "time_ns": START_NS, "text": "requested by \x1b[2J"}
     ]
@@ -188,7 +186,7 @@ def test_what_is_lost_is_said_and_is_the_exit_code(cli: Cli, tmp_path: Path) -> 
     ran = cli("recover", str(file), "-o", str(out), "--json")
     assert ran.exit_code == 8
     assert ran.err.startswith(f"robotctl: {file} could not be saved completely: ")
-    found = json.loads(ran.out)
+    found = ran.summary
     assert (found["target"], found["messages"]) == (str(out), 100)
     assert found["lost"]
     assert len(read_strictly(out)) == 100
@@ -223,18 +221,18 @@ def test_a_folder_is_recovered_file_by_file(library: Path, cli: Cli) -> None:
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason="no sample bags")
 def test_bags_of_rosbag2_are_shown_recovered_and_cut(cli: Cli, tmp_path: Path) -> None:
     for bag in sorted(SAMPLES.iterdir()):
-        found = json.loads(cli("info", str(bag), "--json").out)
+        found = cli("info", str(bag), "--json").summary
         assert found["messages"] > 0
         out = tmp_path / bag.name
         ran = cli("recover", str(bag), "-o", str(out), "--json")
-        assert (ran.exit_code, json.loads(ran.out)["messages"]) == (0, found["messages"])
-        assert json.loads(cli("info", str(out), "--json").out)["messages"] == found["messages"]
+        assert (ran.exit_code, ran.summary["messages"]) == (0, found["messages"])
+        assert cli("info", str(out), "--json").summary["messages"] == found["messages"]
         clip = tmp_path / f"{bag.name}.mcap"
         cli(
             "clip", str(bag), "--at", "0", "--before", "0", "--after", "0.5", "-o", str(clip)
         ).succeeded()
         assert read_strictly(clip)
-    listed = json.loads(cli("recordings", "--recordings", str(SAMPLES), "--json").out)
+    listed = cli("recordings", "--recordings", str(SAMPLES), "--json").summary
     assert all(each["readable"] and not each["damage"] for each in listed["recordings"])
     assert len(listed["recordings"]) == len(list(SAMPLES.iterdir()))
 
@@ -243,14 +241,12 @@ NAME = "robot_20260101_120000"
 
 
 @pytest.fixture
-def open_recorder(tmp_path: Path) -> Recorder:
-    recorder = Recorder(tmp_path / "cwd" / "recordings" / NAME, on_failure=pytest.fail)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 10))
-    return recorder
+def open_recorder(tmp_path: Path) -> Tape:
+    return begun(tmp_path / "cwd" / "recordings" / NAME)
 
 
 @pytest.fixture
-def with_clips(open_recorder: Recorder) -> Path:
+def with_clips(open_recorder: Tape) -> Path:
     file = open_recorder.close().file
     clips = file.parent / CLIPS_FOLDER
     clips.mkdir()
@@ -290,7 +286,7 @@ def test_a_kept_recording_and_without_a_terminal_each_is_refused(
     assert with_clips.exists()
 
 
-def test_a_recording_that_is_being_written_is_refused(open_recorder: Recorder, cli: Cli) -> None:
+def test_a_recording_that_is_being_written_is_refused(open_recorder: Tape, cli: Cli) -> None:
     cli("recordings", "rm", NAME, "--yes").failed(4, "is being recorded")
     assert open_recorder.close().file.exists()
 
@@ -337,43 +333,25 @@ def test_what_is_no_time_is_a_usage_error(text: str) -> None:
         parse_moment(text, ns(START), ns(END))
 
 
-QOS = """\
-- history: keep_last
-  depth: 10
-  reliability: reliable
-  durability: volatile
-"""
-
-
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
     folder = tmp_path / "run"
     folder.mkdir()
-    with (folder / "run_0.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start("ros2")
-        schema = writer.register_schema("nav_msgs/msg/Odometry", "ros2msg", b"")
-        odom = writer.register_channel("/odom", "cdr", schema, {"offered_qos_profiles": QOS})
-        evil = writer.register_channel("/\x1b[2J", "cdr", schema)
-        for index in range(101):
-            at_ns = 1_767_268_800_000_000_000 + index * 10_000_000
-            writer.add_message(odom, at_ns, b"\0" * 16, at_ns)
-        writer.add_message(evil, at_ns, b"\0" * 16, at_ns)
-        writer.finish()
+    lines = [odometry(number * 10.0, 0.0) for number in range(101)]
+    write_bag(folder / "run_0.mcap", [*lines, Line("/\x1b[2J", ODOMETRY, 1000.0, bytes(16), "")])
     return folder
 
 
 def test_info_shows_topics_types_counts_rates_duration_and_qos(recording: Path, cli: Cli) -> None:
     for path in (recording, recording / "run_0.mcap"):
-        ran = cli("info", str(path))
-        assert ran.exit_code == 0
-        out = ran.out
-        assert "  duration   1.0 s\n" in out
-        assert "  messages   102\n" in out
+        out = cli("info", str(path)).succeeded(
+            "  duration   1.0 s\n",
+            "  messages   102\n",
+            "    reliable, volatile, keep_last 10\n",
+            "/\\x1b[2J",
+        )
         odom = next(line for line in out.splitlines() if "/odom" in line)
         assert odom.split() == ["/odom", "nav_msgs/Odometry", "101", "101.0"]
-        assert "    reliable, volatile, keep_last 10\n" in out
-        assert "/\\x1b[2J" in out
         assert "\x1b" not in out
 
 
@@ -384,22 +362,19 @@ def test_a_truncated_file_shows_what_can_be_read_and_says_what_is_missing(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) // 2])
     ran = cli("info", str(cut))
-    ran.failed(6, out="cut.mcap")
-    assert ran.err.startswith(f"robotctl: {cut} is incomplete: ")
-    assert ran.err.count("\n") == 1
-    assert "index      missing" in ran.out
-    ran = cli("info", str(cut), "--json")
-    assert json.loads(ran.out)["missing"]
+    err = ran.failed(6, f"robotctl: {cut} is incomplete: ", out="index      missing")
+    assert (err.count("\n"), "cut.mcap" in ran.out) == (1, True)
+    assert cli("info", str(cut), "--json").summary["missing"]
 
 
 @pytest.mark.parametrize(
     ("offered", "text"),
     [
         ("", ""),
-        (QOS, "reliable, volatile, keep_last 10"),
-        (QOS + QOS, "reliable, volatile, keep_last 10"),
+        (VOLATILE, "reliable, volatile, keep_last 10"),
+        (VOLATILE + VOLATILE, "reliable, volatile, keep_last 10"),
         (
-            "- history: 3\n  depth: 0\n  reliability: 2\n  durability: 1\n" + QOS,
+            "- history: 3\n  depth: 0\n  reliability: 2\n  durability: 1\n" + VOLATILE,
             "best_effort, transient_local; reliable, volatile, keep_last 10",
         ),
         ("- history: keep_all\n  reliability: reliable", "reliable, keep_all"),

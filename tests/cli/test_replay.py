@@ -45,7 +45,7 @@ def test_many_are_checked_and_the_gravest_decides_the_exit_code(
     Path("recordings/b/b_0.mcap").write_bytes(b"no recording")
     ran = cli("replay", "recordings", "--check", "--json")
     assert ran.exit_code == 6
-    verdicts = [each["verdict"] for each in json.loads(ran.out)["recordings"]]
+    verdicts = [each["verdict"] for each in ran.summary["recordings"]]
     assert verdicts == ["same", "incomplete"]
     record(Path("recordings/c"), diverging(written))
     cli("replay", "recordings", "--check").failed(
@@ -63,7 +63,7 @@ def test_a_divergence_is_told_with_what_led_to_it(cli: Cli, written: list[Writte
     assert 'event Tick {"t_ns":' in told
     assert "differs twist.angular: recorded 0.5, decided 0.0" in told
     assert max(map(len, ran.out.splitlines())) <= 80
-    found = json.loads(cli("replay", "run", "--check", "--json").out)["recordings"][0]["divergence"]
+    found = cli("replay", "run", "--check", "--json").summary["recordings"][0]["divergence"]
     assert found["mode"] == "MOVING"
     assert found["state"]["drive"]["pattern"]["kind"] == "square"
 
@@ -82,7 +82,7 @@ def test_other_files_in_a_glob_are_skipped_with_a_line_each(
     assert ran.out.splitlines()[2:] == [
         f"skipped     recordings/{name}: not a recording" for name in ("README", "notes", "pipe")
     ]
-    answer = json.loads(cli("replay", *glob, "--check", "--json").out)
+    answer = cli("replay", *glob, "--check", "--json").summary
     assert answer["skipped"] == [f"recordings/{name}" for name in ("README", "notes", "pipe")]
     assert len(answer["recordings"]) == answer["same"] == 1
 
@@ -121,7 +121,7 @@ def test_an_open_loop_says_that_the_robot_does_not_react(cli: Cli, square: list[
         "The robot does not react here", "tracking.k_y                        20.0             8"
     )
     assert max(map(len, out.splitlines())) <= 80
-    found = json.loads(cli("replay", "run", "--what-if", "tracking.k_y=8", "--json").out)
+    found = cli("replay", "run", "--what-if", "tracking.k_y=8", "--json").summary
     assert found["recordings"][0]["angular_rps"]["max"] > 0.0
 
 
@@ -134,7 +134,7 @@ def test_a_closed_loop_shows_the_error_before_and_after(cli: Cli, square: list[W
     (rms,) = [line for line in out.splitlines() if "off track RMS" in line]
     _, simulated, other = map(float, rms.split("[m]")[1].split())
     assert other > simulated
-    found = json.loads(cli(*command, "--json").out)["recordings"][0]["drives"][0]
+    found = cli(*command, "--json").summary["recordings"][0]["drives"][0]
     assert found["what_if"]["cross_track_rms_m"] == pytest.approx(other, abs=1e-4)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -28,7 +27,7 @@ def test_the_page_is_written_beside_the_recording(folder: Path, cli: Cli) -> Non
 
 
 def test_json_tells_what_was_written(folder: Path, cli: Cli) -> None:
-    answer = json.loads(cli("report", "last", "-o", "page.html", "--json").out)
+    answer = cli("report", "last", "-o", "page.html", "--json").summary
     assert answer["report"] == "page.html"
     assert answer["bytes"] == Path("page.html").stat().st_size
     (about,) = answer["recordings"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import shutil
 import sys
@@ -47,7 +46,7 @@ def test_a_folder_takes_recordings_once(cli: Cli, own_recording: Path, tmp_path:
     assert "1 recordings are there; 2 files" in cli("sync", str(usb)).out
     again = cli("sync", str(usb), "--json")
     assert (again.exit_code, again.err) == (0, "")
-    assert json.loads(again.out)["copied"] == []
+    assert again.summary["copied"] == []
     assert cli("sync", str(usb), "--recordings", "recordings", "extra").exit_code == 2
     data = stored(usb, f"{NAME}_0.mcap")
     assert data.read_bytes() == (own_recording / data.name).read_bytes()
@@ -87,7 +86,7 @@ def test_what_comes_back_from_a_bucket_is_as_it_was_with_its_time(
     cli("sync", url, str(back)).succeeded("nothing was missing")
     assert cli("sync", f"{url}/{NAME}/{NAME}_0.mcap", str(tmp_path / "file")).exit_code == 0
     assert [path.name for path in (tmp_path / "file").iterdir()] == [f"{NAME}_0.mcap"]
-    gone = json.loads(cli("sync", url, "--max-total-gb", "0", "--json").out)
+    gone = cli("sync", url, "--max-total-gb", "0", "--json").summary
     assert [Path(each).name for each in gone["removed"]] == [f"{NAME}_0.mcap", f"{NAME}_1.mcap"]
     assert not own_recording.exists()
     cli("sync", url, str(back), "--max-age-days", "0").failed(
@@ -260,10 +259,10 @@ def test_each_command_says_of_a_copy_what_it_says_of_the_recording(
         assert (there.exit_code, there.err) == (here.exit_code, here.err)
         assert there.out.replace(str(copy), str(copies)) == here.out
     (file,) = copies.glob("*.mcap")
-    info = json.loads(cli("info", str(copy), "--json").out)
+    info = cli("info", str(copy), "--json").summary
     assert [Path(each).name for each in info["files"]] == [file.name]
     assert recordings_in(copy.parent) == [copy]
-    (checked,) = json.loads(cli("replay", "--check", str(copy.parent), "--json").out)["recordings"]
+    (checked,) = cli("replay", "--check", str(copy.parent), "--json").summary["recordings"]
     assert checked["path"] == str(copy)
-    (gated,) = json.loads(cli("gate", "--in", str(copy.parent), "--json").out)["recordings"]
+    (gated,) = cli("gate", "--in", str(copy.parent), "--json").summary["recordings"]
     assert Path(gated["path"]).name == copy.name

@@ -11,13 +11,13 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.writer import Writer
 
 from robotctl.base.errors import UsageError
 from robotctl.cli.commands.node import parse_words
 from robotctl.cli.ui.ros_text import message_lines, plain_json
 from robotctl.cli.ui.status import topic_table
 from tests.cli.conftest import Cli
+from tests.support.bags import Line, write_bag
 
 RECORDING = str(Path(__file__).parents[1] / "golden" / "stopped")
 
@@ -28,7 +28,7 @@ def test_the_topics_of_a_recording_are_listed_with_type_and_count(cli: Cli) -> N
     assert row[:2] == ["/odom", "nav_msgs/Odometry"]
     (odom,) = (
         each
-        for each in json.loads(cli("topic", "list", "--file", RECORDING, "--json").out)["topics"]
+        for each in cli("topic", "list", "--file", RECORDING, "--json").summary["topics"]
         if each["name"] == "/odom"
     )
     assert odom == {"name": "/odom", "types": ["nav_msgs/msg/Odometry"], "count": int(row[2])}
@@ -53,7 +53,7 @@ def test_a_field_of_each_message_is_a_line_with_the_time(cli: Cli) -> None:
 
 
 def test_the_rate_of_a_recorded_topic_is_told(cli: Cli) -> None:
-    told = json.loads(cli("topic", "hz", "--file", RECORDING, "/odom", "--json").out)
+    told = cli("topic", "hz", "--file", RECORDING, "/odom", "--json").summary
     assert told["rate_hz"] == pytest.approx(50.0, rel=0.1)
     assert told["start_ns"] < told["end_ns"]
     assert "average rate: " in cli("topic", "hz", "--file", RECORDING, "/odom").out
@@ -89,23 +89,11 @@ def test_a_wrong_argument_is_a_sentence_and_an_exit_code(
     ],
 )
 def test_a_message_that_cannot_be_read_is_named(
-    cli: Cli, tmp_path: Path, definition: str, data: bytes, encoding: str, said: str
+    cli: Cli, definition: str, data: bytes, encoding: str, said: str
 ) -> None:
-    cli(
-        "topic", "echo", "--file", write(tmp_path / "a.mcap", definition, data, encoding), "x"
-    ).failed(6, said)
-
-
-def write(path: Path, definition: str, data: bytes, encoding: str = "cdr") -> str:
-    """Write a recording with one message on /x, of type a/msg/T."""
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start("ros2")
-        schema = writer.register_schema("a/msg/T", "ros2msg", definition.encode())
-        channel = writer.register_channel("/x", encoding, schema)
-        writer.add_message(channel, 10**18, data, 10**18)
-        writer.finish()
-    return str(path)
+    line = Line("/x", "a/msg/T", 0.0, data, encoding=encoding, definition=definition)
+    write_bag(Path("a.mcap"), [line])
+    cli("topic", "echo", "--file", "a.mcap", "x").failed(6, said)
 
 
 @pytest.mark.parametrize(

@@ -2,61 +2,43 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
-from mcap.writer import Writer
 
 from robotctl.base.paths import make_private, seal_folder
-from robotctl.recording import Recorder
 from robotctl.recording.seal import KEY_FILE, Keyring
-from robotctl.testing.drives import TWIST, drive, record
+from robotctl.testing.drives import drive, record
 from robotctl.testing.faults import chunks_of, zero
 from tests.cli.conftest import Cli
-from tests.support.recordings import record_sealed, write_numbered
+from tests.support.recordings import flip, foreign, record_sealed, recorded
 
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    recorder = Recorder(tmp_path / "run", metadata=lambda: {"robot": "r"}, on_failure=print)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(100))
-    recorder.close()
-    return tmp_path / "run"
+    return recorded(tmp_path / "run", 100).parent
 
 
 def test_a_whole_recording_without_a_seal_exits_with_4(recording: Path, cli: Cli) -> None:
     ran = cli("verify", str(recording))
-    assert ran.exit_code == 4
+    ran.failed(4, "not sealed", out="100 messages, finished")
     assert ran.out.splitlines()[0].split() == ["whole", str(recording)]
-    assert "100 messages, finished" in ran.out
-    assert "not sealed" in ran.err
 
 
 def test_a_file_of_the_mcap_library_is_whole_though_it_names_groups_without_records(
     tmp_path: Path, cli: Cli
 ) -> None:
-    file = tmp_path / "library.mcap"
-    with file.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
-        channel = writer.register_channel("/a", "cdr", schema)
-        writer.add_message(channel, 1, b"\0\1\0\0\2\0\0\0a\0", 1)
-        writer.finish()
-    ran = cli("verify", str(file))
-    assert ran.out.splitlines()[0].split() == ["whole", str(file)]
+    ran = cli("verify", str(foreign(tmp_path / "library.mcap", 1)))
+    assert ran.out.splitlines()[0].split() == ["whole", str(tmp_path / "library.mcap")]
     assert ran.exit_code == 4
 
 
 def test_a_flipped_bit_exits_with_7_and_its_byte_is_named(recording: Path, cli: Cli) -> None:
     (file,) = recording.glob("*.mcap")
-    data = bytearray(file.read_bytes())
-    data[30] ^= 2
-    file.write_bytes(data)
+    flip(file, 30, 2)
     ran = cli("verify", str(recording), "--json")
-    assert ran.exit_code == 7
-    (report,) = json.loads(ran.out)["recordings"]
+    ran.failed(7)
+    (report,) = ran.summary["recordings"]
     assert report["verdict"] == "broken"
     assert any(flaw["start"] <= 30 < flaw["end"] for flaw in report["files"][0]["flaws"])
 
@@ -85,7 +67,7 @@ def test_key_and_head_are_shown_without_the_secret(cli: Cli, keys: Keyring, tmp_
     assert stored is not None
     out = cli("key", "show").succeeded(stored.root)
     assert cli("key", "head").out == f"{stored.head.digest}\n"
-    assert json.loads(cli("key", "head", "--json").out)["file"] == "run_0.mcap"
+    assert cli("key", "head", "--json").summary["file"] == "run_0.mcap"
     assert stored.seed not in out + cli("key", "show", "--json").out
 
 

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
-from robotctl.base.paths import recordings_note_path
 from robotctl.kernel.types import ModeRequested
 from robotctl.recording import read_info
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested, record
-from tests.cli.conftest import Cli
+from tests.cli.conftest import Cli, note_recordings
 
 FOLDER = Path("recordings/robot_20260101_120000")
 
@@ -27,15 +25,14 @@ def stopped() -> list[Written]:
 
 def test_the_last_recording_is_meant_where_none_is_named(cli: Cli, stopped: list[Written]) -> None:
     record(FOLDER, stopped)
-    out = cli("why").succeeded()
-    assert "moving is refused in EMERGENCY_STOP" in " ".join(out.split())
+    out = cli("why").succeeded("moving is refused in EMERGENCY_STOP")
     assert out == cli("why", "last").out == cli("why", str(FOLDER)).out
     assert out == cli("why", str(FOLDER.parent)).out
 
 
 def test_machines_get_the_same_as_an_object(cli: Cli, stopped: list[Written]) -> None:
     record(FOLDER, stopped)
-    found = json.loads(cli("why", "--at", "2.1", "--json").out)
+    found = cli("why", "--at", "2.1", "--json").summary
     assert found["kind"] == "stop"
     assert (found["mode_before"], found["mode"]) == ("MOVING", "EMERGENCY_STOP")
     assert found["cause"] == "operator stop"
@@ -58,11 +55,12 @@ def test_a_stop_is_not_forgotten_at_a_restart(cli: Cli, stopped: list[Written]) 
     record(FOLDER, stopped)
     record(LATER, drive(0.5, requests=[]))
     for arguments in ((), ("last",), ("--recordings", "recordings")):
-        out = cli("why", *arguments).out
-        assert "moving is refused in EMERGENCY_STOP" in " ".join(out.split())
-        assert "a later recording without a stop or a refusal" in out
-        assert f"recorded in {FOLDER}" in out
-    found = json.loads(cli("why", "--json").out)
+        cli("why", *arguments).succeeded(
+            "moving is refused in EMERGENCY_STOP",
+            "a later recording without a stop or a refusal",
+            f"recorded in {FOLDER}",
+        )
+    found = cli("why", "--json").summary
     assert (found["path"], found["later"]) == (str(FOLDER.absolute()), [str(LATER.absolute())])
     cli("why", str(LATER)).failed(4, "nothing was refused")
 
@@ -75,7 +73,7 @@ def test_a_recording_that_cannot_be_read_does_not_hide_the_time_in_one_before_it
     record(FOLDER, stopped)
     at = datetime.fromtimestamp(read_info(FOLDER).start_ns / 1e9 + 2.1, UTC).isoformat()
     for time in ("2.1", at):
-        found = json.loads(cli("why", "--at", time, "--json").out)
+        found = cli("why", "--at", time, "--json").summary
         assert (found["path"], found["mode"]) == (str(FOLDER.absolute()), "EMERGENCY_STOP")
         (missing,) = found["missing"]
         assert f"{LATER.name} holds no .mcap file" in missing
@@ -92,7 +90,7 @@ def test_a_time_of_day_is_looked_for_in_the_recording_that_holds_it_also_after_m
     morning_ns = to_midnight_ns + 8 * 3_600 * 10**9
     record(LATER, drive(0.5, requests=[]), clock=lambda time_ns: time_ns + morning_ns)
     for at, kind in (("23:59:59.8", "stop"), ("00:00:00.3", "refusal")):
-        found = json.loads(cli("why", "--at", at, "--json").out)
+        found = cli("why", "--at", at, "--json").summary
         assert (found["path"], found["kind"]) == (str(FOLDER.absolute()), kind)
 
 
@@ -102,13 +100,11 @@ def test_the_recordings_of_the_last_daemon_of_any_robot_are_meant_from_another_f
     for age_s, robot in ((3_600, "robot"), (60, "r2")):
         folder = tmp_path / robot
         record(folder / f"{robot}_20260101_120000", stopped, robot=robot)
-        note = recordings_note_path(robot)
-        note.parent.mkdir(parents=True)
-        note.write_text(f"{folder}\n")
+        note = note_recordings(folder, robot)
         begun_s = note.stat().st_mtime - age_s
         os.utime(note, (begun_s, begun_s))
     for command in (["why"], ["info", "last"]):
-        last = json.loads(cli(*command, "--json").out)["path"]
+        last = cli(*command, "--json").summary["path"]
         assert last == str(tmp_path / "r2" / "r2_20260101_120000")
-        default = json.loads(cli(*command, "--robot", "robot", "--json").out)["path"]
+        default = cli(*command, "--robot", "robot", "--json").summary["path"]
         assert default == str(tmp_path / "robot" / "robot_20260101_120000")

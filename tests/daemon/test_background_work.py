@@ -30,7 +30,7 @@ from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep.clip import ClipJob, Moment
 from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
 from robotctl.testing.drives import GID, TWIST
-from tests.support.recordings import numbered, write_numbered
+from tests.support.recordings import numbered, recorded
 from tests.support.waiting import DEADLINE_S, loop_until, until
 from tests.support.world import PATIENT, InProcess, World
 
@@ -63,9 +63,7 @@ def opened_below(folder: Path) -> Iterator[list[Path]]:
 
 def torn(folder: Path) -> Path:
     """A recording without its end, as a crash leaves it."""
-    recorder = Recorder(folder, on_failure=pytest.fail)
-    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
-    file = recorder.close().file
+    file = recorded(folder, 100)
     os.truncate(file, file.stat().st_size - 20)
     return file
 

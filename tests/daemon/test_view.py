@@ -328,7 +328,7 @@ async def test_changes_and_marks_are_events_and_the_recording_is_played_and_chec
         },
         {"event": "mark", "text": "a mark", "by": "a person"},
     ]
-    played = json.loads(world.here("replay", str(folder), "--rate", "max", "--json").out)
+    played = world.here("replay", str(folder), "--rate", "max", "--json").summary
     assert "/robotctl/events" in json.dumps(played)
 
 

@@ -16,26 +16,16 @@ import pytest
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import DriveReport, Event, ModeRequested
-from robotctl.recording import Recorder
 from robotctl.show.figure import Path2D, path_figure
 from robotctl.show.page import CommandVerdict, Explanation, ReportFindings, Tone, report_page
 from robotctl.show.png import write_path_png
 from robotctl.show.terminal import ground_lines
 from robotctl.show.traces import EndedDrive, Recorded, Traces, figures_of, read_recorded
-from robotctl.testing.drives import (
-    BEGIN_NS,
-    START_NS,
-    TWIST,
-    Written,
-    drive,
-    drive_requested,
-    record,
-)
+from robotctl.testing.drives import BEGIN_NS, START_NS, Written, drive, drive_requested, record
 from tests.support.bags import in_order, odometry, talk, write_bag
 from tests.support.edited_recordings import Contents, recorded, write_contents
 from tests.support.html_page import HtmlPage
-from tests.support.recordings import write_numbered
-from tests.support.waiting import until
+from tests.support.recordings import Tape
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 HOSTILE = "<script>alert(1)</script>\"'&<img src=x onerror=alert(1)>\x1b[2J\u202e]]>-->"
@@ -249,10 +239,9 @@ def test_figures_of_impossible_drives_are_not_known(folder: Path) -> None:
 def test_a_recording_that_is_being_written_is_shown_as_far_as_it_is_committed(
     tmp_path: Path,
 ) -> None:
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
-    channel = recorder.add_topic(TWIST)
-    write_numbered(recorder, channel, range(1, 11))
-    until(lambda: recorder.stats().written == 10)
+    recorder = Tape(tmp_path / "run")
+    recorder.commands(range(1, 11))
+    recorder.settle()
     text, page = page_of(tmp_path / "run", ReportFindings())
     recorder.close()
     assert_harmless(text, page)

@@ -43,6 +43,7 @@ class Line:
     qos: str = VOLATILE
     encoding: str = "cdr"
     type_hash: str = ""
+    definition: str = ""
 
 
 def text(content: str) -> bytes:
@@ -107,7 +108,8 @@ def write_bag(path: Path, lines: Iterable[Line], *, chunk_bytes: int = 1 << 20) 
         for number, line in enumerate(lines):
             key = line.topic, line.type_name
             if key not in channels:
-                schema = writer.register_schema(line.type_name, "ros2msg", b"")
+                definition = line.definition.encode()
+                schema = writer.register_schema(line.type_name, "ros2msg", definition)
                 metadata = {"offered_qos_profiles": line.qos, "topic_type_hash": line.type_hash}
                 channels[key] = writer.register_channel(line.topic, line.encoding, schema, metadata)
             at_ns = START_NS + round(line.at_ms * 1e6)
