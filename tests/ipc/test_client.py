@@ -6,8 +6,6 @@ import asyncio
 import json
 import os
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,6 +18,7 @@ from robotctl.ipc import client as client_module
 from robotctl.ipc.client import NoAnswer, call
 from robotctl.ipc.protocol import Code, encode_error
 from tests.ipc.conftest import Control
+from tests.support.lines import run_python
 
 NO_DAEMON = "no daemon for robot 'robot' (start one with: robotctl start)"
 type_script = Callable[[socket.socket], None]
@@ -96,7 +95,7 @@ def test_another_users_socket_is_named(path: Path) -> None:
         "try: call('robot', 'status')\n"
         "except Refused as error: print(error)\n"
     )
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    ran = run_python(program)
     assert ran.stdout == f"{path} belongs to another user\n", ran.stderr
 
 

@@ -10,8 +10,6 @@ from __future__ import annotations
 import json
 import random
 import re
-import subprocess
-import sys
 from contextlib import suppress
 from typing import Any
 
@@ -39,6 +37,7 @@ from robotctl.kernel.safety import RULES, Rule, start_conditions
 from robotctl.kernel.state import State
 from robotctl.kernel.types import Cause, ModeRequested, Remedy, Reply
 from robotctl.testing.kernels import ready
+from tests.support.lines import run_python
 
 VALID = [
     encode_request(1, "hello", {"protocol": 1}),
@@ -237,10 +236,8 @@ def test_client_and_protocol_import_the_standard_library_alone() -> None:
         "new = {m.partition('.')[0] for m in set(sys.modules) - before}; "
         "print(sorted(new - sys.stdlib_module_names))"
     )
-    ran = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, check=True, text=True
-    )
-    assert ran.stdout.strip() == "['robotctl']"
+    ran = run_python(program)
+    assert ran.stdout == "['robotctl']\n", ran.stderr
 
 
 SOURCE = "robotctl reset (uid 0, pid 7)"

@@ -11,8 +11,6 @@ import resource
 import shlex
 import shutil
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -51,13 +49,17 @@ from robotctl.recording.read.whole_recording import RecordingProof, verify_recor
 from robotctl.rerun import Verdict, check_recording
 from robotctl.testing.drives import drive, record
 from tests.support.bags import START_NS, data, talk, write_bag
+from tests.support.lines import run_python
 from tests.support.recordings import (
+    Stored,
     Tape,
     keyring,
+    metadata_of,
     overwrite,
     read_strictly,
     record_sealed,
     salvaged,
+    summary_of,
 )
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -131,10 +133,7 @@ def test_messages_order_topics_and_metadata_stay(tmp_path: Path, name: str, form
     assert set(after.metadata) - shown == set(before.metadata) - shown
     for path in after.files:
         read_strictly(path)
-        with path.open("rb") as stream:
-            summary = make_reader(stream, validate_crcs=True).get_summary()
-        assert summary is not None
-        names = {chunk.compression for chunk in summary.chunk_indexes}
+        names = {chunk.compression for chunk in summary_of(path).chunk_indexes}
         assert names == {form.compression.mcap_name}
     with AnyReader([target], default_typestore=STORE) as bag:
         assert bag.message_count == before.message_count
@@ -189,15 +188,12 @@ def test_attachments_and_foreign_metadata_come_along(tmp_path: Path) -> None:
         writer.finish()
     done = convert(source, tmp_path / "copy", Form())
     assert (done.message_count, done.attachment_count) == (1, 1)
-    with (tmp_path / "copy" / "copy_0.mcap").open("rb") as stream:
-        reader = make_reader(stream)
-        (attachment,) = reader.iter_attachments()
-        assert (attachment.name, attachment.data) == ("calibration.yaml", b"k: 1")
-        assert {record.name: record.metadata for record in reader.iter_metadata()}["mine"] == {
-            "key": "value"
-        }
-        ((_, _, message),) = reader.iter_messages()
-        assert (message.log_time, message.publish_time, message.sequence) == (5, 4, 3)
+    copy = tmp_path / "copy" / "copy_0.mcap"
+    with copy.open("rb") as stream:
+        (attachment,) = make_reader(stream).iter_attachments()
+    assert (attachment.name, attachment.data) == ("calibration.yaml", b"k: 1")
+    assert dict(metadata_of(copy))["mine"] == {"key": "value"}
+    assert read_strictly(copy) == [Stored("/n", b"{}", 5, 4, 3)]
 
 
 @pytest.mark.parametrize("version", [8, 9])
@@ -332,12 +328,12 @@ def test_nothing_is_overwritten_and_a_full_disk_leaves_nothing(tmp_path: Path) -
         "from robotctl.recording.convert import Form\n"
         "convert(Path(sys.argv[1]), Path(sys.argv[2]), Form())\n"
     )
-    ran = subprocess.run(
-        [sys.executable, "-c", program, str(GOLDEN / "stopped"), str(tmp_path / "full")],
+    ran = run_python(
+        program,
+        GOLDEN / "stopped",
+        tmp_path / "full",
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},  # the limit would cut the caches
-        capture_output=True,
-        text=True,
     )
     assert "File too large: raise the limit of file sizes" in ran.stderr
     assert [each.name for each in tmp_path.iterdir()] == ["copy"]

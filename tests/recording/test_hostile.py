@@ -10,8 +10,6 @@ import json
 import os
 import re
 import struct
-import subprocess
-import sys
 import tracemalloc
 from collections.abc import Callable, Iterable, Iterator
 from itertools import count, repeat
@@ -74,6 +72,7 @@ from tests.recording.mcap_files import (
     stored_chunk,
 )
 from tests.support.cases import for_each
+from tests.support.lines import run_python
 from tests.support.recordings import by_mcap, numbered, salvaged
 
 SIZE: Final = 1_000_000
@@ -337,13 +336,8 @@ def test_a_bomb_is_answered_in_bounded_time_and_memory(tmp_path: Path, names: li
     paths = [write_bomb(tmp_path / name / "bomb.mcap", name) for name in names]
     spaces = write_bomb(tmp_path / "spaces in metadata.yaml" / "bomb.mcap", "chunks within chunks")
     (spaces.parent / "metadata.yaml").write_text(spaces_in_metadata())
-    ran = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *map(str, [*paths, spaces])],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=DEADLINE_S * len(BOMBS),
-    )
+    ran = run_python(PROGRAM, *paths, spaces, timeout_s=DEADLINE_S * len(BOMBS))
+    assert ran.returncode == 0, ran.stderr
     for path, line in zip([*paths, spaces], ran.stdout.splitlines(), strict=True):
         assert path.stat().st_size < 1.5 * SIZE
         said = json.loads(line)

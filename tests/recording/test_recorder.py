@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -36,7 +35,17 @@ from robotctl.recording.write import bag_writer
 from robotctl.recording.write import recorder as recorder_module
 from robotctl.recording.write.writer_thread import NICE, SLICE_NS
 from robotctl.testing.drives import GID, ODOMETRY, QOS, START_NS, TWIST
-from tests.support.recordings import Stored, Tape, numbered, read_strictly, write_numbered
+from tests.support.lines import run_python
+from tests.support.recordings import (
+    Stored,
+    Tape,
+    bag_of,
+    metadata_of,
+    numbered,
+    read_strictly,
+    summary_of,
+    write_numbered,
+)
 from tests.support.waiting import until
 
 OpenRecorder = Callable[..., Tape]
@@ -97,24 +106,15 @@ def test_any_message_is_kept_with_its_numbers_clamped_to_their_fields(
     expected = []
     for channel, data, log_ns, publish_ns, sequence in messages:
         recorder.write(channel, data, log_ns, publish_ns, sequence, GID)
-        expected.append(
-            Stored(
-                f"/topic{channel}",
-                data,
-                min(max(log_ns, 0), 2**64 - 1),
-                min(max(publish_ns, 0), 2**64 - 1),
-                sequence % 2**32,
-            )
-        )
+        log, publish = (min(max(each, 0), 2**64 - 1) for each in (log_ns, publish_ns))
+        expected.append(Stored(f"/topic{channel}", data, log, publish, sequence % 2**32))
     stats = recorder.close()
     assert read_strictly(stats.file) == expected
     assert stats.received == stats.written == len(messages)
-    with stats.file.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    assert summary.statistics is not None
+    counted = summary_of(stats.file).statistics
+    assert counted is not None
     times = [message.log_ns for message in expected] or [0]
-    found = summary.statistics.message_start_time, summary.statistics.message_end_time
+    found = counted.message_start_time, counted.message_end_time
     assert found == (min(times), max(times))
 
 
@@ -123,10 +123,7 @@ def test_a_topic_without_messages_is_in_the_growing_file(open_recorder: OpenReco
     file = recorder.stats().file
 
     def topics() -> set[str]:
-        with file.open("rb") as stream:
-            summary = make_reader(stream).get_summary()
-        assert summary is not None
-        return {channel.topic for channel in summary.channels.values()}
+        return {channel.topic for channel in summary_of(file).channels.values()}
 
     assert topics() == set()
     recorder.add_topic(TWIST)
@@ -146,23 +143,21 @@ def test_more_topics_than_the_format_numbers_are_refused(
 def test_the_folder_is_a_bag_of_version_9_that_rosbags_opens_from_its_first_moment(
     open_recorder: OpenRecorder, folder: Path
 ) -> None:
-    def listed() -> Any:
-        text = (folder / "metadata.yaml").read_text()
-        return yaml.safe_load(text)["rosbag2_bagfile_information"]
-
     recorder = open_recorder()
-    assert listed()["version"] == 9
-    assert listed()["relative_file_paths"] == [f"{folder.name}_0.mcap"]
-    never = listed()["starting_time"]["nanoseconds_since_epoch"]
+    begun = bag_of(folder)
+    assert begun["version"] == 9
+    assert begun["relative_file_paths"] == [f"{folder.name}_0.mcap"]
+    never = begun["starting_time"]["nanoseconds_since_epoch"]
     assert never == 2**63 - 1  # as rosbag2 writes it without messages
     with RosbagsReader(folder) as bag:
         assert bag.message_count == 0
     recorder.commands(range(1, 101))
     write_numbered(recorder, recorder.add_topic(ODOMETRY), range(1, 51))
     recorder.close()
-    assert listed()["message_count"] == 150
-    assert listed()["duration"]["nanoseconds"] == 99_000_000
-    topic = listed()["topics_with_message_count"][0]["topic_metadata"]
+    ended = bag_of(folder)
+    assert ended["message_count"] == 150
+    assert ended["duration"]["nanoseconds"] == 99_000_000
+    topic = ended["topics_with_message_count"][0]["topic_metadata"]
     assert topic["offered_qos_profiles"] == yaml.safe_load(QOS)
     with RosbagsReader(folder) as bag:
         assert {c.topic: (c.msgtype, c.msgcount, c.digest) for c in bag.connections} == {
@@ -181,11 +176,8 @@ def test_the_folder_is_a_bag_that_plays_while_it_grows(
     """rosbags reads only the topics that `metadata.yaml` lists: each is listed at once."""
 
     def listed() -> dict[str, int]:
-        bag = yaml.safe_load((folder / "metadata.yaml").read_text())
-        return {
-            topic["topic_metadata"]["name"]: topic["message_count"]
-            for topic in bag["rosbag2_bagfile_information"]["topics_with_message_count"]
-        }
+        topics = bag_of(folder)["topics_with_message_count"]
+        return {topic["topic_metadata"]["name"]: topic["message_count"] for topic in topics}
 
     monkeypatch.setattr(bag_writer, "METADATA_PERIOD_S", 3600.0)
     recorder = open_recorder(flush_s=0.01, sync_s=0.01)
@@ -202,29 +194,18 @@ def test_the_folder_is_a_bag_that_plays_while_it_grows(
 
 
 def test_the_file_describes_itself(folder: Path) -> None:
-    metadata = {"robot": "robot", "mode": "IDLE"}
-    recorder = Tape(folder, metadata=lambda: metadata)
+    recorder = Tape(folder, metadata=lambda: {"robot": "robot", "mode": "IDLE"})
     recorder.commands(range(5, 15))
     recorder.commands(range(18, 20))
     stats = recorder.close()
     with stats.file.open("rb") as stream:
-        reader = make_reader(stream)
-        assert reader.get_header().profile == "ros2"
-        records = list(reader.iter_metadata())
-        summary = reader.get_summary()
-    assert summary is not None
-    assert [record.name for record in records] == [
-        "robotctl",
-        "rosbag2",
-        "rosbag2",
-        "robotctl.ledger",
-    ]
-    assert records[0].metadata == {"robot": "robot", "mode": "IDLE"}
-    at_start, at_close = (
-        yaml.safe_load(record.metadata["serialized_metadata"]) for record in records[1:3]
-    )
+        assert make_reader(stream).get_header().profile == "ros2"
+    names, (named, *bags, ledger) = zip(*metadata_of(stats.file), strict=True)
+    assert names == ("robotctl", "rosbag2", "rosbag2", "robotctl.ledger")
+    assert named == {"robot": "robot", "mode": "IDLE"}
+    at_start, at_close = (yaml.safe_load(each["serialized_metadata"]) for each in bags)
     assert (at_start["message_count"], at_close["message_count"]) == (0, 12)
-    assert json.loads(records[3].metadata["/cmd_vel"]) == {
+    assert json.loads(ledger["/cmd_vel"]) == {
         "received": 12,
         "written": 12,
         "queued": 0,
@@ -235,11 +216,10 @@ def test_the_file_describes_itself(folder: Path) -> None:
         "not_repeated": 0,
         "throttled": 0,
     }
+    summary = summary_of(stats.file)
     (channel_record,) = summary.channels.values()
-    assert channel_record.metadata == {
-        "topic_type_hash": TWIST.type_hash,
-        "offered_qos_profiles": QOS,
-    }
+    told = {"topic_type_hash": TWIST.type_hash, "offered_qos_profiles": QOS}
+    assert channel_record.metadata == told
     assert channel_record.message_encoding == "cdr"
     (schema,) = summary.schemas.values()
     assert (schema.name, schema.encoding) == ("geometry_msgs/msg/Twist", "ros2msg")
@@ -252,14 +232,11 @@ def test_strange_names_and_malformed_qos_do_not_spoil_the_bag(
     names = ['/quo"te', "/new\nline", "/\x1b[31mred", "/back\\slash", "/übung", "/: - {}", "/🤖"]
     for name, qos in zip_longest(names, ["{", "nonsense", "- 7", "[]"], fillvalue=""):
         recorder.add_topic(Topic(name, "std_msgs/msg/String", offered_qos=qos))
-    with recorder.close().file.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
+    summary = summary_of(recorder.close().file)
     assert {(each.name, each.encoding, each.data) for each in summary.schemas.values()} == {
         ("std_msgs/msg/String", "", b"")  # a type without definition
     }
-    bag = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    topics = [topic["topic_metadata"] for topic in bag["topics_with_message_count"]]
+    topics = [each["topic_metadata"] for each in bag_of(folder)["topics_with_message_count"]]
     assert [topic["name"] for topic in topics] == names
     assert [topic["offered_qos_profiles"] for topic in topics] == [[]] * len(names)
 
@@ -403,9 +380,8 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 
 
 def test_importing_the_package_imports_no_module_of_it() -> None:
-    code = (
+    ran = run_python(
         "import sys, robotctl.recording;"
         "print([n for n in sys.modules if n.startswith(('robotctl.', 'mcap', 'zstandard'))])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "['robotctl.recording']"
+    assert ran.stdout == "['robotctl.recording']\n", ran.stderr

@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
-import yaml
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -34,12 +33,15 @@ from robotctl.testing.faults import FailingFile, mutated, zero
 from tests.support.recordings import (
     Stored,
     Tape,
+    bag_of,
     flip,
     foreign,
+    metadata_of,
     numbered,
     overwrite,
     read_strictly,
     recorded,
+    summary_of,
 )
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
@@ -68,15 +70,13 @@ def test_a_whole_file_is_copied_without_loss(tmp_path: Path) -> None:
     source = theirs(tmp_path / "whole.mcap", 500)
     salvage = recover(source, tmp_path / "out.mcap")
     assert (salvage.message_count, salvage.lost) == (500, ())
-    copied = read_strictly(tmp_path / "out.mcap")
-    assert copied == read_strictly(source)
-    with (tmp_path / "out.mcap").open("rb") as stream:
-        reader = make_reader(stream)
-        assert reader.get_header().profile == "theirs"
-        assert "recovered from somebody" in reader.get_header().library
-        summary = reader.get_summary()
-        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-    assert summary is not None
+    target = tmp_path / "out.mcap"
+    assert read_strictly(target) == read_strictly(source)
+    with target.open("rb") as stream:
+        header = make_reader(stream).get_header()
+    assert header.profile == "theirs"
+    assert "recovered from somebody" in header.library
+    summary, metadata = summary_of(target), dict(metadata_of(target))
     channels = {c.topic: c for c in summary.channels.values()}
     assert channels["/a"].metadata == {"key": "value"}
     assert summary.schemas[channels["/a"].schema_id].data == b"struct B {};"
@@ -215,8 +215,7 @@ def crashed(folder: Path, count: int) -> Path:
 
 
 def listed_messages(folder: Path) -> int:
-    bag = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    count: int = bag["message_count"]
+    count: int = bag_of(folder)["message_count"]
     return count
 
 
@@ -229,8 +228,7 @@ def test_a_file_that_was_not_closed_is_checked_once_and_the_bag_counts_it(tmp_pa
     ]
     assert read_strictly(file) == before
     assert listed_messages(tmp_path / "run") == 200
-    with file.open("rb") as stream:
-        names = [record.name for record in make_reader(stream).iter_metadata()]
+    names = [name for name, _ in metadata_of(file)]
     assert names == ["robotctl", "rosbag2", "robotctl.recovery"]
     assert repair(tmp_path) == []
 

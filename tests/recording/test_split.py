@@ -9,8 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import yaml
-from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from robotctl.base.errors import Refused
@@ -28,7 +26,16 @@ from robotctl.recording.format.topics import read_ledger
 from robotctl.recording.write import bag_writer
 from robotctl.testing.drives import GID, ODOMETRY, QOS, START_NS, TWIST
 from robotctl.testing.faults import FailingFile, GatedFile
-from tests.support.recordings import Tape, number_of, read_strictly, write_numbered
+from tests.support.recordings import (
+    Stored,
+    Tape,
+    bag_of,
+    metadata_of,
+    number_of,
+    read_strictly,
+    summary_of,
+    write_numbered,
+)
 from tests.support.waiting import until, until_longer
 
 LATCHED = Topic(
@@ -82,8 +89,7 @@ def test_a_bag_of_many_files_opens_as_one(tmp_path: Path) -> None:
     info = read_info(tmp_path / "run")
     assert (info.message_count, info.missing) == (2000, ())
     assert [number_of(m.data) for m in read_messages(tmp_path / "run")] == list(range(1, 2001))
-    listed = yaml.safe_load((tmp_path / "run" / "metadata.yaml").read_text())
-    files = listed["rosbag2_bagfile_information"]["files"]
+    files = bag_of(tmp_path / "run")["files"]
     assert sum(file["message_count"] for file in files) == 2000
 
 
@@ -199,18 +205,15 @@ def test_each_file_stands_alone(tmp_path: Path) -> None:
     messages = read_strictly(second)
     repeated = [m for m in messages if m.topic == "/robot_status"]
     end_of_first = START_NS + 10 * 1_000_000
-    assert [(m.data, m.log_ns, m.publish_ns, m.sequence) for m in repeated] == [
-        (b"map", end_of_first, START_NS - 8, 7),
-        (b"tf", end_of_first, 0, 3),
+    assert repeated == [
+        Stored("/robot_status", b"map", end_of_first, START_NS - 8, 7),
+        Stored("/robot_status", b"tf", end_of_first, 0, 3),
     ]
     assert messages[:2] == repeated
-    with second.open("rb") as stream:
-        reader = make_reader(stream)
-        names = [record.name for record in reader.iter_metadata()]
-        summary = reader.get_summary()
+    names = [name for name, _ in metadata_of(second)]
     assert names == ["robotctl", "rosbag2", "rosbag2", "robotctl.ledger"]
-    assert summary is not None
-    assert {c.topic for c in summary.channels.values()} == {"/cmd_vel", "/robot_status"}
+    topics = {channel.topic for channel in summary_of(second).channels.values()}
+    assert topics == {"/cmd_vel", "/robot_status"}
     assert (stats.received, stats.written) == (18, 18)  # what is repeated is not received
     with RosbagsReader(tmp_path / "run") as bag:
         assert bag.message_count == 20

@@ -37,7 +37,7 @@ from robotctl.recording.write.recorder_options import RateByTopic, TopicFilter
 from robotctl.recording.write.writer_thread import EvidenceChunks
 from robotctl.testing.drives import GID, ODOMETRY, START_NS, TWIST
 from tests.support.cases import for_each
-from tests.support.recordings import Tape, number_of, numbered, read_strictly
+from tests.support.recordings import Tape, number_of, numbered, read_strictly, summary_of
 
 
 def packing(buffer: PackBuffer, number: int, channel: int, log_ns: int) -> Iterator[None]:
@@ -186,11 +186,9 @@ def test_readers_get_the_messages_in_the_order_of_time_from_chunks_of_evidence_o
         assert all(each == sorted(each) for each in streamed.values())
         assert len(streamed[0] + streamed[2]) == 900
         stream.seek(0)
-        reader = make_reader(stream)
-        assert [message.log_time for *_, message in reader.iter_messages()] == times
-        summary = reader.get_summary()
-    assert summary is not None
-    held = [set(chunk.message_index_offsets) for chunk in summary.chunk_indexes]
+        found = make_reader(stream).iter_messages()
+        assert [message.log_time for *_, message in found] == times
+    held = [set(chunk.message_index_offsets) for chunk in summary_of(stats.file).chunk_indexes]
     assert {1} in held
     assert all(1 not in each or each == {1} for each in held[:-1])
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import asyncio
 import os
 import subprocess
-import sys
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import ExitStack, suppress
-from pathlib import Path
+from functools import partial
 from threading import Event
 from typing import Any
 
@@ -24,13 +23,12 @@ from robotctl.ros.session import ros_session
 from robotctl.ros.tap.subscription import TappedSubscription
 from robotctl.ros.tap.tap import Tap
 from tests.ros.open_executor import Bench
+from tests.support import lines
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import loop_until, until
 
 # Inherited by every process that a test starts.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-
-HERE = Path(__file__).parent
 
 
 @pytest.fixture(scope="module")
@@ -253,20 +251,7 @@ def topic() -> str:
 
 
 @pytest.fixture
-def run_python(domain_id: int) -> Callable[[str], subprocess.CompletedProcess[str]]:
+def run_python(domain_id: int) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Runs a script in a process of its own, in the module's domain."""
-
-    def run(
-        script: str, *args: object, timeout_s: float = 60.0
-    ) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-X", "faulthandler", "-c", script, *map(str, args)],
-            check=False,
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-            cwd=HERE.parents[1],
-            env={**os.environ, "ROS_DOMAIN_ID": str(domain_id)},
-        )
-
-    return run
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
+    return partial(lines.run_python, cwd=lines.ROOT, env=environment)

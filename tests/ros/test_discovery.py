@@ -8,8 +8,6 @@ from __future__ import annotations
 import os
 import signal
 import struct
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -18,7 +16,6 @@ from pathlib import Path
 from typing import Self
 
 import pytest
-from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import String
 
@@ -29,7 +26,8 @@ from robotctl.ros.graph.discovery import (
     count_complete,
     read_introduction,
 )
-from tests.support.lines import Told, peer_command
+from tests.support.lines import Told, peer_command, run_python
+from tests.support.ros_peer import node_in
 from tests.support.waiting import DEADLINE_S
 
 TOPICS = [f"/topic_{number}" for number in range(20)]
@@ -40,15 +38,10 @@ WRITER, READER, HELLO = b"\0\0\4\3", b"\0\0\5\4", b"\0\0\6\3"
 @pytest.fixture
 def others(domain_id: int) -> Iterator[Node]:
     """A node with many subscribers."""
-    context = Context()
-    context.init(args=[], domain_id=domain_id)
-    node = Node("others", context=context)
-    for topic in TOPICS:
-        node.create_subscription(String, topic, print, 10)
-    yield node
-    node.destroy_node()
-    context.try_shutdown()
-    context.destroy()
+    with node_in(domain_id, "others") as node:
+        for topic in TOPICS:
+            node.create_subscription(String, topic, print, 10)
+        yield node
 
 
 def test_everybody_is_known_in_full_when_the_wait_ends(domain_id: int, others: Node) -> None:
@@ -172,14 +165,7 @@ def test_a_context_opens_and_writes_no_log_file(home: str, tmp_path: Path) -> No
     homes = {"empty": {"HOME": str(tmp_path)}, "read-only": {"HOME": "/proc"}, "unknown": {}}
     elsewhere = ("HOME", "ROS_HOME", "ROS_LOG_DIR")
     environment = {name: value for name, value in os.environ.items() if name not in elsewhere}
-    ran = subprocess.run(
-        [sys.executable, "-c", OPENS],
-        env=environment | homes[home],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    ran = run_python(OPENS, env=environment | homes[home])
     assert (ran.returncode, ran.stdout) == (0, "True\n"), ran.stderr
     assert not list(tmp_path.iterdir())
 
@@ -209,12 +195,6 @@ with ExitStack() as at_end:
 
 
 def test_a_process_ends_though_the_middleware_does_not_let_go_of_it(domain_id: int) -> None:
-    ran = subprocess.run(
-        [sys.executable, "-c", HANGS_AT_THE_END, str(domain_id)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    ran = run_python(HANGS_AT_THE_END, domain_id)
     assert (ran.returncode, ran.stdout) == (1, "kept\ntold\n")
     assert "in close_context" in ran.stderr

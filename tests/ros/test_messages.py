@@ -11,7 +11,6 @@ from __future__ import annotations
 import inspect
 import random
 import struct
-import subprocess
 import sys
 from collections.abc import Iterator
 from importlib import import_module
@@ -57,6 +56,7 @@ from robotctl.ros.executor.decoder import decoder_of
 from robotctl.ros.message_types import message_class, type_name_of
 from robotctl.ros.playback import serialized_type
 from tests.support.cases import for_each
+from tests.support.lines import run_python
 
 
 def installed_types() -> Iterator[Any]:
@@ -414,7 +414,7 @@ def test_it_imports_no_numpy() -> None:
         "import sys; from robotctl.ros.playback import serialized_type; "
         "serialized_type('nav_msgs/msg/Odometry'); print('numpy' in sys.modules)"
     )
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    ran = run_python(program)
     assert ran.stdout == "False\n", ran.stderr
 
 

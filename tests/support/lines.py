@@ -57,6 +57,16 @@ class Ran:
         return found
 
 
+def run_python(
+    program: str, *arguments: object, timeout_s: float = 60.0, **options: Any
+) -> subprocess.CompletedProcess[str]:
+    """Run a program in a process of its own."""
+    command = [sys.executable, "-X", "faulthandler", "-c", program, *map(str, arguments)]
+    return subprocess.run(
+        command, check=False, capture_output=True, text=True, timeout=timeout_s, **options
+    )
+
+
 def _missing(stream: str, texts: Iterable[str]) -> list[str]:
     told = f"{stream}\n{' '.join(stream.split())}"
     return [text for text in texts if text not in told]

@@ -14,9 +14,11 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Any
 
-from mcap.reader import SeekingReader
+import yaml
+from mcap.reader import SeekingReader, make_reader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
 from mcap.writer import Writer
 
 from robotctl.recording import Compression, Recorder, RecorderOptions, RecorderStats, read_messages
@@ -211,6 +213,25 @@ def foreign(path: Path, count: int, **options: Any) -> Path:
     messages = [("/cmd_vel", START_NS + n * 1_000_000, numbered(n)) for n in numbers]
     options = {"chunk_size": CHUNK_BYTES, **options}
     return by_mcap(path, messages, schema="std_msgs/msg/String", **options)
+
+
+def summary_of(path: Path) -> Summary:
+    """Return the summary of a file as the mcap package reads it."""
+    with path.open("rb") as stream:
+        summary = make_reader(stream, validate_crcs=True).get_summary()
+    assert summary is not None
+    return summary
+
+
+def metadata_of(path: Path) -> list[tuple[str, dict[str, str]]]:
+    """Return name and values of the metadata records of a file, in their order."""
+    with path.open("rb") as stream:
+        return [(each.name, each.metadata) for each in make_reader(stream).iter_metadata()]
+
+
+def bag_of(folder: Path) -> Any:
+    """Return what the `metadata.yaml` of a folder tells."""
+    return yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
 
 
 def salvaged(path: Path) -> tuple[list[RecordedMessage], list[str]]:
