@@ -152,7 +152,7 @@ _ERRNO = re.compile(r'"errno":"(\d+)"')
 _MEMORY_LIMIT: Final = "1GB"
 _GROUP_BYTES: Final = "64MB"
 _LEAST_LINE: Final = 1 << 24
-"""duckdb's limit for one line of JSON [bytes], raised for a longer line; duckdb allocates it."""
+"""duckdb allocates this for each line of JSON [bytes]; only a longer line raises the size."""
 
 
 def write_parquet(columns: Sequence[FieldPath], rows: Iterable[Row], target: Path) -> int:

@@ -201,7 +201,7 @@ class SqliteSource:
 
 
 def _address(path: Path) -> str:
-    """Return the URI that opens a database read-only, without new files unless it has a journal."""
+    """Return the URI that opens a database read-only; SQLite adds files only next to a journal."""
     plain = f"file:{quote(str(path.absolute()))}?mode=ro"
     has_journal = any(path.with_name(path.name + end).exists() for end in ("-wal", "-journal"))
     return plain if has_journal else f"{plain}&immutable=1"
@@ -308,7 +308,7 @@ _NAMES: Final[Mapping[str, Mapping[int, str]]] = {
 """The names by number in rmw_qos_*_policy_e (rmw/types.h); other numbers are unknown."""
 
 _MAX_CHARACTERS: Final = 1 << 16
-"""Maximum length of a text that is parsed, enough for 100 publishers: a YAML parser is slow."""
+"""A longer text is not parsed, as a YAML parser is slow; 100 publishers take less."""
 
 
 def named_policies(profiles: str) -> str:

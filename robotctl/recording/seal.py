@@ -75,7 +75,7 @@ def is_signed(data: bytes, signature: bytes, public: str) -> bool:
 
 
 def signed_journal(opening: Opening, digests: Sequence[str]) -> bytes:
-    """Return what a file's key signs: the `digests` of the journal of decisions, at `opening`."""
+    """Return what a key signs when its file begins: `opening`, and `digests` of the decisions."""
     return f"robotctl seal: journal\0{opening.certificate} {' '.join(digests)}".encode()
 
 

@@ -9,7 +9,7 @@ from typing import Final
 
 RELATIVE_SPAN: Final = 1e-9
 SMALLEST_SPAN: Final = 1e-300
-"""The least span of an axis: relative to its values, and absolute, so that its scale is finite."""
+"""Minimum span of an axis, as a share of its largest value and absolute: the scale stays finite."""
 
 MIN_SPAN_M: Final = 0.1
 """The smallest span of an axis on the ground, for a robot that did not move."""
@@ -48,7 +48,7 @@ class Axis:
         return self.begin + (value - self.low) * self.scale
 
     def ticks(self, at_most: int) -> list[float]:
-        """Return evenly spaced round numbers from `low` to `high`, at most `at_most` + 1."""
+        """Return evenly spaced round numbers within `low` and `high`, `at_most` + 1 or fewer."""
         rough = (self.high - self.low) / at_most
         magnitude = 10.0 ** floor(log10(rough))
         step = next(m for m in (1.0, 2.0, 5.0, 10.0) if m * magnitude >= rough * 0.999) * magnitude

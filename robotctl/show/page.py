@@ -185,7 +185,7 @@ def _number(value: float, unit: str) -> str:
 
 
 class Tone(StrEnum):
-    """How good a verdict is for the recording."""
+    """What a verdict means for the recording; it sets the colour of the verdict."""
 
     GOOD = "good"
     UNSURE = "unsure"

@@ -50,9 +50,9 @@ def write_png(
     frame: Frame = TIME_FRAME,
     fine: float = TIME_FINE,
 ) -> None:
-    """Write a PNG of the figures, one below the other, each below its title.
+    """Write the figures into one PNG, one below the other, each with its title above.
 
-    A figure is laid out in `frame`; the file has `fine` times as many pixels in each direction.
+    `frame` has the size of each figure; `fine` is the number of PNG pixels per pixel of the frame.
     """
     from PIL import Image, ImageDraw
 

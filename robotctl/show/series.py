@@ -162,7 +162,7 @@ class ThinnedPath:
 
 
 MAX_LISTS: Final = 24
-"""Limit on the sequences of messages that are searched: a short definition may nest 2^64."""
+"""Limit on the sequences of messages that are searched: a short definition may contain 2^64."""
 MAX_NAMED: Final = 24
 """Limit on the fields that an error names."""
 MAX_FIELDS: Final = 8
@@ -264,7 +264,7 @@ def _with_lists(
 ) -> Iterator[FieldPath]:
     """Yield `found`, and after each sequence of messages the fields of its first item.
 
-    `room` limits how many sequences are entered: one for each value that it yields.
+    That uses up one value of `room` for each sequence; nothing is added when none is left.
     """
     room = iter(range(MAX_LISTS)) if room is None else room
     for each in found:

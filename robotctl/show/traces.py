@@ -149,7 +149,7 @@ class Traces:
             self.drives.append(drive)
 
     def want(self, outline: list[Point]) -> None:
-        """Add a wanted path; if it is empty, too far away or too long, count it as left out."""
+        """Add a wanted path; count it as left out if it is empty, too long or not `is_on_earth`."""
         has_room = sum(map(len, self.wanted)) + len(outline) <= MAX_WANTED_POINTS
         if outline and has_room and all(is_on_earth(x, y) for x, y in outline):
             self.wanted.append(outline)
@@ -301,13 +301,13 @@ class JournalTraces:
 BATTERY: Final = "sensor_msgs/msg/BatteryState"
 
 Taker = Callable[[Traces, float, bytes], None]
-"""A function that adds a message to traces, given its time [s] and its bytes."""
+"""A function (traces, time [s], CDR bytes) that adds one message of a topic to the traces."""
 
 
 def topic_takers(topics: Sequence[TopicInfo]) -> dict[tuple[str, str], Taker]:
-    """Return takers of the odometry, the command and the battery topic with the most messages.
+    """Return a dict: (topic name, type) -> the function that adds its messages to traces.
 
-    The keys are the name and the type of each topic.
+    It has at most one topic each for odometry, commands and battery: that with the most messages.
     """
     takers: dict[tuple[str, str], Taker] = {}
     kinds: tuple[dict[str, Taker], ...] = (

@@ -317,7 +317,7 @@ class ViewServer:
 
 
 def _tell_dropped(viewer: Viewer) -> None:
-    """Tell a viewer how many messages were dropped, if that is new and no control frame waits."""
+    """Send a viewer its count of dropped messages, if that changed and no offer or note waits."""
     dropped = viewer.outbox.dropped
     if dropped != viewer.told_dropped and not viewer.outbox.waits_for_control:
         viewer.told_dropped = dropped

@@ -169,7 +169,7 @@ class LiveView:
     # From the server
 
     def _subscribed(self, channel_id: int) -> None:
-        """Subscribe to the topic, again for each new viewer: it needs the latched messages."""
+        """Subscribe to the topic, anew for each viewer, so that each gets the latched messages."""
         self._tap.want(self._topics[channel_id], partial(self._forward, channel_id))
 
     def _unwatched(self, channel_id: int) -> None:

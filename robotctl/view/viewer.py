@@ -95,8 +95,7 @@ class Admission:
 
 
 LARGE_BYTES: Final = 1 << 16
-"""Larger messages, such as images and point clouds, have a separate queue: they never displace
-small ones."""
+"""Larger messages, such as images, have a separate queue: they never displace small ones."""
 
 MAX_MESSAGES: Final = 1024
 """Limit on the messages in each of the two queues, for small and for large ones."""
@@ -118,7 +117,7 @@ BINARY: Final = 0x82
 
 
 def frame_head(kind: int, length: int) -> bytes:
-    """Return the head of an unmasked WebSocket frame with `length` bytes (RFC 6455, 5.2)."""
+    """Return the head of an unmasked WebSocket frame for `length` bytes (RFC 6455, 5.2)."""
     if length < 126:
         return bytes((kind, length))
     if length < 1 << 16:

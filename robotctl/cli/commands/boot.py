@@ -135,7 +135,7 @@ def install(
 ) -> None:
     """Write the systemd unit of the daemon, enable it, and start it.
 
-    A daemon that fails is started again, and the robot does not move by that. For a unit of yours
+    A daemon that fails is started again; the restart never moves the robot. For a unit of yours
     to run while you are not logged in: loginctl enable-linger.
 
     \b

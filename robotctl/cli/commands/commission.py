@@ -58,7 +58,7 @@ STANDING_S = 1.5
 """How long the robot stands before and after each motion [s]."""
 
 RESERVE = 1.5
-"""The free room that the operator is asked for, as a multiple of the planned way and angle."""
+"""The free room that the operator is asked for, as a multiple of the planned distance."""
 
 _LATEST_S = DRIVEN_S + 10.0
 """A motion that waits for a zero command ends by itself after this time [s] if none comes."""
@@ -147,7 +147,7 @@ def commission(
     """Measure the base by three short motions, and propose limits and gains.
 
     Straight ahead, twice: one motion is stopped by a zero command, and after the other nothing is
-    commanded, to see when the base stops by itself. Then a slow turn on the place. The report tells
+    commanded, to see when the base stops by itself. Then a slow turn on the spot. The report has
     rate and delay of odometry, the delay of a command, stopping distance and angle, and the base's
     own command timeout.
 

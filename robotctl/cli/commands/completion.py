@@ -131,7 +131,7 @@ def show(context: typer.Context, shell: ShellName) -> None:
     hidden=True, context_settings={"ignore_unknown_options": True, "allow_extra_args": True}
 )
 def words() -> None:
-    """Offer nothing: the scripts of 0.1 and early 0.2 call this, and offer files then."""
+    """Print no words: scripts that 0.1 and early 0.2 installed call this, then they offer files."""
 
 
 def script(shell: Shell, root: Any) -> str:

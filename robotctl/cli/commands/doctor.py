@@ -54,7 +54,7 @@ def doctor(
     """Find what is wrong here: installation, discovery, ROS graph, machine.
 
     It looks at the shell, command and odometry on ROS, shared memory, disk, clock and permissions.
-    Exit code 0 if there is no fault (warnings are none), else 4.
+    Exit code 0 if there is no fault (a warning is no fault), else 4.
 
     \b
     Examples:

@@ -52,7 +52,7 @@ def list_nodes(
     domain_id: DomainId = None,
     as_json: Json = False,
 ) -> None:
-    """List the nodes on ROS; one name stands there twice if two nodes have it.
+    """List the nodes on ROS; a name appears twice if two nodes have it.
 
     \b
     Examples:

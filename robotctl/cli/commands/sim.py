@@ -146,7 +146,7 @@ def fail(
 ) -> None:
     """Let the robot that the daemon simulates fail for a while, and tell when it stopped.
 
-    The milliseconds go from the fault to the mode that commands zero.
+    The milliseconds count from the fault to the mode that commands zero.
 
     \b
     Examples:

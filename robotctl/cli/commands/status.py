@@ -268,15 +268,15 @@ def view(
     """Show a running robot live in Foxglove or Lichtblick.
 
     It prints a URL for "Open connection", "Foxglove WebSocket". The URL has a token of this run:
-    without --control one may read with it, and cannot move the robot. A layout is
+    without --control it only allows reading, and cannot move the robot. A layout is
     docs/foxglove-layout.json.
 
-    The view is a process of its own with a ROS node of its own: a slow viewer loses messages, which
-    it is told, and delays no other part. It ends with Ctrl-C, or with the daemon. Recordings are
-    MCAP files, which Foxglove and Lichtblick open themselves.
+    The view is a process of its own with a ROS node of its own: a slow viewer loses messages, is
+    told how many, and delays no other part. The view ends with Ctrl-C, or with the daemon.
+    Recordings are MCAP files, which Foxglove and Lichtblick open themselves.
 
-    With --control, viewers may call the services /estop and /stop. Below `robotctl lease take` they
-    may drive as well, by geometry_msgs/msg/Twist ten times a second or more.
+    With --control, viewers may call the services /estop and /stop. Within `robotctl lease take`
+    they may drive as well, by geometry_msgs/msg/Twist ten times a second or more.
 
     \b
     Examples:

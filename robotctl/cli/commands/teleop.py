@@ -131,10 +131,10 @@ def view_below(lines: list[str], status: Status) -> RenderableType:
 
 
 PERIOD_S: Final = ASK_EACH_S
-"""The period in which keys or gamepad are read while something is held [s]."""
+"""The period in which input is read while a motion is held or the terminal is asked [s]."""
 
 IDLE_S: Final = 0.1
-"""The same period while nothing is held [s]; lease and screen are checked in each period."""
+"""The period in which input is read in other cases [s]; it checks lease and screen as well."""
 
 WITH_RELEASES: Final[tuple[str, ...]] = (
     "hold w a s d or the arrows; a terminal that is silent for 125 ms is zero",
@@ -300,10 +300,10 @@ def teleop(
 ) -> None:
     """Drive by hand: the robot moves while a key or a button of a gamepad is held.
 
-    Where the terminal tells the release of a key, as kitty, foot, WezTerm and Ghostty do, the robot
-    ramps down with it, and 125 ms after the last sign of life of the terminal the velocity is zero.
-    Elsewhere nothing moves until the key repeats, and 125 ms after the last repeat the velocity is
-    zero. So it is if this command hangs, ends, or loses its connection. It holds the lease.
+    Where the terminal reports the release of a key, as kitty, foot, WezTerm and Ghostty do, the
+    robot ramps down with it, and 125 ms after the terminal's last sign of life the velocity is
+    zero. In other terminals nothing moves until the key repeats, and 125 ms after the last repeat
+    the velocity is zero; also if the command, which holds the lease, hangs, ends or disconnects.
 
     \b
     Examples:

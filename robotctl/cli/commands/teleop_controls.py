@@ -38,7 +38,7 @@ MAX_AT_ONCE: Final = 8
 
 
 class Wish(NamedTuple):
-    """The wanted motion, forward and turning left, each -1 to 1 times the chosen speed."""
+    """The wanted motion: `forward` and turning `left`, as shares (-1 to 1) of the chosen speeds."""
 
     forward: float
     left: float
@@ -78,8 +78,8 @@ class HandsWithReleases:
     as let go if no key repeats any more. A terminal repeats only the key that was pressed last, and
     no key after its release. Text does not count as a press: no release would follow.
 
-    `take` repeats the wish with each ANSWER of the terminal: if the terminal is dead, none is sent,
-    and the robot stops.
+    `take` returns the wanted motion again with each ANSWER of the terminal: a terminal that is dead
+    sends none, and the robot stops.
     """
 
     def __init__(self) -> None:
@@ -90,7 +90,7 @@ class HandsWithReleases:
         self._patience_s = 0.0
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the wish of all held keys; None if it is unchanged and `keys` has no ANSWER."""
+        """Return the motion of all held keys; None if it is unchanged and `keys` has no ANSWER."""
         for key in keys:
             if key.name != ANSWER and not key.is_text:
                 self._hear(key, now_s)
@@ -136,7 +136,7 @@ class HandsWithoutReleases:
         self._is_forgotten = False
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the wish of the last steering key in `keys` if that key is a repeat, else None."""
+        """Return the motion of the last steering key in `keys`; None unless that key repeats."""
         names = [key.name for key in keys if key.name in STEERING]
         is_pasted = len(keys) > MAX_AT_ONCE
         if not (names or is_pasted):
@@ -206,7 +206,7 @@ class Gamepad:
         self._is_forgotten = True
 
     def take(self) -> Wish | None:
-        """Return the wish of the newest message, None if no complete message has arrived."""
+        """Return the wanted motion (STAND if the button is up), None without a new message."""
         ours = [each for each in self._listener.receive(0.0) if self._is_followed(each)]
         if not ours:
             return None
@@ -285,7 +285,7 @@ class Speeds:
         self._share = min(max(self._share * factor, self._least), 1.0)
 
     def velocity(self, wish: Wish) -> tuple[float, float]:
-        """Return the velocity of a wish [m/s, rad/s]; `left` turns to the left, also in reverse."""
+        """Return the wanted velocity [m/s, rad/s]; `left` turns to the left, also in reverse."""
         return (
             wish.forward * self._share * self._linear_mps,
             wish.left * self._share * self._angular_rps,
@@ -299,8 +299,8 @@ class Speeds:
 class Holding:
     """Requests the wanted motion; `message` says why the last motion ended or was refused.
 
-    If no wish is sent for MAX_SILENCE_S, the motion ends. With `silence_lets_go`, the next wish
-    begins a new motion. Without it, silence is a fault, after which the operator must let go first.
+    If `want` is not called for MAX_SILENCE_S, the motion ends. With `silence_lets_go`, the next
+    call begins a new motion. Without it, that call fails: the operator must let go first.
     """
 
     def __init__(self, client: Client, params: Mapping[str, Any]) -> None:

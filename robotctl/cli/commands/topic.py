@@ -177,7 +177,7 @@ def echo(
 ) -> None:
     """Show the messages of a topic, live until Ctrl-C, or all that a recording holds.
 
-    A message is YAML, and `---` ends it. From a recording the time comes with it.
+    A message is YAML, and `---` ends it. With --file, its time is shown as well.
 
     \b
     Examples:
@@ -380,9 +380,9 @@ def hz(
 
 
 def statistics(times_ns: Sequence[int]) -> dict[str, Any] | None:
-    """Return the mean rate [Hz] of messages received at `times_ns`, None if they span no time.
+    """Return figures about messages received at `times_ns`, None if these span no time.
 
-    The other figures are the shortest and longest period, its standard deviation, and the count.
+    They are the mean rate, the shortest and longest period, its standard deviation, and the count.
     """
     times = list(times_ns)
     periods_s = [(after - before) / NS_PER_S for before, after in pairwise(times)]

@@ -246,7 +246,7 @@ MAX_RECORDINGS = 20
 """How many recordings are searched; reading a journal takes seconds per recorded hour."""
 
 COMMIT_DEADLINE_S = 8.0
-"""Timeout of a commit [s]: after its own, shorter one, the daemon reports what is not written."""
+"""Timeout of a commit [s]; before that, the daemon answers how many messages are not written."""
 
 
 def committed_recording(robot: str, missing: list[str]) -> Path | None:

@@ -298,7 +298,7 @@ class ReleaseEvents:
 
 
 ASK_EACH_S: Final = 0.025
-"""The least time between questions [s]: a fifth of MAX_SILENCE_S, after which teleop stands."""
+"""The least time between questions [s]: a fifth of MAX_SILENCE_S, after which the robot stops."""
 
 _ASK_FLAGS: Final = b"\x1b[?u"
 """Asks for the keyboard flags: only a terminal that can report releases answers."""

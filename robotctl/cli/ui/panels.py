@@ -31,7 +31,7 @@ _MAX_TOPICS = 12
 _BESIDE_WIDTH = 38
 _NAME_WIDTH_BESIDE = 18
 _MAX_TOPICS_BESIDE = 8
-"""The limits on the topics shown, alone and beside a map, so that 24 lines hold the view."""
+"""Maximum number of topics shown without a map and beside a map: the view fits into 24 lines."""
 
 
 def live_view(status: Status, beside: RenderableType | None = None) -> RenderableType:

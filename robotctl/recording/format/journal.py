@@ -75,7 +75,7 @@ def encode(entry: JournalEntry) -> bytes:
 
 
 def chained(serialized: bytes, crc: int) -> int:
-    """Return the CRC-32 of a journal up to and with this entry; `crc` is the CRC before the entry.
+    """Return the CRC-32 of a journal including this entry; `crc` is the CRC before the entry.
 
     Zeros at the end of the entry are left out, because DDS pads messages with zeros.
     """

@@ -52,7 +52,8 @@ def records_of_clip(
 ) -> Iterator[tuple[str, Mapping[str, str]]]:
     """Yield name and values of each metadata record that a clip of `window` copies.
 
-    For a name in OF_EACH_FILE only the last record counts, without a `mode` that may change.
+    Of the records in OF_EACH_FILE, which each file repeats, only the last is copied, without its
+    `mode` unless that is OBSERVING: other modes may change.
     """
     records = list(recorded)
     for record in records:
@@ -142,7 +143,7 @@ def clip_messages(recording: Recording, window: Window, lose: Lose) -> Iterator[
 
 
 def _before(recording: Recording, start_ns: int, lose: Lose) -> Iterator[Message]:
-    """Yield the journal since its last snapshot, then latched messages with log time `start_ns`."""
+    """Yield the journal since its last snapshot, then latched messages, as if logged at start."""
     yield from since_snapshot(recording, start_ns, lose)
     channels = recording.channels().items()
     topics = [topic_of(channel, type_name) for (_, type_name), (channel, _) in channels]
@@ -275,7 +276,7 @@ def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) ->
 
 
 def clip_job(given: dict[str, Any], report: Report) -> None:
-    """Cut the clip of the ClipJob in `given`, in a new process; report `target` and `lost`."""
+    """Cut the clip of the ClipJob `given`; report `target` and `lost`. Called in a new process."""
     made = make_clip(msgspec.convert(given, ClipJob, dec_hook=lambda kind, value: kind(value)))
     report({"target": str(made.target), "lost": list(made.lost)})
 

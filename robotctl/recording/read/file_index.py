@@ -184,7 +184,7 @@ class FileIndex:
 
     declared_metadata: int = 0
     declared_attachments: int = 0
-    """How many metadata and attachment records the summary counts."""
+    """How many attachment records the summary counts."""
 
     metadata_offsets: set[int] = field(default_factory=set)
     """Offsets of the records in `metadata`."""
@@ -196,7 +196,7 @@ class FileIndex:
     """The cost of decompressing single messages, by the offset of their place."""
 
     messages_read: dict[int, int] = field(default_factory=dict)
-    """How many messages a place has that was read to its end, by the offset of the place."""
+    """Message counts of the places that were read to their end, by the offset of each place."""
 
     limit_reached: bool = False
     """Whether a part was left out that could be read with higher limits."""

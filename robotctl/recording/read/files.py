@@ -324,9 +324,9 @@ def files_of_bag(folder: Path) -> list[Path]:
 def each_with_progress(
     paths: Sequence[Path], on_progress: Progress
 ) -> Iterator[tuple[Path, Progress]]:
-    """Yield each path with a progress function for this path alone, in any unit (done, total).
+    """Yield each path with a function to report progress on that path: (done, total), in any unit.
 
-    That function calls `on_progress` with the bytes done and in total of all paths.
+    The function calls `on_progress` with the bytes done and in total of all paths.
     """
     sizes = [size_of(path) for path in paths]
     total = sum(sizes)

@@ -146,9 +146,9 @@ def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
 
 
 def _set_times(index: FileIndex, told: tuple[int, int], chunks: list[tuple[int, int]]) -> None:
-    """Set the index to the `told` lowest and highest log time, or to those of the chunks.
+    """Set the lowest and highest log time of the index to those of the chunks.
 
-    `told` counts in files of other writers, where messages outside chunks may widen the range.
+    In files of other writers, messages may be outside chunks: a wider range of `told` is used.
     """
     known = [each for each in chunks if each[0] <= each[1] and each != (0, 0)]  # others are empty
     if known:
@@ -240,7 +240,7 @@ def read_written_file(file: InputFile) -> WrittenFile:
 def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> int | None:
     """Return the offset of the first record of an unfinished commit, or None.
 
-    Such a record is of a kind that robotctl does not write there, is missing in the summary, or
+    Such a record is of a kind that robotctl does not write as data, is missing in the summary, or
     ends after `data_end`. `index` and `data_end`, the end of the data, are from the summary.
 
     Raises:

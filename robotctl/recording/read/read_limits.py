@@ -24,7 +24,7 @@ CURE: Final = f"to read it all, set {VARIABLE}=10: ten times the limit"
 MAX_FACTOR: Final = 1_000_000.0
 
 UNPACKED_BYTES: Final = 512 << 20
-"""The chunks of a file of any size may unpack to this, which takes 0.25 s (0.5 s with a copy)."""
+"""All chunks of a file, however small, may unpack to this: it takes 0.25 s (0.5 s with a copy)."""
 
 UNPACKED_RATIO: Final = 512
 """The chunks of a larger file may unpack to this multiple of the file's size."""
@@ -46,7 +46,7 @@ OPEN_BYTES: Final = 96 << 20
 OPEN_RATIO: Final = 32
 MAX_OPEN_BYTES: Final = 256 << 20
 """Chunks whose times overlap are held unpacked at once, up to OPEN_BYTES, or OPEN_RATIO times the
-file size if that is more, but at most MAX_OPEN_BYTES. In our files two chunks overlap."""
+file size if that is more, but at most MAX_OPEN_BYTES. In our files at most two chunks overlap."""
 
 ATTACHMENT_BYTES: Final = 256 << 20
 """A larger attachment is not loaded."""
@@ -63,11 +63,13 @@ entry takes 16 bytes of index and its share of a chunk. Re-running an entry take
 
 SNAPSHOTS: Final = 1000
 BYTES_PER_SNAPSHOT: Final = 1000
-"""The same for snapshots. To re-run from one takes 1 ms; daemons write one every 10 s."""
+"""A journal may have SNAPSHOTS snapshots, or one for every 1000 bytes of file if that is more. The
+kernel starts from one in 1 ms; daemons write one every 10 s."""
 
 JOURNAL_TEXT_BYTES: Final = 16 << 20
 JOURNAL_TEXT_RATIO: Final = 16
-"""The same for the journal's JSON, as a multiple of the file size; ours compresses to 1/10."""
+"""The journal's JSON may have JOURNAL_TEXT_BYTES, or this multiple of the file size if that is
+more; JSON of robotctl compresses to 1/10."""
 
 ZSTD_FILE_BYTES: Final = 256 << 20
 ZSTD_FILE_RATIO: Final = 64

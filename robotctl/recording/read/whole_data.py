@@ -550,7 +550,7 @@ def _name(opcode: int) -> str:
 def _wrong_offset(
     content: bytes, groups: dict[int, tuple[int, int]], data: WholeData, span: tuple[int, int]
 ) -> Iterator[str]:
-    """Yield a sentence if a summary offset is wrong; the summary before it is at `span`."""
+    """Yield a sentence if a summary offset is wrong; the summary before it is `span`."""
     try:
         told = parse(SummaryOffset, content)
     except Damaged as damage:

@@ -387,10 +387,10 @@ def _compare_crcs(
     *,
     place_known: bool,
 ) -> None:
-    """Compare the CRCs (stored, computed) of the `covered` bytes, which are from start to end.
+    """Compare the CRCs (stored, computed) of the bytes `covered` (start, end).
 
-    A difference is a flaw of the byte in which one flipped bit explains it, or else of the whole
-    `span`, unless another flaw has shown the place already (`place_known`).
+    If they differ because of one flipped bit, its byte is the flaw, or else the whole `span`. The
+    latter is not added if an earlier flaw has shown the place already (`place_known`).
     """
     told, found = crcs
     start, end = covered

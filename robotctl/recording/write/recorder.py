@@ -266,9 +266,7 @@ class Recorder:
         self._no_memory += 1
 
     def _buffer_with_room(self, length: int) -> PackBuffer | None:
-        """Return the active buffer, or a new one if `length` bytes do not fit; None if the memory
-        budget is used up.
-        """
+        """Return an active buffer with room for `length` bytes; None if the budget is used up."""
         buffer = self._buffer
         if buffer.end + length <= buffer.limit:
             return buffer

@@ -61,10 +61,10 @@ def rank_below(nice: int) -> None:
 
 
 HEAVY_BYTES: Final = 64 << 10
-"""The least bytes of other topics' messages for a second chunk: a smaller chunk is not worth it."""
+"""Other topics' messages get a second chunk only if they have at least this many bytes."""
 
 HEAVY_RATIO: Final = 4
-"""The least ratio of other topics' bytes to the evidence topics' bytes for a second chunk."""
+"""Other topics' messages get a second chunk only if they are this many times the evidence."""
 
 assert MESSAGE_HEAD.size == RECORD_HEAD_BYTES + MESSAGE_FIELDS_BYTES
 
@@ -80,7 +80,7 @@ class EvidenceChunks:
         self._evidence: set[int] = set()
 
     def separate(self, packed: PackedMessages) -> tuple[PackedMessages, ...]:
-        """Return the evidence and the rest as two chunks (copies); only `packed` for a small rest.
+        """Return copies of evidence and rest as two chunks, or only `packed` if not worth it.
 
         Raises:
             MemoryError: There is no memory for the copies; nothing is changed.
@@ -204,7 +204,7 @@ class WriterThread:
 
         self.spare: deque[PackBuffer] = deque(maxlen=SPARE_BUFFERS)
         self.released = 0
-        """Bytes of all buffers and messages from the queue that have been freed so far."""
+        """Total size of the queued buffers and messages that have been freed so far [bytes]."""
 
         self.failure = ""
         self.no_memory = 0

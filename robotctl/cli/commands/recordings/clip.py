@@ -133,7 +133,7 @@ def _find(
     robot: str | None,
     folder: Path | None,
 ) -> tuple[ListedRecording, Moment]:
-    """Return the recording to clip, and the moment: `at`, or its last `event`.
+    """Return the recording to clip, and the moment: `at`, or the last `event` in that recording.
 
     Raises:
         Refused: No recording contains such a moment.

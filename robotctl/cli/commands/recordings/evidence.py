@@ -52,10 +52,10 @@ def evidence(
 ) -> None:
     """Show who changed what, the stops, and what proves them.
 
-    The journal of decisions tells it; robotctl keeps it for five years. A recording that is
-    there is checked as by `verify`, together with the others, and `replay --check`. The exit code
-    is 0, 6 if a recording could not be checked completely, and 7 if the journal or a recording is
-    not as it was written.
+    The facts are from the journal of decisions, which robotctl keeps for five years. A recording
+    that still exists is checked as by `verify` and by `replay --check`. The exit code is 0, 6 if
+    a recording could not be checked completely, and 7 if the journal or a recording is not as it
+    was written.
 
     \b
     Examples:
@@ -230,7 +230,7 @@ def _gravest(
 
 
 MOST_SHOWN: Final = 50
-"""The most items that are printed of a list: the last ones, of the journal's flaws the first."""
+"""Maximum number of items printed of a list: the last items, or the first flaws of the journal."""
 
 _INDENT = "  "
 

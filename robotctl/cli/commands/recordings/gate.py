@@ -194,7 +194,7 @@ def _error(report: GateReport, problems: Sequence[RobotctlError]) -> RobotctlErr
 
 
 MAX_NAMED = 5
-"""The most recordings that are printed for a cause, and the most drives; `--json` has all."""
+"""Maximum number of recordings printed for each cause, and of drives; `--json` has all."""
 
 OPEN_LOOP = "the robot does not react, so how far and how well it would drive is not known"
 

@@ -61,8 +61,8 @@ def verify(
     """Show whether recordings are whole and sealed. Reads every byte; needs no ROS.
 
     The exit code is 0 if all are whole and sealed, 4 if one is whole but not sealed, 6 if one
-    cannot be read, and 7 if a byte, the chain or a signature is wrong, or if this machine's list
-    of keys knows the file otherwise.
+    cannot be read, and 7 if a byte, the chain or a signature is wrong, or if the file contradicts
+    the keys and ends of files that this machine has noted.
 
     \b
     Examples:
@@ -385,7 +385,7 @@ def show(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 def head(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
     """Show the newest head of the chain: keep it elsewhere, and give it to verify --head.
 
-    It is as new as the last stored link: 10 seconds.
+    It is that of the last stored link, which is at most 10 seconds old while recording.
 
     \b
     Examples:
