@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import re
 import struct
+import time
 import tracemalloc
 from collections.abc import Callable, Iterable, Iterator
 from itertools import count, repeat
@@ -48,6 +50,7 @@ from robotctl.recording.format.journal import (
 )
 from robotctl.recording.format.names import LIBRARY
 from robotctl.recording.format.records import MAGIC, MESSAGE_HEAD, record_bytes
+from robotctl.recording.read.chunks import unpack
 from robotctl.recording.read.read_limits import (
     BYTES_PER_RECORD,
     FAST_CHUNK_DISCOUNT,
@@ -469,6 +472,18 @@ def test_what_claims_to_be_huge_is_refused_before_memory_is_taken(
     assert (info.message_count, messages) == (0, [])
     assert missing == list(info.missing) != []
     assert peak < 16 << 20
+
+
+def test_a_torn_chunk_of_many_pieces_is_unpacked_in_linear_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("robotctl.recording.read.chunks._PIECE_BYTES", 16)
+    data = random.Random(1).randbytes(3 * _MIB)
+    began_s = time.process_time()
+    unpacked = unpack("zstd", zstandard.compress(data)[:-9], len(data), torn=True)
+    assert time.process_time() - began_s < 1.0  # 0.1 s; 10 s if each piece copies those before it
+    assert data.startswith(unpacked)
+    assert len(unpacked) > 2 * _MIB
 
 
 def test_chunks_that_all_overlap_are_not_all_held_in_memory(

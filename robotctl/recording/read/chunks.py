@@ -75,14 +75,14 @@ def unpack(compression: str, stored: bytes, size: int, *, torn: bool = False) ->
 
 
 def _torn_zstd(stored: bytes, size: int) -> bytes:
-    data = b""
+    data = bytearray()
     try:
         with ZstdDecompressor().stream_reader(BytesIO(stored)) as reader:
             while piece := reader.read(min(_PIECE_BYTES, size - len(data))):
                 data += piece
     except (ZstdError, ValueError, MemoryError):
         pass
-    return data
+    return bytes(data)
 
 
 class ChunkHead(NamedTuple):
