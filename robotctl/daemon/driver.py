@@ -265,7 +265,7 @@ class Driver:
 
 
 def _first_state(stop: LatchedStop | None, *, autostart: bool) -> State:
-    """Return the kernel's first state: stopped if `stop` is latched, ACTIVE if `autostart`."""
+    """Return the kernel's first state, with the latched `stop` if any; ACTIVE with `autostart`."""
     lifecycle = LifecycleState.ACTIVE if autostart else LifecycleState.UNCONFIGURED
     state = State() if stop is None else latched(*stop)
     return replace(state, health=Health(lifecycle=lifecycle))

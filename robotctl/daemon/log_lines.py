@@ -61,7 +61,7 @@ class _Burst:
 
 
 class Repeats:
-    """Passes the first WRITTEN of the equal warnings or errors in a burst, which lasts WINDOW_S.
+    """Passes only the first WRITTEN of several equal warnings or errors within WINDOW_S.
 
     Equal records have the same logger, level, text and exception. Lower levels always pass.
     """
@@ -161,7 +161,7 @@ class _StderrListener(QueueListener):
         super().__init__(no_queue)
 
     def dequeue(self, block: bool) -> Any:
-        """Return data from the pipe; after the last data, which is written here, return None."""
+        """Return data from the pipe, None at its end; data read with the end is written here."""
         data = os.read(self._reading, _READ_BYTES)
         if not (self._is_ending and _END in data):
             return data
@@ -199,7 +199,7 @@ class _StderrListener(QueueListener):
 
 
 class _StderrHandler(LineHandler):
-    """Writes lines to a listener's pipe; the line after lost ones begins with their number."""
+    """Writes lines to a listener's pipe; a note with the number of lost lines follows a loss."""
 
     def __init__(self, listener: _StderrListener, line: str) -> None:
         super().__init__()

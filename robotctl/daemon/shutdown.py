@@ -58,7 +58,7 @@ async def stand_still(
 
 
 def send_zero(control: Control, velocity: VelocityPublisher) -> None:
-    """Send a last zero by a tick of the kernel or, if that is MOVING or sends none, directly.
+    """Send a last zero by a tick of the kernel; if the kernel is MOVING or sends none, directly.
 
     Before the tick, report the fault DAEMON_ENDS, which marks the end in the journal.
     """

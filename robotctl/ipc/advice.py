@@ -53,7 +53,7 @@ _COMMAND = re.compile(
 
 
 class Advice(NamedTuple):
-    """`cause` says what is wrong, `cure` what to do about it; `cure` may be ""."""
+    """What is wrong (`cause`), and what to do about it (`cure`; "" if nothing helps)."""
 
     cause: str
     cure: str

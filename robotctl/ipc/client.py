@@ -250,7 +250,7 @@ class Client:
         return line
 
     def _check_alive(self) -> None:
-        """Say hello on a new connection; if that fails: NoDaemon, TimeoutError, ConnectionError."""
+        """Raise NoDaemon, TimeoutError or ConnectionError if a new connection gets no hello."""
         with Client(self._robot) as other:
             other._write(encode_request(_HELLO_ID, "hello", {"protocol": PROTOCOL_VERSION}))
             other._greet(time.monotonic() + LIVENESS_S)

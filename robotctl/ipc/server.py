@@ -49,11 +49,11 @@ class ClientLimits:
     To accept one more, the daemon closes the oldest idle one of them. `clients` + `overflow` is
     well below 1,024 open files, the usual limit of a process."""
     request_s: float = 10.0
-    """Time from the connection's start, or the last reply, until a whole request is received."""
+    """A client must send a whole request within this time after it has connected or got a reply."""
     overflow_request_s: float = 1.0
     """As `request_s`, for a connection beyond `clients`."""
     write_s: float = 5.0
-    """Time to send a reply; a client that does not read it in time is disconnected."""
+    """A client that does not read a reply within this time is disconnected."""
     hangup_poll_s: float = 0.1
     """The period of the check that the client of a call without deadline is still connected."""
 
@@ -76,7 +76,7 @@ class Method(Generic[P]):
     params: type[P]
     handler: Callable[[P], Awaitable[object]]
     deadline_s: float | None = 10.0
-    """None: no deadline while the client stays connected."""
+    """The handler's deadline [s]; None: no deadline while the client stays connected."""
 
 
 _log = logging.getLogger(__name__)

@@ -154,7 +154,7 @@ class ReplayGuard:
         return is_named(route.topic, self._named)
 
     def check(self) -> None:
-        """Check, periodically, that the replay is still safe; with a prefix, do nothing.
+        """Check that the replay is still safe, to be called repeatedly; with a prefix, do nothing.
 
         Raises:
             Refused: A daemon has joined or, with --original-names, a robot is or may be moving.
@@ -172,7 +172,7 @@ class ReplayGuard:
             )
 
     def _daemons(self) -> list[RunningDaemon]:
-        """Return the daemons with a socket here, and others that appear in the ROS graph."""
+        """Return the domain's daemons: those with a socket on this machine, and others on ROS."""
         daemons = daemons_in(self._domain_id)
         known = {daemon.robot for daemon in daemons}
         others = [

@@ -183,7 +183,7 @@ def open_routes(
 
 
 def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> ClockPublisher | None:
-    """Return the publisher of /clock, None without --clock. With --loop, the time jumps back.
+    """Return the publisher of /clock, None without --clock. A new pass of --loop sets time back.
 
     Raises:
         Refused: Another node publishes the clock topic.

@@ -96,7 +96,7 @@ async def call(visitor: Membership, request: dict[str, Any], send: Send) -> None
 
 
 def _type_of(name: str, wanted: str, types: list[str]) -> str:
-    """Return the type with which to call a service that has `types`: `wanted`; if "", the only one.
+    """Return the type of the service to call: `wanted` or, if that is "", the only one of `types`.
 
     Raises:
         UsageError: `types` lacks the wanted type, or has several while `wanted` is "".

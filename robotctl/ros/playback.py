@@ -39,7 +39,7 @@ ACKNOWLEDGED_POLL_S: Final = 0.001
 """How often [s] to check for acknowledgements, which come after about 5 ms."""
 
 MAX_OPEN_REQUESTS: Final = 10_000
-"""Limit on the sent requests that are remembered, because a second event of each may come."""
+"""Limit on the sent requests that are remembered: a second event of each may follow."""
 
 _CLOCK = struct.Struct("<4siI")
 """rosgraph_msgs/Clock: encapsulation, seconds, nanoseconds."""
@@ -431,7 +431,7 @@ class ReplaySession:
                         break
 
     def given_up(self) -> list[str]:
-        """Return the topics on which a subscriber failed once or more to acknowledge in time."""
+        """Return the topics on which a subscriber has failed to acknowledge in time."""
         return sorted(each.topic for each in self._patient if each.given_up)
 
     def _all_matched(self) -> bool:

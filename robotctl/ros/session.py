@@ -98,7 +98,7 @@ class Session:
         return self.node_of(Node, name)
 
     def node_of(self, kind: type[N], name: str) -> N:
-        """Create a node of class `kind`, as `node` does."""
+        """Create and return a node of class `kind`; see `node`."""
         node = kind(
             self._node_names.get(name, name),
             context=self._context,

@@ -57,7 +57,7 @@ from robotctl.ros.nodes.drive_action import DriveProgress, Goal, GoalDrive
 
 
 def default_laps(kind: PatternKind, *, wait: bool) -> int:
-    """Return 0 (endless) for a closed pattern, 1 otherwise or if the client will `wait`."""
+    """Return 0 (endless) if the pattern is closed and the client will not `wait`, otherwise 1."""
     return 1 if wait or not SHAPES[kind].closed else 0
 
 
@@ -263,7 +263,7 @@ class DrivingMethods:
         return granted(await self._control.request(self._idle_request(params.source)), self._robot)
 
     async def _hold(self, params: HoldParams) -> HoldAnswer:
-        """Begin a motion, which ends if the client is silent; `params.hold` keeps one going."""
+        """Begin a motion or, if `params.hold` is its number, keep it going: silence ends it."""
         if params.hold:
             return self._hold_again(params)
         now_ns, request_id = self._control.stamp()

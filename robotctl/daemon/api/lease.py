@@ -45,7 +45,7 @@ class LeaseMethods:
     """The handlers of the lease's methods.
 
     A lease ends when its holder releases it, closes the connection on which it called `lease_take`,
-    or does not call `lease_keep` for SILENT_PERIODS periods of `listen_s` [s], as if frozen.
+    or does not call `lease_keep` for SILENT_PERIODS periods of `listen_s` [s]: it may be frozen.
     """
 
     def __init__(

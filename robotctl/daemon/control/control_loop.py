@@ -68,7 +68,7 @@ STALL_S = 0.1
 """The loop has stalled after this time without a tick, or STALL_TICKS if that is longer."""
 
 CONFIRM_S = 0.02
-"""After the limit, the watchdog waits this long for a late tick: a paused process may catch up."""
+"""After STALL_S, the watchdog waits this long for a late tick: a paused process may catch up."""
 
 STALL_TICKS = 2.5
 """The loop has stalled after this many tick periods, or STALL_S if that is longer."""
@@ -122,7 +122,7 @@ class Watchdog:
         self._last_ns = 0
         """The time of the last tick."""
         self._stalled_ns = 0
-        """`_last_ns` when the stall was detected; the late tick then changes `_last_ns`."""
+        """The time of the last tick before the stall; `_last_ns` changes at the next tick."""
         self._account_ns = 0
         self._waited_ns = 0
         """How long [ns] the loop's thread had waited for a CPU until the time `_account_ns`."""

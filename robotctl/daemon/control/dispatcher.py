@@ -24,7 +24,7 @@ from robotctl.recording.format.names import MADE_BY
 
 
 class Journal:
-    """The journal of the kernel's events and effects, whose entries are passed to `write`."""
+    """The journal of the kernel's events and effects; passes each entry to `write`."""
 
     def __init__(
         self, write: Callable[[bytes, int], None], commands: Callable[[], int] = lambda: 0

@@ -144,11 +144,11 @@ class Inputs:
             self._robot_report.drove_to(odometry.pose)
 
     def hears(self, kind: Callable[..., Event]) -> Callable[..., None]:
-        """Return a handler that dispatches a `kind`; its arguments: the fields except the time."""
+        """Return a handler that dispatches an event `kind`, given its fields without the time."""
         return lambda *values: self._control.dispatch(kind(time.monotonic_ns(), *values))
 
     def guarded_command(self, twist: Twist, publisher: str, sequence: int) -> None:
-        """Handle a velocity from a node that steers; ignore it unless a guarded motion runs."""
+        """Handle a velocity that another node requests; without a guarded motion, it is ignored."""
         if self._control.state.guarded is not None:
             self._control.dispatch(
                 GuardedCommandReceived(time.monotonic_ns(), twist, publisher, sequence)

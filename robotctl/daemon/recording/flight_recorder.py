@@ -52,7 +52,7 @@ _log = logging.getLogger(__name__)
 
 
 class FlightRecorder:
-    """Records robotctl's topics from its creation, other topics while the tasks of `work` run.
+    """Records robotctl's own topics at once, and other topics while the tasks of `work` run.
 
     The topic filter cannot exclude command, odometry, robot status and journal.
     """
@@ -152,7 +152,7 @@ class FlightRecorder:
         }
 
     def open_journal(self, publisher: JournalPublisher) -> Callable[[bytes, int], None]:
-        """Return `write(serialized, seq)`, which records and publishes the entry number `seq`."""
+        """Return `write(serialized, seq)`, which records and publishes journal entry `seq`."""
         write = self.tap.reserve(publishers.JOURNAL_TOPIC)
 
         def write_entry(serialized: bytes, seq: int) -> None:

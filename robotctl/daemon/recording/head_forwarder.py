@@ -21,10 +21,10 @@ LAST_TIMEOUT_S = 2.0
 
 
 class HeadForwarder:
-    """Publishes each head, and runs a program with it. Use only in the loop's thread.
+    """Publishes each head of the seal, and runs a program with it. Use only in the loop's thread.
 
     The last arguments of the program are the head (hex) and the file's name. Runs do not overlap:
-    of the heads that arrive during a run, only the newest gets the next run.
+    of the heads that arrive during a run, only the newest is passed to the next run.
     """
 
     def __init__(self, command: str, publish: Callable[[str], object] | None) -> None:

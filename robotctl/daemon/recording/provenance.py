@@ -138,10 +138,10 @@ def _version(distribution: str) -> str:
 
 
 CONTROL_PATH: Final = ("config/", "daemon/", "ipc/", "kernel/", "messages/", "ros/", "sim.py")
-"""The parts whose code turns messages and requests into velocity commands."""
+"""The modules and folders whose code turns messages and requests into velocity commands."""
 
 ASIDE: Final = ("ros/executables", "ros/exchange.py", "ros/playback.py", "ros/queries.py")
-"""The modules of these parts that no daemon imports."""
+"""Modules and folders within CONTROL_PATH that no daemon imports."""
 
 DIGEST: Final = "digest"
 """The key of the digest over all modules; the other keys of `software` are names of modules."""

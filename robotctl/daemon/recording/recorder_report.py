@@ -21,7 +21,7 @@ from robotctl.ros.nodes.publishers import Diagnosis, DiagnosticLevel
 
 HEAVY_BYTES_PER_S = 5e6
 HEAVY_WINDOW_S = 5.0
-"""A topic is heavy above HEAVY_BYTES_PER_S, averaged over HEAVY_WINDOW_S."""
+"""A topic is heavy if its data rate, averaged over this time, is above HEAVY_BYTES_PER_S."""
 
 CALM_SHARE = 0.5
 """A heavy topic stays heavy until its data rate falls to this share of the limit."""

@@ -127,7 +127,7 @@ def retention_policy(params: RecordingParams) -> RetentionPolicy:
 
 
 def save_recordings_path(recordings: Path, robot: str) -> list[str]:
-    """Save the path of the recordings for later commands; return [], or a note on a failure."""
+    """Save the path of the recordings for later commands; return [] or, if that fails, [a note]."""
     note = recordings_note_path(robot)
     try:
         make_private(note.parent)

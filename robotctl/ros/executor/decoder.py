@@ -201,7 +201,7 @@ class _Source:
     # Offsets
 
     def _number(self, format_: str) -> str:
-        """Add a number to the run that one `struct` call reads; return the number's variable."""
+        """Add a number to those that the next `struct` call reads; return its variable's name."""
         size = struct.calcsize(format_)
         self._align(size)
         if not self._run_names:

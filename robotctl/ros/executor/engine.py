@@ -1,6 +1,6 @@
 """The part of an executor that exists only while the executor is open.
 
-The sources, one class for each kind of entity, read an entity's data and run its callbacks.
+For each entity of the nodes, it keeps a source, which reads data and runs the callbacks.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _fail_pending(source: Source, reason: str) -> None:
 
 
 class Engine:
-    """Keeps a source attached to each entity of the nodes; sets the loop thread's scheduling.
+    """Keeps a `Source` attached to each entity of the nodes; sets the loop thread's scheduling.
 
     `wake` and `request_close` may be called from any thread, the rest in the loop's thread only.
     """

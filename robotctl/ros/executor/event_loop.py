@@ -62,7 +62,7 @@ BEAT_NS = 20_000_000
 """The time between two beats, 50 a second, on which timers expire together."""
 
 _START_NS = time.monotonic_ns()
-"""The first beat; it differs between processes, so that those of one machine take turns."""
+"""The first beat; random, so that the processes of one machine do not all wake up together."""
 
 
 def beat_before(t_ns: int, period_ns: int = BEAT_NS) -> int:

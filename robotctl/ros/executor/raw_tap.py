@@ -13,7 +13,7 @@ from robotctl.ros.executor.rcutils import RclCallFailed
 
 SerializedData = bytes | memoryview
 """A serialized message. Above 1 MiB it is a memoryview of the executor's buffer, which is valid
-during the call only: then a sink copies only the messages that it keeps."""
+only during the call of the sink: the sink must copy what it keeps."""
 
 Sink = Callable[[bytes, int, int, int, bytes], object]
 """Called with (data, received_ns, source_ns, sequence, gid) for each message."""

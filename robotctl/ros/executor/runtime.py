@@ -266,13 +266,13 @@ class Runtime:
         self._pools.clear()
 
     def mark_flooded(self, source: object) -> None:
-        """Note that the source has data left: flooded sources share the loop's turn."""
+        """Note that the source had data left at its slice's end: its next slices are shorter."""
         if source not in self.flooded:
             self.flooded.add(source)
             self._share_turn()
 
     def mark_drained(self, source: object) -> None:
-        """Note that the source has no data left: it no longer shares the loop's turn."""
+        """Note that the source has no data left; undoes `mark_flooded`."""
         if source in self.flooded:
             self.flooded.remove(source)
             self._share_turn()
@@ -287,7 +287,7 @@ class Runtime:
         where: str,
         finished: Callable[[], None] | None = None,
     ) -> asyncio.Task[None]:
-        """Run an async callback as a task; call `finished` when the task ends in any way."""
+        """Run an async callback as a task; call `finished` when it ends, even if it has failed."""
 
         async def run() -> None:
             try:

@@ -1,4 +1,4 @@
-"""Sources: each passes the data of one entity from rcl to a callback. Base classes, and timers."""
+"""The base classes of sources, which pass the data of one entity from rcl to a callback; timers."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ class _TakenSource(EventFdSource):
         decode: Decode | None,
         views: bool = False,
     ) -> None:
-        """Call the receiver with `decode(data)` or, if `decode` is None, the fields of `Taken`."""
+        """Pass `decode(data)` to the receiver or, if `decode` is None, the fields of a `Taken`."""
         super().__init__(runtime, subscription, subscription.handle, where)
         self._taker = SerializedTaker(self.handle.pointer, views=views, bare=decode is not None)
         self._decode = decode
@@ -123,7 +123,7 @@ class _TakenSource(EventFdSource):
         """Return the function to call for each message, made from the subscription's callback."""
 
     def check_rate(self) -> None:
-        """Adapt to the rate of the messages; called after each POLLS_PER_RATE_CHECK polls."""
+        """Start or stop collecting messages by rate; called each POLLS_PER_RATE_CHECK polls."""
 
     def detach(self) -> None:
         if not self.closed:

@@ -177,8 +177,7 @@ _REQUEST_TYPE = re.compile(r"(\w+)::srv::dds_::(\w+)_Request_|(\w+)::action::dds
 def overview(node: Node) -> dict[str, Any]:
     """Return the names of all topics and services with their types, and the names of all nodes.
 
-    Nodes of `robotctl topic|node|service` commands are left out.
-    `left_out` counts the names beyond MAX_NAMES.
+    Nodes of `robotctl topic|node|service` are missing; `left_out` counts names above MAX_NAMES.
     """
     found: dict[str, list[Any]] = {
         "topics": _typed(topics(node)),

@@ -95,7 +95,7 @@ class OdomSubscriber:
         self._on_odometry(odometry, source, sequence)
 
     def _number(self, gid: bytes) -> int:
-        """Return a new publisher's number; above MAX_SOURCES, forget the one silent longest."""
+        """Number a new publisher; above MAX_SOURCES, forget the one that was silent longest."""
         if len(self._sources) >= MAX_SOURCES:
             forgotten = next(iter(self._sources))
             del self._sources[forgotten]

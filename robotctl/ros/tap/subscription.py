@@ -179,7 +179,7 @@ class TappedSubscription:
 
 
 SLOW_LOAD_S = 2.0
-"""A load that takes longer is slow: the next one does not wait for it. Most take 0.1 s."""
+"""A load of a type that takes longer is slow: other loads no longer wait for it. 0.1 s is usual."""
 
 MAX_LOADS = 4
 """Limit on simultaneous loads. Another one begins only if all running ones are slow, because each

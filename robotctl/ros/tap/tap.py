@@ -144,7 +144,7 @@ class Unrecorded(Sentences):
         self.say(self._last_missed)
 
     def warnings(self) -> Iterator[str]:
-        """Yield what the base class yields, then how many topics came and went."""
+        """Yield all sentences, then one about the topics that `miss` has counted."""
         yield from super().warnings()
         if self._missed:
             others = f" (and {self._missed - 1} other topics)" if self._missed > 1 else ""
@@ -222,7 +222,7 @@ class Tap:
         self._own: set[str] = set()
         self._tapped: dict[str, TappedSubscription] = {}
         self._left_out: dict[str, list[str]] = {}
-        """Topic that was left out -> its types then; when these change, it is tried again."""
+        """Topic that was left out -> its types; it is tried again when its types change."""
 
         self._failed: set[str] = set()
         """Topics whose subscription failed, maybe only for a time; it is tried again."""
@@ -356,7 +356,8 @@ class Tap:
             self._leave_out(topic, type_names, problem)
 
     def _follow(self, tapped: TappedSubscription, *, inspect: bool) -> None:
-        """Adapt the subscription to the present publishers; end it if it is of no use any more."""
+        """Adapt the subscription to its publishers. End it if all publishers have other types, or
+        if there have been none for ABANDONED_S."""
         topic = tapped.topic
         publishers = endpoints.publisher_count(self.node, topic)
         self.mismatches.look(topic, publishers)
