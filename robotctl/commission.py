@@ -303,7 +303,7 @@ def _line(motion: Motion) -> _Line:
 
 
 def _rest(motion: Motion, from_s: float, until_s: float) -> tuple[float, bool]:
-    """Return the mean position [m or rad] of the base in a period, and whether the base stood."""
+    """Return a period's mean position [m or rad], and whether the base stood; may raise Refused."""
     xs = [x for t_s, x in motion.way() if from_s <= t_s <= until_s]
     if len(xs) < MIN_SAMPLES - 1:
         raise Refused("odometry ended before the base stood")

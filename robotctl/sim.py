@@ -173,7 +173,7 @@ class Robot:
         self.battery = max(0.0, self.battery - dt_s / params.battery_life_s)
 
     def _jitter(self, deviation: float) -> float:
-        """Return a random factor around 1: the sum of 12 uniform numbers is nearly normal."""
+        """Return a nearly normal random factor of mean 1: the sum of 12 uniform numbers, scaled."""
         return 1.0 + deviation * (fsum(self._random.random() for _ in range(12)) - 6.0)
 
 

@@ -140,8 +140,8 @@ def _places(ports: Iterable[int]) -> Iterator[tuple[int, int]]:
 def _bound_udp_ports() -> set[int] | None:
     """Return the UDP ports that are bound on this machine, or None without /proc.
 
-    The system returns a table page by page. If a socket is closed between two pages, another socket
-    may be missing: 1 of 80 times on a busy machine. So each table is read twice.
+    Each table is read twice: Linux returns it page by page, and if a socket is closed between two
+    pages, another socket may be missing (in 1 of 80 reads on a busy machine).
     """
     ports: set[int] | None = None
     for table in 2 * _TABLES:

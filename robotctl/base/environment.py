@@ -38,9 +38,9 @@ _MARKS = {
 def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
     """Prepare the environment for the import of rclpy; return a note after a restart, else "".
 
-    If another ROS precedes ours, call `before_restart` and restart the process without that ROS. In
-    the new process, `prepare` returns a note on what was changed. Unless the user has chosen
-    otherwise, also limit discovery to this machine, and name our Fast DDS profiles file.
+    If the environment has another ROS or middleware, call `before_restart` and restart the process
+    without it; in the new process, `prepare` returns a note on the changes. Unless the user has
+    chosen otherwise, also limit discovery to this machine, and name our Fast DDS profiles file.
     """
     note = os.environ.pop(_NOTE, "")
     if _has_own_rclpy():
@@ -62,6 +62,7 @@ def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[d
 
     Of a sourced ROS of the same distribution, only folders with another rclpy are removed;
     message packages of overlays stay. Of a ROS of another distribution, all folders are removed.
+    If RMW_IMPLEMENTATION names another middleware than RMW, it is replaced.
     """
     distro = environment.get("ROS_DISTRO", "")
     cleaned = dict(environment)

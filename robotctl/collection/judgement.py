@@ -165,10 +165,7 @@ def totals_of(changes: Iterable[Change]) -> dict[str, Any]:
 
 
 def ends_otherwise(drive: Mapping[str, Any]) -> bool:
-    """Return whether only one of the two kernels began the drive, or they ended it differently.
-
-    The text `ended` is not compared.
-    """
+    """Return whether one kernel did not begin the drive, or ended it differently (text aside)."""
     mine, theirs = drive["recorded"], drive["what_if"]
     if mine is None or theirs is None:
         return True
@@ -262,7 +259,7 @@ class Judgement:
 
     @property
     def differs(self) -> bool:
-        """Whether other parameters change modes or answers (not only velocities), or fail."""
+        """Whether other parameters change modes or answers, or make the kernel fail."""
         other = self.other or {}
         return any(other.get(key) for key in ("mode_differs_s", "answer_count", "failure"))
 

@@ -38,7 +38,7 @@ from robotctl.recording.keep.retention import (
 )
 
 GIVE_UP_AFTER: Final = 3
-"""After this number of failures in a row the store counts as unreachable, and the run ends."""
+"""If the store fails for this number of recordings in a row, the run ends."""
 
 Stored = dict[str, list[StoredObject]]
 """The objects of a store by their paths in a copy; only the earlier layout has several per path."""
@@ -94,7 +94,8 @@ def copy_recordings(
 ) -> Synced:
     """Copy the files that the store lacks; `on_progress` gets the bytes done and in total.
 
-    Each failure adds a sentence to `problems`. `GIVE_UP_AFTER` failures in a row end the run.
+    Each failure adds a sentence to `problems` or `wrong`. If the store fails for GIVE_UP_AFTER
+    recordings in a row, the run ends.
 
     Raises:
         StoreError: The store cannot be listed.

@@ -37,7 +37,7 @@ PREFIXES: Final = {
     SIMULATED_ROBOT: ("sim.",),
     MODE_SERVICE: ("",),
 }
-"""The prefixes of the keys that each node declares; the first node with a match has the key."""
+"""The key prefixes of each node; a key belongs to the first node with a matching prefix."""
 
 NODES: Final = tuple(PREFIXES)
 """The nodes that have parameters."""
@@ -168,7 +168,7 @@ def _given_values(given: RosArguments, namespace: str) -> dict[str, object]:
 
 
 def _settings(setting: Assignment | Path, names: dict[str, str]) -> Iterator[tuple[str, object]]:
-    """Yield each key and value that a `-p` or a file sets; `names` maps our nodes to full names."""
+    """Yield each key and value that a `-p` or a file sets; `names` maps a node to its full name."""
     if isinstance(setting, Assignment):
         if setting.node:
             _check_node(setting.node, f"-p {setting.node}:{setting.key}")

@@ -137,9 +137,9 @@ _TURNED = Pose(0.0, 0.0, pi)
 class Score:
     """How well the robot followed so far: sums and maxima over the odometry samples.
 
-    `error_m` is the distance of the last sample from the reference. It is inf if it would exceed
-    the path's `reach_m`, or if a turn is not followed (`LOST_RAD`). So a robot that stands still is
-    noticed even on a small circle, where the reference never gets far from the robot.
+    `error_m` is the distance of the last sample from the reference. A distance above the path's
+    `reach_m` counts as inf: on a small path, it may never exceed `tracking.max_error_m`. It is inf
+    also if the robot does not follow a turn (`LOST_RAD`).
     """
 
     samples: int = 0

@@ -26,7 +26,7 @@ from robotctl.kernel.ranges import Change, bounded, setting
 from robotctl.kernel.trigonometry import atan2, hypot, tan
 
 START_M, START_RAD = 0.02, 0.02
-"""A path that begins within this distance and angle of the robot's pose begins at this pose."""
+"""A path that would begin within this distance and angle of the robot begins at the robot."""
 
 MIN_RADIUS_M, GENTLE_RAD = 0.02, 0.35
 """A corner of a smaller radius and a larger angle than these becomes a turn on the spot."""

@@ -1,11 +1,11 @@
 """How fast each segment of a path may be driven, planned ahead within the limits.
 
 There are three passes over the path, as Kapania, Subosits and Gerdes (2016) describe them for cars.
-The first limits the speed by the curvature; the second, backwards, to what the robot can still
-brake from; the third, forwards while it drives, to what it can have reached (`drive.py`).
+The first limits the speed by the curvature. The second, backwards, limits it so that the robot can
+brake in time. The third, forwards while the robot drives, limits its acceleration (`drive.py`).
 
-A path depends on pattern and course, a plan on path, speed and limits. A drive asks for both
-several times a tick with the same objects, so the last results are cached by their identity.
+A drive asks for its path and its plan several times a tick with the same objects, so the last
+path and the last plan are cached by the identity of these objects.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ACCEL_SHARE, GENTLE_SHARE = 0.7, 0.9
 """The usable shares of the acceleration limits: in curves; on lines and turns on the spot."""
 
 JOINT_S = 0.09
-"""Where the curvature jumps, the turning rate may jump by its acceleration limit times this [s]."""
+"""Where the curvature jumps, the turning rate may jump by `angular_accel_rps2` times this [s]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,7 +100,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """The right of one client alone to start motion: the client's number, name and reason."""
+    """The exclusive right of one client to start motion: the client's number, name and reason."""
 
     client: int
     source: str

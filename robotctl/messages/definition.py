@@ -134,7 +134,7 @@ class Definition:
     def leaf_count(self, field: Field) -> int:
         """Return the number of leaves of a field.
 
-        A leaf is a number, a text, a message without fields, or a list. An array that is split
+        A leaf is a number, a text, a message without fields, or a list. A field that `is_split`
         counts the leaves of all its values.
         """
         one = self.leaf_counts[field.type_name] if field.is_message else 1
@@ -143,7 +143,7 @@ class Definition:
         return one * (field.length or 0) if self.is_split(field) else 1
 
     def is_split(self, field: Field) -> bool:
-        """Return whether a field is an array of fixed length and few leaves, and not of bytes."""
+        """Return whether each value of a field has its own leaves, as in a short fixed array."""
         if field.shape is not FieldShape.ARRAY or NUMBERS.get(field.type_name) == BYTE:
             return False
         return self.leaf_count(field.item) * (field.length or 0) <= MAX_SPLIT

@@ -1,7 +1,7 @@
 """Reads a robot's inputs from CDR, and reads and writes odometry and Twist.
 
-Odometry is read at the control rate: rclpy needs 50 us to make an Odometry object with its two
-covariances; reading the six numbers that the robot needs from the bytes takes 2 us.
+Odometry arrives at the control rate. Reading the six numbers that the robot needs takes 2 us here;
+rclpy needs 50 us to make an Odometry object with its two covariances.
 
 `reader_of` returns the reader of a safety input: a function from a serialized message to two
 values, the number that `SafetyInput` defines (NaN if the message is unreadable), and the sender's
@@ -234,7 +234,7 @@ def nearest_by_sector(data: bytes) -> tuple[float, ...]:
     REP-117, -inf is an object too close to measure and becomes 0, and inf is no object.
 
     Raises:
-        struct.error: The message is cut short, not in plain CDR, or has impossible angles or size.
+        struct.error: The message is cut short, not plain CDR, has infinite angles or too many rays.
     """
     import numpy as np  # here: a check of a recording without scans need not load it
 

@@ -1,6 +1,6 @@
 """Converts any message to plain values and back by its definition; checks values from users.
 
-A message becomes a dict, an array or sequence a list, but `bytes` if its items are bytes.
+A message becomes a dict. An array or sequence becomes a list, or `bytes` if its items are bytes.
 """
 
 from __future__ import annotations
