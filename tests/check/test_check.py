@@ -11,6 +11,7 @@ import tracemalloc
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -29,7 +30,7 @@ from robotctl.kernel.params import TrackingParams, VelocityLimits
 from robotctl.kernel.tracking import Reference, track
 from robotctl.kernel.types import CommandPublishersSeen, ModeRequested, Twist
 from robotctl.messages.inputs import encode_twist
-from robotctl.recording import Recorder, RecorderOptions, Recording
+from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
 from robotctl.testing.drives import (
     BEGIN_NS,
@@ -42,7 +43,7 @@ from robotctl.testing.drives import (
     record,
 )
 from tests.support.checked_drives import checked, drive_of_3_s, entries_of, from_snapshot
-from tests.support.recordings import flip
+from tests.support.recordings import Tape, flip
 from tests.support.waiting import until
 
 
@@ -87,15 +88,14 @@ def test_what_a_gap_leaves_is_checked_and_the_gap_is_named(tmp_path: Path) -> No
     assert report.missing[0].startswith("the journal lacks")
 
 
-def recording_to(folder: Path, options: RecorderOptions) -> Recorder:
-    metadata = {"robotctl": __version__}
-    return Recorder(folder, options, metadata=lambda: metadata, on_failure=pytest.fail)
+def tape(folder: Path, **options: Any) -> Tape:
+    return Tape(folder, metadata=lambda: {"robotctl": __version__}, **options)
 
 
 def test_every_file_of_a_recording_can_be_checked_alone(tmp_path: Path) -> None:
     written = drive(4.0, snapshots_s=(0.0, 2.0))
     folder = tmp_path / "run"
-    recorder = recording_to(folder, RecorderOptions())
+    recorder = tape(folder)
     journal, commands = recorder.add_topic(JOURNAL), recorder.add_topic(TWIST)
     sent = 0
     for number, each in enumerate(written):
@@ -103,7 +103,7 @@ def test_every_file_of_a_recording_can_be_checked_alone(tmp_path: Path) -> None:
         if isinstance(each, JournalEntry):
             if each.kind is EntryKind.SNAPSHOT and 0 < number < len(written) - 1:
                 recorder.split()
-                until(lambda: len(list(folder.glob("*.mcap"))) == 2)
+                until(lambda: recorder.begun)
             recorder.write(journal, encode(each), log_ns, log_ns, each.seq + 1, GID)
         elif isinstance(each, Twist):
             sent += 1
@@ -115,7 +115,7 @@ def test_every_file_of_a_recording_can_be_checked_alone(tmp_path: Path) -> None:
 
 
 def test_a_recording_that_goes_on_is_checked_as_far_as_it_is(tmp_path: Path) -> None:
-    recorder = recording_to(tmp_path / "run", RecorderOptions(flush_s=0.01))
+    recorder = tape(tmp_path / "run", flush_s=0.01)
     journal, commands = recorder.add_topic(JOURNAL), recorder.add_topic(TWIST)
     entries = entries_of(drive_of_3_s())
     while entries.pop().kind is not EntryKind.EFFECT:
@@ -125,7 +125,7 @@ def test_a_recording_that_goes_on_is_checked_as_far_as_it_is(tmp_path: Path) -> 
     sent = [each for each in drive_of_3_s() if isinstance(each, Twist)]
     for number, twist in enumerate(sent, 1):
         recorder.write(commands, encode_twist(twist), START_NS, START_NS, number, GID)
-    until(lambda: recorder.stats().queued == 0)
+    recorder.settle()
     report = check_recording(tmp_path / "run")
     recorder.close()
     assert report.verdict is Verdict.SAME

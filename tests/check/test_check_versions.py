@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -133,10 +134,7 @@ def test_a_retired_cause_is_named(tmp_path: Path, cause: str) -> None:
 @pytest.mark.parametrize("version", [__version__, "0.0.9"])
 @pytest.mark.parametrize("value", ["false", "true"])
 def test_a_retired_field_is_ignored_at_its_default_and_named_at_another_value(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    version: str,
-    value: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: str, value: str
 ) -> None:
     monkeypatch.setattr(retired, "JOURNAL_FIELDS", {"Snapshot.state.moody": False})
     changed = with_snapshots(drive_of_3_s(), '"mode":', f'"moody":{value},"mode":')
@@ -194,9 +192,9 @@ ANOTHER = (
 )
 
 
-@pytest.fixture
-def honest(tmp_path: Path) -> Contents:
-    return recorded(tmp_path / "honest", drive_of_3_s())
+@cache
+def honest() -> Contents:
+    return recorded(drive_of_3_s())
 
 
 def checked_with(folder: Path, contents: Contents, type_hash: str) -> Report:
@@ -211,9 +209,9 @@ def checked_with(folder: Path, contents: Contents, type_hash: str) -> Report:
 
 @pytest.mark.parametrize(("type_hash", "said"), [(OTHER_HASH, ANOTHER), ("", UNTOLD)])
 def test_a_type_of_another_or_no_version_is_missed(
-    tmp_path: Path, honest: Contents, type_hash: str, said: str
+    tmp_path: Path, type_hash: str, said: str
 ) -> None:
-    report = checked_with(tmp_path, honest, type_hash)
+    report = checked_with(tmp_path, honest(), type_hash)
     assert (report.verdict, report.missing) == (Verdict.INCOMPLETE, [said])
 
 
@@ -235,15 +233,15 @@ def requests() -> list[Event]:
     ]
 
 
-@pytest.fixture(scope="module")
+@cache
 def parameter_drive() -> list[Written]:
     return drive(3.5, requests=requests(), snapshots_s=(0.0, 1.5, 3.0))
 
 
-def test_a_drive_with_a_change_is_the_same(tmp_path: Path, parameter_drive: list[Written]) -> None:
-    report = check_recording(record(tmp_path / "r", parameter_drive))
+def test_a_drive_with_a_change_is_the_same(tmp_path: Path) -> None:
+    report = check_recording(record(tmp_path / "r", parameter_drive()))
     assert (report.verdict, report.missing, report.violations) == (Verdict.SAME, [], [])
-    changes = [each for each in entries_of(parameter_drive) if each.name == "ParameterChanged"]
+    changes = [each for each in entries_of(parameter_drive()) if each.name == "ParameterChanged"]
     assert [json.loads(each.data) for each in changes] == [
         {"key": KEY, "old": "0.6", "new": "0.3", "source": "operator"}
     ]
@@ -251,18 +249,16 @@ def test_a_drive_with_a_change_is_the_same(tmp_path: Path, parameter_drive: list
 
 @pytest.mark.parametrize("version", ["0.1.0", __version__])
 def test_a_snapshot_with_another_parameter_is_found_in_every_version(
-    tmp_path: Path, parameter_drive: list[Written], version: str
+    tmp_path: Path, version: str
 ) -> None:
     old, new = '"linear_mps":0.6', '"linear_mps":0.9'  # the last one before the limit changes
-    changed, _ = altered(parameter_drive, "Snapshot", old, new)
+    changed, _ = altered(parameter_drive(), "Snapshot", old, new)
     report = checked(tmp_path, changed, version=version)
     assert report.divergence is not None
     assert report.verdict is not Verdict.SAME
 
 
-def test_a_change_while_moving_breaks_a_promise(
-    tmp_path: Path, parameter_drive: list[Written]
-) -> None:
+def test_a_change_while_moving_breaks_a_promise(tmp_path: Path) -> None:
     """As a kernel would record it that forgot the rule: the invariants are independent of it."""
     text = '{"key":"limits.linear_mps","old":"0.3","new":"0.5","source":"operator"}'
 
@@ -271,7 +267,7 @@ def test_a_change_while_moving_breaks_a_promise(
             return entry._replace(name="ParameterChanged", data=text)
         return entry
 
-    report = checked(tmp_path, with_entries(parameter_drive, edit))
+    report = checked(tmp_path, with_entries(parameter_drive(), edit))
     assert report.verdict in (Verdict.DIVERGED, Verdict.BROKEN)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -36,7 +37,7 @@ def moving(written: list[Written]) -> list[int]:
     return [at for at, each in enumerate(written) if isinstance(each, Twist) and each != Twist()]
 
 
-@pytest.fixture(scope="module")
+@cache
 def stopped_drive() -> list[Written]:
     """A drive that an emergency stop ends after 2 s."""
     return drive(6.0, requests=[drive_requested(), ESTOP])
@@ -59,25 +60,21 @@ EDITS: list[tuple[Edit, str]] = [
 
 
 @pytest.mark.parametrize(("change", "said"), EDITS, ids=["motion after the stop", "none"])
-def test_other_commands_than_the_decided_are_found(
-    tmp_path: Path, stopped_drive: list[Written], change: Edit, said: str
-) -> None:
-    verdict, text = found(tmp_path, change(stopped_drive))
+def test_other_commands_than_the_decided_are_found(tmp_path: Path, change: Edit, said: str) -> None:
+    verdict, text = found(tmp_path, change(stopped_drive()))
     assert verdict is Verdict.BROKEN
     assert said in text
 
 
-@pytest.fixture(scope="module")
-def contents(tmp_path_factory: pytest.TempPathFactory, stopped_drive: list[Written]) -> Contents:
-    return recorded(tmp_path_factory.mktemp("whole") / "run", stopped_drive)
+@cache
+def contents() -> Contents:
+    return recorded(stopped_drive())
 
 
 @pytest.mark.parametrize("count", [1, 50])
-def test_removed_commands_are_found_by_their_number(
-    tmp_path: Path, contents: Contents, count: int
-) -> None:
+def test_removed_commands_are_found_by_their_number(tmp_path: Path, count: int) -> None:
     gone = range(60, 60 + count)
-    edited = edit(contents, COMMANDS, lambda at, each: None if at in gone else each)
+    edited = edit(contents(), COMMANDS, lambda at, each: None if at in gone else each)
     report = check_edited(tmp_path, edited)
     assert report.verdict is Verdict.BROKEN
     assert report.violations[0].text.startswith(
@@ -87,7 +84,7 @@ def test_removed_commands_are_found_by_their_number(
 
 def test_another_publisher_explains_what_it_sent_and_nothing_else(tmp_path: Path) -> None:
     heard = ForeignCommandHeard(BEGIN_NS + 1_000_000_000, "/teleop")
-    own = recorded(tmp_path / "own", drive(9.0, requests=[drive_requested(), heard]))
+    own = recorded(drive(9.0, requests=[drive_requested(), heard]))
     at = next(i for i, each in enumerate(own.messages) if b"/teleop" in each.data)
     foreign = replace(own.messages[at], topic=COMMANDS, data=encode_twist(Twist(0.7, 0.1)))
     for folder, place, verdict in (
@@ -126,7 +123,7 @@ def test_zeros_that_no_stall_counts_are_found(tmp_path: Path, zeros: int, withhe
 
 
 def test_commands_of_the_file_before_may_be_recorded_after_the_snapshot(tmp_path: Path) -> None:
-    whole = recorded(tmp_path / "whole", drive(4.0, snapshots_s=(0.0, 2.0)))
+    whole = recorded(drive(4.0, snapshots_s=(0.0, 2.0)))
     journal = [at for at, each in enumerate(whole.messages) if b"Snapshot" in each.data]
     before = [each for each in whole.messages[: journal[1]] if each.topic == COMMANDS][-4:]
     file = whole.copy()
@@ -142,7 +139,7 @@ def test_what_was_found_before_a_message_that_is_cut_short_stays_found(tmp_path:
         if isinstance(each, JournalEntry):
             data = re.sub(r'"journal_crc":[1-9]', '"journal_crc":', each.data)
             written[at] = each._replace(data=data)
-    whole = recorded(tmp_path / "made", written)
+    whole = recorded(written)
     cut = edit(whole, COMMANDS, lambda n, each: replace(each, data=b"") if n == 120 else each)
     assert check_edited(tmp_path, cut).verdict is Verdict.BROKEN
 
@@ -183,11 +180,9 @@ def test_a_number_of_before_the_first_snapshot_is_old_only_for_a_while(
     assert pairs.counts.extra == extra
 
 
-def test_the_last_commands_of_a_closed_recording_are_missed(
-    tmp_path: Path, stopped_drive: list[Written]
-) -> None:
-    last = [at for at, each in enumerate(stopped_drive) if isinstance(each, Twist)][-3:]
-    edited = [each for at, each in enumerate(stopped_drive) if at not in last]
+def test_the_last_commands_of_a_closed_recording_are_missed(tmp_path: Path) -> None:
+    last = [at for at, each in enumerate(stopped_drive()) if isinstance(each, Twist)][-3:]
+    edited = [each for at, each in enumerate(stopped_drive()) if at not in last]
     assert found(tmp_path, edited) == (
         Verdict.INCOMPLETE,
         "the last 3 decided commands are missing",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import count
 from pathlib import Path
 from random import Random
@@ -35,14 +36,12 @@ from tests.support.heard_drives import SET_MODE, STATUS, heard_drive, received, 
 from tests.tampering.edits import check_edited, journal
 
 
-@pytest.fixture(scope="module")
-def heard(tmp_path_factory: pytest.TempPathFactory) -> Contents:
-    return heard_drive(tmp_path_factory.mktemp("heard") / "run", 3.0)
+@cache
+def heard() -> Contents:
+    return heard_drive(3.0)
 
 
-def test_the_status_of_before_the_journal_may_show_another_mode(
-    tmp_path: Path, heard: Contents
-) -> None:
+def test_the_status_of_before_the_journal_may_show_another_mode(tmp_path: Path) -> None:
     """A clip and a split begin with the last status, which may be of long before."""
 
     def another(number: int, message: Stored) -> Stored:
@@ -50,41 +49,35 @@ def test_the_status_of_before_the_journal_may_show_another_mode(
         other = replace(message, data=with_mode(message, 3), publish_ns=publish_ns)
         return message if number else other
 
-    report = check_edited(tmp_path, edit(heard, STATUS, another))
+    report = check_edited(tmp_path, edit(heard(), STATUS, another))
     assert report.verdict is Verdict.SAME, report
 
 
-def test_a_status_that_is_missing_was_lost_where_losses_are_not_counted(
-    tmp_path: Path, heard: Contents
-) -> None:
-    edited = edit(heard, STATUS, lambda at, each: None if at == 1 else each)
+def test_a_status_that_is_missing_was_lost_where_losses_are_not_counted(tmp_path: Path) -> None:
+    edited = edit(heard(), STATUS, lambda at, each: None if at == 1 else each)
     assert check_edited(tmp_path / "closed", edited).verdict is Verdict.BROKEN
     assert check_edited(tmp_path / "killed", edited.unclosed()).verdict is Verdict.SAME
 
 
 @pytest.mark.parametrize("set_s", [-3600, -1, 1, 3600])
-def test_a_wall_clock_that_is_set_is_held_against_no_status(
-    tmp_path: Path, heard: Contents, set_s: int
-) -> None:
-    middle_ns = heard.messages[len(heard.messages) // 2].log_ns
-    edited = heard.copy()
+def test_a_wall_clock_that_is_set_is_held_against_no_status(tmp_path: Path, set_s: int) -> None:
+    middle_ns = heard().messages[len(heard().messages) // 2].log_ns
+    edited = heard().copy()
     edited.messages = [
         replace(
             each,
             log_ns=each.log_ns + set_s * 10**9 * (each.log_ns >= middle_ns),
             publish_ns=each.publish_ns + set_s * 10**9 * (each.log_ns >= middle_ns),
         )
-        for each in heard.messages
+        for each in heard().messages
     ]
     report = check_edited(tmp_path, edited)
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
 
 
-def test_a_status_that_a_file_repeats_before_it_was_sent_is_no_difference(
-    tmp_path: Path, heard: Contents
-) -> None:
-    edited = heard.copy()
-    first = next(each for each in heard.messages if each.topic == STATUS)
+def test_a_status_that_a_file_repeats_before_it_was_sent_is_no_difference(tmp_path: Path) -> None:
+    edited = heard().copy()
+    first = next(each for each in heard().messages if each.topic == STATUS)
     edited.messages.insert(0, replace(first, log_ns=first.log_ns - 1))
     report = check_edited(tmp_path, edited)
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
@@ -108,11 +101,11 @@ def renamed(contents: Contents, topic: str) -> Contents:
 
 @pytest.mark.parametrize(("mode", "verdict"), [(1, Verdict.SAME), (2, Verdict.BROKEN)])
 def test_a_status_topic_with_another_name_is_compared(
-    tmp_path: Path, heard: Contents, mode: int, verdict: Verdict
+    tmp_path: Path, mode: int, verdict: Verdict
 ) -> None:
     """The third status shows that the robot is MOVING."""
     edited = edit(
-        renamed(heard, "/shown"),
+        renamed(heard(), "/shown"),
         "/shown",
         lambda at, each: replace(each, data=with_mode(each, mode)) if at == 2 else each,
     )
@@ -125,17 +118,15 @@ def with_mode(message: Stored, mode: int) -> bytes:
     return message.data[:14] + bytes((mode,)) + message.data[15:]
 
 
-def test_a_status_topic_that_is_told_and_not_recorded_is_missed(
-    tmp_path: Path, heard: Contents
-) -> None:
-    report = check_edited(tmp_path, heard.without(STATUS))
+def test_a_status_topic_that_is_told_and_not_recorded_is_missed(tmp_path: Path) -> None:
+    report = check_edited(tmp_path, heard().without(STATUS))
     assert report.verdict is Verdict.INCOMPLETE
     assert "its topic of robot statuses, /robot_status, is not recorded" in report.missing
 
 
-@pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Contents:
-    return heard_drive(tmp_path_factory.mktemp("measured") / "run", 3.0, requests=[])
+@cache
+def measured() -> Contents:
+    return heard_drive(3.0, requests=[])
 
 
 def with_battery_moved(heard: Contents, by: int) -> Contents:
@@ -150,8 +141,8 @@ def with_battery_moved(heard: Contents, by: int) -> Contents:
     return journal(change, careful=True)(heard, Random(1))
 
 
-def test_a_measurement_that_was_moved_is_found(tmp_path: Path, measured: Contents) -> None:
-    report = check_edited(tmp_path, with_battery_moved(measured, 3))
+def test_a_measurement_that_was_moved_is_found(tmp_path: Path) -> None:
+    report = check_edited(tmp_path, with_battery_moved(measured(), 3))
     assert report.verdict is Verdict.BROKEN
     assert report.violations[0].text.startswith("1 measurements are earlier than one before them")
 
@@ -263,7 +254,7 @@ def test_a_stall_sets_no_clock(times: Sequence[tuple[int, int]], set_by: list[in
 def test_a_call_at_the_end_may_have_its_request_after_it_unless_the_recording_was_closed(
     tmp_path: Path, before_end_s: float, closed: bool, verdict: Verdict
 ) -> None:
-    contents = heard_drive(tmp_path / "heard", 2.0, requests=[drive_requested(BEGIN_NS)])
+    contents = heard_drive(2.0, requests=[drive_requested(BEGIN_NS)])
     contents = contents if closed else contents.unclosed()
     at_ns = contents.messages[-1].log_ns - round(before_end_s * 1e9)
     contents.messages.append(Stored(SET_MODE, received(1, 2), at_ns, at_ns, 1))
@@ -278,9 +269,9 @@ BUSY = f"busy: {2 * MANY_IN_WORK} requests wait for their reply; try again"
 
 @pytest.mark.parametrize(("in_work", "unasked"), [(0, 1), (MANY_IN_WORK + 1, 0)])
 def test_a_call_is_refused_as_busy_only_while_many_are_in_work(
-    tmp_path: Path, heard: Contents, in_work: int, unasked: int
+    tmp_path: Path, in_work: int, unasked: int
 ) -> None:
-    topics = RobotTopics(read_info(write_contents(tmp_path / "run", heard)), "/robotctl/journal")
+    topics = RobotTopics(read_info(write_contents(tmp_path / "run", heard())), "/robotctl/journal")
     report, found = Report(tmp_path), Invariants()
     check = ServiceCheck(report, topics, SERVICES[0], {}, ClockChanges())
     check.begin(0)

@@ -6,6 +6,7 @@ With a repaired checksum only flips in digits, without any effect on a decision,
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,7 @@ EVERY = 23
 EVENTS = pytest.mark.parametrize("name", ["Tick", "OdomReceived", "DriveRequested"])
 
 
-@pytest.fixture(scope="module")
+@cache
 def short_drive() -> list[Written]:
     return drive(0.3)
 
@@ -49,12 +50,12 @@ def flipped(data: bytes) -> Iterator[bytes]:
 
 @EVENTS
 def test_every_bit_that_flips_on_the_disk_is_found_and_its_place_is_named(
-    tmp_path: Path, short_drive: list[Written], name: str
+    tmp_path: Path, name: str
 ) -> None:
     options = RecorderOptions(compression=Compression.NONE, chunk_bytes=1 << 12)
-    (file,) = record(tmp_path / "run", short_drive, options=options).glob("*.mcap")
+    (file,) = record(tmp_path / "run", short_drive(), options=options).glob("*.mcap")
     whole = file.read_bytes()
-    event = encode(last(short_drive, name)[1])
+    event = encode(last(short_drive(), name)[1])
     assert whole.count(event) == 1
     for changed in flipped(event):
         file.write_bytes(whole.replace(event, changed))
@@ -64,11 +65,9 @@ def test_every_bit_that_flips_on_the_disk_is_found_and_its_place_is_named(
 
 
 @EVENTS
-def test_behind_a_repaired_checksum_only_numbers_that_change_nothing_escape(
-    short_drive: list[Written], name: str
-) -> None:
-    entries = entries_of(short_drive)
-    _, event = last(short_drive, name)
+def test_behind_a_repaired_checksum_only_numbers_that_change_nothing_escape(name: str) -> None:
+    entries = entries_of(short_drive())
+    _, event = last(short_drive(), name)
     position = entries.index(event)
     found = 0
     for changed in flipped(encode(event)):
@@ -92,13 +91,13 @@ def shape(data: str) -> str:
 
 @EVENTS
 def test_a_flipped_bit_that_changes_a_decision_is_found_and_its_event_is_named(
-    tmp_path: Path, short_drive: list[Written], name: str
+    tmp_path: Path, name: str
 ) -> None:
-    position, entry = last(short_drive, name)
+    position, entry = last(short_drive(), name)
     digit = next(i for i, character in enumerate(entry.data) if character in "123456789")
     flipped = chr(ord(entry.data[digit]) ^ 1)
     data = entry.data[:digit] + flipped + entry.data[digit + 1 :]
-    changed = [*short_drive]
+    changed = [*short_drive()]
     changed[position] = entry._replace(data=data)
     report = check_recording(record(tmp_path / "run", changed))
     assert report.verdict is Verdict.DIVERGED

@@ -8,6 +8,7 @@ import json
 import struct
 from collections.abc import Callable, Container
 from dataclasses import replace
+from functools import cache
 from math import inf, nan
 from pathlib import Path
 from random import Random
@@ -48,16 +49,16 @@ from tests.support.heard_drives import JOURNAL, heard_drive
 from tests.tampering.edits import check_edited, entries_dropped
 
 
-@pytest.fixture(scope="module")
-def heard(tmp_path_factory: pytest.TempPathFactory) -> Contents:
-    return heard_drive(tmp_path_factory.mktemp("heard") / "run", 6.0, snapshots_s=(0.0, 3.0))
+@cache
+def heard() -> Contents:
+    return heard_drive(6.0, snapshots_s=(0.0, 3.0))
 
 
 CLEAR = (inf,) * 63
 
 
-@pytest.fixture(scope="module")
-def scanned(tmp_path_factory: pytest.TempPathFactory) -> Contents:
+@cache
+def scanned() -> Contents:
     """A drive with ten scans a second, in which something comes nearer behind the robot."""
     params = replace(KernelParams(), scan=ScanParams(use=Use.OPTIONAL))
     scans = [
@@ -66,12 +67,11 @@ def scanned(tmp_path_factory: pytest.TempPathFactory) -> Contents:
     ]
     requests: list[Event] = [*scans, drive_requested()]
     requests.sort(key=lambda event: event.t_ns)
-    folder = tmp_path_factory.mktemp("scanned") / "run"
-    return heard_drive(folder, 6.0, requests=requests, config=Config(kernel=params))
+    return heard_drive(6.0, requests=requests, config=Config(kernel=params))
 
 
-@pytest.fixture(scope="module")
-def guarded(tmp_path_factory: pytest.TempPathFactory) -> Contents:
+@cache
+def guarded() -> Contents:
     """Ten wanted velocities a second, one of them not finite."""
     wanted: list[Event] = [
         GuardedCommandReceived(
@@ -82,25 +82,22 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Contents:
     ]
     asked = ModeRequested(BEGIN_NS + 200_000_000, 1, Mode.MOVING.value, "planner")
     config = Config(kernel=replace(KernelParams(), guard=True))
-    folder = tmp_path_factory.mktemp("guarded") / "run"
-    return heard_drive(folder, 6.0, requests=[asked, *wanted], config=config)
+    return heard_drive(6.0, requests=[asked, *wanted], config=config)
 
 
-@pytest.fixture(scope="module")
-def drives(heard: Contents, scanned: Contents, guarded: Contents) -> dict[str, Contents]:
+@cache
+def drives() -> dict[str, Contents]:
     """The recordings by the inputs that they hold."""
-    return {ODOMETRY: heard, BATTERY: heard, SCAN: scanned, WANTED: guarded}
+    return {ODOMETRY: heard(), BATTERY: heard(), SCAN: scanned(), WANTED: guarded()}
 
 
 @pytest.mark.parametrize(
     ("topic", "count"), [(ODOMETRY, 301), (BATTERY, 6), (SCAN, 50), (WANTED, 50)]
 )
-def test_what_was_heard_and_recorded_is_the_same(
-    tmp_path: Path, drives: dict[str, Contents], topic: str, count: int
-) -> None:
-    report = check_edited(tmp_path, drives[topic])
+def test_what_was_heard_and_recorded_is_the_same(tmp_path: Path, topic: str, count: int) -> None:
+    report = check_edited(tmp_path, drives()[topic])
     assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
-    assert drives[topic].counts[topic] == count
+    assert drives()[topic].counts[topic] == count
 
 
 def moved(data: bytes) -> bytes:
@@ -116,8 +113,8 @@ def nearer(data: bytes) -> bytes:
     return data[:at] + struct.pack("<f", 0.5) + data[at + 4 :]
 
 
-def test_losses_that_were_counted_are_a_note(tmp_path: Path, heard: Contents) -> None:
-    edited = edit(heard, ODOMETRY, lambda at, each: None if at in range(50, 60) else each)
+def test_losses_that_were_counted_are_a_note(tmp_path: Path) -> None:
+    edited = edit(heard(), ODOMETRY, lambda at, each: None if at in range(50, 60) else each)
     edited.lose(ODOMETRY, 10)
     report = check_edited(tmp_path, edited)
     assert report.verdict is Verdict.SAME
@@ -129,10 +126,10 @@ def test_losses_that_were_counted_are_a_note(tmp_path: Path, heard: Contents) ->
     [(8, False, Verdict.SAME), (8, True, Verdict.BROKEN), (120, False, Verdict.INCOMPLETE)],
 )
 def test_the_first_messages_may_lack_where_no_losses_are_known(
-    tmp_path: Path, heard: Contents, count: int, closed: bool, verdict: Verdict
+    tmp_path: Path, count: int, closed: bool, verdict: Verdict
 ) -> None:
     """The recorder finds a publisher later than the control loop; 120 messages take 2.4 s."""
-    source = heard if closed else heard.unclosed()
+    source = heard() if closed else heard().unclosed()
     edited = edit(source, ODOMETRY, lambda at, each: each if at >= count else None)
     report = check_edited(tmp_path, edited)
     assert report.verdict is verdict, report
@@ -144,7 +141,7 @@ def test_a_stall_before_the_end_holds_up_the_last_messages(
 ) -> None:
     stall = LoopStalled(BEGIN_NS + 2_900_000_000, stalled_s, 0, 0, "the machine was busy")
     requests: list[Event] = [drive_requested(), stall]
-    contents = heard_drive(tmp_path / "made", 3.0, requests=requests).unclosed()
+    contents = heard_drive(3.0, requests=requests).unclosed()
     end_ns = contents.messages[-1].log_ns
     edited = edit(
         contents, ODOMETRY, lambda at, each: None if end_ns - each.log_ns < 7 * 10**8 else each
@@ -154,16 +151,16 @@ def test_a_stall_before_the_end_holds_up_the_last_messages(
 
 @pytest.mark.parametrize(("count", "verdict"), [(5, Verdict.SAME), (40, Verdict.BROKEN)])
 def test_the_first_messages_of_a_later_file_may_be_in_the_file_before(
-    tmp_path: Path, heard: Contents, count: int, verdict: Verdict
+    tmp_path: Path, count: int, verdict: Verdict
 ) -> None:
     """After a stall the recorder takes many messages, and begins a file, before they are heard."""
     begin = [
         at
-        for at, each in enumerate(heard.messages)
+        for at, each in enumerate(heard().messages)
         if each.topic == JOURNAL and decode(each.data).kind is EntryKind.SNAPSHOT
     ][1]
-    later = heard.copy()
-    later.messages = heard.messages[begin:]
+    later = heard().copy()
+    later.messages = heard().messages[begin:]
     first = next(each.sequence for each in later.messages if each.topic == ODOMETRY)
     edited = edit(later, ODOMETRY, lambda at, each: None if each.sequence < first + count else each)
     (file,) = write_contents(tmp_path / "run", edited).glob("*.mcap")
@@ -171,10 +168,8 @@ def test_the_first_messages_of_a_later_file_may_be_in_the_file_before(
     assert report.verdict is verdict, report
 
 
-def test_a_flood_of_messages_that_were_not_heard_is_no_violation(
-    tmp_path: Path, heard: Contents
-) -> None:
-    edited = heard.copy()
+def test_a_flood_of_messages_that_were_not_heard_is_no_violation(tmp_path: Path) -> None:
+    edited = heard().copy()
     at = [i for i, each in enumerate(edited.messages) if each.topic == ODOMETRY][2]
     last = edited.messages[at]
     edited.messages[at + 1 : at + 1] = [
@@ -202,8 +197,8 @@ def detail_of(kind: SafetyInput) -> str:
     return "motor: warm" if kind is SafetyInput.DIAGNOSTICS else ""
 
 
-@pytest.fixture(scope="module")
-def pressed(tmp_path_factory: pytest.TempPathFactory) -> Contents:
+@cache
+def pressed() -> Contents:
     """A drive with ten messages a second of each input, each of which stops the robot after 3 s."""
     inputs = SafetyInputParams(
         EstopParams(Use.OPTIONAL),
@@ -220,8 +215,7 @@ def pressed(tmp_path_factory: pytest.TempPathFactory) -> Contents:
             requests.append(SafetyInputReceived(t_ns, kind, said, detail_of(kind)))
     requests.sort(key=lambda event: event.t_ns)
     config = Config(kernel=replace(KernelParams(), inputs=inputs))
-    folder = tmp_path_factory.mktemp("pressed") / "run"
-    return heard_drive(folder, 6.0, requests=requests, config=config, snapshots_s=(0.0, 3.05))
+    return heard_drive(6.0, requests=requests, config=config, snapshots_s=(0.0, 3.05))
 
 
 def changed(
@@ -240,20 +234,16 @@ def without_events(contents: Contents, kind: SafetyInput, numbers: Container[int
     return entries_dropped(is_lost)(contents, Random(1))
 
 
-def test_the_recorded_messages_say_what_the_journal_holds(
-    tmp_path: Path, pressed: Contents
-) -> None:
-    report = check_edited(tmp_path, pressed)
+def test_the_recorded_messages_say_what_the_journal_holds(tmp_path: Path) -> None:
+    report = check_edited(tmp_path, pressed())
     assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
-    assert [pressed.counts[topic] for topic in TOPICS.values()] == [50] * 5
+    assert [pressed().counts[topic] for topic in TOPICS.values()] == [50] * 5
 
 
 @WITH_VALUE
-def test_a_change_that_the_journal_never_saw_is_named(
-    tmp_path: Path, pressed: Contents, kind: SafetyInput
-) -> None:
+def test_a_change_that_the_journal_never_saw_is_named(tmp_path: Path, kind: SafetyInput) -> None:
     other = safety_message(kind, STOPS[kind], detail_of(kind))
-    edited = without_events(pressed, kind, range(5, 15))
+    edited = without_events(pressed(), kind, range(5, 15))
     edited = changed(edited, kind, lambda m: replace(m, data=other) if 5 <= m.sequence < 15 else m)
     report = check_edited(tmp_path, edited)
     assert report.verdict is Verdict.INCOMPLETE
@@ -261,12 +251,10 @@ def test_a_change_that_the_journal_never_saw_is_named(
 
 
 @WITH_VALUE
-def test_equal_messages_need_not_be_events(
-    tmp_path: Path, pressed: Contents, kind: SafetyInput
-) -> None:
+def test_equal_messages_need_not_be_events(tmp_path: Path, kind: SafetyInput) -> None:
     """The control loop hands on each changed value, and equal ones four times in the timeout."""
     rest = range(8, 28)
-    edited = pressed
+    edited = pressed()
     for number in rest:
         if number % 2:
             edited = without_events(edited, kind, range(number, number + 1))
@@ -281,15 +269,13 @@ def test_an_unreadable_message_is_an_input_too(tmp_path: Path) -> None:
     requests: list[Event] = [
         SafetyInputReceived(BEGIN_NS + n * 100_000_000, SafetyInput.ESTOP, nan) for n in (1, 2, 3)
     ]
-    contents = heard_drive(tmp_path / "made", 2.0, requests=requests, config=config)
+    contents = heard_drive(2.0, requests=requests, config=config)
     assert check_edited(tmp_path, contents).verdict is Verdict.SAME
 
 
 @pytest.mark.parametrize("text", ["fast", "nan", "1e400", ""])
-def test_a_parameter_that_is_no_number_fails_no_check(
-    tmp_path: Path, pressed: Contents, text: str
-) -> None:
-    edited = pressed.copy()
+def test_a_parameter_that_is_no_number_fails_no_check(tmp_path: Path, text: str) -> None:
+    edited = pressed().copy()
     for name, values in edited.metadata:
         if name == INFO_RECORD:
             values["parameter.inputs.joy.button"] = text
@@ -297,27 +283,26 @@ def test_a_parameter_that_is_no_number_fails_no_check(
     assert check_edited(tmp_path, edited).verdict is not Verdict.BROKEN
 
 
-def test_messages_that_are_recorded_late_were_heard(tmp_path: Path, pressed: Contents) -> None:
+def test_messages_that_are_recorded_late_were_heard(tmp_path: Path) -> None:
     """A busy recorder takes them up to a second after the control loop, also over a snapshot."""
     topic, late = TOPICS[SafetyInput.ESTOP], 10**9
-    edited = pressed.copy()
+    edited = pressed().copy()
     edited.messages = sorted(
-        (replace(m, log_ns=m.log_ns + late) if m.topic == topic else m for m in pressed.messages),
+        (replace(m, log_ns=m.log_ns + late) if m.topic == topic else m for m in pressed().messages),
         key=lambda each: each.log_ns,
     )
-    end_ns = pressed.messages[-1].log_ns
+    end_ns = pressed().messages[-1].log_ns
     edited.messages = [m for m in edited.messages if m.topic != topic or m.log_ns <= end_ns]
     edited.lose(topic, 20)
     assert check_edited(tmp_path, edited).verdict is Verdict.SAME
 
 
-def test_a_gap_in_which_nothing_could_be_heard_does_not_count(
-    tmp_path: Path, pressed: Contents
-) -> None:
+def test_a_gap_in_which_nothing_could_be_heard_does_not_count(tmp_path: Path) -> None:
     """A process that was stopped receives only the last messages of its queue."""
-    topic, edited = TOPICS[SafetyInput.ESTOP], without_events(pressed, SafetyInput.ESTOP, {20, 28})
+    topic = TOPICS[SafetyInput.ESTOP]
+    edited = without_events(pressed(), SafetyInput.ESTOP, {20, 28})
     edited.messages = [m for m in edited.messages if m.topic != topic or m.sequence <= 20]
-    edited.messages += [m for m in pressed.messages if m.topic == topic and m.sequence >= 28]
+    edited.messages += [m for m in pressed().messages if m.topic == topic and m.sequence >= 28]
     edited.messages.sort(key=lambda each: each.log_ns)
     edited = without_events(edited, SafetyInput.ESTOP, set(range(21, 28)))
     edited.lose(topic, 7)
@@ -330,10 +315,8 @@ def one_bit_flipped(data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("topic", [ODOMETRY, BATTERY, SCAN, WANTED])
-def test_messages_that_were_removed_are_missed(
-    tmp_path: Path, drives: dict[str, Contents], topic: str
-) -> None:
-    edited = edit(drives[topic], topic, lambda at, each: each if at not in (2, 3) else None)
+def test_messages_that_were_removed_are_missed(tmp_path: Path, topic: str) -> None:
+    edited = edit(drives()[topic], topic, lambda at, each: each if at not in (2, 3) else None)
     report = check_edited(tmp_path, edited)
     assert report.verdict is Verdict.BROKEN
     assert report.violations[0].text.startswith("2 messages of ")
@@ -350,14 +333,10 @@ def test_messages_that_were_removed_are_missed(
     ],
 )
 def test_a_message_that_was_changed_is_found(
-    tmp_path: Path,
-    drives: dict[str, Contents],
-    topic: str,
-    change: Callable[[bytes], bytes],
-    name: str,
+    tmp_path: Path, topic: str, change: Callable[[bytes], bytes], name: str
 ) -> None:
     edited = edit(
-        drives[topic], topic, lambda n, m: replace(m, data=change(m.data)) if n == 4 else m
+        drives()[topic], topic, lambda n, m: replace(m, data=change(m.data)) if n == 4 else m
     )
     report = check_edited(tmp_path, edited)
     assert report.verdict is Verdict.BROKEN
@@ -367,17 +346,15 @@ def test_a_message_that_was_changed_is_found(
 
 
 @WITH_VALUE
-def test_a_press_that_was_changed_is_found(
-    tmp_path: Path, pressed: Contents, kind: SafetyInput
-) -> None:
+def test_a_press_that_was_changed_is_found(tmp_path: Path, kind: SafetyInput) -> None:
     released = safety_message(kind, 0.0, detail_of(kind))
-    edited = changed(pressed, kind, lambda m: replace(m, data=released) if m.sequence > 30 else m)
+    edited = changed(pressed(), kind, lambda m: replace(m, data=released) if m.sequence > 30 else m)
     report = check_edited(tmp_path, edited)
     assert report.verdict is Verdict.BROKEN
 
 
-def test_a_message_that_is_repeated_is_missed(tmp_path: Path, heard: Contents) -> None:
-    edited = heard.copy()
+def test_a_message_that_is_repeated_is_missed(tmp_path: Path) -> None:
+    edited = heard().copy()
     at = next(i for i, each in enumerate(edited.messages) if each.topic == ODOMETRY) + 200
     repeated = next(each for each in edited.messages[at:] if each.topic == ODOMETRY)
     edited.messages.insert(at + 60, repeated)

@@ -11,6 +11,7 @@ import json
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from random import Random
 
@@ -81,15 +82,15 @@ def write_files(folder: Path, *parts: Contents) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def closed(tmp_path_factory: pytest.TempPathFactory) -> Contents:
-    return heard_drive(tmp_path_factory.mktemp("heard") / "run", 3.0)
+@cache
+def closed() -> Contents:
+    return heard_drive(3.0)
 
 
-@pytest.fixture(scope="module")
-def killed(closed: Contents) -> Contents:
-    contents = closed.unclosed()
-    contents.messages = closed.messages[:-20]
+@cache
+def killed() -> Contents:
+    contents = closed().unclosed()
+    contents.messages = closed().messages[:-20]
     return contents
 
 
@@ -107,28 +108,24 @@ STALL = appended(COMMANDS, (8, 8), still, every_s=0.05, after_s=0.12)
 """The zeros of a stall."""
 
 
-def test_a_kill_right_after_a_stall_leaves_zeros_that_a_note_explains(
-    tmp_path: Path, killed: Contents
-) -> None:
-    report = check_edited(tmp_path, killed, STALL)
+def test_a_kill_right_after_a_stall_leaves_zeros_that_a_note_explains(tmp_path: Path) -> None:
+    report = check_edited(tmp_path, killed(), STALL)
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
     assert any("the last 8 zeros have no decision" in note for note in report.notes)
 
 
-def test_the_last_zeros_of_a_daemon_that_fails_are_no_more_than_two(
-    tmp_path: Path, killed: Contents
-) -> None:
+def test_the_last_zeros_of_a_daemon_that_fails_are_no_more_than_two(tmp_path: Path) -> None:
     two, three = (appended(COMMANDS, (count, count), still) for count in (2, 3))
-    assert check_edited(tmp_path / "two", killed, two).verdict is Verdict.SAME
-    assert check_edited(tmp_path / "three", killed, three).verdict is Verdict.BROKEN
+    assert check_edited(tmp_path / "two", killed(), two).verdict is Verdict.SAME
+    assert check_edited(tmp_path / "three", killed(), three).verdict is Verdict.BROKEN
 
 
 @pytest.mark.parametrize(("count", "verdict"), [(2, Verdict.SAME), (30, Verdict.INCOMPLETE)])
 def test_messages_that_were_lost_before_the_end_are_few(
-    tmp_path: Path, closed: Contents, count: int, verdict: Verdict
+    tmp_path: Path, count: int, verdict: Verdict
 ) -> None:
     """The recorder has them all; the control loop lost the last ones before the last second."""
-    end_ns = max(each.log_ns for each in closed.messages)
+    end_ns = max(each.log_ns for each in closed().messages)
 
     def early(contents: Contents, random: Random) -> Contents:
         edited = contents.copy()
@@ -139,14 +136,14 @@ def test_messages_that_were_lost_before_the_end_are_few(
         ]
         return edited
 
-    report = check_edited(tmp_path, closed, early)
+    report = check_edited(tmp_path, closed(), early)
     assert report.verdict is verdict
     lost = any(f"{count} messages of the battery did not reach" in note for note in report.notes)
     assert lost is (verdict is Verdict.SAME)
 
 
 def test_what_others_send_after_the_observed_daemon_died_is_held_against_nobody(
-    tmp_path: Path, closed: Contents
+    tmp_path: Path,
 ) -> None:
     """An observer receives the journal, and outlives it."""
     later = [
@@ -156,32 +153,30 @@ def test_what_others_send_after_the_observed_daemon_died_is_held_against_nobody(
     teleop = appended(
         COMMANDS, (100, 100), lambda each: replace(each, data=MOTION), first=-40, after_s=9.0
     )
-    report = check_edited(tmp_path / "observed", closed.unclosed(), *OBSERVED, *later, teleop)
+    report = check_edited(tmp_path / "observed", closed().unclosed(), *OBSERVED, *later, teleop)
     assert (report.verdict, report.missing) == (Verdict.SAME, []), report
     assert any("100 commands are later than the journal" in note for note in report.notes)
     assert NOT_COMPARED in report.notes
-    assert check_edited(tmp_path / "own", closed, *later, teleop).verdict is Verdict.BROKEN
+    assert check_edited(tmp_path / "own", closed(), *later, teleop).verdict is Verdict.BROKEN
 
 
-def test_files_that_were_put_together_repeat_the_last_status(
-    tmp_path: Path, closed: Contents
-) -> None:
+def test_files_that_were_put_together_repeat_the_last_status(tmp_path: Path) -> None:
     """Two snapshots: the second file began with the last status of the first."""
     again = repeated_at_the_end(STATUS, (1, 1), lambda each: each)
-    assert check_edited(tmp_path / "once", closed, again).verdict is Verdict.SAME
-    often = check_edited(tmp_path / "often", closed, again, again, again)
+    assert check_edited(tmp_path / "once", closed(), again).verdict is Verdict.SAME
+    often = check_edited(tmp_path / "often", closed(), again, again, again)
     assert often.missing == ["1 robot statuses are repeated where no file begins"]
 
 
-@pytest.fixture(scope="module")
-def honest(tmp_path_factory: pytest.TempPathFactory) -> Contents:
-    return heard_drive(tmp_path_factory.mktemp("heard") / "run", 3.6, snapshots_s=(0.0, 2.0))
+@cache
+def honest() -> Contents:
+    return heard_drive(3.6, snapshots_s=(0.0, 2.0))
 
 
-@pytest.fixture(scope="module")
-def forged(honest: Contents) -> Contents:
+@cache
+def forged() -> Contents:
     change = changed(COMMANDS, lambda each, _: replace(each, data=MOTION), moves)
-    return change(honest, Random(1))
+    return change(honest(), Random(1))
 
 
 def names_another_file(folder: Path) -> None:
@@ -200,12 +195,10 @@ BESIDE: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("name", BESIDE)
-def test_a_file_beside_excuses_no_forged_command(
-    tmp_path: Path, honest: Contents, forged: Contents, name: str
-) -> None:
+def test_a_file_beside_excuses_no_forged_command(tmp_path: Path, name: str) -> None:
     for folder, contents, verdict in (
-        (tmp_path / "honest" / "run", honest, Verdict.INCOMPLETE),
-        (tmp_path / "forged" / "run", forged, Verdict.BROKEN),
+        (tmp_path / "honest" / "run", honest(), Verdict.INCOMPLETE),
+        (tmp_path / "forged" / "run", forged(), Verdict.BROKEN),
     ):
         BESIDE[name](write_contents(folder, contents))
         report = check_recording(folder)
@@ -213,16 +206,14 @@ def test_a_file_beside_excuses_no_forged_command(
         assert report.missing
 
 
-def test_files_of_one_recording_are_checked_together(tmp_path: Path, honest: Contents) -> None:
-    report = check_recording(write_files(tmp_path / "run", *halves(honest)))
+def test_files_of_one_recording_are_checked_together(tmp_path: Path) -> None:
+    report = check_recording(write_files(tmp_path / "run", *halves(honest())))
     assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
 
 
 @pytest.mark.parametrize("lost", [0, 1])
-def test_a_file_that_is_lost_makes_nothing_broken(
-    tmp_path: Path, honest: Contents, lost: int
-) -> None:
-    folder = write_files(tmp_path / "run", *halves(honest))
+def test_a_file_that_is_lost_makes_nothing_broken(tmp_path: Path, lost: int) -> None:
+    folder = write_files(tmp_path / "run", *halves(honest()))
     (folder / f"run_{lost}.mcap").write_bytes(b"x")
     report = check_recording(folder)
     assert (report.verdict, report.violations) == (Verdict.INCOMPLETE, [])
@@ -230,10 +221,10 @@ def test_a_file_that_is_lost_makes_nothing_broken(
 
 @pytest.mark.parametrize("queued", [0, 1])
 def test_the_finished_files_of_a_recording_that_goes_on_are_not_broken(
-    tmp_path: Path, honest: Contents, queued: int
+    tmp_path: Path, queued: int
 ) -> None:
     """A message that arrives at a split is counted, and written to the next file."""
-    first, _ = halves(honest, queued=queued)
+    first, _ = halves(honest(), queued=queued)
     report = check_recording(write_files(tmp_path / "run", first))
     assert (report.verdict, report.violations) == (Verdict.INCOMPLETE, [])
     assert len(report.missing) == 1
@@ -242,17 +233,17 @@ def test_the_finished_files_of_a_recording_that_goes_on_are_not_broken(
 
 @pytest.mark.parametrize("number", [0, 1])
 def test_a_note_tells_that_the_end_of_a_single_file_may_be_cut_off(
-    tmp_path: Path, honest: Contents, number: int
+    tmp_path: Path, number: int
 ) -> None:
-    folder = write_files(tmp_path / "run", *halves(honest))
+    folder = write_files(tmp_path / "run", *halves(honest()))
     report = check_recording(folder / f"run_{number}.mcap")
     assert report.verdict is Verdict.SAME
     assert (SINGLE_FILE in report.notes) is (number == 0)
 
 
-@pytest.fixture(scope="module")
-def filtered(tmp_path_factory: pytest.TempPathFactory) -> Contents:
-    return heard_drive(tmp_path_factory.mktemp("heard") / "run", 3.6)
+@cache
+def filtered() -> Contents:
+    return heard_drive(3.6)
 
 
 @pytest.mark.parametrize(
@@ -273,10 +264,10 @@ def filtered(tmp_path_factory: pytest.TempPathFactory) -> Contents:
     ],
 )
 def test_only_what_the_patterns_leave_out_may_lack(
-    tmp_path: Path, filtered: Contents, key: str, patterns: str, topic: str, verdict: Verdict
+    tmp_path: Path, key: str, patterns: str, topic: str, verdict: Verdict
 ) -> None:
     configured = metadata("robotctl", f"parameter.recording.{key}", patterns)
-    report = check_edited(tmp_path, filtered, configured, removed(topic))
+    report = check_edited(tmp_path, filtered(), configured, removed(topic))
     assert report.verdict is verdict
     assert any("as configured" in note for note in report.notes) is (verdict is Verdict.SAME)
 
@@ -308,19 +299,17 @@ def by_rosbag2(contents: Contents, *, keeps_metadata: bool = False) -> Contents:
 
 @pytest.mark.parametrize("keeps_metadata", [False, True])
 def test_a_bag_of_rosbag2_is_incomplete_because_it_has_no_numbers(
-    tmp_path: Path, honest: Contents, keeps_metadata: bool
+    tmp_path: Path, keeps_metadata: bool
 ) -> None:
-    bag = by_rosbag2(honest, keeps_metadata=keeps_metadata)
+    bag = by_rosbag2(honest(), keeps_metadata=keeps_metadata)
     report = check_edited(tmp_path, bag)
     assert (report.verdict, report.missing) == (Verdict.INCOMPLETE, [UNNUMBERED])
     assert report.effects > 100
     assert not any("status" in note and "missing" in note for note in report.notes)
 
 
-def test_a_decision_that_was_changed_in_such_a_bag_is_found(
-    tmp_path: Path, honest: Contents
-) -> None:
-    bag = by_rosbag2(honest, keeps_metadata=True)
+def test_a_decision_that_was_changed_in_such_a_bag_is_found(tmp_path: Path) -> None:
+    bag = by_rosbag2(honest(), keeps_metadata=True)
     at, entry = next(
         (at, each)
         for at, each in enumerate(bag.messages)
@@ -352,17 +341,13 @@ def foreign(name: bytes, first: int) -> Kind:
 
 
 @pytest.mark.parametrize(("name", "first"), [(b"other", 1), (b"other", 40), (b"robot", 1)])
-def test_statuses_of_another_node_are_a_note(
-    tmp_path: Path, honest: Contents, name: bytes, first: int
-) -> None:
-    report = check_edited(tmp_path, honest, foreign(name, first))
+def test_statuses_of_another_node_are_a_note(tmp_path: Path, name: bytes, first: int) -> None:
+    report = check_edited(tmp_path, honest(), foreign(name, first))
     assert (report.verdict, report.missing) == (Verdict.SAME, []), report
     assert any("another node published robot statuses as well" in each for each in report.notes)
 
 
-def test_a_channel_that_stands_only_in_the_summary_changes_nothing(
-    tmp_path: Path, honest: Contents
-) -> None:
+def test_a_channel_that_stands_only_in_the_summary_changes_nothing(tmp_path: Path) -> None:
     """Writers may repeat in the summary what they knew of, and not only what has messages."""
     target = tmp_path / "run" / "run_0.mcap"
     target.parent.mkdir()
@@ -370,16 +355,16 @@ def test_a_channel_that_stands_only_in_the_summary_changes_nothing(
         writer = Writer(stream)
         writer.start("ros2", "another program")
         channels = {}
-        for channel, schema in honest.types:
+        for channel, schema in honest().types:
             number = writer.register_schema(schema.name, schema.encoding, schema.data)
             channels[channel.topic] = writer.register_channel(
                 channel.topic, channel.message_encoding, number, channel.metadata
             )
-        for each in honest.messages:
+        for each in honest().messages:
             writer.add_message(
                 channels[each.topic], each.log_ns, each.data, each.publish_ns, each.sequence
             )
-        for name, values in honest.metadata:
+        for name, values in honest().metadata:
             if name != METADATA_RECORD:
                 writer.add_metadata(name, values)
         known = writer._Writer__channels  # type: ignore[attr-defined]
@@ -395,9 +380,7 @@ def test_a_later_file_knows_the_publishers_that_the_file_before_noticed(
     tmp_path: Path, number: int
 ) -> None:
     seen = CommandPublishersSeen(BEGIN_NS + NS_PER_S, ("/teleop",))
-    drive = heard_drive(
-        tmp_path / "run", 8.0, requests=[drive_requested(), seen], snapshots_s=(0.0, 3.0)
-    )
+    drive = heard_drive(8.0, requests=[drive_requested(), seen], snapshots_s=(0.0, 3.0))
     _, later = halves(drive)
     teleop = Twist(0.7, 0.1)
     at_ns = later.messages[-1].log_ns
@@ -409,16 +392,14 @@ def test_a_later_file_knows_the_publishers_that_the_file_before_noticed(
 
 
 def test_a_message_that_may_have_been_lost_excuses_no_change_of_another_topic(
-    tmp_path: Path, killed: Contents
+    tmp_path: Path,
 ) -> None:
     lost, moved = dropped(COMMANDS, 1, moves), FOUND["odometry: one moved"]
-    assert check_edited(tmp_path / "lost", killed, lost).verdict is Verdict.INCOMPLETE
-    assert check_edited(tmp_path / "both", killed, lost, moved).verdict is Verdict.BROKEN
+    assert check_edited(tmp_path / "lost", killed(), lost).verdict is Verdict.INCOMPLETE
+    assert check_edited(tmp_path / "both", killed(), lost, moved).verdict is Verdict.BROKEN
 
 
 @pytest.mark.parametrize("queued", [0, 1])
-def test_a_file_that_is_not_the_last_excuses_no_forged_command(
-    tmp_path: Path, forged: Contents, queued: int
-) -> None:
-    first, _ = halves(forged, queued=queued)
+def test_a_file_that_is_not_the_last_excuses_no_forged_command(tmp_path: Path, queued: int) -> None:
+    first, _ = halves(forged(), queued=queued)
     assert check_recording(write_files(tmp_path / "run", first)).verdict is Verdict.BROKEN

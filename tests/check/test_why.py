@@ -33,7 +33,7 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.recording.write.bag_writer import RecordingFile
-from robotctl.testing.drives import BEGIN_NS, START_NS, drive, drive_requested, record
+from robotctl.testing.drives import BEGIN_NS, START_NS, Written, drive, drive_requested, record
 from tests.support.checked_drives import from_snapshot
 
 
@@ -45,6 +45,14 @@ def incident(folder: Path, at_ns: int | None = None) -> Incident:
     found = find_incident(folder, at_ns).incident
     assert found is not None
     return found
+
+
+def same_incident(folder: Path, written: list[Written]) -> Incident:
+    """Return the incident of a recording whose decisions are the same again."""
+    made = record(folder / "robot_20260101_120000", written)
+    report = check_recording(made)
+    assert report.verdict is Verdict.SAME, report.as_object()
+    return incident(made)
 
 
 ESTOP = ModeRequested(at(2.0), 2, 3, "robotctl estop (pid 99)")
@@ -114,9 +122,7 @@ def test_the_chain_of_a_stop_is_told(tmp_path: Path, name: str) -> None:
     written = drive(
         2.2 if case.then else 3.0, requests=[drive_requested(), *case.requests], then=case.then
     )
-    folder = record(tmp_path / "run", written)
-    assert check_recording(folder).verdict is Verdict.SAME
-    found = incident(folder)
+    found = same_incident(tmp_path, written)
     assert found.kind is case.kind
     why = explain(found)
     rule = rule_of(found)
@@ -168,9 +174,7 @@ LEASED = LeaseRequested(at(-0.1), 1, True, 7, "the inspector", "inspection")
 def test_a_refusal_for_the_lease_names_its_holder_and_the_rule(
     tmp_path: Path, asked: DriveRequested | ModeRequested | LeaseRequested
 ) -> None:
-    folder = record(tmp_path / "run", drive(2.0, requests=[LEASED, asked]))
-    assert check_recording(folder).verdict is Verdict.SAME
-    found = incident(folder)
+    found = same_incident(tmp_path, drive(2.0, requests=[LEASED, asked]))
     assert found.kind is IncidentKind.REFUSAL
     told = explain(found)
     said = f"the inspector holds the lease (inspection), and {asked.source} asked"
@@ -278,11 +282,8 @@ def test_every_kind_of_motion_is_checked_and_explained(
     name: str, pattern: Pattern, course: Course, last: int, tmp_path: Path
 ) -> None:
     written = drive(2.0, requests=requests(pattern, course, last), snapshots_s=(0.0, 0.6))
-    folder = record(tmp_path / "robot_20260101_120000", written)
-    report = check_recording(folder)
-    assert report.verdict is Verdict.SAME, report.as_object()
+    why = explain(same_incident(tmp_path, written))
     assert any(isinstance(each, Twist) and each != Twist() for each in written)
-    why = explain(incident(folder))
     assert f"{named(pattern, course)}: the operator" in why.asked
     assert "somebody" in why.came_in
 
@@ -290,8 +291,6 @@ def test_every_kind_of_motion_is_checked_and_explained(
 def test_one_who_lets_go_is_told_so(tmp_path: Path) -> None:
     asked = requests(Pattern(), COURSES["by hand"], 0)[:20]
     asked += [HoldReceived(asked[-1].t_ns + n * 25 * MS, 7, Twist()) for n in range(1, 20)]
-    folder = record(tmp_path / "robot_20260101_120000", drive(2.0, requests=asked))
-    assert check_recording(folder).verdict is Verdict.SAME
-    why = explain(incident(folder))
+    why = explain(same_incident(tmp_path, drive(2.0, requests=asked)))
     assert why.what == "MOVING -> IDLE: let go"
     assert why.rule == "hold to run: let go, the robot ramps down"

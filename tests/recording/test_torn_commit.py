@@ -46,11 +46,11 @@ class Write(NamedTuple):
 
 
 class LoggedFile(DiskFile):
-    """A file that keeps all writes."""
+    """A file that keeps all writes in a list."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, writes: list[Write]) -> None:
         super().__init__(path)
-        self.writes: list[Write] = []
+        self.writes = writes
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
         self.writes.append(Write(offset, b"".join(bytes(part) for part in parts)))
@@ -66,10 +66,8 @@ TWIST = Topic("/cmd_vel", "geometry_msgs/msg/Twist", "Vector3 linear\n", "RIHS01
 ODOMETRY = Topic("/odom", "nav_msgs/msg/Odometry", "Header header\n", "RIHS01_cd", QOS)
 
 
-class Recorded(NamedTuple):
-    """A recording made commit by commit: `commits` holds the writes of each."""
-
-    commits: list[list[Write]]
+Commits = list[list[Write]]
+"""The writes of each commit of a recording."""
 
 
 def begin(
@@ -89,32 +87,21 @@ def write_commit(file: RecordingFile, channels: list[ChannelState], number: int,
     if number == COMMITS // 2:
         channels.append(ChannelState(ODOMETRY))
     large = numbered(number) + random.Random(number).randbytes(size)
-    file.write(
-        pack(
-            [
-                (0, numbered(number), number, number, number),
-                (len(channels) - 1, large, number, 0, 0),
-            ]
-        )
-    )
+    small = (0, numbered(number), number, number, number)
+    file.write(pack([small, (len(channels) - 1, large, number, 0, 0)]))
 
 
-def record(folder: Path, size: int, compression: Compression) -> Recorded:
+def record(folder: Path, size: int, compression: Compression) -> Commits:
     """Return a recording of COMMITS commits."""
-    files: list[LoggedFile] = []
-
-    def open_file(path: Path) -> LoggedFile:
-        files.append(LoggedFile(path))
-        return files[-1]
-
-    file, channels = begin(folder, compression, open_file)
-    commits: list[list[Write]] = [list(files[0].writes)]
+    writes: list[Write] = []
+    file, channels = begin(folder, compression, partial(LoggedFile, writes=writes))
+    commits = [list(writes)]
     for number in range(1, COMMITS + 1):
-        files[0].writes.clear()
+        writes.clear()
         write_commit(file, channels, number, size)
-        commits.append(list(files[0].writes))
+        commits.append(list(writes))
     file.abandon()
-    return Recorded(commits)
+    return commits
 
 
 class Step(IntEnum):
@@ -152,11 +139,11 @@ class State(NamedTuple):
     torn: bool
 
 
-def states(recorded: Recorded) -> Iterator[State]:
+def states(recorded: Commits) -> Iterator[State]:
     """Yield each state between two writes, and torn states within each write."""
     dice = random.Random(4)
     content = bytearray()
-    for chunks, commit in enumerate(recorded.commits, start=-1):
+    for chunks, commit in enumerate(recorded, start=-1):
         for number, write in enumerate(commit, start=1):
             step = step_of(len(commit) - number)
             to_page = PAGE - write.offset % PAGE
@@ -284,7 +271,7 @@ def test_between_any_two_writes_of_a_commit_every_reader_opens_the_file(
     tmp_path: Path, compression: Compression
 ) -> None:
     recorded = record(tmp_path / "run", LARGE, compression)
-    assert {len(commit) for commit in recorded.commits[1:]} == {3, 7, 11}
+    assert {len(commit) for commit in recorded[1:]} == {3, 7, 11}
     path = tmp_path / "state.mcap"
     for state in states(recorded):
         if state.chunks < 1:
@@ -382,23 +369,18 @@ def test_the_moment_of_danger_does_not_grow_with_the_messages(tmp_path: Path) ->
     exposed = {}
     for size in (LARGE, 10 * LARGE):
         recorded = record(tmp_path / f"run{size}", size, Compression.NONE)
-        exposed[size] = [len(commit[-1 - Step.TRAILER].data) for commit in recorded.commits[2:]]
+        exposed[size] = [len(commit[-1 - Step.TRAILER].data) for commit in recorded[2:]]
     assert max(exposed[LARGE][:1]) < 900
     assert exposed[LARGE] == exposed[10 * LARGE]
 
 
 def test_a_commit_writes_little_more_than_its_data_however_long_the_file(tmp_path: Path) -> None:
-    files: list[LoggedFile] = []
-
-    def open_file(path: Path) -> LoggedFile:
-        files.append(LoggedFile(path))
-        return files[-1]
-
-    file, channels = begin(tmp_path / "run", Compression.ZSTD, open_file)
-    files[0].writes.clear()
+    writes: list[Write] = []
+    file, channels = begin(tmp_path / "run", Compression.ZSTD, partial(LoggedFile, writes=writes))
+    writes.clear()
     for number in range(2000):
         file.write(pack([(0, numbered(number), number, number, number)]))
-    written = sum(len(write.data) for write in files[0].writes)
+    written = sum(len(write.data) for write in writes)
     assert file.size > 300_000
     assert written < 5 * file.size  # with a trailer that moves each time: 500
     assert len(channels) == 1

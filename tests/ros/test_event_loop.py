@@ -102,7 +102,7 @@ def test_what_a_watcher_schedules_does_not_wait_for_the_next_event(eventfd: int)
 
 @pytest.mark.parametrize("kind", [ValueError, asyncio.CancelledError])
 def test_an_exception_of_a_watcher_goes_to_the_handler_and_the_others_are_called(
-    kind: type[BaseException], eventfd: int
+    kind: type[BaseException], eventfds: Callable[[], int]
 ) -> None:
     told: list[object] = []
 
@@ -110,38 +110,36 @@ def test_an_exception_of_a_watcher_goes_to_the_handler_and_the_others_are_called
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: told.append(context["exception"]))
         ours, theirs = socket.socketpair()
-        other = os.eventfd(1, os.EFD_NONBLOCK)
-        called = asyncio.Event()
+        failing, other, called = eventfds(), eventfds(), asyncio.Event()
 
         def fail() -> None:
-            os.eventfd_read(eventfd)
+            os.eventfd_read(failing)
             raise kind("the watcher is broken")
 
-        os.eventfd_write(eventfd, 1)
-        watch(loop, eventfd, fail)
+        watch(loop, failing, fail)
         watch(loop, other, called.set)
         ours.setblocking(False)
-        theirs.send(b"beside")
-        assert await loop.sock_recv(ours, 16) == b"beside"
+        with ours, theirs:
+            theirs.send(b"beside")
+            assert await loop.sock_recv(ours, 16) == b"beside"
         await called.wait()
-        for each in (eventfd, other):
+        for each in (failing, other):
             unwatch(loop, each)
-        os.close(other)
-        ours.close()
-        theirs.close()
 
     in_time(main)
     assert [str(error) for error in told] == ["the watcher is broken"]
 
 
-def test_a_socket_is_heard_at_once_beside_many_watchers_that_stay_ready() -> None:
+def test_a_socket_is_heard_at_once_beside_many_watchers_that_stay_ready(
+    eventfds: Callable[[], int],
+) -> None:
     calls = 0
 
     async def main() -> int:
         loop = asyncio.get_running_loop()
         ours, theirs = socket.socketpair()
         ours.setblocking(False)
-        flooded = [os.eventfd(1, os.EFD_NONBLOCK) for _ in range(20)]
+        flooded = [eventfds() for _ in range(20)]
 
         def leave_it_ready() -> None:
             nonlocal calls
@@ -158,7 +156,6 @@ def test_a_socket_is_heard_at_once_beside_many_watchers_that_stay_ready() -> Non
         turns = (calls - before) // len(flooded)
         for each in flooded:
             unwatch(loop, each)
-            os.close(each)
         ours.close()
         theirs.close()
         return turns
@@ -166,24 +163,23 @@ def test_a_socket_is_heard_at_once_beside_many_watchers_that_stay_ready() -> Non
     assert in_time(main) <= 3
 
 
-def test_a_watcher_may_end_another_one_that_is_ready_in_the_same_turn(eventfd: int) -> None:
+def test_a_watcher_may_end_another_one_that_is_ready_in_the_same_turn(
+    eventfds: Callable[[], int],
+) -> None:
     calls: list[int] = []
 
     async def main() -> None:
-        loop = asyncio.get_running_loop()
-        other = os.eventfd(0, os.EFD_NONBLOCK)
+        loop, one, other = asyncio.get_running_loop(), eventfds(), eventfds()
 
         def first_ends_the_other(own: int, another: int) -> None:
             calls.append(own)
             unwatch(loop, own)
             unwatch(loop, another)
 
-        for own, another in ((eventfd, other), (other, eventfd)):
-            os.eventfd_write(own, 1)
+        for own, another in ((one, other), (other, one)):
             watch(loop, own, partial(first_ends_the_other, own, another))
         for _ in range(3):
             await asyncio.sleep(0)
-        os.close(other)
 
     in_time(main)
     assert len(calls) == 1

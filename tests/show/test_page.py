@@ -127,7 +127,7 @@ def hostile(contents: Contents, texts: int) -> Contents:
 def test_text_of_a_recording_never_becomes_markup_nor_too_long_a_page(
     tmp_path: Path, written: list[Written], texts: int
 ) -> None:
-    made = write_contents(tmp_path / "h", hostile(recorded(tmp_path / "r", written), texts))
+    made = write_contents(tmp_path / "h", hostile(recorded(written), texts))
     judged = ReportFindings(
         (CommandVerdict(HOSTILE, HOSTILE, Tone.BAD, (HOSTILE,)),),
         (Explanation(1.0, HOSTILE, ((HOSTILE, HOSTILE),)),),
@@ -214,7 +214,7 @@ def test_odometry_that_is_no_number_is_counted_and_not_drawn(tmp_path: Path) -> 
 def test_a_state_that_no_kernel_has_is_told_and_not_drawn(
     tmp_path: Path, written: list[Written]
 ) -> None:
-    contents = recorded(tmp_path / "r", written)
+    contents = recorded(written)
     for number, message in enumerate(contents.messages):
         if message.topic.endswith("journal") and b'"size_m":1.0' in message.data:
             changed = message.data.replace(b'"size_m":1.0', b'"size_m":0.0')

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 
+from robotctl.config import Config
 from robotctl.recording.format.disk import new_file
 from robotctl.recording.format.names import LEDGER_RECORD, Compression
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
@@ -153,10 +155,11 @@ def _adjusted(ledger: dict[str, str], before: Counter[str], found: Counter[str])
     return adjusted
 
 
-def recorded(folder: Path, written: list[Written]) -> Contents:
+def recorded(written: Iterable[Written], config: Config | None = None) -> Contents:
     """Record `written`, and return the contents of the file."""
-    (file,) = record(folder, written).glob("*.mcap")
-    return contents_of(file)
+    with TemporaryDirectory() as folder:
+        (file,) = record(Path(folder, "run"), written, config=config).glob("*.mcap")
+        return contents_of(file)
 
 
 def edit(

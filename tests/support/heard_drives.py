@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from math import nan
-from pathlib import Path
 from typing import Any
 
 from mcap.records import Channel, Schema
@@ -24,10 +23,10 @@ from robotctl.messages.inputs import MESSAGE_TYPES
 from robotctl.messages.installed import installed_type
 from robotctl.recording.format.journal import decode
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
-from robotctl.testing.drives import BEGIN_NS, QOS, drive_requested, journaled, record
+from robotctl.testing.drives import BEGIN_NS, QOS, drive_requested, journaled
 from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, WANTED, HearingKernel
 from robotctl.testing.hearing import TOPICS as SAFETY_TOPICS
-from tests.support.edited_recordings import Contents, Stored, contents_of
+from tests.support.edited_recordings import Contents, Stored, recorded
 
 SET_MODE, ESTOP = "/set_mode/_service_event", "/estop/_service_event"
 
@@ -60,7 +59,6 @@ _TOPICS = {
 
 
 def heard_drive(
-    folder: Path,
     seconds: float = 3.0,
     *,
     requests: Sequence[Event] | None = None,
@@ -82,8 +80,7 @@ def heard_drive(
 
     snapshots_ns = [BEGIN_NS + round(after_s * NS_PER_S) for after_s in snapshots_s]
     written = journaled(kernel, steps(), snapshots_ns)
-    (file,) = record(folder, written, config=config).glob("*.mcap")
-    return _with_messages(contents_of(file), kernel.messages)
+    return _with_messages(recorded(written, config), kernel.messages)
 
 
 def status(mode: int, level: float, name: bytes = b"robot", *, is_connected: bool = True) -> bytes:

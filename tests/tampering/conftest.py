@@ -55,12 +55,10 @@ BUTTON = Config(
 
 
 @pytest.fixture(scope="package")
-def honest(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Contents]:
+def honest() -> dict[str, Contents]:
     """Return the recordings by name; "killed" was not closed."""
-    folder = tmp_path_factory.mktemp("honest")
     made = {
         name: heard_drive(
-            folder / name,
             3.6,
             requests=sorted(requests, key=lambda event: event.t_ns),
             snapshots_s=(0.0, 2.0),
