@@ -5,8 +5,8 @@
 1. `journal` puts entries in order: snapshots (kernel states) and steps (event and effects).
 2. `compare` gives each event to a new kernel: other decisions make the recording `diverged`, or
    `incomplete` if another version made it.
-3. `inputs`, `commands`, `calls` and `statuses` compare the recorded messages with the same steps,
-   by number and value; `topics.Waiting` keeps both sides until a difference can be judged.
+3. `inputs`, `commands`, `calls` and `statuses` compare the recorded messages with these steps, by
+   number and value; `topics.Waiting` keeps messages and steps until differences can be judged.
 4. `invariants` and `times` check what must hold in every journal.
 5. `ends` decides what may be missing: the recording may be cut, a clip, or received from a robot.
 

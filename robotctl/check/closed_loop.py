@@ -217,7 +217,7 @@ MAX_SPAN_NS = 7 * round(DAY_S) * NS_PER_S
 """Maximum duration of a recording that is simulated: a week."""
 
 LONGEST = 10
-"""The simulation may take at most this many times as long as the recording, to end a drive."""
+"""Maximum simulated time, as a multiple of the recording's: a drive may end later than recorded."""
 
 
 def resimulate(

@@ -134,7 +134,7 @@ class DecidedCommand:
 
 
 class SentCommand(NamedTuple):
-    """A recorded command: the last event before it was at `t_ns`; `place` counts the messages."""
+    """A recorded command: message number `place`; the last event before it was at `t_ns`."""
 
     numbers: bytes
     publish_ns: int
@@ -224,7 +224,7 @@ class CommandPairs:
         self._waiting: Waiting[DecidedCommand, SentCommand] = Waiting(self._judge)
         self._recent: deque[DecidedCommand] = deque(maxlen=RECENT)
         self._has_ended = False
-        """Whether the last snapshot counts zeros without a decision: these end a daemon's life."""
+        """Whether the last snapshot counts zeros without a decision, as a failing daemon sends."""
 
         self._number = 0
         """The number of the last command that was decided in the journal or is in its counts."""
@@ -240,7 +240,7 @@ class CommandPairs:
 
         self._lacking = self._lacking_recent = 0
         self._lacking_example = ""
-        """Count and example of decided commands without a message, after the last one with one."""
+        """Count, recent count and example of decided commands after the last with a message."""
 
         self._t_ns = self._log_ns = self._tick_ns = 0
         """Time of the last event by the steady and the wall clock; steady time of the last tick."""
@@ -431,7 +431,7 @@ class CommandPairs:
         self.counts.old = self._lacking - self._lacking_recent
 
     def _may_end_with(self, message: SentCommand, later: int, is_own: bool) -> bool:
-        """Return whether a message may lack a decision; its number is the last one's + `later`."""
+        """Return whether a message, numbered `later` after the last decision, may lack its own."""
         after_ns = message.publish_ns - self._log_ns
         if not is_own:
             return after_ns > -JOURNAL_LAG_NS

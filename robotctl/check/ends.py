@@ -113,8 +113,8 @@ NOT_COMPARED: Final = (
 class JournalOrigin:
     """Whether the recorder wrote the journal itself, or received it from a robot.
 
-    robotctl writes entries of its own journal with equal log and publish times. If these differ in
-    the first entry, the journal is still its own if the topic is of the robot that it drove.
+    In its own journal, a recorder writes equal log and publish times. If they differ in the first
+    entry, the topic must be of the recorder's robot, and the recorder must have driven that robot.
     """
 
     def __init__(self, info: RecordingInfo, topic: str) -> None:

@@ -56,7 +56,7 @@ GAP_NS = NS_PER_S // 10
 """Of the time between two messages, at most this counts towards UNHEARD_NS: the rest is a pause."""
 
 BEGIN_NS = 3 * NS_PER_S
-"""UNHEARD_NS at the beginning, when the control loop may not be connected yet."""
+"""Used for UNHEARD_NS until the first input, when the control loop may not be connected yet."""
 
 MAX_WAITING = 100_000
 """The number of messages, and of inputs, that may wait to be compared; the oldest are dropped."""
@@ -156,7 +156,7 @@ BURST: Final = 10.0
 """The messages under way may be this multiple of the number expected at the mean rate."""
 
 LOST: Final = 2
-"""How many messages after the last input may be lost, in addition to as many as before it."""
+"""Messages lost after the last input may exceed the number lost before it by this much."""
 
 
 class Input(NamedTuple):

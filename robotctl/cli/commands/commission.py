@@ -58,7 +58,7 @@ STANDING_S = 1.5
 """How long the robot stands before and after each motion [s]."""
 
 RESERVE = 1.5
-"""The free room that the operator is asked for, as a multiple of the planned distance."""
+"""The free room that the operator is asked for, as a multiple of planned distance and angle."""
 
 _LATEST_S = DRIVEN_S + 10.0
 """A motion that waits for a zero command ends by itself after this time [s] if none comes."""

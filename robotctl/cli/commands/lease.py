@@ -97,9 +97,9 @@ def take(
 ) -> None:
     """Hold the lease while COMMAND runs, or until Ctrl-C.
 
-    Motion is then started by COMMAND alone, or with the printed ROBOTCTL_LEASE; requests over ROS
-    and other clients are refused. The lease ends with this process, or a second after it is frozen
-    (Ctrl-Z), and the robot ramps down.
+    Only COMMAND, or a client with the printed ROBOTCTL_LEASE, can start motion; requests over ROS
+    and of other clients are refused. The lease ends with this process, or a second after it is
+    frozen (Ctrl-Z), and the robot ramps down.
 
     \b
     Examples:

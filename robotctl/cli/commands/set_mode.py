@@ -92,8 +92,8 @@ def preflight(
 ) -> None:
     """Show whether the robot may move.
 
-    Each start condition has passed, or failed with its cure. The daemon checks the same ones before
-    each start of a motion. Exit code 0 if all pass, 4 if one fails.
+    Each start condition is shown as passed, or as failed with its cure. The daemon checks the same
+    conditions before each start of a motion. Exit code 0 if all pass, 4 if one fails.
 
     \b
     Examples:

@@ -321,7 +321,7 @@ def _topic_lines(found: RecordingInfo) -> list[str]:
 
 
 def _map_lines(path: DrivenPath, others: int) -> Iterator[str]:
-    """Yield the map of a drive, as high as the terminal allows below `others` lines."""
+    """Yield the map of a drive, as high as the terminal allows in addition to `others` lines."""
     if can_show_braille():
         colour = is_terminal() and not os.environ.get("NO_COLOR")
         rows = terminal_lines() - others - LINES_AROUND_MAP

@@ -83,7 +83,7 @@ def _lines(answers: list[dict[str, Any]]) -> Iterator[str]:
 
 POLL_S = 0.1
 LINE_S = 1.0
-"""The period without a terminal, so that a log file gets one line per second."""
+"""Without a terminal, the status is printed once in this time [s], as a line for a log file."""
 
 
 _ROW = "{:>8} {:<14} {:>8} {:>8} {:>7} {:>7} {:>7} {:>8} {:>5}"

@@ -131,10 +131,10 @@ def view_below(lines: list[str], status: Status) -> RenderableType:
 
 
 PERIOD_S: Final = ASK_EACH_S
-"""The period in which input is read while a motion is held or the terminal is asked [s]."""
+"""The period of reading input while a motion is held, or always if the terminal answers [s]."""
 
 IDLE_S: Final = 0.1
-"""The period in which input is read in other cases [s]; it checks lease and screen as well."""
+"""The period of reading input while no motion is held [s]; lease and screen are checked, too."""
 
 WITH_RELEASES: Final[tuple[str, ...]] = (
     "hold w a s d or the arrows; a terminal that is silent for 125 ms is zero",

@@ -143,7 +143,7 @@ def clip_messages(recording: Recording, window: Window, lose: Lose) -> Iterator[
 
 
 def _before(recording: Recording, start_ns: int, lose: Lose) -> Iterator[Message]:
-    """Yield the journal since its last snapshot, then latched messages, as if logged at start."""
+    """Yield the journal since its last snapshot, then latched messages with log time `start_ns`."""
     yield from since_snapshot(recording, start_ns, lose)
     channels = recording.channels().items()
     topics = [topic_of(channel, type_name) for (_, type_name), (channel, _) in channels]

@@ -32,8 +32,8 @@ from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.recorder_options import RecorderOptions
 
 SLICE_NS: Final = 20_000_000
-"""Time slice of the thread. Since Linux 6.12 a waking thread preempts a thread with a longer slice
-than its own (3 ms by default), and waits for the end of a shorter slice."""
+"""Time slice of the thread (default: 3 ms), long so that others preempt it: since Linux 6.12, a
+waking thread preempts at once only a thread whose slice is longer than its own."""
 
 _SCHED_SETATTR: Final = {"x86_64": 314, "aarch64": 274}
 """Number of the system call `sched_setattr`, which glibc wraps only since 2.41."""

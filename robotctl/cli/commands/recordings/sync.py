@@ -80,12 +80,12 @@ def sync(
     """Copy recordings to a folder or a bucket, or from there; a file is sent once.
 
     Each finished file, also of a damaged recording or of another tool, becomes RECORDING/FILE
-    below TO. A file there with other content is named and stays; only metadata.yaml and the index
-    are replaced by newer ones. A run that was killed goes on. FROM is a folder of recordings, one
-    recording, or one file. Nothing is removed here without --max-age-days or --max-total-gb; then
-    only files of robotctl that were read back from TO and hold the same bytes, and no recording
-    with `recordings keep`. URLs need the extra robotctl[store], folders need nothing. The exit code
-    is 6 if something was left out, or could not be copied or read back, 7 if TO has other content.
+    below TO. A file in TO with other content is reported and stays; only metadata.yaml and the
+    index are replaced by newer ones. The next run continues one that was killed. FROM is a folder
+    of recordings, one recording, or one file. Only with --max-age-days or --max-total-gb, files of
+    robotctl are removed here, once read back from TO with the same bytes; a recording marked by
+    `recordings keep` stays. URLs need the extra robotctl[store]. The exit code is 6 if something
+    was left out, or could not be copied or read back, 7 if TO has other content.
 
     \b
     Examples:
