@@ -149,15 +149,15 @@ class Listener:
         self._id = (0, 0)
         self._sock: socket.socket
         self._spare: int | None = None
-        """A reserved descriptor, closed to accept a client (maybe a stop) when no other is free."""
+        """A descriptor that is closed when no other is free, to accept one more client."""
 
     def open(self) -> None:
         """Bind and listen; from now on clients can connect.
 
         Raises:
-            UsageError: The folder belongs to another user, the group cannot use the folder, or
-                `path` is not a socket.
+            UsageError: Another user owns the folder, the group cannot use it, or `path` is a file.
             AlreadyRunning: Another process listens at `path`.
+            OSError: The socket file cannot be created.
         """
         make_private(self._path.parent)
         remove_stale(self._path)

@@ -26,10 +26,10 @@ from robotctl.base.trust import ROOT_UID
 PROTOCOL_VERSION = 1
 
 MAX_REQUEST_BYTES = 64 * 1024
-"""About 100 times the longest request of a robotctl command."""
+"""Enough for the longest request of a command: `drive_path` with 2,000 points of 24 bytes."""
 
 MAX_RESPONSE_BYTES = 8 * 1024 * 1024
-"""Enough for an answer of `path`: the points of one hour at 50 Hz with 40 bytes each."""
+"""Enough for the longest answers: `graph` with 15,000 names, and `path` with 20,000 points."""
 
 MAX_DEPTH = 16
 """Limit on nested brackets, since the decoder recurses; the answer of `path` has the most: 4."""

@@ -178,7 +178,7 @@ class Player:
         self.control = PlaybackControl(rate, clock.now_ns, paused=paused)
         self.lateness = Lateness()
         self.position_ns = 0
-        """Recorded time of the last message that was sent."""
+        """Time in the replay of the last message that was sent [ns]."""
 
         self.late_ns = 0
         """How late the last message with a due time was sent [ns]."""
@@ -212,7 +212,7 @@ class Player:
                 self.position_ns = at_ns
 
     def _wait_for(self, at_ns: int) -> int | None:
-        """Wait until the message is due; return its time; None at rate `max`, a step, a stop."""
+        """Wait for the message's due time and return it; None at rate `max`, a step or a stop."""
         clock, control = self._clock, self.control
         while not self._stopped:
             schedule = control.schedule

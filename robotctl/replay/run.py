@@ -138,7 +138,7 @@ CLOCK: Final = "/clock"
 def playable(
     routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
 ) -> list[Route]:
-    """Return the routes whose types are installed; report the others as skipped.
+    """Return the routes that can be played here; report the others as skipped.
 
     Raises:
         Refused: An installed type differs from the recorded type, without --force-types.

@@ -80,7 +80,7 @@ SHOWN_FRAMES = 3
 """How many calls the report of a stall names, from the innermost outwards."""
 
 BUSY_SHARE = 0.5
-"""The machine is busy if the thread waits for a CPU for more than this share of the time."""
+"""The machine counts as busy if the thread waits for a CPU for more than this share of the time."""
 
 ACCOUNT_PERIOD_NS = 100_000_000
 """Period of reading the CPU wait; reading it at each tick took 3 % of the loop's time."""

@@ -238,7 +238,7 @@ FORGET_S: Final = 600.0
 MAX_NAMED: Final = 20
 MAX_TROUBLES: Final = 5
 MAX_LOGGED: Final = 1_000
-"""Limit on the logged sentences: a topic may stop and go without end."""
+"""Limit on the logged sentences: a topic may stop and start again without end."""
 
 _STAMP_SLACK_S: Final = 0.1
 """A new message may be this much older than the last look, as `Tap` batches for up to 0.05 s."""
