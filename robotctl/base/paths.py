@@ -1,4 +1,7 @@
-"""The paths of a robot's socket, lock, log and latch. Standard library only."""
+"""The paths of a robot's socket, lock, log and latch. Standard library only.
+
+A function that needs a valid robot's name or a home folder raises UsageError without it.
+"""
 
 from __future__ import annotations
 

@@ -256,7 +256,7 @@ def start(
 ) -> Child:
     """Start `command` with the arguments `option` and the number of the descriptor for reports.
 
-    With a `log`, the child's stdout and stderr go there; the child runs in a new session, outlives
+    With a `log`, the child's stdout and stderr go to it; the child runs in a new session, outlives
     this process and inherits no other descriptors. Without a `log`, both go to this process's
     stderr; the child runs in a new process group, so that a Ctrl-C in the terminal does not reach
     it. The child's stdin is a pipe if `with_stdin` is set, otherwise /dev/null.

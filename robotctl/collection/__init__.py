@@ -1,1 +1,1 @@
-"""Many recordings: an index of each, questions over all, `robotctl gate`, and copies elsewhere."""
+"""Many recordings: an index of each, questions over all, `robotctl gate`, and `robotctl sync`."""

@@ -35,7 +35,7 @@ class Frame(Enum):
 class Held:
     """A velocity that is commanded for `for_s` seconds.
 
-    Then no command is sent for `quiet_s` seconds, to see when the base stops by itself.
+    After that, no command is sent for `quiet_s` seconds, to see when the base stops by itself.
 
     A hold-to-run velocity must be repeated by its client; `heard_t_ns` is the steady time of the
     last request, None if not held to run. After `for_s` of silence the command is 0 at once.
@@ -60,7 +60,7 @@ class Held:
         return ""
 
     def begun(self, t_ns: int) -> Held:
-        """Return a copy that begins at `t_ns`; a hold-to-run client counts as heard at `t_ns`."""
+        """Return a copy that begins at `t_ns`, the time of a hold-to-run client's last request."""
         return replace(self, heard_t_ns=t_ns) if self.is_held_to_run else self
 
     @property
@@ -91,7 +91,7 @@ class Course:
     - `corner_m`: the radius of the corners of a rounded square. On waypoints, how far before a
       corner the robot leaves the straight line; 0 to stop and turn at each point.
     - `angle_rad`: the angle of a turn or an arc, to the left if positive.
-    - `reverse`: drive rear first. Then a pattern lies behind the robot; waypoints are unchanged.
+    - `reverse`: drive rear first. A pattern lies behind the robot; waypoints are unchanged.
     - `open_loop`: drive without feedback from odometry.
     - `waypoints`, in `frame` [m]: drive through them instead of a pattern.
     - `held`: command this velocity instead of following a pattern or waypoints.

@@ -175,10 +175,7 @@ class Kernel:
         self._raise_fault(t_ns)
 
     def _notice_gap(self, t_ns: int) -> None:
-        """Record a gap between ticks before anything else is checked.
-
-        Data that became stale during the gap must not be named as the cause of a stop.
-        """
+        """Record a gap between ticks first: data that it made stale is not the cause of a stop."""
         gap_s, health = self._tick_gap_s(t_ns), self.state.health
         late_s = gap_s if abs(gap_s) > self.params.max_tick_gap_s else 0.0
         if late_s != health.tick_gap_s:
