@@ -109,7 +109,7 @@ MAX_CALLS: Final = 100_000
 """How many calls of one service are compared."""
 
 MAX_AHEAD: Final = 1_000
-"""A call is compared with at most this many requests, from the first that is not yet paired on."""
+"""A call is compared with at most this many requests: those after the last paired request."""
 
 ANSWER_NS: Final = NS_PER_S
 """A request at most this long before the end may lack its response, which follows a disk write."""

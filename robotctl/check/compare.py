@@ -32,9 +32,9 @@ from robotctl.recording.format.names import MADE_BY, OWN_ARITHMETIC
 
 MAX_FORMS = 4096
 MAX_FORM_BYTES = 1000
-"""Maximum number and size of stored forms: a request may contain any text.
+"""A form is the text of an entry without its digits; each form is parsed only once.
 
-A form is the text of an entry without its digits; each form is parsed only once.
+At most MAX_FORMS forms up to MAX_FORM_BYTES are stored, because a request may have any text.
 """
 
 _READERS = {
@@ -69,7 +69,7 @@ def without_retired_fields(entry: JournalEntry) -> JournalEntry:
 
 
 class Vocabulary:
-    """Finds unknown fields in entries; it parses only one of all entries that differ in digits."""
+    """Finds unknown fields in entries; of all entries that differ only in digits, it parses one."""
 
     def __init__(self) -> None:
         self._known: set[tuple[str, bytes]] = set()
@@ -101,7 +101,7 @@ class JournalFormat:
         self._vocabulary: Vocabulary | None = Vocabulary()
 
     def begin(self, entry: JournalEntry) -> None:
-        """Report a first snapshot that names this version, but has fields of another one.
+        """Report if the recording names this version, but its first snapshot has other fields.
 
         Raises:
             UnreadableFile: The entry is not a snapshot of this version.

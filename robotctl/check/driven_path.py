@@ -22,7 +22,7 @@ from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import journal_topic, read_journal
 
 SPACING_M = 0.03
-"""A pose closer than this to the last point is no new point: a stopped robot may roll a little."""
+"""A pose nearer than this to the last point is skipped, as a robot may roll a little at a stop."""
 
 TOLERANCE_M = 0.005
 """How far a point of the driven path may be from the path through the waypoints."""

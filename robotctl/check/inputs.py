@@ -1,7 +1,7 @@
 """Compare the inputs in the journal with the recorded messages that they came from.
 
-The control loop receives messages with best effort: some may be lost, but not all messages of half
-a second. Of a safety input, each changed value becomes an input of the kernel, an unchanged value
+The control loop receives messages with best effort: some may be lost, but not all during half a
+second. Of a safety input, each changed value becomes an input of the kernel, an unchanged value
 only from time to time. A wanted velocity becomes an input only in the mode MOVING.
 """
 
@@ -194,7 +194,7 @@ class InputPairs:
         """How many of `before_first` were sent before the recorder can have found the publisher."""
 
         self.at_begin = 0
-        """How many of the inputs before the first with a message are in the first EDGE_NS."""
+        """Inputs without a message within EDGE_NS of the first input, before any that has one."""
 
         self.differing = 0
         """Inputs whose message has another value."""
@@ -378,7 +378,7 @@ class InputCheck:
         self._is_on = False
 
     def message(self, message: Message) -> None:
-        """Read a message; skip a latched one that repeats the one before, as each file begins."""
+        """Read a message; skip the copy of a latched message, with which each file begins."""
         is_repeat = self._is_latched and self._repeats.observe(message)
         if is_repeat or not self._is_on:
             return

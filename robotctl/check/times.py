@@ -60,7 +60,7 @@ WINDOW_NS: Final = NS_PER_S
 
 LATE_NS: Final = NS_PER_S // 200
 LATE_PERIODS: Final = 0.75
-"""Ticks are missing if lateness rises by more than LATE_NS and this many periods, and stays."""
+"""Ticks are missing if lateness rises by more than LATE_NS and this many periods, and stays so."""
 
 
 class _Window(NamedTuple):

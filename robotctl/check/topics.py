@@ -127,7 +127,7 @@ class RepeatedLatched:
 
 
 MAX_WAITING: Final = 20_000
-"""How many slots `Waiting` keeps: several minutes of a topic. Then it judges the oldest."""
+"""How many slots `Waiting` keeps, several minutes of a topic; beyond that it judges the oldest."""
 
 Entry = TypeVar("Entry")
 Sent = TypeVar("Sent")
@@ -150,7 +150,7 @@ class Waiting(Generic[Entry, Sent]):
         self._slots: dict[int, Slot[Entry, Sent]] = {}
 
     def slot(self, number: int) -> Slot[Entry, Sent]:
-        """Return the slot of a number, now the newest; judge the oldest if there are too many."""
+        """Return the slot of a number as the newest; judge the oldest if there are too many."""
         slot = self._slots.pop(number, None) or Slot()
         self._slots[number] = slot
         if len(self._slots) > MAX_WAITING:

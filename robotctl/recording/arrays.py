@@ -152,7 +152,7 @@ _ERRNO = re.compile(r'"errno":"(\d+)"')
 _MEMORY_LIMIT: Final = "1GB"
 _GROUP_BYTES: Final = "64MB"
 _LEAST_LINE: Final = 1 << 24
-"""duckdb allocates this for each line of JSON [bytes]; only a longer line raises the size."""
+"""duckdb's limit for a line of JSON [bytes]: it allocates this; only a longer line raises it."""
 
 
 def write_parquet(columns: Sequence[FieldPath], rows: Iterable[Row], target: Path) -> int:

@@ -75,7 +75,7 @@ def is_signed(data: bytes, signature: bytes, public: str) -> bool:
 
 
 def signed_journal(opening: Opening, digests: Sequence[str]) -> bytes:
-    """Return what a key signs when its file begins: `opening`, and `digests` of the decisions."""
+    """Return what a file's key signs first: `opening`, and `digests` of the decisions' journal."""
     return f"robotctl seal: journal\0{opening.certificate} {' '.join(digests)}".encode()
 
 

@@ -264,7 +264,7 @@ def _with_lists(
 ) -> Iterator[FieldPath]:
     """Yield `found`, and after each sequence of messages the fields of its first item.
 
-    That uses up one value of `room` for each sequence; nothing is added when none is left.
+    Each sequence uses up one value of `room`; if none is left, its fields are left out.
     """
     room = iter(range(MAX_LISTS)) if room is None else room
     for each in found:

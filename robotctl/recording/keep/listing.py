@@ -210,7 +210,7 @@ def list_recordings(
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """Return recordings, and folders that this user may not list, by name; do not follow links.
+    """Return recordings, and folders that this user may not list, ordered by name; skip links.
 
     Raises:
         OSError: `folder` cannot be listed.

@@ -24,10 +24,10 @@ CURE: Final = f"to read it all, set {VARIABLE}=10: ten times the limit"
 MAX_FACTOR: Final = 1_000_000.0
 
 UNPACKED_BYTES: Final = 512 << 20
-"""All chunks of a file, however small, may unpack to this: it takes 0.25 s (0.5 s with a copy)."""
+"""The chunks of the smallest file may unpack to this in total: in 0.25 s (0.5 s with a copy)."""
 
 UNPACKED_RATIO: Final = 512
-"""The chunks of a larger file may unpack to this multiple of the file's size."""
+"""The chunks of a file may unpack to this multiple of its size, if that exceeds UNPACKED_BYTES."""
 
 FAST_CHUNK_BYTES: Final = 24 << 20
 FAST_CHUNK_DISCOUNT: Final = 10

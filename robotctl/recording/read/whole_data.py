@@ -140,7 +140,7 @@ class WholeData(FileIndex):
     )
     """The records that the summary must have, by opcode, and by id (schema, channel) or offset.
 
-    Schemas and channels as bytes; index records of chunks, attachments and metadata.
+    The value is the content of a schema or channel; of all others, the parsed index record.
     """
 
     bad_chunks: set[int] = field(default_factory=set)

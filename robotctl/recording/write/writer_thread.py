@@ -64,7 +64,7 @@ HEAVY_BYTES: Final = 64 << 10
 """Other topics' messages get a second chunk only if they have at least this many bytes."""
 
 HEAVY_RATIO: Final = 4
-"""Other topics' messages get a second chunk only if they are this many times the evidence."""
+"""A second chunk is made only if the other topics have this many times the evidence's bytes."""
 
 assert MESSAGE_HEAD.size == RECORD_HEAD_BYTES + MESSAGE_FIELDS_BYTES
 
