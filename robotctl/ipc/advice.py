@@ -60,7 +60,7 @@ class Advice(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Cause and cure in one line, or the cause alone if there is no cure."""
+        """Cause and cure in one line, or only the cause if there is no cure."""
         return f"{self.cause}: {self.cure}" if self.cure else self.cause
 
 

@@ -362,7 +362,7 @@ class Connection:
 
 
 _FULL_POLL_S = 0.005
-"""How often [s] to look for a connection to close, while a new client waits for its place."""
+"""How often [s] to look for a connection that can be closed, while a new client waits."""
 
 
 class ControlServer:

@@ -109,7 +109,7 @@ class Membership:
         """Wait until `is_known()` is true, and return True; return False if the wait ends earlier.
 
         The wait ends SETTLE_S after the domain was joined, or as soon as discovery is complete or
-        no other process is there. If `expected` is true, it ends only after EXPECTED_S.
+        there is no other process. If `expected` is true, it ends only after EXPECTED_S.
 
         Raises:
             asyncio.CancelledError: Stdin was closed: the command has ended.

@@ -53,7 +53,7 @@ async def call(visitor: Membership, request: dict[str, Any], send: Send) -> None
     """Call a service; report the response as {"type", "definition", "data"}, "data" in base64.
 
     Raises:
-        NoDaemon: No such service appears in time, or the service does not answer.
+        NoDaemon: The service does not appear in time, or does not answer.
         UsageError: The service has another type or several, or a value does not fit the type.
         Refused: The service's type is not installed here, or cannot be read.
     """

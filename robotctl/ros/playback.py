@@ -296,8 +296,8 @@ class ReplaySession:
     def settle(self, quiet_s: float = QUIET_S) -> None:
         """Wait until every process is discovered and nothing changed for `quiet_s` seconds.
 
-        The wait ends at the latest SETTLE_S after the domain was joined; if the domain was empty
-        then, there is no wait.
+        The wait ends at the latest SETTLE_S after this process joined the domain. There is no wait
+        if the domain was empty.
         """
         if not self._is_alone:
             self._discovery.wait(quiet_s, self._joined + SETTLE_S, self.stopped)
@@ -410,8 +410,8 @@ class ReplaySession:
         """Wait until all discovered subscriptions and servers match our publishers and clients.
 
         Then wait until other processes acknowledge that they know our publishers: a message sent
-        before that is lost, or late if the publisher is reliable. Both waits take at most MATCH_S +
-        KNOWN_S, and no time if no other process is there.
+        before that is lost, or late if the publisher is reliable. Both waits together take at most
+        MATCH_S + KNOWN_S, and no time if there is no other process.
         """
         if self._is_alone:
             return

@@ -56,7 +56,7 @@ class Warnings:
     """Collects the warnings of a daemon; some suggest commands for `robot`.
 
     Each function in `parts` returns the warning of one part of the daemon, or "". In a daemon that
-    only records, `control` is None. Only there, `faults` has a sentence for each task that failed.
+    only records, `control` is None, and `faults` has a sentence for each task that failed.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Warnings:
         return [for_robot(warning, self._robot) for warning in self._all(stats)]
 
     def of_recording(self, stats: RecorderStats) -> list[str]:
-        """Return the warnings of the recorder alone."""
+        """Return only the warnings of the recorder."""
         return [for_robot(warning, self._robot) for warning in of_recording(self._recorder, stats)]
 
     def _all(self, stats: RecorderStats) -> Iterator[str]:

@@ -264,7 +264,7 @@ class ControlLoop:
         )
 
     async def run(self, look_at_odometry: Callable[[], None]) -> None:
-        """In each period, handle foreign commands, odometry, then a tick. Runs until cancelled."""
+        """In each period, handle others' commands, odometry, then a tick. Runs until cancelled."""
 
         def decide(tick: LoopTick) -> None:
             self.look_at_commands()

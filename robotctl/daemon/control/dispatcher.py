@@ -88,7 +88,7 @@ class Pending(Generic[T]):
         return future
 
     def settle(self, result: T) -> None:
-        """Set the result of the future, if there is one."""
+        """Set the result of the future that `expect` has returned for this request, if any."""
         future = self._waiting.get(result.request_id)
         if future is not None and not future.done():
             future.set_result(result)

@@ -31,11 +31,11 @@ from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 
 REPEAT_NS = 200_000_000
-"""While the robot does not move, the least time between two events about one foreign publisher: a
-flood of commands must not fill the journal."""
+"""While the robot does not move, the least time between two events about the commands of one other
+publisher: a flood of commands must not fill the journal."""
 
 MAX_TOLD = 16
-"""While the robot does not move, a limit on the foreign publishers with an event in REPEAT_NS."""
+"""While the robot does not move, a limit on the other publishers with an event in REPEAT_NS."""
 
 NAMELESS = "a publisher that is gone, or has no name yet,"
 
@@ -101,7 +101,7 @@ async def watch_graph(
     odometry: OdomSubscriber,
     dispatch: Callable[[Event], None],
 ) -> None:
-    """Dispatch an event when subscribers or foreign publishers of the command topic change.
+    """Dispatch an event when the subscribers or the other publishers of the command topic change.
 
     Also look up the node names of the odometry publishers. Runs until cancelled.
     """

@@ -94,7 +94,7 @@ NOT_INSTALLED: Final = (
 
 
 def has_grown(files: int, indexed: int) -> bool:
-    """Return whether there are at least 1.5 times as many files as at the last indexing.
+    """Return whether `files` is at least 1.5 times `indexed`, the files at the last indexing.
 
     With this factor, all runs for one recording together cost about three times the last run.
     """

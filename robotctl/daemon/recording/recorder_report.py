@@ -41,7 +41,7 @@ class RateMeter:
         self._t_ns = 0
 
     def sample(self, t_ns: int, counts: Mapping[TopicKey, int]) -> None:
-        """Add the message counts so far, as they are at steady time `t_ns`."""
+        """Add the present message counts; `t_ns` is the present steady time."""
         hundredths = 100 * NS_PER_S / (t_ns - self._t_ns)
         self.rates = {
             topic: round((count - self._counts.get(topic, 0)) * hundredths) / 100
@@ -59,7 +59,7 @@ class HeavyTopics:
         """Data rates [bytes/s] of the heavy topics over the last HEAVY_WINDOW_S."""
 
     def sample(self, t_ns: int, sizes: Mapping[TopicKey, int]) -> None:
-        """Add the bytes received so far, as they are at steady time `t_ns`."""
+        """Add the bytes received so far; `t_ns` is the present steady time."""
         samples = self._samples
         samples.append((t_ns, sizes))
         while len(samples) > 2 and t_ns - samples[1][0] >= HEAVY_WINDOW_S * NS_PER_S:

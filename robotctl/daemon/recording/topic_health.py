@@ -63,7 +63,7 @@ class TopicWatch:
         """When a publisher replaced an earlier one, or None if that never happened."""
 
         self._patience_s = max(SILENT_S, SILENT_PERIODS * period_s) - LOOK_S
-        """From this silence [s] on, a look finds SILENT; the next look would be over the limit."""
+        """`look` reports SILENT after this silence [s]; at the next `look` it would be too long."""
 
         self._window_s = max(WINDOW_S, WINDOW_PERIODS * period_s)
         self._expected = self._window_s / period_s
@@ -109,7 +109,7 @@ class TopicWatch:
                 self.restarted_s, self._replaced = since_s, None
 
     def pause(self, now_s: float) -> None:
-        """Begin new windows, since the last look was too long ago to judge the present ones."""
+        """Begin new windows: the last `look` is too long ago to judge the present ones."""
         if self.trouble is not Trouble.SILENT:
             self.newest_s = now_s
         self._begin(now_s)
@@ -227,7 +227,7 @@ class LearnedPeriod:
 _log = logging.getLogger(__name__)
 
 LATE_S: Final = 2.0 * LOOK_S
-"""After a longer time without a look, windows and gaps are not judged: the loop was held up."""
+"""If the last `look` is longer ago, windows and gaps are not judged: the loop was held up."""
 
 RECENT_S: Final = 60.0
 """How long `status` still shows a trouble that is over."""
@@ -241,7 +241,7 @@ MAX_LOGGED: Final = 1_000
 """Limit on the logged sentences: a topic may stop and start again without end."""
 
 _STAMP_SLACK_S: Final = 0.1
-"""A new message may be this much older than the last look, as `Tap` batches for up to 0.05 s."""
+"""A new message may be this much older than the last `look`: `Tap` batches for up to 0.05 s."""
 
 EVENTS: Final = frozenset(
     (

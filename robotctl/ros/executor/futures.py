@@ -3,7 +3,7 @@
 
 `rclpy.task.Future.__await__` is a bare `yield`: awaited in an asyncio task, it keeps the loop at
 100 % CPU until the result is there. While an AsyncioExecutor is open, `await future` in its loop
-uses `wait` instead; elsewhere rclpy's own method stays.
+uses `wait` instead; in other loops and threads, rclpy's own method is used.
 """
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ class SerializedTaker:
     """Takes the serialized messages of one subscription, through one reused buffer.
 
     Each message comes with its publisher's gid: without the gid, sequence numbers mean nothing on a
-    topic with two publishers. All objects together keep at most KEPT_BYTES of large buffers.
+    topic with two publishers. All SerializedTakers together keep at most KEPT_BYTES.
     """
 
     _kept_by_all = 0
@@ -138,7 +138,7 @@ class SerializedTaker:
         """Take from the rcl_subscription_t at `pointer`, which must outlive this object.
 
         With `views`, `take` returns large data as a memoryview, which is valid until the next
-        `take`. With `bare`, `take` returns the data alone, without times and gid: this is faster.
+        `take`. With `bare`, `take` returns only the data, without times and gid: this is faster.
         """
         self._bare = bare
         self._views = views

@@ -1,4 +1,4 @@
-"""Sources of services, actions and the clients of both."""
+"""Sources for services, service clients, action servers and action clients."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ class _TakenSource(EventFdSource):
     """The base of subscription sources, which take messages in serialized form.
 
     If the middleware announces how many messages have arrived, they take only that number: one more
-    take, which finds nothing, would cost half as much as one that finds a message.
+    attempt, which finds nothing, costs half as much as taking a message.
     """
 
     announcements = (Announcement.MESSAGE,)

@@ -105,7 +105,7 @@ class Tick(NamedTuple):
     due_ns: int
     """When the tick was due."""
     missed: int
-    """The number of ticks skipped since the last one."""
+    """The number of ticks that were skipped since the last delivered one."""
 
 
 class Ticker:

@@ -15,7 +15,7 @@ from robotctl.ros.graph.discovery import GraphChanges
 from robotctl.ros.tap.subscription import TappedSubscription, TypeLoader, offered_types
 
 LATENCY_S: Final = 0.01
-"""How long messages are collected before a wake-up, which costs as much as ten messages."""
+"""How long messages are collected: one wake-up of the loop costs as much as ten messages."""
 
 POLL_S: Final = 0.1
 """The time between two looks at the graph while it changes."""

@@ -209,7 +209,7 @@ class TypeLoader:
     def problem(self, type_name: str) -> str | None:
         """Return why a type cannot be loaded, "" if it is loaded, None while it is loading.
 
-        The reason continues the words "type T, which". The first call for a type starts its load.
+        The reason fits after the words "type T, which". The first call for a type starts its load.
         """
         known = self._problems.get(type_name)
         if known is not None:
@@ -229,7 +229,7 @@ class TypeLoader:
         return since_s is not None and time.monotonic() - since_s > SLOW_LOAD_S
 
     async def pause(self, at_most_s: float) -> None:
-        """Sleep for `at_most_s` seconds; end early when a load ends and no type waits for one."""
+        """Sleep for `at_most_s` seconds, or until a load ends and no type waits to be loaded."""
         self._all_loaded.clear()
         with suppress(TimeoutError):
             async with asyncio.timeout(at_most_s):

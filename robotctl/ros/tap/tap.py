@@ -56,7 +56,7 @@ class Sentences:
             self.by_topic.pop(topic, None)
 
     def warnings(self) -> Iterator[str]:
-        """Yield the sentences, as far as the limit allows, then how many more topics there are."""
+        """Yield the sentences up to the limit, then one with the number of further topics."""
         yield from islice(self.by_topic.values(), self._most)
         if len(self.by_topic) > self._most:
             yield f"{len(self.by_topic) - self._most} more topics {self._more}"
@@ -126,7 +126,7 @@ def _reason(offered: QoSProfile, asked: QoSProfile) -> str:
 
 
 MAX_WARNINGS = 50
-"""Limit on the topics that `warnings` names; it only counts the further ones."""
+"""Limit on the topics that `warnings` names; further topics are only counted."""
 
 
 class Unrecorded(Sentences):
@@ -189,7 +189,7 @@ ABANDONED_S = 60.0
 node to restart."""
 
 RESERVED_FILES = 256
-"""How many file descriptors to leave for the rest of the process; each subscription takes one."""
+"""How many descriptors (at most half) to leave for other parts; each subscription takes one."""
 
 MAX_TYPES_NAMED = 5
 """Limit on the types that the sentence about a topic names."""
@@ -248,7 +248,7 @@ class Tap:
                     looks_left = LOOKS_PER_INSPECTION
 
     def subscribe_own(self, topic: OwnTopic) -> None:
-        """Subscribe to a topic of robotctl's own, before its publisher exists."""
+        """Subscribe to one of robotctl's own topics, if wanted, before its publisher exists."""
         name = self._resolve(topic.name)
         if self._wanted(name, topic.type_name):
             self._own.add(name)
