@@ -130,7 +130,7 @@ def _key(recording: str, settings: Mapping[str, str], outcome: str) -> _Key:
 
 
 CHANGED: Final = "changed"
-"""Begins the cause of a recording that fails only with the other parameters (`cause_of`)."""
+"""The first word of `cause_of` if a recording fails only with the other parameters."""
 
 
 @dataclass(slots=True)

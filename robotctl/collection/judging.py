@@ -200,7 +200,7 @@ class Judging:
         return Judged(self.store.put(found))
 
     def stored(self, path: Path) -> Judged | None:
-        """Return the stored result, None if nothing is stored; for an unreadable file, the problem.
+        """Return the stored result or, for an unreadable recording, the problem; None if neither.
 
         Raises:
             Refused: The store cannot be read.

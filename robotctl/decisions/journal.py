@@ -287,7 +287,7 @@ def _digest(content: bytes) -> str:
 
 
 def head_of(folder: Path) -> str:
-    """Return the digest of the newest file, "" if there is none.
+    """Return the digest of the newest file, "" if there is none or it cannot be read.
 
     Recordings store this digest: it shows later whether lines were changed, or cut off the end.
     """

@@ -16,7 +16,7 @@ from robotctl.kernel.state import Health, is_level
 from robotctl.kernel.types import Cause, LifecycleState
 
 FOREIGN_COMMAND_S = 1.0
-"""Motion is refused for this long after a command of another node, which may send rarely."""
+"""For this long, a command of another node forbids motion: that node may send rarely."""
 
 
 def _age_s(then_ns: int, t_ns: int) -> float:

@@ -1,6 +1,6 @@
 """A drive along a path: how far the reference has come, and how well the robot follows it.
 
-A point ahead of the reference, the lead, moves by the speed plan, with steps in its acceleration.
+A point ahead of the reference, the lead, moves by the speed plan; its acceleration has steps.
 The speed of the reference is the mean of the lead's speeds in the last ticks: this moving average
 limits the jerk, and keeps speed and acceleration within the plan (Biagiotti and Melchiorri 2012).
 At a stop of the plan, the lead waits until the reference and the robot have arrived.
@@ -138,8 +138,8 @@ class Score:
     """How well the robot followed so far: sums and maxima over the odometry samples.
 
     `error_m` is the distance of the last sample from the reference. A distance above the path's
-    `reach_m` counts as inf: on a small path, it may never exceed `tracking.max_error_m`. It is inf
-    also if the robot does not follow a turn (`LOST_RAD`).
+    `reach_m` counts as inf: on a small path, no distance exceeds `tracking.max_error_m`. The error
+    is also inf if the robot does not follow a turn (`LOST_RAD`).
     """
 
     samples: int = 0

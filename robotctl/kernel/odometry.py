@@ -49,7 +49,7 @@ def with_odometry(state: State, event: OdomReceived, params: OdometryParams) -> 
 def odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -> str:
     """Return why this sample is impossible, "" if it is possible.
 
-    Its stamp must not be before that of the sample just before it, possible or not: so only one
+    Its stamp must not be before the stamp of the previous sample, possible or not. So only one
     sample is impossible when the wall clock is set back.
     """
     last = health.odometry

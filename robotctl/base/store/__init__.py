@@ -155,7 +155,7 @@ class RangeReader:
         return next(held, None)
 
     def _asked(self, offset: int, end: int) -> tuple[int, bytes]:
-        """Fetch a range that begins before or at `offset`; return its position and its content."""
+        """Fetch a range that includes `offset`; return where it begins, and its content."""
         follows = offset == self._next
         self._window = min(2 * self._window, _MOST_BYTES) if follows else _LEAST_BYTES
         end = min(max(end, offset + self._window), self._size)

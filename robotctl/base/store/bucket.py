@@ -203,8 +203,8 @@ class RemoteStore:
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
         """Store an object unless the key is in use; return whether it was stored.
 
-        For an object larger than PART_BYTES this is not atomic, because the library's multipart
-        upload has no condition: if another process stores the same key meanwhile, one is lost.
+        An object larger than PART_BYTES may replace one that another process stores meanwhile: the
+        library's interface for multipart uploads has no condition.
         """
         begin, rest = _beginning(parts)
         if len(begin) <= PART_BYTES:
