@@ -50,9 +50,7 @@ def test_a_domain_is_reserved_by_one_process_at_a_time() -> None:
         assert again in (first, second)
 
 
-def test_a_process_that_loses_the_race_for_a_domain_gets_another(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_who_loses_the_race_for_a_domain_gets_another(monkeypatch: pytest.MonkeyPatch) -> None:
     offered = [OURS, OURS, OTHER]
     monkeypatch.setattr(domains, "_free_domain", lambda: offered.pop(0))
     with reserved_domain() as winner, reserved_domain() as loser:

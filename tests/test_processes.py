@@ -99,9 +99,6 @@ def noisy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-# Whatever is printed
-
-
 def test_a_replay_whose_libraries_print_is_heard_and_its_output_is_one_object(
     noisy: Path, domain_id: int
 ) -> None:
@@ -126,9 +123,6 @@ async def test_a_clip_whose_process_prints_is_heard(
     box.note(RecordedEvent(EventKind.ERROR, read_info(recording).start_ns, "because"))
     await box.finish()
     assert f"clip of the error: {recording / 'clips'}" in caplog.text
-
-
-# The pipe
 
 
 def test_reports_arrive_complete_and_in_order() -> None:
@@ -189,9 +183,6 @@ def test_the_end_of_a_child_is_seen_while_a_grandchild_runs() -> None:
                 process.receive(DEADLINE_S)
         finally:
             os.kill(pid, signal.SIGKILL)
-
-
-# The process
 
 
 def test_a_child_that_does_not_leave_is_killed() -> None:

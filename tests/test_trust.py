@@ -23,12 +23,11 @@ from robotctl.daemon.control.latch import Latch
 from robotctl.ipc.client import call
 from robotctl.ipc.protocol import Peer
 from robotctl.replay.replay_guard import running_daemons
+from tests.support.users import as_root
 from tests.support.waiting import DEADLINE_S
 
 STRANGER = 65533
 """A second user."""
-
-as_root = pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
 
 
 @pytest.fixture
@@ -94,9 +93,6 @@ def another_user(uid: int = STRANGER) -> Iterator[None]:
         os.setegid(0)
 
 
-# The attack
-
-
 @as_root
 def test_a_folder_that_another_user_created_first_is_not_trusted(
     tmp_base: Path, capsys: pytest.CaptureFixture[str]
@@ -128,9 +124,7 @@ def test_a_folder_that_another_user_created_first_is_not_trusted(
 
 
 @as_root
-def test_a_server_of_another_user_is_sent_nothing(
-    base: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_strangers_server_is_sent_nothing(base: Path, capsys: pytest.CaptureFixture[str]) -> None:
     make_private(runtime_folder())
     impostor = _impostor_process(socket_path("robot"))
     try:
@@ -163,9 +157,6 @@ def _impostor_process(path: Path) -> subprocess.Popen[bytes]:
     assert process.stdout is not None
     process.stdout.readline()
     return process
-
-
-# Folders
 
 
 @pytest.mark.parametrize("mode", [0o700, 0o755, 0o775, 0o2775, 0o1777])
@@ -261,12 +252,13 @@ def test_missing_folders_are_created_for_this_user_alone_under_any_umask(
     base: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(base / "home" / ".local" / "state"))
+    folder = latch_path("robot").parent
     before = os.umask(0)
     try:
-        make_private(latch_path("robot").parent)
+        make_private(folder)
     finally:
         os.umask(before)
-    for path in (latch_path("robot").parent, *latch_path("robot").parent.parents[:4]):
+    for path in (folder, *folder.parents[:4]):
         assert path.stat().st_mode & 0o777 == 0o700, path
 
 
@@ -282,9 +274,6 @@ def test_a_folder_that_cannot_be_created_is_named_with_the_cure(
         "set XDG_RUNTIME_DIR to a folder of yours"
     )
     assert caught.value.cure == "set XDG_RUNTIME_DIR to a folder of yours"
-
-
-# Who may answer
 
 
 def test_ourselves_and_root_may_answer(base: Path) -> None:

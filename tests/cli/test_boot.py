@@ -58,9 +58,7 @@ def test_the_unit_starts_the_daemon_as_one_that_reports(cli: Cli, units: Path, h
     )
 
 
-def test_a_unit_of_the_machine_has_a_user_a_runtime_folder_and_recordings_of_that_user(
-    home: Path,
-) -> None:
+def test_a_unit_of_the_machine_has_a_user_and_folders_of_that_user(home: Path) -> None:
     made = daemon_unit("robot", [], system=True, user="nobody")
     assert made.path == Path("/etc/systemd/system/robotctl-robot.service")
     assert "User=nobody" in made.text
@@ -96,9 +94,7 @@ def test_paths_do_not_depend_on_the_working_folder(cli: Cli, home: Path) -> None
     assert f"robotctl sync {home}/cwd/usb --recordings {home}/cwd/mine --robot robot\n" in shown
 
 
-def test_the_unit_of_the_daemon_is_enabled_and_removed_again(
-    cli: Cli, units: Path, systemctl: Path
-) -> None:
+def test_the_daemons_unit_is_enabled_and_removed(cli: Cli, units: Path, systemctl: Path) -> None:
     assert "written, enabled and started" in cli("boot", "install", "--", "--no-sim").out
     assert [path.name for path in units.iterdir()] == ["robotctl-robot.service"]
     assert cli("boot", "remove").exit_code == 0
@@ -122,9 +118,7 @@ def test_without_systemd_the_unit_is_written_and_the_command_that_enables_it_is_
     assert (units / "robotctl-robot.service").is_file()
 
 
-def test_the_units_of_copies_are_enabled_and_removed_again(
-    cli: Cli, units: Path, systemctl: Path
-) -> None:
+def test_units_of_copies_are_enabled_and_removed(cli: Cli, units: Path, systemctl: Path) -> None:
     assert cli("boot", "sync", "install", "--every", "3", "--", URL).exit_code == 0
     assert sorted(path.suffix for path in units.iterdir()) == [".service", ".timer"]
     assert systemctl.read_text().splitlines() == [

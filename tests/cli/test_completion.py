@@ -46,9 +46,7 @@ def test_a_script_knows_every_command(cli: Cli, shell: Shell) -> None:
     assert "completion words" not in shown, "it is static"
 
 
-def test_the_script_stands_once_in_the_start_file(
-    tmp_path: Path, cli: Cli, monkeypatch: Any
-) -> None:
+def test_the_script_is_once_in_the_start_file(tmp_path: Path, cli: Cli, monkeypatch: Any) -> None:
     home = tmp_path / "home"
     home.mkdir()
     monkeypatch.setenv("HOME", str(home))

@@ -71,9 +71,7 @@ def test_each_number_of_a_profile_has_its_source(profile: Profile) -> None:
 
 
 @pytest.mark.parametrize("command", [["config", "show"], ["start"]])
-def test_a_profile_is_one_that_exists_and_given_without_a_file(
-    cli: Cli, command: list[str]
-) -> None:
+def test_a_profile_exists_and_is_given_without_a_file(cli: Cli, command: list[str]) -> None:
     err = cli(*command, "--profile", "turtlebot2").failed(2)
     files = Profile.HUSKY.path.parent.glob("*.yaml")
     assert all(path.stem in err for path in files), "each file of a robot is a profile"

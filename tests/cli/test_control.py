@@ -328,9 +328,7 @@ def interrupted_at(step: int, ask: Any) -> bool:
     return False
 
 
-def test_a_reason_that_cannot_be_kept_is_refused_by_name_and_delays_no_stop(
-    daemon: None, cli: Cli
-) -> None:
+def test_a_reason_that_cannot_be_kept_is_refused_and_delays_no_stop(daemon: None, cli: Cli) -> None:
     for reason in ("x" * 10_000, "a\nb", "\x1b[2J", "\u202etxt"):
         for words in (("set-mode", "moving"), ("drive", "square"), ("reset",)):
             ran = cli(*words, "--reason", reason)
@@ -344,9 +342,7 @@ def test_a_reason_that_cannot_be_kept_is_refused_by_name_and_delays_no_stop(
         assert cli("reset").exit_code == 0
 
 
-def test_estop_of_one_robot_names_the_others_that_move_and_all_stops_them(
-    daemon: None, cli: Cli
-) -> None:
+def test_estop_of_one_names_the_others_that_move_and_all_stops_them(daemon: None, cli: Cli) -> None:
     assert cli("start", "--robot", "r2").exit_code == 0
     for robot in ("robot", "r2"):
         assert cli("set-mode", "moving", "--robot", robot).exit_code == 0

@@ -105,9 +105,7 @@ def test_an_interruption_stops_the_daemon_and_leaves_a_readable_recording(
     assert read_info(folder).message_count == 20
 
 
-def test_a_daemon_that_does_not_start_is_reported(
-    cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_daemon_that_does_not_start_is_told(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FAKE_START", "refuse")
     err = cli("demo").failed(2)
     assert err == "robotctl: robot.yaml: speed: nan is not allowed\n"

@@ -78,9 +78,7 @@ def test_without_a_daemon_every_command_says_how_to_start_one(arguments: str, cl
         ("--bogus", "No such option: --bogus (see: robotctl --help)"),
     ],
 )
-def test_a_usage_error_is_one_sentence_with_exit_code_2(
-    arguments: str, text: str, cli: Cli
-) -> None:
+def test_a_usage_error_is_a_sentence_and_exit_code_2(arguments: str, text: str, cli: Cli) -> None:
     assert cli(*arguments.split()).refused(2, text).startswith("robotctl: ")
 
 
@@ -119,9 +117,7 @@ def test_the_object_of_a_failure_separates_cause_and_cure(cli: Cli) -> None:
     }
 
 
-def test_a_bug_and_ctrl_c_are_answered_in_json_too(
-    cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bug_and_ctrl_c_are_told_in_json_too(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     for raised, kind, exit_code in (
         (ZeroDivisionError("a bug"), "internal", 1),
         (KeyboardInterrupt(), "interrupted", 130),

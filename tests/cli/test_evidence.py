@@ -130,9 +130,7 @@ def test_stops_releases_and_refusals_name_the_recording_that_proves_them(
     assert ended == ["killed, or the power was cut", "in order", "in order"]
 
 
-def test_recordings_that_are_there_get_their_verdicts(
-    journal: Path, recorded: Path, cli: Cli
-) -> None:
+def test_recordings_that_are_there_get_verdicts(journal: Path, recorded: Path, cli: Cli) -> None:
     found = report(cli)
     *gone, there = found["recordings"]
     assert [(each["state"], each["check"]) for each in gone] == [

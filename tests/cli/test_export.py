@@ -212,9 +212,7 @@ def test_a_full_disk_is_named_and_leaves_nothing(command: list[str], tmp_path: P
     ("name", "begin"),
     [("x.csv", "log_ns,"), ("x.jsonl", "{"), ("x.json", "{"), ("x.txt", "log_ns,")],
 )
-def test_the_name_of_the_file_chooses_the_format(
-    cli: Cli, tmp_path: Path, name: str, begin: str
-) -> None:
+def test_the_files_name_chooses_the_format(cli: Cli, tmp_path: Path, name: str, begin: str) -> None:
     cli("export", str(DRIVE), "--topic", "/odom", "-o", str(tmp_path / name)).succeeded(
         "83 rows, 92 columns"
     )
@@ -244,9 +242,7 @@ def test_only_the_given_time_is_exported(cli: Cli, tmp_path: Path) -> None:
         ([], "Missing option '--topic' (see: robotctl export --help)"),
     ],
 )
-def test_a_wrong_argument_is_named_with_its_cure(
-    cli: Cli, arguments: list[str], sentence: str
-) -> None:
+def test_each_wrong_argument_has_a_cure(cli: Cli, arguments: list[str], sentence: str) -> None:
     err = cli("export", str(DRIVE), *arguments).failed(2)
     assert err.startswith(f"robotctl: {sentence}")
 
@@ -275,9 +271,7 @@ def test_the_file_is_private_as_its_recording(cli: Cli, tmp_path: Path) -> None:
         assert target.stat().st_mode & 0o777 == wanted
 
 
-def test_messages_that_do_not_fit_their_type_are_left_out_and_told(
-    cli: Cli, tmp_path: Path
-) -> None:
+def test_messages_that_do_not_fit_the_type_are_left_out_and_told(cli: Cli, tmp_path: Path) -> None:
     topic = Topic("/n", "p/msg/N", "int64 n\n")
     recording_of(tmp_path / "bad", topic, b"\0\1\0\0" + bytes(8), b"\0\1\0\0" + bytes(3))
     ran = cli("export", str(tmp_path / "bad"), "--topic", "/n")
@@ -285,18 +279,14 @@ def test_messages_that_do_not_fit_their_type_are_left_out_and_told(
     assert ran.out.count("\n") == 2
 
 
-def test_a_field_with_the_name_of_a_time_keeps_a_column_of_its_own(
-    cli: Cli, tmp_path: Path
-) -> None:
+def test_a_field_with_the_name_of_a_time_has_a_column_of_its_own(cli: Cli, tmp_path: Path) -> None:
     topic = Topic("/n", "p/msg/N", "int64 log_ns\n")
     run = recording_of(tmp_path / "named", topic, b"\0\1\0\0\x07" + bytes(7))
     row = cli("export", str(run), "--topic", "/n", "--json").summary
     assert (row["log_ns"], row["message.log_ns"]) == (START_NS, 7)
 
 
-def test_control_characters_reach_a_file_but_no_terminal(
-    command: list[str], tmp_path: Path
-) -> None:
+def test_control_characters_reach_files_but_no_terminal(command: list[str], tmp_path: Path) -> None:
     run = written(tmp_path, 1)
     leader, follower = os.openpty()
     subprocess.run([*command, "export", str(run), "--topic", "/all"], stdout=follower, check=True)

@@ -117,9 +117,7 @@ def test_an_answer_that_was_judged_is_printed_although_its_report_cannot_be_writ
     )
 
 
-def test_a_what_if_tells_each_drive_before_and_after(
-    cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_what_if_tells_drives_before_and_after(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(text, "_terminal_columns", lambda: 80)
     record(LAP, drive(20.0, requests=[drive_requested(laps=1)]))
     record(RECORDINGS / "still", drive(0.5, requests=[]))

@@ -43,9 +43,7 @@ def test_start_returns_when_the_daemon_answers_and_says_what_runs(cli: Cli) -> N
     assert "note: a sourced ROS (humble) was left out" in lines
 
 
-def test_a_latched_stop_is_shown_with_its_release(
-    cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_latched_stop_is_told_with_its_release(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FAKE_MODE", "EMERGENCY_STOP")
     out = cli("start", "--robot", "r2").out
     assert "the emergency stop is still latched; release it with: robotctl reset --robot r2" in out
@@ -164,9 +162,6 @@ def test_foreground_is_not_combined_with_json(spawn: Spawn) -> None:
     assert json.loads(out)["error"]["kind"] == "usage"
 
 
-# The log
-
-
 def test_the_log_of_the_run_before_is_kept(cli: Cli) -> None:
     for robot_run in range(3):
         assert cli("start", "--recordings", f"run{robot_run}").exit_code == 0
@@ -221,9 +216,7 @@ def following(path: Path, monkeypatch: pytest.MonkeyPatch, *steps: Callable[[], 
     return list(lines())
 
 
-def test_logs_f_waits_for_the_rest_of_a_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_logs_f_awaits_the_rest_of_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = tmp_path / "log"
     log.write_text("one\ntw")
 
@@ -235,9 +228,7 @@ def test_logs_f_waits_for_the_rest_of_a_line(
     assert lines == ["one", "two", "three"]
 
 
-def test_logs_f_goes_on_with_the_next_runs_log(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_logs_f_goes_on_with_the_next_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = tmp_path / "log"
     log.write_text("old\n")
 

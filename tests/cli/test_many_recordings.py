@@ -57,9 +57,7 @@ def test_without_the_extra_a_question_is_one_sentence_with_its_cure(
 
 
 @pytest.mark.usefixtures("indexed")
-def test_a_row_of_the_answer_is_opened_at_its_moment(
-    cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_row_of_an_answer_opens_at_its_moment(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     out = cli("find", "--open", "1").succeeded()
     assert out.startswith(f"{LAP}/report.html ")
     (event,) = cli("find", "mode == 'MOVING'", "--events", "--json").summary["rows"]

@@ -96,9 +96,6 @@ def test_a_configuration_is_a_file(path: str) -> None:
         load(Path(path))
 
 
-# A working folder that is gone
-
-
 @pytest.fixture
 def gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Remove the working folder."""
@@ -121,9 +118,7 @@ def test_a_working_folder_that_is_gone_is_named(arguments: str, gone: None, run:
 
 
 @pytest.mark.parametrize("arguments", ["status", "estop", "reset", "stop", "mark x", "logs"])
-def test_what_needs_no_working_folder_works_without_one(
-    arguments: str, gone: None, run: Cli
-) -> None:
+def test_what_needs_no_working_folder_runs_without_it(arguments: str, gone: None, run: Cli) -> None:
     run(*arguments.split()).failed(3)
 
 
@@ -131,9 +126,6 @@ def test_a_daemon_without_a_working_folder_says_what_it_needs(gone: None, tmp_pa
     with pytest.raises(UsageError, match="the working folder was removed: cd to a folder that ex"):
         parse([])
     assert parse(["--recordings", str(tmp_path)]).recordings == tmp_path
-
-
-# Permission
 
 
 @pytest.fixture

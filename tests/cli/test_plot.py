@@ -133,9 +133,7 @@ def test_nothing_else_than_a_picture_is_written(recording: Path, cli: Cli, tmp_p
     "values",
     [[5e-324] * 3, [0.0, 5e-324], [1e-310, 3e-310], [-1.2345e-5, -2.5e-5], [-1.2345e14, -2.5e14]],
 )
-def test_the_smallest_and_the_longest_numbers_there_are_can_be_drawn(
-    values: list[float], cli: Cli
-) -> None:
+def test_the_smallest_and_the_longest_numbers_can_be_drawn(values: list[float], cli: Cli) -> None:
     write(Path("small.mcap"), [(value, []) for value in values])
     ran = cli("plot", "small.mcap", "/t", "x")
     assert (ran.exit_code, ran.err) == (0, "")

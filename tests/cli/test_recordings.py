@@ -192,9 +192,7 @@ def test_what_is_lost_is_said_and_is_the_exit_code(cli: Cli, tmp_path: Path) -> 
     assert len(read_strictly(out)) == 100
 
 
-def test_nothing_readable_is_exit_code_6_and_nothing_is_overwritten(
-    cli: Cli, tmp_path: Path
-) -> None:
+def test_nothing_readable_is_exit_code_6_and_overwrites_nothing(cli: Cli, tmp_path: Path) -> None:
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(b"nonsense" * 100)
     cli("recover", str(broken)).refused(6)
@@ -254,9 +252,7 @@ def with_clips(open_recorder: Tape) -> Path:
     return file.parent
 
 
-def test_a_recording_goes_with_its_clips_and_what_others_put_there_stays(
-    with_clips: Path, cli: Cli
-) -> None:
+def test_a_recording_goes_with_its_clips_and_the_rest_stays(with_clips: Path, cli: Cli) -> None:
     (with_clips / "notes.txt").write_text("mine")
     out = cli("recordings", "rm", NAME, "--yes", "--json").succeeded()
     assert json.loads(out)["removed_bytes"] > 1000

@@ -37,9 +37,7 @@ def diverging(written: list[Written]) -> list[Written]:
     return changed
 
 
-def test_many_are_checked_and_the_gravest_decides_the_exit_code(
-    cli: Cli, written: list[Written]
-) -> None:
+def test_of_many_checks_the_gravest_decides_the_exit_code(cli: Cli, written: list[Written]) -> None:
     record(Path("recordings/a"), written)
     Path("recordings/b").mkdir()
     Path("recordings/b/b_0.mcap").write_bytes(b"no recording")
@@ -68,9 +66,7 @@ def test_a_divergence_is_told_with_what_led_to_it(cli: Cli, written: list[Writte
     assert found["state"]["drive"]["pattern"]["kind"] == "square"
 
 
-def test_other_files_in_a_glob_are_skipped_with_a_line_each(
-    cli: Cli, written: list[Written]
-) -> None:
+def test_others_in_a_glob_are_skipped_with_a_line_each(cli: Cli, written: list[Written]) -> None:
     record(Path("recordings/a"), written)
     Path("recordings/README").write_text("where recordings go\n")
     Path("recordings/notes").mkdir()
@@ -239,9 +235,7 @@ wait()
 """Job control of a shell for one command: it is stopped, continued by a line, and ends."""
 
 
-def test_ctrl_z_gives_the_terminal_back_and_fg_takes_it_again(
-    terminal: Any, long_file: Path
-) -> None:
+def test_ctrl_z_returns_the_terminal_and_fg_takes_it_again(terminal: Any, long_file: Path) -> None:
     shell = terminal("replay", long_file, "--draw-only", program=(SHELL, CODE))
     shell.until(r"\d\.\d of 9 min")
     shell.press("\x1a")

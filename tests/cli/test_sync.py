@@ -52,9 +52,7 @@ def test_a_folder_takes_recordings_once(cli: Cli, own_recording: Path, tmp_path:
     assert data.read_bytes() == (own_recording / data.name).read_bytes()
 
 
-def test_what_is_not_copied_is_told_with_exit_code_6(
-    cli: Cli, own_recording: Path, tmp_path: Path
-) -> None:
+def test_what_is_not_copied_is_exit_code_6(cli: Cli, own_recording: Path, tmp_path: Path) -> None:
     (own_recording / f"{NAME}_1.mcap").symlink_to("/dev/null")
     ran = cli("sync", str(tmp_path / "usb"))
     assert ran.exit_code == 6

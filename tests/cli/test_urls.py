@@ -83,9 +83,7 @@ def test_status_and_files_here_need_no_library_of_stores(tmp_path: Path) -> None
         subprocess.run([sys.executable, "-c", program, *words], check=True, capture_output=True)
 
 
-def test_a_clip_of_a_url_is_written_here_and_compared_with_it(
-    cli: Cli, bucket: FaultyBucket
-) -> None:
+def test_a_clip_of_a_url_is_written_here_and_compared_to_it(cli: Cli, bucket: FaultyBucket) -> None:
     assert cli("clip", URL, "--event", "estop", "--json").exit_code == 0
     (clip,) = Path().glob("*.mcap")
     assert clip.name.startswith(f"{FILE.stem}_estop_")
@@ -107,9 +105,7 @@ def test_failures_of_five_percent_change_no_check(cli: Cli, bucket: FaultyBucket
     assert bucket.requests > 20
 
 
-def test_a_recording_that_is_replaced_during_a_check_is_told(
-    cli: Cli, bucket: FaultyBucket
-) -> None:
+def test_a_recording_replaced_during_a_check_is_told(cli: Cli, bucket: FaultyBucket) -> None:
     def replace(served: FaultyBucket, method: str, key: str) -> None:
         if method == "GET" and key.endswith(".mcap"):
             served[key] = b"x" * len(served.objects[key])

@@ -87,9 +87,7 @@ def test_on_a_terminal_it_draws_within_80_columns(daemon: None, command: list[st
         assert any(text in line for line in lines), text
 
 
-def test_a_poll_that_fails_does_not_end_the_view_of_a_drive(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_failed_poll_does_not_end_the_view_of_a_drive(monkeypatch: pytest.MonkeyPatch) -> None:
     done = threading.Event()
     polls: Iterator[Refused | dict[str, Any]] = iter(
         [Refused("busy with 64 clients"), {"mode": "MOVING"}]

@@ -116,9 +116,7 @@ def die_at(path: Path) -> str:
 
 
 @pytest.mark.parametrize(("deadly", "result"), [("once", "once"), ("always", None)])
-def test_a_killed_process_loses_no_other_result(
-    tmp_path: Path, deadly: str, result: str | None
-) -> None:
+def test_a_kill_loses_no_other_result(tmp_path: Path, deadly: str, result: str | None) -> None:
     names = ["first", deadly, "last"]
     found = list(results_of(die_at, [tmp_path / name for name in names], local_processes))
     assert sorted((path.name, said or "") for path, said in found) == sorted(
@@ -267,20 +265,28 @@ def test_a_divergence_counts_whatever_version_recorded_it(sound: Path) -> None:
     assert re.fullmatch(rf"{found} \(recorded by 0.0.1\)", result.says)
 
 
+def late(monkeypatch: pytest.MonkeyPatch, failing: Callable[[Kernel], None]) -> None:
+    """Let each kernel fail so at its events after 1.5 s."""
+    step = Kernel.step
+
+    def patched(kernel: Kernel, event: Event) -> tuple[Effect, ...]:
+        if event.t_ns > BEGIN_NS + 1_500_000_000:
+            failing(kernel)
+        return step(kernel, event)
+
+    monkeypatch.setattr(Kernel, "step", patched)
+
+
 @pytest.mark.parametrize(
     "error", [AttributeError("no pose"), NameError("name 'x'"), RecursionError("too deep")]
 )
 def test_a_kernel_that_fails_diverges_there(
     sound: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    step = Kernel.step
+    def failing(kernel: Kernel) -> None:
+        raise error
 
-    def failing(kernel: Kernel, event: Event) -> tuple[Effect, ...]:
-        if event.t_ns > BEGIN_NS + 1_500_000_000:
-            raise error
-        return step(kernel, event)
-
-    monkeypatch.setattr(Kernel, "step", failing)
+    late(monkeypatch, failing)
     report = judged(sound)
     ((path, result),) = report.failures().items()
     assert path.name == ONE
@@ -306,9 +312,7 @@ def bug(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("bug")
-def test_a_recording_at_which_robotctl_fails_is_named_and_all_others_are_judged(
-    sound: Path,
-) -> None:
+def test_a_recording_at_which_robotctl_fails_is_named_and_others_are_judged(sound: Path) -> None:
     report = judged(sound)
     ((path, result),) = report.failures().items()
     assert (path.name, result.verdict) == (ONE, "crashed")
@@ -330,14 +334,11 @@ def test_parameters_that_do_not_fit_are_no_damage(sound: Path) -> None:
 def test_a_kernel_that_fails_with_other_parameters_alone_closes_the_gate(
     sound: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    step = Kernel.step
-
-    def failing(kernel: Kernel, event: Event) -> tuple[Effect, ...]:
-        if kernel.params.tracking.k_y == 7.0 and event.t_ns > BEGIN_NS + 1_500_000_000:
+    def failing(kernel: Kernel) -> None:
+        if kernel.params.tracking.k_y == 7.0:
             raise ValueError("k_y")
-        return step(kernel, event)
 
-    monkeypatch.setattr(Kernel, "step", failing)
+    late(monkeypatch, failing)
     report = judged(sound, settings={"tracking.k_y": "7.0"})
     assert [path.name for path in report.failures()] == [ONE]
     ((cause, _),) = report.causes().items()
@@ -459,22 +460,6 @@ def test_a_device_among_the_recordings_holds_up_nothing(sound: Path) -> None:
     assert report.counts()["same"] == 2
 
 
-DRIVE = "robot_20260101_120000"
-SLOW = {"limits.linear_mps": "0.05", "tracking.max_error_m": "0.05"}
-
-
-@pytest.fixture(scope="module")
-def one_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    driven = tmp_path_factory.mktemp("one_drive")
-    record(driven / DRIVE, drive(2.0))
-    return driven
-
-
-@pytest.fixture
-def driven(one_drive: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(one_drive, tmp_path / "recordings"))
-
-
 def accepted(report: GateReport, file: Path) -> Baseline:
     """Accept what is wrong, and return the baseline as the next run reads it."""
     baseline = read_baseline(file)
@@ -484,22 +469,22 @@ def accepted(report: GateReport, file: Path) -> Baseline:
     return read_baseline(file)
 
 
-def test_what_is_accepted_passes_and_says_by_whom(driven: Path, tmp_path: Path) -> None:
-    record(driven / "other", wrong(drive(2.0)))
-    baseline = accepted(judged(driven), tmp_path / "baseline.json")
-    again = judged(driven, baseline)
+def test_what_is_accepted_passes_and_says_by_whom(sound: Path, tmp_path: Path) -> None:
+    record(sound / "other", wrong(drive(2.0)))
+    baseline = accepted(judged(sound), tmp_path / "baseline.json")
+    again = judged(sound, baseline)
     assert again.failures() == {}
-    assert again.acceptances() == {("ann", "2026-01-01", "a shorter ramp"): [driven / "other"]}
+    assert again.acceptances() == {("ann", "2026-01-01", "a shorter ramp"): [sound / "other"]}
 
 
 def test_an_accepted_divergence_passes_no_later_one(
-    driven: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    sound: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written = drive(2.0, snapshots_s=(0.0, 1.0))
     end = next(n for n, each in enumerate(written) if n and getattr(each, "name", "") == "Snapshot")
-    record(driven / "other", rechained([*wrong(written[:end]), *written[end:]]))
-    baseline = accepted(judged(driven), tmp_path / "baseline.json")
-    assert judged(driven, baseline).failures() == {}
+    record(sound / "other", rechained([*wrong(written[:end]), *written[end:]]))
+    baseline = accepted(judged(sound), tmp_path / "baseline.json")
+    assert judged(sound, baseline).failures() == {}
     step = Kernel.step
 
     def silent_later(kernel: Kernel, event: Event) -> tuple[Effect, ...]:
@@ -507,41 +492,39 @@ def test_an_accepted_divergence_passes_no_later_one(
         return () if event.t_ns > BEGIN_NS + 1_500_000_000 else effects
 
     monkeypatch.setattr(Kernel, "step", silent_later)
-    shutil.rmtree(driven / ".gate")
-    assert driven / "other" in judged(driven, baseline).failures()
+    shutil.rmtree(sound / ".gate")
+    assert sound / "other" in judged(sound, baseline).failures()
 
 
 def test_what_was_accepted_passes_with_the_next_version_too(
-    driven: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    sound: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    record(driven / "other", wrong(drive(2.0)))
-    baseline = accepted(judged(driven), tmp_path / "baseline.json")
+    record(sound / "other", wrong(drive(2.0)))
+    baseline = accepted(judged(sound), tmp_path / "baseline.json")
     for module in (check_report, compare, judgement):
         monkeypatch.setattr(module, "__version__", "9.9.9")
-    shutil.rmtree(driven / ".gate")
-    again = judged(driven, baseline)
-    assert list(again.accepted) == [driven / "other"]
-    assert "recorded by" in again.results[driven / "other"].says
+    shutil.rmtree(sound / ".gate")
+    again = judged(sound, baseline)
+    assert list(again.accepted) == [sound / "other"]
+    assert "recorded by" in again.results[sound / "other"].says
 
 
-def test_another_recording_with_the_same_difference_is_not_accepted(
-    driven: Path, tmp_path: Path
-) -> None:
-    record(driven / "other", wrong(drive(2.0)))
-    baseline = accepted(judged(driven), tmp_path / "baseline.json")
-    shutil.rmtree(driven / "other")
-    record(driven / "other", wrong(drive(2.5)))
-    assert list(judged(driven, baseline).failures()) == [driven / "other"]
+def test_another_recording_with_that_difference_fails(sound: Path, tmp_path: Path) -> None:
+    record(sound / "other", wrong(drive(2.0)))
+    baseline = accepted(judged(sound), tmp_path / "baseline.json")
+    shutil.rmtree(sound / "other")
+    record(sound / "other", wrong(drive(2.5)))
+    assert list(judged(sound, baseline).failures()) == [sound / "other"]
 
 
-def test_the_place_of_a_recording_makes_no_difference(driven: Path, tmp_path: Path) -> None:
-    (file,) = (driven / DRIVE).glob("*.mcap")
+def test_the_place_of_a_recording_makes_no_difference(sound: Path, tmp_path: Path) -> None:
+    (file,) = (sound / ONE).glob("*.mcap")
     file.write_bytes(file.read_bytes()[:-200])
-    baseline = accepted(judged(driven), tmp_path / "baseline.json")
-    elsewhere = Path(shutil.copytree(driven, tmp_path / "elsewhere"))
+    baseline = accepted(judged(sound), tmp_path / "baseline.json")
+    elsewhere = Path(shutil.copytree(sound, tmp_path / "elsewhere"))
     shutil.rmtree(elsewhere / ".gate")
     again = judged(elsewhere, baseline)
-    assert list(again.accepted) == [elsewhere / DRIVE]
+    assert list(again.accepted) == [elsewhere / ONE]
 
 
 def test_a_baseline_of_an_older_robotctl_is_refused_with_the_reason(tmp_path: Path) -> None:

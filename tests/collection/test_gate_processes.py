@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -62,6 +63,26 @@ def dask() -> Iterator[DaskProcesses]:
         yield started
 
 
+@pytest.fixture
+def engine(dask: DaskProcesses, tmp_path: Path) -> Any:
+    """The judging by the cluster."""
+    return Cluster(dask.address, tmp_path).judge
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> ResultStore:
+    return ResultStore(tmp_path / "results")
+
+
+@pytest.fixture
+def judging(results: ResultStore) -> Judging:
+    return Judging({}, results, software_hash())
+
+
+def ignore(done: int, total: int) -> None:
+    """Take the progress."""
+
+
 def make_recordings(folder: Path, count: int, seconds: float = 1.0) -> list[Path]:
     """Make recordings that differ in their hash; every tenth is decided differently.
 
@@ -87,10 +108,9 @@ def stored(folder: Path) -> int:
 
 @pytest.mark.parametrize("count", [20, pytest.param(1000, marks=pytest.mark.slow)])
 def test_a_killed_worker_and_a_restarted_scheduler_lose_no_result_and_count_none_twice(
-    dask: DaskProcesses, tmp_path: Path, count: int
+    dask: DaskProcesses, engine: Any, results: ResultStore, tmp_path: Path, count: int
 ) -> None:
     recordings = make_recordings(tmp_path / "recordings", count)
-    results = tmp_path / "results"
     at_restart: list[int] = []
 
     def disturb(done: int, total: int) -> None:
@@ -99,49 +119,45 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_result_and_count_none
             dask.kill_worker()
         if done == count // 4:
             dask.kill_scheduler()
-            at_restart.append(stored(results))
+            at_restart.append(stored(tmp_path / "results"))
             dask.restart()
 
-    engine = Cluster(dask.address, tmp_path).judge
-    report = judge_all(recordings, ResultStore(results), {}, Baseline(), engine, disturb)
+    report = judge_all(recordings, results, {}, Baseline(), engine, disturb)
     assert list(report.results) == recordings
     counted = {verdict: number for verdict, number in report.counts().items() if number}
     assert counted == {"same": 9 * count // 10, "diverged": count // 10}
-    assert at_restart[0] < stored(results) == count, "nothing was left for the new scheduler"
-    again = judge_all(recordings, ResultStore(results), {}, Baseline(), engine)
+    left = stored(tmp_path / "results")
+    assert at_restart[0] < left == count, "nothing was left for the new scheduler"
+    again = judge_all(recordings, results, {}, Baseline(), engine)
     assert (again.stored, again.results) == (count, report.results)
 
 
-def test_a_worker_with_another_robotctl_is_refused_by_its_name(
-    dask: DaskProcesses, tmp_path: Path
+def test_a_worker_with_another_robotctl_is_named(
+    engine: Any, results: ResultStore, tmp_path: Path
 ) -> None:
-    engine = Cluster(dask.address, tmp_path).judge
-    judging = Judging({}, ResultStore(tmp_path / "results"), "another")
+    judging = Judging({}, results, "another")
     with pytest.raises(Refused, match=r"the worker tcp://127\.0\.0\.1:\d+ has another robotctl"):
-        list(engine(judging, [tmp_path], lambda done, total: None))
+        list(engine(judging, [tmp_path], ignore))
     with pytest.raises(Refused, match="has another robotctl"):  # one that joins later
         judging.judged(tmp_path)
 
 
-def test_a_worker_that_does_not_see_the_recordings_says_so(
-    dask: DaskProcesses, tmp_path: Path
+def test_a_worker_that_sees_no_recordings_says_so(
+    dask: DaskProcesses, engine: Any, judging: Judging, tmp_path: Path
 ) -> None:
-    judging = Judging({}, ResultStore(tmp_path / "results"), software_hash())
     hidden = Cluster(dask.address, tmp_path / "nowhere").judge
     with pytest.raises(Refused, match=r"the worker .* does not see .*nowhere: give --in a folder"):
-        list(hidden(judging, [tmp_path], lambda done, total: None))
-    engine = Cluster(dask.address, tmp_path).judge
-    ((_, answer),) = engine(judging, [tmp_path / "gone"], lambda done, total: None)
+        list(hidden(judging, [tmp_path], ignore))
+    ((_, answer),) = engine(judging, [tmp_path / "gone"], ignore)
     assert answer is not None
     assert re.fullmatch(r"\S+ cannot read it: .*gone cannot be read: No such .*", answer.problem)
     assert list((tmp_path / "results").iterdir()) == []
 
 
 def test_a_worker_that_does_not_see_the_results_is_refused_before_it_judges(
-    dask: DaskProcesses, tmp_path: Path
+    engine: Any, tmp_path: Path
 ) -> None:
     recordings = make_recordings(tmp_path / "recordings", 3)
-    engine = Cluster(dask.address, tmp_path).judge
     with pytest.raises(
         Refused, match=r"the worker tcp://\S+ does not see the results in .*results"
     ):
@@ -150,60 +166,53 @@ def test_a_worker_that_does_not_see_the_results_is_refused_before_it_judges(
 
 
 def test_a_late_worker_that_does_not_see_the_results_judges_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    judging: Judging, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (recording,) = make_recordings(tmp_path / "recordings", 1)
-    judging = Judging({}, ResultStore(tmp_path / "results"), software_hash())
     monkeypatch.setattr(Judging, "judged", lambda *_: pytest.fail("it judged"))
     with pytest.raises(Refused, match="does not see the results"):
         cluster._judged("no.token", judging, recording)
 
 
 def test_a_recording_at_which_a_worker_fails_is_named_and_all_others_are_judged(
-    dask: DaskProcesses, tmp_path: Path
+    engine: Any, results: ResultStore, tmp_path: Path
 ) -> None:
     recordings = make_recordings(tmp_path / "recordings", 6)
-    judging = _Failing({}, ResultStore(tmp_path / "results"), software_hash())
-    engine = Cluster(dask.address, tmp_path).judge
-    answers = dict(engine(judging, recordings, lambda done, total: None))
+    judging = _Failing({}, results, software_hash())
+    answers = dict(engine(judging, recordings, ignore))
     judged = [answers[each] for each in recordings]
     verdicts = [each.judgement.verdict for each in judged if each and each.judgement]
     assert verdicts == ["same", "same", "crashed", "same", "same", "same"]
     assert stored(tmp_path / "results") == 5
 
 
-def test_results_that_cannot_be_stored_are_refused(dask: DaskProcesses, tmp_path: Path) -> None:
+def test_results_that_cannot_be_stored_are_refused(
+    engine: Any, results: ResultStore, tmp_path: Path
+) -> None:
     (recording,) = make_recordings(tmp_path / "recordings", 1)
     (tmp_path / "results").touch()
-    engine = Cluster(dask.address, tmp_path).judge
     with pytest.raises(Refused, match=r"cannot write results: .*"):
-        judge_all([recording], ResultStore(tmp_path / "results"), {}, Baseline(), engine)
+        judge_all([recording], results, {}, Baseline(), engine)
 
 
-def test_a_cluster_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    judging = Judging({}, ResultStore(tmp_path / "results"), software_hash())
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-    engine = Cluster(address, tmp_path, connect_s=0.1).judge
-    with pytest.raises(Refused, match=f"no Dask scheduler answers at {address}: .*refused"):
-        list(engine(judging, [tmp_path], lambda done, total: None))
-
-
-def test_what_listens_but_is_no_scheduler_is_refused(tmp_path: Path) -> None:
-    judging = Judging({}, ResultStore(tmp_path / "results"), software_hash())
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+@pytest.mark.parametrize(("listens", "why"), [(False, ".*refused"), (True, "timed out")])
+def test_what_is_not_there_or_no_scheduler_is_refused(
+    judging: Judging, tmp_path: Path, listens: bool, why: str
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        if not listens:
+            server.close()
         engine = Cluster(address, tmp_path, connect_s=0.1).judge
-        with pytest.raises(Refused, match=f"no Dask scheduler answers at {address}: timed out"):
-            list(engine(judging, [tmp_path], lambda done, total: None))
+        with pytest.raises(Refused, match=f"no Dask scheduler answers at {address}: {why}"):
+            list(engine(judging, [tmp_path], ignore))
 
 
-def test_a_cluster_without_workers_is_refused(tmp_path: Path) -> None:
-    judging = Judging({}, ResultStore(tmp_path / "results"), software_hash())
+def test_a_cluster_without_workers_is_refused(judging: Judging, tmp_path: Path) -> None:
     with dask_processes(workers=0) as empty:
         engine = Cluster(empty.address, tmp_path, patience_s=0.1).judge
         with pytest.raises(Refused, match="has no workers: start some"):
-            list(engine(judging, [tmp_path], lambda done, total: None))
+            list(engine(judging, [tmp_path], ignore))
 
 
 @pytest.mark.parametrize("address", ["tcp://", "10.0.0.5:8786", "http://host:80", "tcp://h:99999"])

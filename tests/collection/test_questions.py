@@ -228,9 +228,7 @@ def test_what_cannot_be_indexed_is_left_out_and_named(folder: Path) -> None:
         live.close()
 
 
-def test_a_folder_that_cannot_be_written_is_read(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_read_only_folder_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = set(folder.iterdir())
 
     @contextmanager
@@ -413,9 +411,7 @@ def test_a_kill_at_any_moment_leaves_a_valid_index_or_none(folder: Path) -> None
         kill_while_it_indexes(folder / LAP, 0.01 * number)
 
 
-def test_what_a_killed_process_left_is_removed_later(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_kill_left_is_removed_later(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     left = folder / LAP / f".{CATALOGUE_NAME}.123.tmp"
     left.write_bytes(b"PAR1")
     assert left in derived_files(folder / LAP)

@@ -34,6 +34,12 @@ from tests.support.stores import MemoryStore, works
 DATA = f"{FIRST}/{FIRST}_0.mcap"
 
 
+def away(request: str, key: str) -> None:
+    """Fail as a store that takes no object now."""
+    if request == "put":
+        raise StoreFailed("memory: it refuses the connection")
+
+
 class Killed(BaseException):
     """What ends a run at once, as a signal does."""
 
@@ -194,11 +200,6 @@ def test_a_store_that_is_away_is_not_asked_for_every_recording(
 ) -> None:
     for day in range(10, 28):
         copy_as(one_recording, recordings / f"robot_202601{day}_120000")
-
-    def away(request: str, key: str) -> None:
-        if request == "put":
-            raise StoreFailed("memory: it refuses the connection")
-
     store.before = away
     done = run()
     assert len(store.puts()) == GIVE_UP_AFTER
@@ -213,11 +214,6 @@ def test_only_failures_in_a_row_end_a_run(
         copy_as(one_recording, recordings / name)
     wrong = days[GIVE_UP_AFTER - 1]
     store.objects = {f"{wrong}/{wrong}_0.mcap": b"short"}
-
-    def away(request: str, key: str) -> None:
-        if request == "put":
-            raise StoreFailed("memory: it refuses the connection")
-
     store.before = away
     done = run()
     assert len(done.wrong) == 1
@@ -432,9 +428,7 @@ def test_an_object_that_was_changed_keeps_no_other_file_from_the_store(
     assert names(done) == [late.name]
 
 
-def test_each_piece_that_is_read_here_waits_for_its_turn(
-    store: MemoryStore, recordings: Path
-) -> None:
+def test_each_piece_that_is_read_waits_for_its_turn(store: MemoryStore, recordings: Path) -> None:
     asked: list[int] = []
     copy_recordings(local_recordings(recordings, time.time_ns()), store, pace=asked.append)
     total = sum(map(len, files_below(recordings).values()))

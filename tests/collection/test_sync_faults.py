@@ -58,9 +58,7 @@ def data_key(store: MemoryStore, recording: str) -> str:
     return key
 
 
-def test_what_is_in_the_store_is_removed_with_its_folder(
-    collected: Path, store: MemoryStore
-) -> None:
+def test_what_is_stored_is_removed_with_its_folder(collected: Path, store: MemoryStore) -> None:
     before = dict(store.objects)
     pruned = prune_two(collected, store, ALL, NOW_S)
     assert names(pruned) == [f"{FIRST}_0.mcap", f"{SECOND}_0.mcap"]
@@ -68,9 +66,7 @@ def test_what_is_in_the_store_is_removed_with_its_folder(
     assert store.objects == before
 
 
-def test_the_next_daemon_that_tidies_tells_what_was_removed(
-    collected: Path, store: MemoryStore
-) -> None:
+def test_the_next_daemon_tells_what_was_removed(collected: Path, store: MemoryStore) -> None:
     removed = prune_two(collected, store, ALL, NOW_S).removed
     notes = list(tidy(TidyJob(collected, RetentionPolicy(), repairs=False)))
     assert [each.removed for each in notes] == [str(each.path) for each in removed]
@@ -179,9 +175,7 @@ def test_a_store_that_sends_too_little_removes_nothing(
     assert len(pruned.wrong) == 2
 
 
-def test_a_file_that_has_changed_since_it_was_copied_stays(
-    collected: Path, store: MemoryStore
-) -> None:
+def test_a_file_that_changed_since_it_was_copied_stays(collected: Path, store: MemoryStore) -> None:
     data = collected / FIRST / f"{FIRST}_0.mcap"
     data.write_bytes(data.read_bytes()[:-1] + b"X")
     pruned = prune_two(collected, store, ALL, NOW_S)

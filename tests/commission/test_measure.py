@@ -279,9 +279,7 @@ def test_no_proposal_is_above_what_is_configured_now() -> None:
 @pytest.mark.parametrize("delay_s", [0.0, 0.05, 5.0])
 @pytest.mark.parametrize("gap_s", [0.001, 100.0])
 @pytest.mark.parametrize("stopping_m", [0.0, 50.0])
-def test_every_proposal_is_an_allowed_value(
-    delay_s: float, gap_s: float, stopping_m: float
-) -> None:
+def test_every_proposal_is_allowed(delay_s: float, gap_s: float, stopping_m: float) -> None:
     turn = replace(TURNED, command_delay_s=delay_s, stopping_rad=stopping_m)
     extreme = replace(
         BASE, command_delay_s=delay_s, odometry_gap_s=gap_s, stopping_m=stopping_m, turn=turn

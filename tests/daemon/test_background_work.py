@@ -84,9 +84,7 @@ def at_work(world: World, job: str) -> list[int]:
     return [pid for pid, command in world.processes().items() if job in command]
 
 
-async def test_no_file_of_the_folder_is_opened_before_ready(
-    in_process: InProcess, world: World
-) -> None:
+async def test_no_file_there_is_opened_before_ready(in_process: InProcess, world: World) -> None:
     files = [torn(world.recordings / f"robot_{number}") for number in range(5)]
     (world.recordings / "README").write_text("somebody's")
     with opened_below(world.recordings) as opened:
@@ -312,9 +310,7 @@ async def test_more_than_a_few_waiting_clips_are_refused_and_logged(
     assert caplog.text.count("the limit is reached") == 17
 
 
-async def test_each_clip_is_cut_once_when_its_time_has_passed(
-    cutter: Cutter, clip_log: Log
-) -> None:
+async def test_each_clip_is_cut_once_when_its_time_is_over(cutter: Cutter, clip_log: Log) -> None:
     params = RecordingParams(clip_before_s=1.0, clip_after_s=600.0)
     slept: list[float] = []
 

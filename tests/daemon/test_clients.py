@@ -13,9 +13,7 @@ from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import PATIENT, World, world_with_daemon
 
 
-def test_a_waited_drive_that_a_fault_ends_is_an_error_and_why_names_its_evidence(
-    simulated: World,
-) -> None:
+def test_a_drive_that_a_fault_ends_is_an_error_and_why_names_its_evidence(simulated: World) -> None:
     drive = simulated.spawn("drive", "square", "--wait", "--json")
     until(lambda: simulated.status()["velocity"]["linear"] > 0.1)
     simulated.ok("estop")
@@ -34,9 +32,7 @@ def test_a_waited_drive_that_a_fault_ends_is_an_error_and_why_names_its_evidence
     simulated.ok("reset")
 
 
-def test_the_cures_of_a_named_robot_can_be_pasted_and_its_end_ends_a_waited_drive(
-    world: World,
-) -> None:
+def test_cures_of_a_named_robot_can_be_pasted_and_its_end_ends_a_waited_drive(world: World) -> None:
     r2 = ("--robot", "r2")
     world.ok("start", "--sim", *r2)
     world.ok("set-mode", "error", *r2)

@@ -38,9 +38,7 @@ def test_a_lock_has_one_owner_names_it_and_is_free_after_it_failed(tmp_path: Pat
         assert path.read_text() == f"{os.getpid()}\n", "nothing is left of a longer pid"
 
 
-def test_the_pid_of_an_owner_who_died_is_not_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dead_owners_pid_is_not_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "robot.lock"
     monkeypatch.setattr("robotctl.daemon.lock.PID_S", 0.05)
     with owned(path, "r2"):
@@ -52,9 +50,7 @@ def test_the_pid_of_an_owner_who_died_is_not_named(
             pass
 
 
-def test_an_owner_under_another_uid_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_owner_of_another_uid_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(pid: int, number: int) -> None:
         raise PermissionError
 

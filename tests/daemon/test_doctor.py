@@ -51,9 +51,7 @@ def test_a_daemon_and_its_robot_are_healthy_and_a_base_of_another_type_is_named(
     assert answer["error"]["cure"] == faults[0]["cure"]
 
 
-def test_what_a_killed_daemon_left_is_cleaned_and_a_shell_in_another_domain_is_told(
-    world: World,
-) -> None:
+def test_what_a_kill_left_is_cleaned_and_a_shell_in_another_domain_is_told(world: World) -> None:
     world.ok("start", "--sim", "--robot", "r2")
     world.ok("start", "--sim")
     world.kill(world.status("r2")["pid"])

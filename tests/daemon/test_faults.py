@@ -318,9 +318,7 @@ async def test_after_a_short_stall_the_robot_drives_on_from_zero(
     assert first_divergence(journal) is None
 
 
-def test_a_fault_of_the_simulated_robot_stops_it_and_is_marked_in_the_recording(
-    world: World,
-) -> None:
+def test_a_simulated_fault_stops_the_robot_and_is_marked_in_the_recording(world: World) -> None:
     world.ok("start", "--sim", "--drive", "circle")
     told = world.answer("sim", "fault", "brownout", "--for", "1s")
     assert told["mode"] == "EMERGENCY_STOP"

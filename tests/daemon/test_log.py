@@ -264,9 +264,7 @@ async def test_what_publishing_logs_leads_to_no_further_line(log: logging.Logger
     assert told == ["one"]
 
 
-async def test_repeated_warnings_are_counted_and_the_end_tells_what_waits(
-    log: logging.Logger,
-) -> None:
+async def test_repeated_warnings_are_counted_and_told_at_the_end(log: logging.Logger) -> None:
     told = told_by(log)
     (handler,) = log.handlers
     for _ in range(WRITTEN + 5):

@@ -102,9 +102,7 @@ def test_what_people_read_says_that_it_observes(observed: Observed) -> None:
     assert "None" not in observed.line
 
 
-def test_each_method_that_moves_or_stops_a_robot_is_refused_with_a_sentence(
-    observed: Observed,
-) -> None:
+def test_what_moves_or_stops_a_robot_is_refused_with_a_sentence(observed: Observed) -> None:
     for ran in observed.refusals:
         assert ran.exit_code == 4, ran
         assert ran.err == (
@@ -131,9 +129,7 @@ async def test_it_is_in_no_replays_way(in_process: InProcess, world: World) -> N
 
 
 @pytest.mark.slow
-def test_a_message_larger_than_the_queue_is_counted_and_named(
-    world: World, new_peer: NewPeer
-) -> None:
+def test_a_message_too_large_for_the_queue_is_named(world: World, new_peer: NewPeer) -> None:
     peer = new_peer(world)
     world.ok("start", "--observe")
     peer("send_large", topic="/large", size=200_000_000)
@@ -150,9 +146,7 @@ def test_a_message_larger_than_the_queue_is_counted_and_named(
 
 
 @pytest.mark.parametrize("option", [("--drive", "square"), ("--sim",)])
-def test_an_observer_that_is_to_drive_as_well_is_not_started(
-    world: World, option: tuple[str, ...]
-) -> None:
+def test_an_observer_that_is_to_drive_is_not_started(world: World, option: tuple[str, ...]) -> None:
     world.here("start", "--observe", *option).failed(2, "--observe records and does nothing else")
     assert not world.recordings.exists()
 
@@ -186,9 +180,7 @@ def hostile(simulated: World) -> Iterator[Told]:
         yield told
 
 
-def test_the_daemon_drives_on_and_names_what_it_does_not_record(
-    simulated: World, hostile: Told
-) -> None:
+def test_the_daemon_drives_on_and_names_what_it_leaves_out(simulated: World, hostile: Told) -> None:
     simulated.ok("drive", "square")
     for topic, type_name in STRANGE:
         hostile("offer", topic=topic, type_name=type_name)

@@ -11,9 +11,7 @@ from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import PATIENT, NewPeer, World
 
 
-def test_no_robot_is_simulated_where_one_is_unless_it_is_asked_for(
-    world: World, new_peer: NewPeer
-) -> None:
+def test_where_a_robot_is_none_is_simulated_unless_asked(world: World, new_peer: NewPeer) -> None:
     peer = new_peer(world)
     peer("be_a_robot")
     peer("take_commands", kind="Twist")

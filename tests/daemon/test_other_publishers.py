@@ -63,9 +63,7 @@ def velocity(monkeypatch: pytest.MonkeyPatch) -> Any:
     return Velocity()
 
 
-async def test_other_publishers_are_events_when_they_appear_and_disappear(
-    velocity: Any,
-) -> None:
+async def test_other_publishers_are_events_when_they_appear_and_disappear(velocity: Any) -> None:
     watching = asyncio.create_task(watch_graph(velocity, velocity, velocity.dispatch))
 
     async def seen(*names: str) -> list[tuple[str, ...]]:

@@ -179,9 +179,7 @@ def test_a_file_whose_points_are_one_place_is_refused_by_name(simulated: World) 
     assert simulated.status()["mode"] == "IDLE"
 
 
-def test_another_process_hears_a_velocity_for_its_time_and_then_exact_zeros(
-    simulated: World,
-) -> None:
+def test_others_hear_a_velocity_for_its_time_and_then_exact_zeros(simulated: World) -> None:
     with Peer(simulated) as peer:
         peer("listen")
         until(lambda: peer("heard")["commands"])
@@ -203,9 +201,7 @@ def ended(commands: list[Any]) -> list[Any]:
     return commands if moved and commands[-1][2:] == [0.0, 0.0] else []
 
 
-def test_the_path_of_a_node_is_driven_or_refused_by_name(
-    simulated: World, new_peer: NewPeer
-) -> None:
+def test_a_path_of_a_node_is_driven_or_refused_by_name(simulated: World, new_peer: NewPeer) -> None:
     planner = new_peer(simulated)
     x, y = place(simulated)
     points = [[x, y], [x + 0.2, y], [x + 0.3, y + 0.1]]

@@ -146,9 +146,7 @@ def test_nobody_is_asked_without_a_terminal_and_nothing_moves(simulated: World) 
 
 
 @pytest.mark.parametrize("number", [SIGINT, SIGKILL])
-def test_a_commissioning_that_is_interrupted_stops_the_robot(
-    simulated: World, number: Signals
-) -> None:
+def test_an_interrupted_commissioning_stops_the_robot(simulated: World, number: Signals) -> None:
     command = simulated.spawn("commission", "--yes")
     until(lambda: simulated.status()["velocity"]["linear"] > 0.05)
     command.send_signal(number)

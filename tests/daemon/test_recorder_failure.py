@@ -200,9 +200,7 @@ def test_a_link_with_the_name_of_the_new_recording_is_not_followed(
 
 
 @pytest.mark.parametrize("option", ["--include", "--exclude"])
-def test_a_pattern_that_names_no_topic_is_refused_and_shown_escaped(
-    world: World, option: str
-) -> None:
+def test_a_pattern_of_no_topic_is_refused_and_shown_escaped(world: World, option: str) -> None:
     for pattern in ("/a\n/b", "/\x1b[2J", "camera", "", "/a,", "type:", "/a b"):
         err = world.here("start", "--observe", option, pattern).failed(2)
         assert err.startswith(f"robotctl: {option}: ")

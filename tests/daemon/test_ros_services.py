@@ -99,9 +99,7 @@ def test_a_robot_moves_only_while_its_node_is_active(manual: World, caller: Told
     assert caller("zeros") >= 3, "zeros flow in each state"
 
 
-def test_a_transition_that_the_state_does_not_have_changes_nothing(
-    manual: World, caller: Told
-) -> None:
+def test_a_transition_that_the_state_lacks_changes_nothing(manual: World, caller: Told) -> None:
     before = caller("state")
     assert not caller("change", label="no such label")
     assert not caller("change", id=200)

@@ -57,9 +57,7 @@ def test_two_robots_live_side_by_side(world: World, new_peer: NewPeer) -> None:
         world.ok("stop", "--robot", robot)
 
 
-def test_a_daemon_whose_socket_and_lock_are_removed_is_found_again_and_keeps_its_robot(
-    world: World,
-) -> None:
+def test_a_daemon_whose_socket_and_lock_are_removed_keeps_its_robot(world: World) -> None:
     world.ok("start", "--sim", "--drive", "circle")
     pid = world.status()["pid"]
     # As at a logout; both at once, because the daemon may create its socket again.

@@ -110,9 +110,7 @@ def check_layout(layout: dict[str, Any], client: ViewClient) -> None:
             parse_path(definition, field)
 
 
-async def test_the_command_cannot_be_published_and_a_new_run_has_a_new_token(
-    driving: World,
-) -> None:
+async def test_commands_cannot_be_published_and_a_new_run_has_a_new_token(driving: World) -> None:
     with view_of(driving) as (_, first), view_of(driving) as (_, second):
         assert first["url"].partition("token=")[2] != second["url"].partition("token=")[2]
         stale = f"ws://127.0.0.1:{second['port']}/?{first['url'].partition('?')[2]}"
@@ -154,9 +152,7 @@ async def test_a_killed_command_leaves_no_process(driving: World) -> None:
         until(lambda: child not in driving.processes())
 
 
-async def test_with_control_viewers_stop_the_robot_and_move_it_with_the_lease_only(
-    world: World,
-) -> None:
+async def test_with_control_viewers_stop_the_robot_and_move_it_with_a_lease(world: World) -> None:
     world.ok("start", "--sim", "--drive", "circle")
     with view_of(world, "--control") as (_, ready):
         async with view_client(ready["url"]) as client:

@@ -220,9 +220,7 @@ def test_a_stall_names_the_calls_that_held_the_loop_up(monkeypatch: pytest.Monke
     assert "(waiting.py:" in stall.detail
 
 
-def test_a_stall_that_was_spent_waiting_for_a_processor_says_so(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_stall_spent_waiting_for_a_processor_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     with Watchdog(50.0, Gate()) as watchdog:
         watchdog.ping()
         monkeypatch.setattr(ProcessorWait, "waited_ns", lambda _: 10**12)

@@ -27,6 +27,9 @@ from robotctl.decisions.journal import MAX_TEXT, DecisionKind, log_folder, read_
 from robotctl.decisions.log import DAY_BYTES, RESERVE_BYTES, DecisionLog
 from robotctl.kernel.constants import DAY_S
 from robotctl.recording.seal import Keyring, known_heads, wrong_openings
+from tests.support.waiting import until
+
+Begin = Callable[..., DecisionLog]
 
 PATIENCE_S = 30.0
 GOLDEN_STATE = Path(__file__).parents[1] / "golden" / "sealed_state"
@@ -58,9 +61,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def begin(
-    folder: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Callable[..., DecisionLog]]:
+def begin(folder: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Iterator[Begin]:
     """Return a function that makes a log; those that are left are closed at the end."""
     monkeypatch.setattr(writer, "END_S", PATIENCE_S)
     made: list[DecisionLog] = []
@@ -83,18 +84,13 @@ def written(folder: Path) -> list[tuple[str, dict[str, Any]]]:
     return [(entry.kind, dict(entry.values)) for entry in log.entries]
 
 
-def wait_for(condition: Callable[[], object]) -> None:
-    """Wait until a condition of the writer's thread holds."""
-    pause = threading.Event()
-    for _ in range(round(PATIENCE_S / 0.01)):
-        if condition():
-            return
-        pause.wait(0.01)
-    raise AssertionError("the thread did not get there")
+def write_end(log: DecisionLog) -> None:
+    log.add(DecisionKind.END)
+    log.close()
 
 
 def test_entries_outlive_their_writer_in_order_and_only_their_owner_reads_them(
-    begin: Callable[[], DecisionLog], folder: Path
+    begin: Begin, folder: Path
 ) -> None:
     before = os.umask(0)
     for round_ in range(3):
@@ -111,9 +107,7 @@ def test_entries_outlive_their_writer_in_order_and_only_their_owner_reads_them(
 
 
 @pytest.mark.parametrize("cut", [1, 2, 20])
-def test_a_torn_end_costs_the_torn_entry_only(
-    begin: Callable[[], DecisionLog], folder: Path, cut: int
-) -> None:
+def test_a_torn_end_costs_the_torn_entry_only(begin: Begin, folder: Path, cut: int) -> None:
     log = begin()
     for number in range(3):
         log.add(DecisionKind.MODE, number=number)
@@ -160,10 +154,7 @@ def signed_by_nobody(lines: list[bytes]) -> list[bytes]:
     ids=["removed", "changed", "overwritten", "not signed", "signed by nobody"],
 )
 def test_an_edit_before_an_opening_is_found(
-    begin: Callable[[], DecisionLog],
-    folder: Path,
-    keys: Keyring,
-    edit: Callable[[list[bytes]], list[bytes]],
+    begin: Begin, folder: Path, keys: Keyring, edit: Callable[[list[bytes]], list[bytes]]
 ) -> None:
     log = begin()
     for number in range(3):
@@ -178,14 +169,12 @@ def test_an_edit_before_an_opening_is_found(
 
 
 def test_an_opening_signs_a_torn_line_and_old_lines_too(
-    begin: Callable[[], DecisionLog], folder: Path, keys: Keyring
+    begin: Begin, folder: Path, keys: Keyring
 ) -> None:
     old, torn = b'{"time_ns":1,"kind":"start","prev":""}\n', b'{"time_ns":2,"kind":"end","prev":"01'
     (folder / "decisions-000001.jsonl").write_bytes(old + torn)
     keys.open_file("run_0")
-    log = begin()
-    log.add(DecisionKind.END)
-    log.close()
+    write_end(begin())
     assert broken(folder) == []
     (path,) = files.files_of(folder)
     path.write_bytes(path.read_bytes().replace(b'"prev":"01', b'"prev":"02'))
@@ -233,7 +222,7 @@ def test_two_processes_append_at_once_and_a_third_is_killed(
 
 
 def test_software_and_configuration_are_written_where_they_changed(
-    begin: Callable[[], DecisionLog], folder: Path
+    begin: Begin, folder: Path
 ) -> None:
     for version in ("1", "1", "2", "2"):
         log = begin()
@@ -241,17 +230,12 @@ def test_software_and_configuration_are_written_where_they_changed(
         log.add_values(DecisionKind.SOFTWARE, {"robotctl": version, "kind": "not an entry's"})
         log.add_values(DecisionKind.CONFIGURATION, {"rate_hz": 50.0, "recording.include": ["/a"]})
         log.close()
-    kinds = [kind for kind, _ in written(folder)]
-    assert kinds == [
-        *("start", "software", "configuration"),
-        "start",
-        *("start", "software"),
-        "start",
-    ]
+    kinds = " ".join(kind for kind, _ in written(folder))
+    assert kinds == "start software configuration start start software start"
 
 
 def test_a_flood_is_counted_and_leaves_room_for_stops(
-    begin: Callable[[], DecisionLog], folder: Path, monkeypatch: pytest.MonkeyPatch
+    begin: Begin, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writer, "MAX_WAITING", 1 << 30)
     failed: list[bytes] = []
@@ -265,13 +249,11 @@ def test_a_flood_is_counted_and_leaves_room_for_stops(
 
     monkeypatch.setattr(os, "write", once_full)
     log = begin()
-    flood = 5000
+    flood, asker = 5000, "a node that asks again and again"
     for _ in range(flood):
-        log.add(
-            DecisionKind.REFUSED, asked="MOVING", by="a node that asks again and again", answer="no"
-        )
+        log.add(DecisionKind.REFUSED, asked="MOVING", by=asker, answer="no")
     log.add(DecisionKind.MODE, to="EMERGENCY_STOP", reason="the operator")
-    wait_for(lambda: failed)
+    until(lambda: failed)
     log.close()
     found = written(folder)
     assert ("mode", {"to": "EMERGENCY_STOP", "reason": "the operator"}) in found
@@ -296,7 +278,7 @@ def test_lines_about_sealed_files_take_nothing_of_the_budget(
 
 
 def test_a_restart_gives_no_new_budget(
-    begin: Callable[[], DecisionLog], folder: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    begin: Begin, folder: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writer, "MAX_WAITING", 1 << 30)
 
@@ -317,11 +299,7 @@ def test_a_restart_gives_no_new_budget(
 
 
 def test_only_files_that_are_years_old_are_removed_and_no_line_about_a_sealed_file(
-    begin: Callable[..., DecisionLog],
-    folder: Path,
-    keys: Keyring,
-    clock: Clock,
-    monkeypatch: pytest.MonkeyPatch,
+    begin: Begin, folder: Path, keys: Keyring, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(files, "FILE_BYTES", 100)
     opened = keys.open_file("run_0").opening
@@ -332,9 +310,7 @@ def test_only_files_that_are_years_old_are_removed_and_no_line_about_a_sealed_fi
     made = files.files_of(folder)
     age_s = 5 * 365 * DAY_S
     os.utime(made[0], (0, clock.now_ns() / 1e9 - age_s - 1))
-    log = begin(age_s)
-    log.add(DecisionKind.END)
-    log.close()
+    write_end(begin(age_s))
     assert files.files_of(folder)[: len(made) - 1] == made[1:]
     assert broken(folder) == []
     assert "before it are removed" in read_log(folder).notes[0]
@@ -367,7 +343,7 @@ def test_the_list_of_an_early_version_is_taken_over_whatever_interrupts_it(
 
 
 def test_a_full_disk_is_said_and_the_entries_follow_later(
-    begin: Callable[[], DecisionLog], folder: Path, monkeypatch: pytest.MonkeyPatch
+    begin: Begin, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     full = threading.Event()
     full.set()
@@ -383,17 +359,17 @@ def test_a_full_disk_is_said_and_the_entries_follow_later(
     monkeypatch.setattr(os, "write", limited)
     log = begin()
     log.add(DecisionKind.MODE, number=0)
-    wait_for(log.warning)
+    until(log.warning)
     assert "No space left on device" in log.warning()
     log.add(DecisionKind.MODE, number=1)
     full.clear()
-    wait_for(lambda: not log.warning() and len(read_log(folder).entries) == 2)
+    until(lambda: not log.warning() and len(read_log(folder).entries) == 2)
     log.close()
     assert [values["number"] for _, values in written(folder)] == [0, 1]
 
 
 def test_a_disk_that_hangs_delays_nobody(
-    begin: Callable[[], DecisionLog], folder: Path, monkeypatch: pytest.MonkeyPatch
+    begin: Begin, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go_on = threading.Event()
     fsync = os.fsync
@@ -421,24 +397,25 @@ def test_a_disk_that_hangs_delays_nobody(
 
 @pytest.mark.parametrize("planted", ["fifo", "link", "folder", "file of another user"])
 def test_what_stands_in_the_place_of_a_file_is_said_and_not_written(
-    begin: Callable[[], DecisionLog], folder: Path, tmp_path: Path, planted: str
+    begin: Begin, folder: Path, tmp_path: Path, planted: str
 ) -> None:
     place, elsewhere = folder / "decisions-000001.jsonl", tmp_path / "elsewhere"
     elsewhere.touch()
-    if planted == "fifo":
-        os.mkfifo(place)
-    elif planted == "link":
-        place.symlink_to(elsewhere)
-    elif planted == "folder":
-        place.mkdir()
-    elif os.getuid() == 0:
-        os.link(elsewhere, place)
-        os.chown(place, 12345, 12345)
-    else:
-        pytest.skip("only root makes a file of another user")
+    match planted:
+        case "fifo":
+            os.mkfifo(place)
+        case "link":
+            place.symlink_to(elsewhere)
+        case "folder":
+            place.mkdir()
+        case _ if os.getuid() == 0:
+            os.link(elsewhere, place)
+            os.chown(place, 12345, 12345)
+        case _:
+            pytest.skip("only root makes a file of another user")
     log = begin()
     log.add(DecisionKind.END)
-    wait_for(log.warning)
+    until(log.warning)
     assert str(folder) in log.warning()
     assert elsewhere.read_bytes() == b""
 
@@ -447,12 +424,10 @@ def test_what_stands_in_the_place_of_a_file_is_said_and_not_written(
     "line", [b"[]", b"{}", b"null", b"\xff", b"[" * 10_000, b'{"time_ns":"1"}', b"x" * 100_000]
 )
 def test_a_line_of_any_bytes_is_a_note_and_one_of_a_later_version_an_entry(
-    begin: Callable[[], DecisionLog], folder: Path, line: bytes
+    begin: Begin, folder: Path, line: bytes
 ) -> None:
     (folder / "decisions-000001.jsonl").write_bytes(line + b'\n{"time_ns":1,"kind":"later"}\n')
-    log = begin()
-    log.add(DecisionKind.END)
-    log.close()
+    write_end(begin())
     assert [kind for kind, _ in written(folder)] == ["later", "end"]
     assert len(read_log(folder).notes) == 1
 
@@ -466,7 +441,7 @@ def test_a_line_of_any_bytes_is_a_note_and_one_of_a_later_version_an_entry(
     ],
 )
 def test_files_that_the_journal_never_changes_itself_break_it(
-    begin: Callable[[], DecisionLog],
+    begin: Begin,
     folder: Path,
     keys: Keyring,
     monkeypatch: pytest.MonkeyPatch,

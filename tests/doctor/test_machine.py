@@ -190,9 +190,7 @@ def test_a_clock_that_was_never_set_or_set_back_is_named(tmp_path: Path) -> None
     assert levels(machine.check_clock(1_000.0, tmp_path / "none")) == [("clock", Level.FAULT)]
 
 
-def test_a_folder_that_others_can_change_is_a_fault(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_open_to_all_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     folder = tmp_path / "state" / "robotctl"
     folder.mkdir(parents=True, mode=0o700)
@@ -274,9 +272,7 @@ def test_another_middleware_is_named_and_is_no_other_ros() -> None:
         ("SUBNET", "1", "overrules ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET"),
     ],
 )
-def test_a_range_that_hides_processes_is_named(
-    discovery: str, localhost_only: str, text: str
-) -> None:
+def test_a_range_hiding_processes_is_named(discovery: str, localhost_only: str, text: str) -> None:
     environment = {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": discovery,
         "ROS_LOCALHOST_ONLY": localhost_only,

@@ -384,9 +384,7 @@ def test_the_mode_service_drives_and_records_nothing(start: Start) -> None:
     )
 
 
-def test_a_node_of_our_own_answers_like_the_executable_and_names_its_robot(
-    somebody: Node,
-) -> None:
+def test_a_node_of_our_own_answers_like_the_executable_and_names_its_robot(somebody: Node) -> None:
     from robot_controller.mode_service import ModeService
 
     told: list[Any] = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import shutil
@@ -107,21 +106,6 @@ class Chromium:
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
-    def screenshot(self, width: int, height: int) -> bytes:
-        """Return the page as PNG."""
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-        self.call("Emulation.setDeviceMetricsOverride", **size)
-        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
-
-    def pdf(self) -> bytes:
-        """Return the page as it would be printed."""
-        return base64.b64decode(self.call("Page.printToPDF", printBackground=True)["data"])
-
-    def dark(self, on: bool) -> None:
-        """Let the reader prefer a dark page, or a light one."""
-        feature = {"name": "prefers-color-scheme", "value": "dark" if on else "light"}
-        self.call("Emulation.setEmulatedMedia", features=[feature])
-
     def _next(self) -> dict[str, Any]:
         until = time.monotonic() + DEADLINE_S
         while b"\0" not in self._pending:
@@ -188,9 +172,7 @@ def cursor(browser: Chromium) -> float:
     return float(browser.value("document.querySelector('#pointer input').value"))
 
 
-def test_the_page_opens_without_a_complaint_and_asks_for_nothing(
-    browser: Chromium, page: Path
-) -> None:
+def test_the_page_opens_without_complaint_and_asks_nothing(browser: Chromium, page: Path) -> None:
     browser.open(page.as_uri())
     assert browser.requested == [page.as_uri()]
     assert browser.value("document.title") == "robot_20260101_120000: robotctl report"

@@ -211,9 +211,7 @@ def test_odometry_that_is_no_number_is_counted_and_not_drawn(tmp_path: Path) -> 
     assert "nan" not in text.lower().replace("provenance", "")
 
 
-def test_a_state_that_no_kernel_has_is_told_and_not_drawn(
-    tmp_path: Path, written: list[Written]
-) -> None:
+def test_a_state_of_no_kernel_is_told_and_not_drawn(tmp_path: Path, written: list[Written]) -> None:
     contents = recorded(written)
     for number, message in enumerate(contents.messages):
         if message.topic.endswith("journal") and b'"size_m":1.0' in message.data:
@@ -236,9 +234,7 @@ def test_figures_of_impossible_drives_are_not_known(folder: Path) -> None:
         assert_harmless(text, HtmlPage(text))
 
 
-def test_a_recording_that_is_being_written_is_shown_as_far_as_it_is_committed(
-    tmp_path: Path,
-) -> None:
+def test_a_recording_under_way_is_shown_as_far_as_it_is_committed(tmp_path: Path) -> None:
     recorder = Tape(tmp_path / "run")
     recorder.commands(range(1, 11))
     recorder.settle()

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections.abc import Callable
 from typing import Any
 
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import Twist, TwistStamped
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
+from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Log, LoggerLevel, ParameterEvent
 from rcl_interfaces.srv import GetLoggerLevels, SetLoggerLevels
@@ -143,18 +142,6 @@ class LifecyclePeer(NodePeer):
         request = ChangeState.Request(transition=Transition(id=id, label=label))
         return bool(self._ask(ChangeState, "/mode_service/change_state", request).success)
 
-    def machine(self) -> list[list[str]]:
-        """Return three lists of labels: all states, transitions of this state, all transitions."""
-        states = self._ask(
-            GetAvailableStates, "/mode_service/get_available_states", GetAvailableStates.Request()
-        )
-        found = [[each.label for each in states.available_states]]
-        for service in ("get_available_transitions", "get_transition_graph"):
-            request = GetAvailableTransitions.Request()
-            answer = self._ask(GetAvailableTransitions, f"/mode_service/{service}", request)
-            found.append([each.transition.label for each in answer.available_transitions])
-        return found
-
     def zeros(self) -> int:
         """Wait for three commands; return how many came, -1 if any is not zero."""
         heard: list[float] = []
@@ -238,34 +225,20 @@ class ParameterPeer(NodePeer):
         names = {f"{namespace.rstrip('/')}/{name}" for name, namespace in found if name[0] != "_"}
         return sorted(names - {"/somebody_else"})
 
-    def list_all(self) -> dict[str, Any]:
+    def list_all(self) -> dict[str, list[str]]:
         """List the parameters of every visible node, one after the other as `ros2 param list`."""
         nodes = self.visible()
         for node in nodes:
             self._client(node)
-        begin = time.monotonic()
-        keys = {
+        return {
             node: sorted(self._done(self._client(node).list_parameters()).result.names)
             for node in nodes
         }
-        return {"keys": keys, "took_s": time.monotonic() - begin}
 
     def get(self, node: str, keys: list[str]) -> list[Any]:
         """Return the values of keys."""
         values = self._done(self._client(node).get_parameters(keys)).values
         return [parameter_value_to_python(value) for value in values]
-
-    def describe(self, node: str, key: str) -> dict[str, Any]:
-        """Return a node's description of a key."""
-        (told,) = self._done(self._client(node).describe_parameters([key])).descriptors
-        limits = [*told.floating_point_range, *told.integer_range]
-        return {
-            "type": told.type,
-            "about": told.description,
-            "allowed": told.additional_constraints,
-            "read_only": told.read_only,
-            "range": [(each.from_value, each.to_value) for each in limits],
-        }
 
     def set(self, node: str, values: dict[str, Any], atomically: bool = False) -> Any:
         """Set keys; return for each, or once if `atomically`, the success and the reason."""
@@ -320,7 +293,6 @@ class StubBase(NodePeer):
         self.node = Node("stub_base")
         self.frames: set[str] = set()
         self._velocity = self._wanted = (0.0, 0.0)
-        self._heard_s = 0.0
         self._pose = (0.0, 0.0, 0.0)
 
     def begin(
@@ -331,14 +303,12 @@ class StubBase(NodePeer):
         child_frame: str,
         lag_s: float = 0.0,
         deadband_mps: float = 0.0,
-        timeout_s: float | None = None,
     ) -> None:
         """Begin. `command`: topic, type, QoS; `odometry`: topic, QoS, rate; `battery` also a level.
 
-        The base follows with a lag, ignores speeds below the deadband, and stops at its timeout.
+        The base follows with a lag, and ignores speeds below the deadband.
         """
         self._lag_s, self._deadband_mps = lag_s, deadband_mps
-        self._timeout_s = math.inf if timeout_s is None else timeout_s
         topic, kind, profile = command
         self.node.create_subscription(COMMANDS[kind], topic, self._take, QOS[profile])
         self._child_frame = child_frame
@@ -362,13 +332,11 @@ class StubBase(NodePeer):
             self.frames.add(message.header.frame_id)
             message = message.twist
         self._wanted = (message.linear.x, message.angular.z)
-        self._heard_s = time.monotonic()
 
     def _follow(self) -> tuple[float, float]:
         """Return the velocity of this period."""
         (v, w), (wanted_v, wanted_w) = self._velocity, self._wanted
-        is_heard = time.monotonic() - self._heard_s < self._timeout_s
-        if not is_heard or 0.0 < abs(wanted_v) < self._deadband_mps:
+        if 0.0 < abs(wanted_v) < self._deadband_mps:
             wanted_v, wanted_w = 0.0, 0.0
         share = 1.0 - math.exp(-self._period_s / self._lag_s) if self._lag_s else 1.0
         return v + share * (wanted_v - v), w + share * (wanted_w - w)

@@ -101,7 +101,6 @@ class Peer(NodePeer):
     def __init__(self) -> None:
         self.node = Node("somebody_else")
         self.commands: list[tuple[int, int, float, float]] = []
-        self.statuses: list[tuple[int, int, str]] = []
         self.marks: list[str] = []
         self.speed = 0.0
         self._clients: dict[str, Any] = {}
@@ -111,7 +110,7 @@ class Peer(NodePeer):
         self._pressing: Any = None
         self._planner: Any = None
 
-    def listen(self, namespace: str = "") -> None:
+    def listen(self) -> None:
         """Subscribe to the daemon's topics and /odom; `heard` returns what was received."""
 
         def command(message: Any, info: Any) -> None:
@@ -119,27 +118,19 @@ class Peer(NodePeer):
             seen_ns = time.monotonic_ns()
             self.commands.append((number, seen_ns, message.linear.x, message.angular.z))
 
-        def status(message: Any, info: Any) -> None:
-            number = info["publication_sequence_number"]
-            self.statuses.append((number, message.mode, message.robot_name))
-
         def odometry(message: Any) -> None:
             self.speed = message.twist.twist.linear.x
 
-        self._subscribe(Twist, f"{namespace}/cmd_vel", command, DEEP)
-        self._subscribe(RobotStatus, f"{namespace}/robot_status", status, DEEP)
-        self._subscribe(Odometry, f"{namespace}/odom", odometry, BEST_EFFORT)
-        marks = f"{namespace}/robotctl/marks"
-        self._subscribe(String, marks, lambda message: self.marks.append(message.data), DEEP)
+        def mark(message: Any) -> None:
+            self.marks.append(message.data)
+
+        self._subscribe(Twist, "/cmd_vel", command, DEEP)
+        self._subscribe(Odometry, "/odom", odometry, BEST_EFFORT)
+        self._subscribe(String, "/robotctl/marks", mark, DEEP)
 
     def heard(self) -> dict[str, Any]:
-        """Return all received commands, statuses and marks, and the last speed."""
-        return {
-            "commands": self.commands,
-            "statuses": self.statuses,
-            "marks": self.marks,
-            "speed": self.speed,
-        }
+        """Return all received commands and marks, and the last speed."""
+        return {"commands": self.commands, "marks": self.marks, "speed": self.speed}
 
     def set_mode(self, mode: int, namespace: str = "") -> dict[str, Any]:
         """Call `set_mode` and return the response."""
@@ -184,15 +175,14 @@ class Peer(NodePeer):
             "obeyed": sum(each.done() and each.result().success for each in stops),
         }
 
-    def late_status(self, namespace: str = "") -> list[Any]:
+    def late_status(self) -> list[Any]:
         """Subscribe now; return the first status and its sequence number."""
         got: list[Any] = []
 
         def status(message: Any, info: Any) -> None:
             got.append([message.mode, info["publication_sequence_number"]])
 
-        topic = f"{namespace}/robot_status"
-        subscription = self._subscribe(RobotStatus, topic, status, LATCHED)
+        subscription = self._subscribe(RobotStatus, "/robot_status", status, LATCHED)
         until(lambda: got)
         self.node.destroy_subscription(subscription)
         return list(got[0])
@@ -207,12 +197,12 @@ class Peer(NodePeer):
         """Publish a velocity command, in competition with the daemon."""
         self.node.create_publisher(Twist, "/cmd_vel", 10).publish(_forward(linear))
 
-    def command_and_go(self, linear: float, namespace: str = "") -> int:
+    def command_and_go(self, linear: float) -> int:
         """Publish one command once there is a subscriber, then destroy the publisher.
 
         Return the monotonic time [ns] just before the command was sent.
         """
-        publisher = self.node.create_publisher(Twist, f"{namespace}/cmd_vel", DEEP)
+        publisher = self.node.create_publisher(Twist, "/cmd_vel", DEEP)
         until(lambda: publisher.get_subscription_count() >= 2)  # robot and recorder
         sent_ns = time.monotonic_ns()
         self._publish_and_go(publisher, _forward(linear))

@@ -209,9 +209,7 @@ async def test_what_is_no_handshake_is_answered_or_ended(sent: bytes) -> None:
             await client.until(lambda: client.op("serverInfo"))
 
 
-async def test_a_connection_beyond_the_limit_is_ended_at_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_connection_above_the_limit_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(f"{SERVER}.MAX_CONNECTIONS", 1)
     async with served() as view, view_client(view.url) as first:
         reader, writer = await asyncio.open_connection("127.0.0.1", view.port)
@@ -222,9 +220,7 @@ async def test_a_connection_beyond_the_limit_is_ended_at_once(
         await in_order(first)
 
 
-async def test_a_viewer_that_was_told_to_leave_gets_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_viewer_told_to_leave_gets_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(f"{SERVER}.MAX_VIEWERS", 0)
     async with served() as view:
         subscribed: list[int] = []
@@ -294,9 +290,7 @@ async def test_a_port_that_is_taken_is_named_and_the_usual_one_replaced(
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no-such-name.invalid", "..", "a" * 70, ""])
 @pytest.mark.parametrize("port", [None, 0])
-def test_a_host_that_is_not_this_computer_is_named_with_its_option(
-    host: str, port: int | None
-) -> None:
+def test_a_host_of_another_computer_is_named_with_its_option(host: str, port: int | None) -> None:
     with pytest.raises(Refused, match=r"cannot listen on .*--host") as caught:
         listening_socket(host, port)
     assert repr(host) in str(caught.value)

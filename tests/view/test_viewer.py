@@ -238,9 +238,7 @@ def test_anything_else_is_refused(data: bytes) -> None:
         velocity_of(data)
 
 
-async def test_a_viewer_waits_while_no_descriptor_is_free(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+async def test_a_viewer_waits_until_a_descriptor_is_free(capfd: pytest.CaptureFixture[str]) -> None:
     asyncio.get_running_loop().set_exception_handler(loop_failures())
     said: list[str] = []
 
