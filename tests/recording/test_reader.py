@@ -200,6 +200,12 @@ def test_a_file_that_the_bag_names_and_that_is_not_there_is_missing(tmp_path: Pa
     assert info.missing == ("run_0.mcap: metadata.yaml names it, but it is not there",)
 
 
+def test_a_file_whose_name_is_a_hash_hides_no_other(tmp_path: Path) -> None:
+    foreign(tmp_path / "run.mcap", 5)
+    (tmp_path / ("a" * 64)).touch()
+    assert read_info(tmp_path).message_count == 5
+
+
 def test_what_is_no_recording_is_named_in_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     for path, reason in [

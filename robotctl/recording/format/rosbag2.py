@@ -131,9 +131,10 @@ def entries_of(folder: Path) -> list[Path]:
         OSError: A folder cannot be listed.
     """
     entries = list(folder.iterdir())
-    if not any(is_hash(each.name) for each in entries):
+    folders = [each for each in entries if is_hash(each.name) and each.is_dir()]
+    if not folders:
         return entries
-    copies = [path for each in entries if is_hash(each.name) for path in each.iterdir()]
+    copies = [path for each in folders for path in each.iterdir()]
     copies.sort(key=lambda path: path.lstat().st_mtime_ns)
     newest = {path.name: path for path in copies}
     here = {path.name for path in entries}
