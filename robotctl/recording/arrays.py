@@ -8,7 +8,7 @@ from __future__ import annotations
 import errno
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -151,6 +151,7 @@ _INTERRUPTED: Final = "Query interrupted"
 _ERRNO = re.compile(r'"errno":"(\d+)"')
 _MEMORY_LIMIT: Final = "1GB"
 _GROUP_BYTES: Final = "64MB"
+_MAX_TIME_NS: Final = 2**63 - 1
 _LEAST_LINE: Final = 1 << 24
 """duckdb's limit for a line of JSON [bytes]: it allocates this; only a longer line raises it."""
 
@@ -163,6 +164,7 @@ def write_parquet(columns: Sequence[FieldPath], rows: Iterable[Row], target: Pat
 
     Raises:
         UsageError, RobotctlError: duckdb is not installed, or fails.
+        UnreadableFile: A time is too large for a BIGINT.
         OSError: The disk is full or fails.
     """
     duckdb = _duckdb()
@@ -171,7 +173,7 @@ def write_parquet(columns: Sequence[FieldPath], rows: Iterable[Row], target: Pat
         with duckdb.connect() as database, TemporaryDirectory(dir=target.parent) as folder:
             path = Path(folder, "rows.jsonl")
             with path.open("w", encoding="ascii") as lines:
-                for line in json_lines(columns, rows):
+                for line in json_lines(columns, _in_range(rows)):
                     lines.write(line)
                     written, longest = written + 1, max(longest, len(line))
             _copy(database, columns, path, longest, target)
@@ -187,6 +189,13 @@ def write_parquet(columns: Sequence[FieldPath], rows: Iterable[Row], target: Pat
         reason = str(error).partition("\n")[0]
         raise RobotctlError(f"duckdb cannot write {target.name}: {reason}") from error
     return written
+
+
+def _in_range(rows: Iterable[Row]) -> Iterator[Row]:
+    for row in rows:
+        if max(row[:2]) > _MAX_TIME_NS:
+            raise UnreadableFile("a time of a message is beyond the year 2262")
+        yield row
 
 
 def _duckdb() -> Any:
