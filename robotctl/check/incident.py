@@ -115,7 +115,7 @@ class _Search:
         self.missing = list(recording.missing)
 
     def run(self, on_progress: Callable[[int, int], None]) -> Incident | None:
-        """Read the journal once and return the incident."""
+        """Read the journal once and return the incident, None if there is none."""
         for item in steps(self._entries(on_progress)):
             try:
                 if isinstance(item, Gap):

@@ -269,7 +269,7 @@ def _known(incident: Incident) -> str:
 
 
 def _rule(incident: Incident) -> str:
-    """Return which rule decided, and the parameters that it compares with."""
+    """Return which rule decided and the parameters that it compares, "" if that is not known."""
     before, params = incident.before, incident.params
     if before is None or params is None or incident.kind is IncidentKind.KILL:
         return ""
@@ -321,7 +321,7 @@ def _table_rule(incident: Incident, before: State) -> str:
 
 
 def _other_refusal(event: Event, before: State) -> str:
-    """Return the rule of a refusal that neither the safety table nor the table of modes decided."""
+    """Return the rule of a refusal that no table decided, neither of safety nor of modes, or ""."""
     if before.phase is Phase.STOPPING:
         return "while the robot ramps down, nothing starts"
     if isinstance(event, DriveRequested) and before.mode is Mode.MOVING and not event.replace:
@@ -330,7 +330,7 @@ def _other_refusal(event: Event, before: State) -> str:
 
 
 def _asked(incident: Incident) -> str:
-    """Return which motion ended, and who had requested it."""
+    """Return which motion ended, and who had requested it; "" without a motion."""
     before = incident.before
     if before is None or before.mode is not Mode.MOVING:
         return ""

@@ -357,7 +357,7 @@ class ChannelTable:
         self._schema_ids: dict[tuple[object, ...], int] = {}
 
     def add(self, channel: Channel, schema: Schema | None) -> int:
-        """Return the channel's id in the converted recording; add the channel if it is new."""
+        """Return the channel's id in the result, new or not; raise UnreadableFile if it is full."""
         metadata = dict(channel.metadata)
         if _QOS in metadata:
             metadata[_QOS] = named_policies(metadata[_QOS])
@@ -566,7 +566,7 @@ def convert(
     """Convert the recording `source` to `target`: a file if the name ends in .mcap, or a folder.
 
     Raises:
-        UnreadableFile: Nothing can be read.
+        UnreadableFile: Nothing can be read, or there are over _MAX_CHANNELS channels.
         Refused: `target` exists or cannot be written; nothing new remains.
     """
     sources = Sources(source, on_progress)

@@ -191,7 +191,7 @@ def watch_on_screen(robot: str) -> None:
 
 
 def _pressed(keyboard: Keyboard) -> str:
-    """Wait for keys, at most POLL_S; return the pressed keys, or `q` if the terminal is closed."""
+    """Wait for keys, at most POLL_S; return them, "" for none, `q` if the terminal is closed."""
     if not keyboard.sources:
         time.sleep(POLL_S)
         return ""

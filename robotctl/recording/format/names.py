@@ -81,7 +81,7 @@ class Compression(Enum):
 
     @property
     def mcap_name(self) -> str:
-        """The name of the compression in a chunk record (https://mcap.dev/spec/registry)."""
+        """The name in a chunk record (https://mcap.dev/spec/registry), "" without compression."""
         return "" if self is Compression.NONE else self.value
 
 

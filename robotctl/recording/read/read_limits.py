@@ -39,8 +39,8 @@ because a hostile file would look the same."""
 
 CHUNK_BYTES: Final = 72 << 20
 CHUNK_RATIO: Final = 32
-"""A chunk may unpack to CHUNK_BYTES, or to CHUNK_RATIO times its stored size if that is more. The
-largest message that robotctl records has 64 MB; with a copy of it this stays below 256 MB."""
+"""A chunk may unpack to CHUNK_BYTES, or to CHUNK_RATIO times its stored size if that is more. A
+recorded message above 72 MiB that compresses to less than 1/32 needs higher limits to be read."""
 
 OPEN_BYTES: Final = 96 << 20
 OPEN_RATIO: Final = 32

@@ -81,7 +81,7 @@ class SealOfRead:
 
     @property
     def head(self) -> Link | None:
-        """The newest valid link."""
+        """The newest valid link, None without one."""
         return self.links[-1] if self.links else None
 
     def knows(self, digest: str) -> bool:
