@@ -53,7 +53,7 @@ class ReplayReport:
             self._emit({"note": text})
 
     def skip(self, topic: str, reason: str) -> None:
-        """Report that a topic is not played; `reason` continues "it", as "has no type" does."""
+        """Report that a topic is not played; `reason` is a clause after "it": "has no type"."""
         self.skipped[topic] = reason
         self.note(f"{topic} is skipped: it {reason}")
 

@@ -73,7 +73,7 @@ NO_SUBSCRIPTION_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 def subscribe_raw(
     node: Node, message_class: Any, topic: str, tap: RawTap, wanted: QoSProfile
 ) -> Subscription:
-    """Subscribe to a topic with a tap, without rclpy's default event handlers."""
+    """Subscribe to a topic with a `RawTap`, without rclpy's default event handlers."""
     callback: Any = tap  # rclpy's types allow a callback of one argument only
     return node.create_subscription(
         message_class, topic, callback, wanted, event_callbacks=NO_SUBSCRIPTION_EVENTS, raw=True

@@ -50,7 +50,7 @@ class Session:
             Parameter("use_sim_time", value=use_sim_time),
         ]
         self.visible_nodes: dict[str, Node] = {}
-        """The nodes that ROS tools show, by their usual names."""
+        """The nodes that ROS tools show, by their default names (before `--ros-args`)."""
 
         self.last = AsyncExitStack()
         """Exit stack that is closed after the last callback, before the nodes are destroyed."""
@@ -58,8 +58,8 @@ class Session:
     def resolve(self, topic: str, role: str = "") -> str:
         """Return the full name of a topic or service after remapping; `topic` may be relative.
 
-        A remap may be for one node only: `role` is the usual name of the node that uses the topic,
-        which need not exist yet. Introspection topics are remapped as their service.
+        A remap may be for one node only: `role` is the default name of the node of the topic,
+        and need not exist yet. Introspection topics are remapped as their service.
         """
         service = topic.removesuffix(SERVICE_EVENTS)
         name = self._remapped(service, self._node_names.get(role, role))
@@ -79,7 +79,7 @@ class Session:
         return full(topic)
 
     def logger_name(self, node_name: str) -> str:
-        """Return the name that a node's logger has on ROS; `node_name` is the node's usual name."""
+        """Return the name that a node's logger has on ROS; `node_name` is its default name."""
         full = f"{self._namespace}/{self._node_names.get(node_name, node_name)}"
         return full.strip("/").replace("/", ".")
 
@@ -91,7 +91,7 @@ class Session:
         return self.node(RECORDER_NODE)
 
     def node(self, name: str) -> Node:
-        """Create and return a node with this usual name, without rclpy's default services.
+        """Create and return a node with this default name, without rclpy's default services.
 
         The type description service would take 0.1 MB per node, and no ROS tool calls it.
         """
@@ -136,7 +136,7 @@ async def ros_session(
 
     The context is closed only with `at_end`, which must be the last step of the process (see
     `close_context`). `remaps` are rules FROM:=TO for topics and services; `node_names` maps the
-    usual name of a node, which the code uses, to the name on ROS. `fifo_priority` requests
+    default name of a node, which the code uses, to the name on ROS. `fifo_priority` requests
     SCHED_FIFO (1..99) for the loop's thread.
     """
     nodes: list[Node] = []

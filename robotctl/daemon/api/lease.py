@@ -33,7 +33,7 @@ SILENT_PERIODS = 4
 
 @dataclass(slots=True)
 class _Holder:
-    """A client that requested the lease; its release sets `ended`, to a sentence about it."""
+    """A client that requested the lease; `ended` gets a sentence when the lease is released."""
 
     client: int
     token: str

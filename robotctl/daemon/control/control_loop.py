@@ -93,7 +93,7 @@ class Gate(Protocol):
         """Pass only zeros from now on; called in the watchdog's thread."""
 
     def publish_zero(self) -> None:
-        """Publish a zero while the gate is closed; called in the watchdog's thread."""
+        """Publish a zero, from `close_gate` to `open_gate`; called in the watchdog's thread."""
 
     def open_gate(self) -> tuple[int, int]:
         """Pass all commands again; return the counts of zeros sent and of commands withheld."""
@@ -102,7 +102,7 @@ class Gate(Protocol):
 class Watchdog:
     """Watches the ticks in a thread, from the first `ping` to the end of the `with` block.
 
-    When the ticks stop, the thread closes the gate and sends zeros until the loop calls `take`.
+    When the ticks stop, the thread closes `gate` and sends zeros by it until the loop calls `take`.
     Until the first zero is sent, it opens no file, imports no module, logs nothing, and acquires
     no lock but the publisher's, for which it waits at most `LOCK_TIMEOUT_S`. A C call that holds
     the GIL blocks this thread as well: then only the robot's own command timeout stops the robot.
@@ -153,7 +153,7 @@ class Watchdog:
             self._thread.start()
 
     def take(self) -> LoopStalled | FaultReported | None:
-        """Return LoopStalled after a stall (and open the gate), FaultReported if the thread failed.
+        """Return LoopStalled after a stall (and open `gate`), FaultReported if the thread failed.
 
         Else return None. Call it in the loop's thread; the event must be the kernel's next one.
         """

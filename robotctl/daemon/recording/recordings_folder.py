@@ -1,4 +1,4 @@
-"""The recordings folder: its retention policy, the new recording in it, the reserve of the disk."""
+"""The recordings folder: retention policy, the new recording in it, reserve of free disk space."""
 
 from __future__ import annotations
 

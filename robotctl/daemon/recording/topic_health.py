@@ -255,7 +255,7 @@ EVENTS: Final = frozenset(
 
 
 def may_be_learned(topic: str, type_name: str) -> bool:
-    """Return False for a topic of actions, of service events or of a type in EVENTS, else True."""
+    """Return False for topics of actions, of service events and of EVENTS, whose rates may vary."""
     is_call = "/_action/" in topic or topic.endswith("/_service_event")
     return not (is_call or type_name in EVENTS)
 

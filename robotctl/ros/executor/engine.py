@@ -140,7 +140,7 @@ class Engine:
         """Entities that could not be attached; they are reported once and not tried again."""
 
         self.sources: dict[Any, Source] = {}
-        """The source of each attached entity."""
+        """Entity -> its `Source`, for each attached entity."""
 
         self._fifo: FifoScheduling | None = None
         self._sync_scheduled = False

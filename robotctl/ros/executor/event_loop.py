@@ -31,19 +31,19 @@ SLICE_NS = 300_000
 """How long one entity may handle messages before the others get their turn."""
 
 TURN_NS = 1_000_000
-"""All flooded entities together may handle messages for this time in one turn of the loop, so that
-the others do not wait long."""
+"""In one turn of the loop, all entities in a flood of messages together get this time, so that the
+other entities do not wait long."""
 
 SHORTEST_SLICE_NS = 50_000
-"""The shortest slice of a flooded entity: with a shorter one, changing between entities would cost
-more than the work."""
+"""The shortest time slice of an entity in a flood of messages: with a shorter one, changing between
+entities would cost more than the work."""
 
 FLOOD_REST_S = 0.002
-"""How long the messages of a flooded subscription are collected."""
+"""How long the messages of a subscription are collected in a flood."""
 
 FLOODED_SHARE = 0.1
-"""A pool (see `runtime`) is flooded if its messages take a larger share of the time than this. At 5
-to 10 us for each message, that is the case above 10 to 20 kHz."""
+"""A `Pool` (see `runtime`) is in a flood if its messages take a larger share of the time. At 5 to
+10 us for each message, this is the case above 10 to 20 kHz."""
 
 FASTEST_TOPIC_HZ = 50_000.0
 """The highest rate expected: a queue needs room for the messages that arrive in FLOOD_REST_S."""
@@ -52,17 +52,17 @@ POLLS_PER_RATE_CHECK = 32
 """The rate of a subscription is checked after this number of polls."""
 
 FLOODED_WITHIN_NS = 16_000_000
-"""A subscription is flooded if POLLS_PER_RATE_CHECK polls took less time (over 2 kHz)."""
+"""A flood begins if POLLS_PER_RATE_CHECK polls of a subscription took less time (over 2 kHz)."""
 
 CALM_BEYOND_NS = 64_000_000
-"""A flood is over if POLLS_PER_RATE_CHECK polls took more time (under 500 Hz)."""
+"""A flood ends if POLLS_PER_RATE_CHECK polls of a subscription took more time (under 500 Hz)."""
 
 
 BEAT_NS = 20_000_000
 """The time between two beats, 50 a second, on which timers expire together."""
 
 _START_NS = time.monotonic_ns()
-"""The first beat; random, so that the processes of one machine do not all wake up together."""
+"""The first beat; it differs between processes, so that not all of them wake up together."""
 
 
 def beat_before(t_ns: int, period_ns: int = BEAT_NS) -> int:

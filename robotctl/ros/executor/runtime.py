@@ -36,21 +36,21 @@ from robotctl.ros.executor.event_loop import (
 
 
 class Resumable(Protocol):
-    """A source that waits for its callback group."""
+    """A `Source` that waits until its callback group is free."""
 
     def resume(self) -> None:
         """Continue to deliver the waiting data."""
 
 
 class Pooled(Protocol):
-    """A source that a pool polls."""
+    """A `Source` that a `Pool` polls."""
 
     def poll(self) -> bool:
         """Deliver the waiting data; return whether data are left because the time slice ended."""
 
 
 class Pool:
-    """Polls its sources when a message arrives, and rests for `rest_s` seconds after each poll.
+    """Polls several `Source`s when a message arrives, and rests for `rest_s` seconds after a poll.
 
     Without messages it does not wake the loop. In a flood it rests for FLOOD_REST_S at most: the
     more messages wait, the longer Fast DDS takes to add more, so a longer rest would cost more than
@@ -73,7 +73,7 @@ class Pool:
         self._epoll.register(fd, select.EPOLLIN)
 
     def remove(self, fd: int) -> None:
-        """Stop polling the source of `fd`, which must still be open."""
+        """Stop polling what was added with `fd`, which must still be open."""
         del self._members[fd]
         self._epoll.unregister(fd)
 
@@ -114,7 +114,7 @@ class Pool:
                 self._resting = self._loop.call_at(rested_s(rest_s), self._poll)
 
     def _rest_after(self, begun_ns: int, *, left: bool) -> float:
-        """Return how long to rest [s] after a poll: less in a flood, and 0 if data is `left`."""
+        """Return how long to rest [s]: less in a flood of messages, and 0 if some are `left`."""
         now_ns = time.monotonic_ns()
         self._busy_ns += now_ns - begun_ns
         if left:
@@ -217,7 +217,7 @@ ExceptionHandler = Callable[[Exception, str], None]
 
 
 class Runtime:
-    """The state that one executor shares with its sources; used in the loop's thread only."""
+    """The state that one executor shares with its `Source`s; used in the loop's thread only."""
 
     def __init__(
         self,
@@ -233,7 +233,7 @@ class Runtime:
         self.slow = SlowCallbacks()
         self.slice_ns = SLICE_NS
         self.flooded: set[object] = set()
-        """The sources that had data left at the end of their last time slice."""
+        """Each `Source` that had data left at the end of its last time slice."""
         self._pools: dict[float, Pool] = {}
         self._on_exception = on_exception
         self._on_idle: Callable[[], None] | None = None
@@ -254,25 +254,25 @@ class Runtime:
         )
 
     def pool(self, rest_s: float) -> Pool:
-        """Return the pool that rests for `rest_s` seconds; create it if needed."""
+        """Return the `Pool` that rests for `rest_s` seconds; create it if needed."""
         if rest_s not in self._pools:
             self._pools[rest_s] = Pool(self.loop, rest_s)
         return self._pools[rest_s]
 
     def close_pools(self) -> None:
-        """Close the file descriptors of the pools; all sources must be detached."""
+        """Close the file descriptors of the pools; every `Source` must be detached."""
         for pool in self._pools.values():
             pool.close()
         self._pools.clear()
 
     def mark_flooded(self, source: object) -> None:
-        """Note that the source had data left at its slice's end: its next slices are shorter."""
+        """Note that a `Source` had data left at its slice's end: its next slices are shorter."""
         if source not in self.flooded:
             self.flooded.add(source)
             self._share_turn()
 
     def mark_drained(self, source: object) -> None:
-        """Note that the source has no data left; undoes `mark_flooded`."""
+        """Undo `mark_flooded`: the `Source` has no data left."""
         if source in self.flooded:
             self.flooded.remove(source)
             self._share_turn()
@@ -316,11 +316,11 @@ class Runtime:
             callback()
 
     def park(self, group: CallbackGroup, source: Resumable) -> None:
-        """Resume the source when its callback group becomes free."""
+        """Resume a `Source` when its callback group becomes free."""
         self._parked.setdefault(group, {})[source] = None
 
     def release(self, group: CallbackGroup) -> None:
-        """Resume the parked sources of a callback group that became free."""
+        """Resume each `Source` that was parked for this callback group, which is free now."""
         for source in self._parked.pop(group, ()):
             source.resume()
 

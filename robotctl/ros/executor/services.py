@@ -111,7 +111,7 @@ EXPIRY_POLL_S = 1.0
 
 
 class _ActionSource(EventFdSource):
-    """Base of action sources; it decides when rclpy's Waitable takes data and runs callbacks."""
+    """Base class for actions: it decides when rclpy's Waitable takes data and runs callbacks."""
 
     def __init__(
         self, runtime: Runtime, entity: Any, handle: Any, where: str, executor: Any

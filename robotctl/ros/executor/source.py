@@ -32,7 +32,7 @@ class Source(ABC):
     """
 
     woken_by: ClassVar[str]
-    """What wakes the loop for this source, for the debug log."""
+    """What wakes the loop for this class of source, in words for the debug log."""
 
     def __init__(self, runtime: Runtime, entity: Any, handle: Any, where: str) -> None:
         self.runtime = runtime
@@ -67,7 +67,7 @@ class Source(ABC):
         """Continue to deliver the waiting data: the callback group became free."""
 
     def blocked(self) -> bool:
-        """Return whether the callback group forbids a callback now; if so, park the source."""
+        """Return whether the callback group forbids a callback now; if so, `resume` will follow."""
         if self._reentrant:
             return False
         if self._custom_group:
@@ -80,7 +80,7 @@ class Source(ABC):
         return True
 
     def run_callback(self, callback: Callable[[], Any]) -> bool:
-        """Run the callback, or park the source if the group forbids it; return whether it ran."""
+        """Run the callback; if the group forbids that, return False, and `resume` will follow."""
         if self._custom_group and not self.group.beginning_execution(self.entity):
             self.runtime.park(self.group, self)
             return False
@@ -109,7 +109,7 @@ class Source(ABC):
 
 
 class EventFdSource(Source):
-    """A source with an eventfd, to which rcl writes when the entity has new data."""
+    """A `Source` with an eventfd, to which rcl writes when the entity has new data."""
 
     woken_by = "eventfd"
     announcements: ClassVar[tuple[Announcement, ...]]
@@ -119,7 +119,7 @@ class EventFdSource(Source):
     """The count that the last read of the eventfd returned."""
 
     pool: Pool | None = None
-    """The pool that watches the eventfd; None if the loop itself watches the eventfd."""
+    """The `Pool` that watches the eventfd; None if the loop itself watches it."""
 
     _listening = False
 

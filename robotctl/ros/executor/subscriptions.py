@@ -90,9 +90,9 @@ UNKNOWN_COUNT: Final = 1 << 62
 
 
 class _TakenSource(EventFdSource):
-    """The base of subscription sources, which take messages in serialized form.
+    """The base class for subscriptions; it takes messages in serialized form.
 
-    If the middleware announces how many messages have arrived, they take only that number: one more
+    If the middleware announces how many messages have arrived, it takes only that number: one more
     attempt, which finds nothing, costs half as much as taking a message.
     """
 

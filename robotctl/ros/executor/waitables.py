@@ -28,7 +28,7 @@ SHUTDOWN_POLLS = 200
 
 
 class WaitSetSource(Source):
-    """The base of sources whose entities a `WaitSetThread` waits for."""
+    """The base class of each `Source` whose entity has no eventfd: `WaitSetThread` waits for it."""
 
     woken_by = "wait-set thread"
 
@@ -63,7 +63,7 @@ class WaitSetSource(Source):
 
 
 class WaitSetThread:
-    """The thread that waits for the sources of one executor; it starts when first needed."""
+    """The thread that waits for each `WaitSetSource` of an executor; starts when first needed."""
 
     def __init__(
         self, runtime: Runtime, context: Context, on_context_down: Callable[[], None]
@@ -86,14 +86,14 @@ class WaitSetThread:
         self._start()
 
     def add(self, source: WaitSetSource) -> None:
-        """Begin to wait for a source."""
+        """Begin to wait for the entity of a `WaitSetSource`."""
         with self._lock:
             self._sources[source] = None
         self._start()
         self.refresh()
 
     def remove(self, source: WaitSetSource) -> None:
-        """Stop waiting for a source; release it as soon as the thread no longer uses it."""
+        """Stop waiting for an entity; release it as soon as the thread no longer uses it."""
         with self._lock:
             if source in self._sources:
                 del self._sources[source]
@@ -106,7 +106,7 @@ class WaitSetThread:
             self._wake.trigger()
 
     def stop(self) -> None:
-        """End the thread and release every source."""
+        """End the thread and release every entity."""
         self._stopping.set()
         self._taken.release()
         self.refresh()
@@ -192,7 +192,7 @@ class WaitSetThread:
 
     @staticmethod
     def _release(sources: list[WaitSetSource]) -> None:
-        """Let rclpy destroy the entities of sources that the thread no longer uses."""
+        """Allow rclpy to destroy the entities of these sources: the thread does not use them."""
         for source in sources:
             source.handle.__exit__(None, None, None)
 

@@ -56,7 +56,7 @@ class Introduction(NamedTuple):
 
 
 class IntroductionReader:
-    """Reads the last introduction of each process in the domain, including this process."""
+    """Reads the last `Introduction` of each process in the domain, including this process."""
 
     def __init__(self, node: Node) -> None:
         """Create the reader on `node`.
@@ -71,7 +71,7 @@ class IntroductionReader:
         self._reader = _create(node, "rmw_create_subscription", _qos(_READ_DEPTH), options)
 
     def look(self) -> None:
-        """Read the introductions that have arrived."""
+        """Read each `Introduction` that has arrived."""
         while (data := self._take()) is not None:
             try:
                 found = read_introduction(data)
@@ -112,7 +112,7 @@ class IntroductionWriter:
         self._writer = _create(node, "rmw_create_publisher", _qos(1), options)
 
     def write(self, data: bytes) -> None:
-        """Announce this process again; `data` is its last introduction."""
+        """Announce this process again; `data` is that of its last `Introduction`."""
         memory = ctypes.create_string_buffer(data, len(data))
         message = rcutils.SerializedMessage(
             buffer=ctypes.addressof(memory),
@@ -231,7 +231,7 @@ class Discovery:
         self._since_s = time.monotonic()
 
     def close(self) -> None:
-        """Destroy the reader of introductions, which leaves the graph."""
+        """Destroy the IntroductionReader, which is then no longer in the graph."""
         self._introductions.close()
 
     def wait(self, quiet_s: float, until_s: float, stopped: threading.Event) -> None:
@@ -302,8 +302,8 @@ def _discovered(node: Node) -> Iterator[FoundEndpoint]:
 
 
 def count_complete(known: Iterable[FoundEndpoint], introduced: Mapping[bytes, Introduction]) -> int:
-    """Return how many processes of `introduced` are fully discovered: `known` has each endpoint of
-    the process's introduction and, except on `ros_discovery_info`, no other of the process."""
+    """Return how many processes of `introduced` are fully discovered: `known` has the endpoints of
+    the process's `Introduction` and, except on `ros_discovery_info`, no others."""
     of_nodes: dict[bytes, set[bytes]] = {}
     all_gids: dict[bytes, set[bytes]] = {}
     for each in known:

@@ -75,7 +75,7 @@ class VelocityPublisher:
         self._withheld = 0
         self.published = 0
         self.accounted = 0
-        """As `published`, but zeros of `publish_zero` count only when the gate is opened again."""
+        """As `published`, but the zeros of `publish_zero` count only after `open_gate`."""
 
     @property
     def topic(self) -> str:
@@ -100,7 +100,7 @@ class VelocityPublisher:
         return node_of(self._node, self.topic, gid)
 
     def publish(self, twist: Twist) -> None:
-        """Send the command or, while the gate is closed, zero."""
+        """Send the command or, from `close_gate` to `open_gate`, zero instead."""
         with self._lock:
             if self._gated:
                 self._withheld += twist != ZERO
@@ -112,7 +112,7 @@ class VelocityPublisher:
             self._log.debug(publishing_line(twist))
 
     def publish_zero(self) -> None:
-        """Send a zero if the gate is closed and `is_silent()` is false; do not call it in the loop.
+        """From `close_gate` to `open_gate`, send a zero unless `is_silent()`; not for the loop.
 
         Raises:
             TimeoutError: `publish`, in the loop's thread, hangs in the middleware.
