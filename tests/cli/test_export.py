@@ -23,7 +23,7 @@ from robotctl.messages.values import Decoder, encode
 from robotctl.recording import Topic, arrays, read_info, read_messages
 from robotctl.testing.drives import GID
 from tests.cli.conftest import Cli
-from tests.support.recordings import Tape, by_mcap, numbered
+from tests.support.recordings import Tape, by_mcap
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 DRIVE = GOLDEN / "stopped"
@@ -190,7 +190,8 @@ def test_ctrl_c_while_duckdb_writes_is_an_interruption(
 
 
 def test_a_time_that_parquet_cannot_hold_is_named(cli: Cli, tmp_path: Path) -> None:
-    file = by_mcap(tmp_path / "late.mcap", [("/all", 2**63, numbered(1))], schema="std_msgs/String")
+    data = encode(parse_definition("std_msgs/String", "string data"), {"data": ""})
+    file = by_mcap(tmp_path / "late.mcap", [("/all", 2**63, data)], schema="std_msgs/String")
     ran = cli("export", str(file), "--topic", "/all", "-o", str(tmp_path / "x.parquet"))
     said = "robotctl: a time of a message is beyond the year 2262\n"
     assert (ran.exit_code, ran.err) == (6, said)
