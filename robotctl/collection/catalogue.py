@@ -108,7 +108,7 @@ def stamps_of_each(paths: Sequence[Path | str]) -> list[Stamps]:
 def _collect(
     connection: DuckDBPyConnection, paths: Sequence[str], found: dict[str, Stamps]
 ) -> None:
-    """Add the stamps in all files to `found` by one query: a query per file takes ten times longer.
+    """Add the stamps in all files to `found` by one query: a query per file takes far longer.
 
     If the query fails, the list is bisected to skip the unreadable files.
     """

@@ -214,7 +214,7 @@ _ESTOP, _JOY, _BUMPER, _TILT, _DIAGNOSTICS = range(len(SafetyInput))
 
 
 _OFF, _REQUIRED = Use.OFF, Use.REQUIRED
-"""Global names, because each step reads them: `Use.OFF` takes six times as long in Python 3.11."""
+"""Global names, because each step reads them: `Use.OFF` is a slow lookup in Python 3.11."""
 
 
 def is_any_required(params: KernelParams) -> bool:
