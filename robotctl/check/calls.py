@@ -236,6 +236,7 @@ class ServiceCheck:
 
         self._others = sorted(topics.of_type(service.type_name) - {self.topic})
         self._is_left_out = topics.leaves_out(self.topic, service.type_name)
+        self._clip_begin_ns = topics.clip_begin_ns
         self._report = report
         self._service = service
         self._clock = clock
@@ -305,7 +306,10 @@ class ServiceCheck:
             if call.was_refused_as_busy:
                 continue
             ahead = range(first, min(first + MAX_AHEAD, len(self._asked)))
-            at = next((at for at in ahead if _fits(self._asked[at], call, self._clock)), None)
+            # A clip lacks the calls of the requests before it, and each call precedes its request.
+            least_ns = call.publish_ns if ending.is_clip and not self._clock.note else 0
+            later = (at for at in ahead if self._asked[at].moments[1] >= least_ns)
+            at = next((at for at in later if _fits(self._asked[at], call, self._clock)), None)
             if at is None:
                 unasked.append(call)
                 continue
@@ -347,7 +351,8 @@ class ServiceCheck:
         if ending.ledger is not None and ending.is_whole:
             unheard += recent  # it was closed: they were recorded
         if ending.is_clip or not ending.is_whole:
-            early_ns = (self._begin_ns or 0) + LATE_NS  # an earlier file may have the call
+            # An earlier file, or the source of a clip, may have the call.
+            early_ns = max(self._begin_ns or 0, self._clip_begin_ns) + LATE_NS
             unheard = [each for each in unheard if each.moments[1] > early_ns]
         if not unheard:
             return
@@ -378,11 +383,10 @@ class ServiceCheck:
             for asked, call in pairs
         )
         alone = self._answers_alone if ending.is_whole and not ending.is_clip else 0
-        if ending.ledger is None:
-            if alone:
-                text = f"{self.topic}: the calls of {alone} responses are not recorded"
-                self._report.miss(f"{text}; {ending.unknown_losses}")
-        elif unanswered + alone > ending.lost:
+        if ending.ledger is None and alone:
+            text = f"{self.topic}: the calls of {alone} responses are not recorded"
+            self._report.miss(f"{text}; {ending.unknown_losses}")
+        elif ending.ledger is not None and unanswered + alone > ending.lost:
             self._report.miss(
                 f"{self.topic}: of {unanswered} calls the response is not recorded, "
                 f"and of {alone} responses the call"

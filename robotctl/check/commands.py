@@ -23,7 +23,7 @@ from robotctl.check.ends import Ending, EndingOf, JournalEnd
 from robotctl.check.journal import Moments
 from robotctl.check.report import Report
 from robotctl.check.times import ClockChanges
-from robotctl.check.topics import RobotTopics, Slot, Waiting
+from robotctl.check.topics import RepeatedLatched, RobotTopics, Slot, Waiting
 from robotctl.kernel.codec import Proof, Snapshot
 from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.state import Health
@@ -217,8 +217,9 @@ class CommandCounts:
 class CommandPairs:
     """Compares decided and sent commands, from the first snapshot with a `Proof` on."""
 
-    def __init__(self) -> None:
+    def __init__(self, clip_begin_ns: float = 0.0) -> None:
         self.counts = CommandCounts()
+        self._clip_begin_ns = clip_begin_ns
         self.is_counting = False
         self._others = OtherPublishers()
         self._waiting: Waiting[DecidedCommand, SentCommand] = Waiting(self._judge)
@@ -356,7 +357,10 @@ class CommandPairs:
 
     def _found(self, number: int, moments: Moments, sent: SentCommand) -> None:
         """Count a pair; note whether the command was sent early, late or out of order."""
-        counts = self.counts
+        counts, (steady_ns, begin_ns, end_ns) = self.counts, moments
+        is_late = end_ns and not begin_ns - LATE_NS <= sent.publish_ns <= end_ns + LATE_NS
+        if is_late and self._others.may_have_sent(sent.t_ns):
+            return  # a command of another publisher with the same number and velocity
         counts.paired += 1
         is_newest = self._paired is None or follows(number, self._paired[1])
         counts.out_of_order += is_newest is not (sent.place > self._last_place)
@@ -369,8 +373,7 @@ class CommandPairs:
             self._paired = number if self._paired is None else self._paired[0], number
             self._last_place = sent.place
             self._lacking = self._lacking_recent = 0
-        steady_ns, begin_ns, end_ns = moments
-        if end_ns and not begin_ns - LATE_NS <= sent.publish_ns <= end_ns + LATE_NS:
+        if is_late:
             off_s = max(begin_ns - sent.publish_ns, sent.publish_ns - end_ns) / NS_PER_S
             when = "before" if sent.publish_ns < begin_ns else "after"
             counts.late.append((steady_ns, f"command {number}, {off_s:.3f} s {when} its decision"))
@@ -378,7 +381,8 @@ class CommandPairs:
     def _lack(self, number: int, decided: DecidedCommand) -> None:
         """Count a decision without a message."""
         counts, example = self.counts, f"command {number} ({shown_command(decided.numbers)})"
-        if self._paired is not None and follows(self._paired[0], number):
+        is_first = self._paired is not None and follows(self._paired[0], number)
+        if is_first or decided.moments[1] < self._clip_begin_ns:
             counts.before_first += 1
         elif self._paired is not None and not follows(number, self._paired[1]):
             counts.missing += 1
@@ -452,7 +456,9 @@ class CommandCheck:
         self._topic = topics.commands
         self._report = report
         self._clock = clock
-        self._pairs = CommandPairs()
+        self._pairs = CommandPairs(topics.clip_begin_ns)
+        self._is_latched = topics.is_latched(self._topic)
+        self._repeats = RepeatedLatched(topics.info)
         self._seen = 0
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
@@ -462,7 +468,9 @@ class CommandCheck:
     def _message(self, message: Message) -> None:
         """Read a message of the command topic."""
         self._seen += 1
-        self._pairs.message(message.sequence, message.data, message.publish_ns)
+        is_compared = self._pairs.is_counting
+        if is_compared and not (self._is_latched and self._repeats.observe(message)):
+            self._pairs.message(message.sequence, message.data, message.publish_ns)
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
         """Start or continue at a snapshot that has a `Proof` (version 0.1.0 wrote none)."""
@@ -507,7 +515,8 @@ class CommandCheck:
             notes.append("the journal tells of commands that could not be sent")
         elif counts.resumed:
             self._report.miss("a snapshot counts other commands than were decided before it")
-        if counts.out_of_order:
+        # Another publisher may send a zero with our number; a file may repeat a latched one early.
+        if counts.out_of_order and not counts.foreign and not self._is_latched:
             self._report.miss(
                 f"{counts.out_of_order} commands are not in the order of their number"
             )

@@ -9,17 +9,23 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Callable, Hashable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Hashable
 from functools import partial
-from math import inf, isfinite, nan
+from math import inf, nan
 from typing import Any, Final, NamedTuple
 
 from robotctl.check.ends import Ending, EndingOf, JournalEnd
 from robotctl.check.journal import Moments
 from robotctl.check.report import TOLERANCE, Report
 from robotctl.check.times import RecordedStalls
-from robotctl.check.topics import InputTopic, RepeatedLatched, RobotTopics, Slot, Waiting
+from robotctl.check.topics import (
+    InputTopic,
+    RepeatedLatched,
+    RobotTopics,
+    Slot,
+    Waiting,
+    number_in,
+)
 from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.constants import COMMAND_TYPES, NS_PER_S, TWIST_STAMPED
 from robotctl.kernel.safety_inputs import REPEATS_PER_TIMEOUT, SafetyInput, SafetyInputParams, Use
@@ -46,7 +52,6 @@ from robotctl.messages.inputs import (
     sample_of,
 )
 from robotctl.recording.format.records import MAX_SEQUENCE
-from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message
 
 UNHEARD_NS = NS_PER_S // 2
@@ -178,7 +183,9 @@ class Heard(NamedTuple):
 class InputPairs:
     """Compares the inputs of one topic with its messages, by number and value."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, hears_all: bool) -> None:
+        """`hears_all`: the control loop makes each message that it receives an input."""
+        self._hears_all = hears_all
         self.tolerance = 0.0
         """Tolerance for the angle of odometry [rad], which a C library may have rounded."""
 
@@ -188,7 +195,7 @@ class InputPairs:
 
         self.lacking_example = ""
         self.before_first = 0
-        """Inputs without a message, before the first one that has one."""
+        """Inputs without a message, before the first of their publisher that has one."""
 
         self.before_found = 0
         """How many of `before_first` were sent before the recorder can have found the publisher."""
@@ -204,7 +211,7 @@ class InputPairs:
         """Messages that never became an input, although earlier and later ones did."""
 
         self.repeated = 0
-        """Messages whose number is not above that of the previous message."""
+        """Messages whose number and time of sending are not above those of the previous message."""
 
         self.later_ns: list[int] = []
         """The log times of the messages with higher numbers than all that were paired."""
@@ -212,6 +219,9 @@ class InputPairs:
         self._waiting: Waiting[Input, Heard] = Waiting(self._judge)
         self._found: dict[Hashable, int] = {}
         """The number that was paired last, for each publisher."""
+
+        self._begun: dict[Hashable, int] = {}
+        """Steady time [ns] of the first input that was paired, for each publisher."""
 
         self._lives: dict[Hashable, tuple[int, int]] = {}
         """Steady times [ns] of the first and the last input of each publisher."""
@@ -225,27 +235,33 @@ class InputPairs:
         self._paired: tuple[int, int] | None = None
         """The lowest and the highest number that was paired."""
 
-        self._first_ns = self._last_ns = self._newest = 0
+        self._first_ns = self._last_ns = self._newest = self._sent_ns = 0
+        self._has_others = False
+        """Whether a later message had a lower number: another publisher sent it."""
 
     @property
     def has_one_publisher(self) -> bool:
-        """Whether all inputs came from one publisher, so that their numbers are unique."""
-        return len(self._lives) <= 1
+        """Whether one publisher sent all inputs and messages, so that their numbers are unique."""
+        return len(self._lives) <= 1 and not self._has_others
 
     @property
     def rate_hz(self) -> float:
-        """The mean rate of messages from the first to the last paired one; 0.0 if unknown."""
+        """The mean rate of messages from the first to the last paired one; inf if unknown."""
         if self._paired is None or self._last_ns <= self._first_ns:
-            return 0.0
+            return inf
         first, last = self._paired
         return (last - first) * NS_PER_S / (self._last_ns - self._first_ns)
 
-    def message(self, number: int, value: Any, log_ns: int) -> None:
+    def message(self, message: Message, value: Any) -> None:
         """Read a message of the topic."""
-        self.repeated += number <= self._newest
-        self._newest = number
+        number = message.sequence
+        if number <= self._newest and message.publish_ns > self._sent_ns and not self._hears_all:
+            self._has_others = True
+        elif number <= self._newest:
+            self.repeated += 1
+        self._newest, self._sent_ns = number, message.publish_ns
         slot = self._waiting.slot(number)
-        slot.sent.append(Heard(value, log_ns))
+        slot.sent.append(Heard(value, message.log_ns))
         self._pair(number, slot)
 
     def received(self, number: int, found: Input) -> None:
@@ -298,6 +314,7 @@ class InputPairs:
     def _note(self, number: int, found: Input) -> None:
         self.paired += 1
         self._found[found.source] = number
+        self._begun.setdefault(found.source, found.t_ns)
         if self._paired is None:
             self._first_ns = self._last_ns = found.t_ns
             self._paired = number, number
@@ -308,7 +325,7 @@ class InputPairs:
     def _judge(self, number: int, slot: Slot[Input, Heard]) -> None:
         """Count inputs and messages of one number that have no counterpart of the same value."""
         for found in slot.entries:
-            if slot.sent:  # it was received, with another value
+            if slot.sent and self.has_one_publisher:  # it was received, with another value
                 self.differing += 1
                 self.differing_example = self.differing_example or (
                     f"entry {found.seq} has {found.value}, "
@@ -321,7 +338,7 @@ class InputPairs:
         self._unheard += [(number, each.log_ns) for each in slot.sent]
 
     def _lack(self, number: int, found: Input) -> None:
-        is_before = self._paired is not None and found.t_ns < self._first_ns
+        is_before = found.t_ns < self._begun.get(found.source, 0)
         if is_before or self._paired is None:
             earliest_ns = min(begin_ns for begin_ns, _ in self._lives.values())
             self.at_begin += found.t_ns - earliest_ns <= EDGE_NS
@@ -364,26 +381,22 @@ class InputCheck:
         self.topic = topic.name
         self._name = name
         self._is_left_out = topic.is_left_out
-        self._is_latched = any(
-            each.name == topic.name and LATCHED_QOS in each.offered_qos
-            for each in topics.info.topics
-        )
+        self._is_latched = topics.is_latched(topic.name)
         self._repeats = RepeatedLatched(topics.info)
         self._report = report
         self._read = read
         self._is_always_heard = is_always_heard
         self._repeat_ns = repeat_ns
-        self._pairs = InputPairs()
+        self._pairs = InputPairs(hears_all=is_always_heard)
         self._unheard = UnheardChange(repeat_ns) if repeat_ns else None
         self._is_on = False
 
     def message(self, message: Message) -> None:
-        """Read a message; skip the copy of a latched message, with which each file begins."""
-        is_repeat = self._is_latched and self._repeats.observe(message)
-        if is_repeat or not self._is_on:
+        """Read a message; skip the repeat of a latched message at the beginning of a file."""
+        if not self._is_on or (self._is_latched and self._repeats.observe(message)):
             return
         value = self._read(message.data)
-        self._pairs.message(message.sequence, value, message.log_ns)
+        self._pairs.message(message, value)
         if self._unheard is not None:
             self._unheard.message(ShownValue(message.sequence, str(value), message.log_ns))
 
@@ -414,7 +427,8 @@ class InputCheck:
         """Report the differences between inputs and messages; `stall_ns` is the longest stall."""
         pairs, report, unheard = self._pairs, self._report, self._unheard
         pairs.end(moment.t_ns, moment.stalled_ns)
-        pairs.repeated += self._repeats.excess
+        # In a latched topic, a new file repeats a message that may come before its original.
+        pairs.repeated = self._repeats.excess + (0 if self._is_latched else pairs.repeated)
         self._tell_differing(ending)
         self._tell_lacking(ending)
         if pairs.repeated and pairs.has_one_publisher:
@@ -434,14 +448,9 @@ class InputCheck:
 
     def _tell_differing(self, ending: Ending) -> None:
         pairs = self._pairs
-        if not pairs.differing:
-            return
-        text = f"{pairs.differing} messages are not what the control loop received as"
-        text = f"{text} {self._name}: {pairs.differing_example}"
-        if pairs.has_one_publisher or pairs.differing > ending.lost:
-            ending.accuse(text)
-        else:
-            self._report.notes.append(text)
+        if pairs.differing and pairs.has_one_publisher:
+            text = f"{pairs.differing} messages are not what the control loop received as"
+            ending.accuse(f"{text} {self._name}: {pairs.differing_example}")
 
     def _tell_lacking(self, ending: Ending) -> None:
         pairs, report = self._pairs, self._report
@@ -536,7 +545,9 @@ class InputChecks:
         scan = InputTopic()
         if self._topics.values.get("parameter.scan.use", Use.OFF.value) != Use.OFF.value:
             scan = topics.recorded("scan.topic", "scan", "sensor_msgs/msg/LaserScan")  # slow
-        wanted = topics.recorded("guard_topic", "cmd_vel_nav", *COMMAND_TYPES)
+        wanted = InputTopic()
+        if self._topics.values.get("parameter.guard") == str(True):
+            wanted = topics.recorded("guard_topic", "cmd_vel_nav", *COMMAND_TYPES)
         decode = decode_twist_stamped if wanted.type_name == TWIST_STAMPED else decode_twist
         self._checks: dict[object, InputCheck] = {
             OdomReceived: InputCheck(report, topics, "odometry", odometry, read_sample),
@@ -564,8 +575,8 @@ class InputChecks:
         about = self._report, self._topics, NAMES[kind], topic
         if kind is SafetyInput.DIAGNOSTICS:
             return _DiagnosticsCheck(*about, lambda _: None, is_always_heard=False)
-        timeout_s = _number(values, f"parameter.{key}.timeout_s", params.timeout_s)
-        button = int(_number(values, "parameter.inputs.joy.button", 0.0))
+        timeout_s = number_in(values, f"parameter.{key}.timeout_s", params.timeout_s)
+        button = int(number_in(values, "parameter.inputs.joy.button", 0.0))
         read = reader_of(kind, button=button, robot=values.get("robot", ""))
         return InputCheck(
             *about,
@@ -586,7 +597,7 @@ class InputChecks:
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
         """Read an event of the journal if it is an input; `seq` is the number of its entry."""
-        if not isinstance(event, _Input):
+        if not isinstance(event, _Input) or moments[1] < self._topics.clip_begin_ns:
             return
         key: object = event.kind if isinstance(event, SafetyInputReceived) else type(event)
         check = self._checks.get(key)
@@ -616,14 +627,6 @@ class _DiagnosticsCheck(InputCheck):
         if not ending.is_clip:  # its messages begin later than its journal
             self._pairs.repeated = -self._repeats.excess
             super().end(ending, moment, stall_ns)
-
-
-def _number(values: Mapping[str, str], key: str, default: float) -> float:
-    """Return a parameter from the metadata, or `default` if it is not a number."""
-    with suppress(KeyError, ValueError):
-        value = float(values[key])
-        return value if isfinite(value) else default
-    return default
 
 
 def _read_wanted(decode: Callable[[bytes], Twist], data: bytes) -> Twist:

@@ -87,9 +87,9 @@ class ShownModes:
         self._spans.clear()
         self._statuses.clear()
 
-    def end(self) -> None:
-        """Compare the statuses that are still kept, because the journal ends."""
-        self._judge(inf)
+    def end(self, *, is_closed: bool) -> None:
+        """Compare the statuses that are still kept, unless the journal may have ended before."""
+        self._judge(inf if is_closed else self._t_ns)
 
     def _judge(self, until_ns: float) -> None:
         spans = self._spans
@@ -128,7 +128,9 @@ class StatusCheck:
         """The missing sequence numbers between the first and the newest status."""
 
         self._repeats = RepeatedLatched(topics.info)
-        self._unordered = 0
+        self._unordered = self._unordered_before = 0
+        """The number of statuses out of order, in total and before the newest one."""
+
         self._foreign = 0
         """The number of statuses of other publishers on the topic."""
 
@@ -144,15 +146,15 @@ class StatusCheck:
         return {} if self.topic is None else {self.topic: self._message}
 
     def _message(self, message: Message) -> None:
-        """Check a status; skip the copy of the last one, with which each file and clip begins.
+        """Check a status; skip the repeats of the last ones, with which each file and clip begins.
 
-        The log time of the copy is when the file began. If the recorder lags, the copy may precede
-        the status itself in the recording; its log time is then before its publish time.
+        If the recorder lags, such a repeat may come before its original, and before earlier ones.
         """
-        if message.log_ns < message.publish_ns:
-            self._repeats.count()
+        if not self.is_on:
             return
         if self._repeats.observe(message):
+            if message.sequence == self._newest:
+                self._unordered = self._unordered_before
             return
         try:
             reader = CdrReader(message.data)
@@ -177,7 +179,7 @@ class StatusCheck:
             self._first = self._newest = number
         elif number > self._newest:
             self._absent.update(range(self._newest + 1, min(number, self._newest + MAX_WAITING)))
-            self._newest = number
+            self._newest, self._unordered_before = number, self._unordered
         elif number in self._absent or number == self._newest:
             self._absent.discard(number)
             self._unordered += 1
@@ -214,8 +216,9 @@ class StatusCheck:
             self._tell_unrecorded(ending)
             return
         report, modes = self._report, self._modes
-        modes.end()
+        modes.end(is_closed=ending.is_closed)
         gaps = len(self._absent) + (self._first - 1 if self._first and ending.has_begin else 0)
+        is_mixed = self._unordered or self._foreign  # so the numbers are of two nodes
         own = {*self._absent, self._first - 1, self._newest + 1}
         if self._first and (self._foreign or not own.issuperset(self._misnamed)):
             others = self._foreign + len(self._misnamed)
@@ -224,16 +227,13 @@ class StatusCheck:
         elif wrong := self._wrong + len(self._misnamed) + modes.wrong:
             example = self._example or modes.example
             self._accuse(ending, f"{wrong} robot statuses are wrong: {example}")
-        missing = []
-        if gaps > ending.lost and ending.ledger is not None:
-            missing.append(f"{gaps} robot statuses are missing")
-        elif not self._first and ending.is_whole and moment.log_ns - self._begin_ns > FIRST_NS:
-            missing.append("no robot status is recorded")
-        for text in missing:
-            if ending.ledger is None:
-                report.miss(f"{text}; {ending.unknown_losses}")
-            else:
-                self._accuse(ending, text)
+        has_none = not self._first and moment.log_ns - self._begin_ns > FIRST_NS
+        if gaps > ending.lost and ending.ledger is not None and not is_mixed:
+            self._accuse(ending, f"{gaps} robot statuses are missing")
+        elif has_none and ending.is_closed:
+            self._accuse(ending, "no robot status is recorded")
+        elif has_none and ending.is_whole:
+            report.miss(f"no robot status is recorded; {ending.unknown_losses}")
         if self._unordered:
             report.miss(
                 f"{self._unordered} robot statuses are out of order, or another node publishes them"

@@ -7,14 +7,17 @@ stall, another publisher) may be recorded seconds later. So both sides wait, by 
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Final, Generic, NamedTuple, TypeVar
 
 from robotctl.kernel.constants import COMMAND_TYPES
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.journal import TOPIC
-from robotctl.recording.format.names import INFO_RECORD
+from robotctl.recording.format.names import CLIP_RECORD, INFO_RECORD
+from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message
 from robotctl.recording.write.recorder_options import TopicFilter
 
@@ -33,6 +36,14 @@ class InputTopic(NamedTuple):
     is_left_out: bool = False
 
 
+def number_in(values: Mapping[str, str], key: str, default: float) -> float:
+    """Return a parameter from the metadata, or `default` if it is not a number."""
+    with suppress(KeyError, ValueError):
+        value = float(values[key])
+        return value if isfinite(value) else default
+    return default
+
+
 class RobotTopics:
     """The topics and services of the robot that made the journal, as the metadata names them."""
 
@@ -40,6 +51,9 @@ class RobotTopics:
         self.info = info
         self.values = info.metadata.get(INFO_RECORD, {})
         """The metadata of the recorder."""
+
+        self.clip_begin_ns = number_in(info.metadata.get(CLIP_RECORD, {}), "start_ns", 0.0)
+        """A clip has no messages from before this time [ns since the epoch], but the journal."""
 
         self.types = {topic.name: topic.type_name for topic in info.topics}
         self.namespace = journal_topic.removesuffix(f"/{TOPIC}")
@@ -76,6 +90,10 @@ class RobotTopics:
         """Return the recorded topics of a type."""
         return {name for name, each in self.types.items() if each == type_name}
 
+    def is_latched(self, topic: str | None) -> bool:
+        """Return whether a publisher of the topic offered transient local durability."""
+        return any(t.name == topic and LATCHED_QOS in t.offered_qos for t in self.info.topics)
+
     def leaves_out(self, topic: str, *types: str) -> bool:
         """Return whether the configured patterns omit the topic with one of these types."""
         return not all(self._filter.records(topic, each) for each in types)
@@ -91,30 +109,40 @@ class RobotTopics:
         return values if is_list else []
 
 
-class RepeatedLatched:
-    """Counts the messages of a latched topic that repeat the previous message.
+MAX_REPEATED: Final = 1_000
+"""How many messages of a latched topic may come between a message and its repeat."""
 
-    The recorder begins each file with the newest message of the topic and with a snapshot. One
-    repeat per snapshot is allowed, as joined files keep their snapshots. The snapshots in a journal
-    that was received are not at the beginnings of files: at least one repeat per file is allowed.
+
+class RepeatedLatched:
+    """Counts where messages of a latched topic repeat earlier ones, of one or more publishers.
+
+    Each file begins with a snapshot and such repeats, which have one log time, so that as many log
+    times as snapshots are allowed, even in joined files. A received journal has its snapshots
+    elsewhere, so that at least as many as files are allowed.
     """
 
     def __init__(self, info: RecordingInfo) -> None:
         self._files = len(info.files)
         self._snapshots = 0
-        self._last: Message | None = None
-        self._count = 0
+        self._seen: dict[Message, tuple[int, int]] = {}
+        """For each message, the newest last: its last log time, and how many repeats had that."""
+
+        self._repeats: set[tuple[int, int]] = set()
+        """The values of `_seen` of all repeats."""
 
     def observe(self, message: Message) -> bool:
-        """Observe a message; return whether it equals the message before it, except in log time."""
-        last, self._last = self._last, message
-        is_again = last is not None and last._replace(log_ns=message.log_ns) == message
-        self._count += is_again
+        """Observe a message; return whether it equals an earlier one, except in log time."""
+        key = message._replace(log_ns=0)
+        before_ns, count = self._seen.pop(key, (-1, -1))
+        is_again = before_ns >= 0
+        count = count + 1 if before_ns == message.log_ns else int(is_again)
+        self._seen[key] = message.log_ns, count
+        if len(self._seen) > MAX_REPEATED:
+            del self._seen[next(iter(self._seen))]
+        # A new file may repeat a message that waits to be written: it is recorded after its repeat.
+        if is_again and message.publish_ns <= before_ns <= message.log_ns:
+            self._repeats.add((message.log_ns, count))
         return is_again
-
-    def count(self) -> None:
-        """Count a repeat that `observe` cannot find: it precedes the message that it repeats."""
-        self._count += 1
 
     def snapshot(self) -> None:
         """Count a snapshot, which allows one repeat."""
@@ -123,7 +151,7 @@ class RepeatedLatched:
     @property
     def excess(self) -> int:
         """The number of repeats above the number that is allowed, at least 0."""
-        return max(self._count - max(self._files, self._snapshots), 0)
+        return max(len(self._repeats) - max(self._files, self._snapshots), 0)
 
 
 MAX_WAITING: Final = 20_000
