@@ -51,7 +51,7 @@ PROBE_NODE = "_command_probe"
 async def choose_command_type(host: Host) -> CommandType:
     """Return the configured command type.
 
-    `auto` means TwistStamped if all subscribers that may move a robot have it, otherwise Twist.
+    `auto` means TwistStamped if all subscribers that may move a robot use it, otherwise Twist.
     """
     command = host.config.kernel.command
     if command.stamped is Stamping.AUTO and not (host.alone or host.options.sim):

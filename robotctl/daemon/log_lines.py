@@ -161,7 +161,7 @@ class _StderrListener(QueueListener):
         super().__init__(no_queue)
 
     def dequeue(self, block: bool) -> Any:
-        """Return data from the pipe, None at its end; data read with the end is written here."""
+        """Return data from the pipe. At the pipe's end, write the last data and return None."""
         data = os.read(self._reading, _READ_BYTES)
         if not (self._is_ending and _END in data):
             return data

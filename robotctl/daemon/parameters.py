@@ -127,7 +127,7 @@ def serve_parameters(session: Session, parameters: Parameters, robot: str) -> No
 
 def _served_by(key: str, nodes: Container[str]) -> str:
     """Return the node that declares a key: `node_of(key)`, or `mode_service` if `nodes` lacks it.
-    The simulated robot is returned even if it is not in `nodes`, so that no node has its keys."""
+    For a key of the simulated robot, return the simulated robot even if `nodes` lacks it."""
     node = node_of(key)
     return node if node in nodes or node == SIMULATED_ROBOT else MODE_SERVICE
 

@@ -254,7 +254,7 @@ class ParameterAnswer(TypedDict):
     """A word for the type: boolean, whole number, number, text, or texts."""
     allowed: str
     changes: str
-    """When it can be changed; see `kernel.ranges.Change`."""
+    """When the parameter can be changed; see `kernel.ranges.Change`."""
     about: str
 
 

@@ -17,7 +17,7 @@ from robotctl.replay.playback_control import PlaybackControl
 from robotctl.replay.timeline import Entry
 
 SPIN_NS: Final = 40_000
-"""How late the scheduler may wake a thread: the last part of a wait, this long, polls the clock."""
+"""How late the scheduler may wake a thread; so the last SPIN_NS of a wait poll the clock."""
 
 _PR_SET_TIMERSLACK: Final = 29
 _NO_SLACK_NS: Final = 1

@@ -143,7 +143,7 @@ class ReplayGuard:
     def withheld(self, routes: Iterable[Route]) -> list[Route]:
         """Return the routes that a robot would obey and the user did not name.
 
-        With a prefix, the list is empty. Routes without subscribers are in it: a robot may join.
+        With a prefix, the list is empty; without, it also has routes that have no subscriber yet.
         """
         if self.prefix:
             return []

@@ -65,7 +65,7 @@ def close_context(
 
 
 STDIN: Final = 0
-"""Stdin, whose one line was read before: it becomes readable when the command closes it."""
+"""Stdin's descriptor; its only line is read already. It is readable when the command closes it."""
 
 SETTLE_S: Final = 3.5
 """How long discovery may take: a process repeats a lost announcement after 3 s."""

@@ -233,7 +233,7 @@ def _depth(profile: Mapping[str, Any]) -> int:
 
 
 def _common(profiles: Sequence[Mapping[str, Any]], policy: str) -> Duration:
-    """Return the duration of a policy if all profiles have the same, else 0 (unspecified)."""
+    """Return the duration of a policy if it is equal in all profiles, else 0 (unspecified)."""
     spans = {_span_ns(each.get(policy)) for each in profiles}
     return Duration(nanoseconds=spans.pop() if len(spans) == 1 else 0)
 

@@ -22,7 +22,7 @@ from robotctl.kernel.safety import RULES
 from robotctl.kernel.types import Cause
 
 MAX_BYTES = 4096
-"""Limit on the bytes that are read of the file; a reason is one sentence."""
+"""Limit on the bytes that are read from the file, which holds one sentence and a cause."""
 
 _CAUSE = "cause: "
 _CAUSES = {rule.cause.value: rule.cause for rule in RULES if rule.action is Mode.EMERGENCY_STOP}

@@ -28,8 +28,8 @@ class Tidier:
     """Starts processes of the lowest priority that tidy the folder of recordings.
 
     When `begun` is set, the first process removes what exceeds the retention policy, and repairs
-    what a crash left. Each time that `finished` is set, another one only removes. The daemon does
-    not do this itself, as files may be of any origin and size. For the loop's thread.
+    what a crash left. Each time that `finished` is set, another process only removes. The daemon
+    does not do this itself, as files may be of any origin and size. For the loop's thread.
     """
 
     def __init__(self, policy: RetentionPolicy, recording: Path) -> None:

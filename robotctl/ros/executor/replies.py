@@ -39,7 +39,7 @@ PAUSE_S: Final = 1.0
 each attempt blocks the loop for 0.1 s."""
 
 MAX_KNOWN: Final = 1_000
-"""Limit on the remembered readers, to which a response is sent without a look at the graph."""
+"""Limit on the remembered readers, to which a response is sent without reading the graph."""
 
 _GID_BYTES: Final = 16
 _READER_BIT: Final = 0x04

@@ -273,8 +273,8 @@ _ANY_JUMP = JumpThreshold(
 class TimerSource(Source):
     """A timer on the steady, system or ROS clock, with cancel and reset.
 
-    While /clock drives the ROS clock, no Linux timer can know when this timer is due. So this
-    timer is then checked at each step of the clock.
+    While /clock drives the ROS clock, no Linux timer can know when this timer is due. In this case
+    the timer is checked at each message of /clock.
     """
 
     woken_by = "timerfd"

@@ -65,7 +65,7 @@ def report_wanted_commands(
     command: CommandType,
     on_command: Callable[[Twist, str, int], None],
 ) -> Subscription:
-    """Report each velocity that another node requests on `topic`; NaN: an unreadable message."""
+    """Report each velocity that another node requests on `topic`, NaN if it is unreadable."""
 
     def read(data: bytes) -> Twist:
         try:

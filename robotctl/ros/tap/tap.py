@@ -225,7 +225,7 @@ class Tap:
         """Topic that was left out -> its types; it is tried again when its types change."""
 
         self._failed: set[str] = set()
-        """Topics whose subscription failed, maybe only for a time; it is tried again."""
+        """Topics whose subscription failed and is tried again: the cause may be temporary."""
 
         self._awaited: dict[str, str] = {}
         """Topic without a subscription yet -> its type, which is still loading."""
