@@ -262,7 +262,7 @@ def _delay_s(motion: Motion, line: _Line) -> float:
 
 
 def _commanded_since_s(motion: Motion) -> float:
-    """Return when [s] the wanted speed must begin, without a ramp, to command the same distance."""
+    """Return the start [s] of a motion without a ramp that commands the same distance."""
     last_s = _last_s(motion)
     sent = [(t_s, value) for t_s, value in motion.sent() if t_s <= last_s]
     driven = sum(value * (after_s - t_s) for (t_s, value), (after_s, _) in pairwise(sent))

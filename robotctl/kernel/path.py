@@ -275,7 +275,7 @@ class Path:
         return nearest_m
 
     def _distance_to_sides(self, point: Pose, index: int) -> float:
-        """Return the distance [m] to the nearer neighbour of a turn, or to a turn without any."""
+        """Return the distance [m] to the nearer neighbour of turn `index`, or to a lone turn."""
         before, after = self._neighbour(index, -1), self._neighbour(index, 1)
         distances_m = [] if before is None else [before.distance_to(point, before.length)]
         if after is not None:
