@@ -225,11 +225,14 @@ def journal(
     return edit(contents, JOURNAL, keep)
 
 
+def chained_anew(change: EntriesEdit) -> Kind:
+    """Change journal entries as a careful forger."""
+    return journal(change, careful=True)
+
+
 def entries_dropped(is_dropped: Callable[[JournalEntry], bool]) -> Kind:
     """Drop journal entries, and chain the others anew."""
-    return journal(
-        lambda entries, _: [None if is_dropped(each) else each for each in entries], careful=True
-    )
+    return chained_anew(lambda entries, _: [None if is_dropped(e) else e for e in entries])
 
 
 def _renumbered(entries: Entries) -> Entries:
