@@ -53,16 +53,24 @@ def test_a_process_that_dies_costs_its_recording_alone(
     assert reports[0]["missing"] == ["the process that checked it was killed"]
 
 
-def test_an_interrupted_check_ends_its_processes(tmp_path: Path) -> None:
-    long = record(tmp_path / "long", drive(120.0))
-    program = f"""
+CHECKS = """
+import sys
 from pathlib import Path
 from robotctl.check.run import check_recordings
-check_recordings([Path({str(long)!r})] * 200)
+check_recordings([Path(sys.argv[1])] * 200, lambda done, total: done and print(done, flush=True))
 """
-    checking = subprocess.Popen(
-        [sys.executable, "-c", program], stderr=subprocess.PIPE, process_group=0
-    )
+
+
+def check_of(folder: Path, seconds: float) -> subprocess.Popen[bytes]:
+    """Begin to check a long recording again and again."""
+    long = record(folder / "long", drive(seconds))
+    command = [sys.executable, "-c", CHECKS, str(long)]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, stdout=pipe, stderr=pipe, process_group=0)
+
+
+def test_an_interrupted_check_ends_its_processes(tmp_path: Path) -> None:
+    checking = check_of(tmp_path, 120.0)
     parent = psutil.Process(checking.pid)
     workers: list[psutil.Process] = []
 
@@ -79,18 +87,7 @@ check_recordings([Path({str(long)!r})] * 200)
 
 
 def test_a_killed_check_leaves_no_process_and_no_traceback_behind(tmp_path: Path) -> None:
-    long = record(tmp_path / "long", drive(60.0))
-    program = f"""
-from pathlib import Path
-from robotctl.check.run import check_recordings
-check_recordings([Path({str(long)!r})] * 200, lambda done, total: done and print(done, flush=True))
-"""
-    checking = subprocess.Popen(
-        [sys.executable, "-c", program],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        process_group=0,
-    )
+    checking = check_of(tmp_path, 60.0)
     assert checking.stdout is not None
     checking.stdout.readline()
     workers = psutil.Process(checking.pid).children()

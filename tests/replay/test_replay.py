@@ -76,24 +76,16 @@ class Playing:
 
 
 @pytest.fixture
-def child(domain_id: int, own_sockets: None) -> Iterator[Callable[[Job], Playing]]:
+def play(stage: Stage) -> Iterator[Callable[..., Playing]]:
+    """A function that plays numbered messages to the listener."""
     with ExitStack() as started:
 
-        def begin(job: Job) -> Playing:
+        def begin(count: int, period_ms: float = 10.0, **options: Any) -> Playing:
+            lines = [Line("/alpha", STRING, n * period_ms, text(f"{n}")) for n in range(count)]
+            job = Job(stage.bag(lines, heard=True), stage.domain_id, **options)
             return started.enter_context(closing(Playing(job)))
 
         yield begin
-
-
-@pytest.fixture
-def play(stage: Stage, child: Callable[[Job], Playing]) -> Callable[..., Playing]:
-    """A function that plays numbered messages to the listener."""
-
-    def begin(count: int, period_ms: float = 10.0, **options: Any) -> Playing:
-        lines = [Line("/alpha", STRING, n * period_ms, text(f"{n}")) for n in range(count)]
-        return child(Job(stage.bag(lines, heard=True), stage.domain_id, **options))
-
-    return begin
 
 
 async def test_steps_and_rates_reach_the_player_also_those_that_were_asked_for_early(
@@ -118,11 +110,12 @@ async def test_what_is_no_command_stops_nothing(play: Any, stage: Stage) -> None
 
 
 async def test_what_is_stopped_before_everybody_is_known_opens_nothing(
-    child: Any, stage: Stage
+    stage: Stage,
 ) -> None:
     # Before it opens a topic of commands, it waits until nothing changes for a while.
     file = stage.bag([Line("/cmd_vel", TWIST, 0.0, twist(1.0))])
-    exit_code, summary = child(Job(file, stage.domain_id, topics=("/cmd_vel",))).end()
+    with closing(Playing(Job(file, stage.domain_id, topics=("/cmd_vel",)))) as playing:
+        exit_code, summary = playing.end()
     assert (exit_code, summary["topics"], summary["interrupted"]) == (0, [], True)
 
 

@@ -167,12 +167,6 @@ class Taken:
 
 
 @pytest.fixture
-def new_taken() -> type[Taken]:
-    """Creates objects that keep the messages of a tap."""
-    return Taken
-
-
-@pytest.fixture
 async def session(domain_id: int) -> AsyncIterator[Any]:
     """A session like the daemon's."""
     with ExitStack() as at_end:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import os
-import threading
 import time
 from typing import Any
 
-import rclpy
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import Twist
 from rcl_interfaces.srv import GetParameters, SetParameters
@@ -15,7 +13,6 @@ from rclpy.action.client import ActionClient
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
-from rclpy.executors import MultiThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from robot_controller.action import DrivePattern
@@ -24,11 +21,11 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from tests.ros.open_executor import Node
-from tests.support.lines import obey
+from tests.support.ros_peer import NodePeer, run_peer
 from tests.support.waiting import DEADLINE_S, until
 
 
-class Peer:
+class Peer(NodePeer):
     def __init__(self) -> None:
         self.node = Node("peer")
         self.group = ReentrantCallbackGroup()
@@ -118,28 +115,25 @@ class Peer:
 
     def call(self, service: str, data: bool, times: int = 1) -> list[Any]:
         """Call SetBool some times, one call after the other."""
-        replies = self._ask(SetBool, service, *[SetBool.Request(data=data)] * times)
+        client: Any = self.node.create_client(SetBool, service, callback_group=self.group)
+        assert client.wait_for_service(DEADLINE_S)
+        request = SetBool.Request(data=data)
+        replies = [client.call(request, DEADLINE_S) for _ in range(times)]
+        self.node.destroy_client(client)
         return [[reply.success, reply.message] if reply else None for reply in replies]
 
     def get_parameter(self, node: str, name: str) -> Any:
         """Read an integer parameter of another node."""
         request = GetParameters.Request(names=[name])
-        (reply,) = self._ask(GetParameters, f"{node}/get_parameters", request)
+        reply = self._ask(GetParameters, f"{node}/get_parameters", request)
         return reply.values[0].integer_value
 
     def set_parameter(self, node: str, name: str, value: Any) -> bool:
         """Set a parameter of another node."""
         message = Parameter(name, value=value).to_parameter_msg()
         request = SetParameters.Request(parameters=[message])
-        (reply,) = self._ask(SetParameters, f"{node}/set_parameters", request)
+        reply = self._ask(SetParameters, f"{node}/set_parameters", request)
         return bool(reply.results[0].successful)
-
-    def _ask(self, kind: Any, service: str, *requests: Any) -> list[Any]:
-        client: Any = self.node.create_client(kind, service, callback_group=self.group)
-        assert client.wait_for_service(DEADLINE_S)
-        replies = [client.call(request, DEADLINE_S) for request in requests]
-        self.node.destroy_client(client)
-        return replies
 
     # Actions.
 
@@ -206,19 +200,5 @@ class Peer:
         return report
 
 
-def main() -> None:
-    rclpy.init(args=[])
-    peer = Peer()
-    executor = MultiThreadedExecutor(4)
-    executor.add_node(peer.node)
-    spinner = threading.Thread(target=executor.spin)
-    spinner.start()
-    obey(peer)
-    executor.shutdown()
-    spinner.join()
-    peer.node.destroy_node()
-    rclpy.shutdown()
-
-
 if __name__ == "__main__":
-    main()
+    run_peer(Peer, threads=4)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -131,6 +132,15 @@ class Bench(Node):
         client = self.create_client(SetBool, service or self.topic)
         await self.opened.wait_for_service(client, timeout_s=DEADLINE_S)
         return client
+
+
+@asynccontextmanager
+async def opened(node: Any, on_exception: Any = None) -> AsyncIterator[AsyncioExecutor]:
+    """Open an executor with a node that has none, for a while."""
+    executor = AsyncioExecutor(node.context, on_exception=on_exception)
+    async with asyncio.timeout(DEADLINE_S), executor:
+        executor.add_node(node)
+        yield executor
 
 
 def populate(node: Any, topic: str, on_message: Callable[[Any], object]) -> Any:

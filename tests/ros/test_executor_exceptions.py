@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import RclCallFailed
-from tests.ros.open_executor import Bench, Node, populate, sources_of
+from tests.ros.open_executor import Bench, Node, opened, populate, sources_of
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
@@ -28,13 +28,10 @@ Peer = Callable[..., Awaitable[Any]]
 
 
 @pytest.fixture
-async def reported(context: Any, node: Node) -> Any:
+async def reported(node: Node) -> Any:
     """The reports of an executor with the node, as (exception text, where)."""
     told: list[tuple[str, str]] = []
-    async with AsyncioExecutor(
-        context, on_exception=lambda error, where: told.append((str(error), where))
-    ) as executor:
-        executor.add_node(node)
+    async with opened(node, lambda error, where: told.append((str(error), where))):
         yield told
 
 
@@ -90,15 +87,14 @@ async def test_an_exception_in_any_callback_reaches_the_handler_and_the_next_one
     assert {text for text, _ in reported} == {"no"}
 
 
-async def test_without_a_handler_the_loops_own_is_told(context: Any, node: Node) -> None:
+async def test_without_a_handler_the_loops_own_is_told(node: Bench) -> None:
     told: list[dict[str, Any]] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, report: told.append(report))
 
     def fail() -> None:
         raise ValueError("no")
 
-    async with AsyncioExecutor(context) as executor:
-        executor.add_node(node)
+    async with opened(node):
         node.create_timer(0.005, fail)
         await until(lambda: len(told) >= 2)
     assert isinstance(told[0]["exception"], ValueError)
@@ -142,34 +138,27 @@ async def test_a_service_that_returns_no_response_is_reported_and_serves_on(
 
 
 async def test_a_failing_take_is_reported_and_tried_again_later(
-    context: Any, node: Node, topic: str, monkeypatch: pytest.MonkeyPatch
+    node: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("robotctl.ros.executor.source.RETRY_AFTER_FAILED_TAKE_S", 0.01)
     told: list[str] = []
-    got: list[int] = []
-    tapped: list[bytes] = []
-    async with AsyncioExecutor(
-        context, on_exception=lambda error, where: told.append(str(error))
-    ) as executor:
-        executor.add_node(node)
-        typed = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10)
-        tap = RawTap(lambda data, *_: tapped.append(data))
-        raw = node.create_subscription(UInt64, topic, tap, 10, raw=True)
+    got, tapped = node.hear(), node.tap(depth=10)
+    async with opened(node, lambda error, where: told.append(str(error))) as executor:
         await asyncio.sleep(0)
         sources: Any = sources_of(executor)
-        takers = {each: sources[each]._taker for each in (typed, raw)}
+        takers = {each: sources[each]._taker for each in (got.entity, tapped.entity)}
 
         def fail(*_: Any) -> None:
             raise RclCallFailed("cannot take")
 
         for each, taker in takers.items():
             sources[each]._taker = SimpleNamespace(take=fail, free=taker.free, info=taker.info)
-        node.create_publisher(UInt64, topic, 10).publish(UInt64(data=3))
+        node.publish(3)
         await until(lambda: len(told) >= 4)
         assert (got, tapped) == ([], [])
         for each, taker in takers.items():
             sources[each]._taker = taker
-        await until(lambda: got == [3] and len(tapped) == 1)
+        await until(lambda: got == tapped == [3])
     assert set(told) == {"cannot take"}
 
 
@@ -219,12 +208,9 @@ async def test_a_destroyed_node_leaves_the_executor(
     assert not [source for source in sources_of(executor).values() if "short_lived" in source.where]
 
 
-async def test_a_closed_executor_says_that_it_is_closed(
-    context: Any, node: Node, topic: str
-) -> None:
-    async with AsyncioExecutor(context) as executor:
-        executor.add_node(node)
-        client = node.create_client(SetBool, topic)
+async def test_a_closed_executor_says_that_it_is_closed(node: Bench) -> None:
+    async with opened(node) as executor:
+        client = node.create_client(SetBool, node.topic)
     for use in (lambda: executor.add_node(node), lambda: executor.create_task(print)):
         with pytest.raises(RuntimeError, match="was shut down; create a new one"):
             use()

@@ -28,8 +28,8 @@ from robot_controller.action import DrivePattern
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
-from robotctl.ros import AsyncioExecutor, RawTap, Ticker
-from tests.ros.open_executor import Bench, Node, loop_descriptors, populate
+from robotctl.ros import RawTap, Ticker
+from tests.ros.open_executor import Bench, loop_descriptors, opened, populate
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
@@ -195,11 +195,9 @@ async def test_entities_destroyed_with_something_pending_disturb_nothing(
 RunPython = Callable[..., CompletedProcess[str]]
 
 
-async def test_60_starts_and_stops_under_traffic_leave_nothing_behind(
-    context: Any, node: Node, topic: str
-) -> None:
+async def test_60_starts_and_stops_under_traffic_leave_nothing_behind(node: Bench) -> None:
     got: list[int] = []
-    publisher = populate(node, topic, lambda message: got.append(message.data))
+    publisher = populate(node, node.topic, lambda message: got.append(message.data))
     stop = threading.Event()
 
     def publish() -> None:
@@ -209,8 +207,7 @@ async def test_60_starts_and_stops_under_traffic_leave_nothing_behind(
 
     async def cycle() -> None:
         count = len(got)
-        async with AsyncioExecutor(context) as executor:
-            executor.add_node(node)
+        async with opened(node):
             await until(lambda: len(got) > count)
 
     thread = threading.Thread(target=publish)

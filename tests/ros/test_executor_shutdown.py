@@ -18,7 +18,7 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
-from tests.ros.open_executor import Bench, engine_of, loop_descriptors, populate
+from tests.ros.open_executor import Bench, engine_of, loop_descriptors, opened, populate
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
@@ -41,7 +41,7 @@ class SlowToEnd:
 
 
 async def test_serve_ends_when_a_callback_shuts_down_and_no_callback_runs_after_it(
-    context: Any, node: Node, topic: str
+    node: Bench,
 ) -> None:
     got: list[int] = []
 
@@ -49,10 +49,8 @@ async def test_serve_ends_when_a_callback_shuts_down_and_no_callback_runs_after_
         got.append(message.data)
         executor.shutdown()
 
-    publisher = populate(node, topic, on_message)
-    executor = AsyncioExecutor(context)
-    async with asyncio.timeout(DEADLINE_S), executor:
-        executor.add_node(node)
+    publisher = populate(node, node.topic, on_message)
+    async with opened(node) as executor:
         await asyncio.sleep(0.01)  # Attached, and idle.
         for value in range(10):
             publisher.publish(UInt64(data=value))
@@ -62,9 +60,7 @@ async def test_serve_ends_when_a_callback_shuts_down_and_no_callback_runs_after_
     assert node.executor is None
 
 
-async def test_shutdown_from_an_async_callback_lets_it_run_to_its_next_await(
-    context: Any, node: Node, topic: str
-) -> None:
+async def test_shutdown_from_an_async_callback_lets_it_run_to_its_next_await(node: Bench) -> None:
     done: list[bool] = []
 
     async def on_message(message: UInt64) -> None:
@@ -74,22 +70,17 @@ async def test_shutdown_from_an_async_callback_lets_it_run_to_its_next_await(
         await asyncio.sleep(DEADLINE_S)
         done.append(False)
 
-    publisher = populate(node, topic, on_message)
-    executor = AsyncioExecutor(context)
-    async with asyncio.timeout(DEADLINE_S), executor:
-        executor.add_node(node)
+    publisher = populate(node, node.topic, on_message)
+    async with opened(node) as executor:
         publisher.publish(UInt64())
         await executor.serve()
     assert done == [True]
 
 
-async def test_shutdown_from_another_thread_waits_for_running_callbacks(
-    context: Any, node: Node, topic: str
-) -> None:
+async def test_shutdown_from_another_thread_waits_for_running_callbacks(node: Bench) -> None:
     slow = SlowToEnd()
-    publisher = populate(node, topic, slow)
-    async with asyncio.timeout(DEADLINE_S), AsyncioExecutor(context) as executor:
-        executor.add_node(node)
+    publisher = populate(node, node.topic, slow)
+    async with opened(node) as executor:
         publisher.publish(UInt64())
         await until(lambda: slow.events == ["running"])
         assert await asyncio.to_thread(executor.shutdown, 0.0) is False
@@ -99,12 +90,11 @@ async def test_shutdown_from_another_thread_waits_for_running_callbacks(
 
 
 async def test_leaving_the_block_cancels_async_callbacks_and_waits_for_their_cleanup(
-    context: Any, node: Node, topic: str
+    node: Bench,
 ) -> None:
     slow = SlowToEnd()
-    publisher = populate(node, topic, slow)
-    async with AsyncioExecutor(context) as executor:
-        executor.add_node(node)
+    publisher = populate(node, node.topic, slow)
+    async with opened(node):
         publisher.publish(UInt64())
         await until(lambda: slow.events)
     assert slow.events == ["running", "cleaned up"]
@@ -128,12 +118,9 @@ async def test_an_executor_that_is_shut_down_while_it_opens_lets_go_of_everythin
     assert never_begun.cancelled()
 
 
-async def test_a_call_that_waits_when_the_executor_shuts_down_is_told(
-    context: Any, node: Node, topic: str
-) -> None:
-    async with asyncio.timeout(DEADLINE_S), AsyncioExecutor(context) as executor:
-        executor.add_node(node)
-        client = node.create_client(SetBool, topic)
+async def test_a_call_that_waits_when_the_executor_shuts_down_is_told(node: Bench) -> None:
+    async with opened(node) as executor:
+        client = node.create_client(SetBool, node.topic)
         call = asyncio.create_task(executor.call(client, SetBool.Request(), timeout_s=None))
         plain = client.call_async(SetBool.Request())
         await asyncio.sleep(0.01)

@@ -23,7 +23,7 @@ from std_msgs.msg import String, UInt64
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import announcements, subscriptions
 from robotctl.ros.executor.raw_tap import LARGE_BYTES, SerializedTaker
-from tests.ros.open_executor import Bench, Node
+from tests.ros.open_executor import Bench, Node, opened
 from tests.support.waiting import loop_until as until
 from tests.support.waiting import until as wait_until
 
@@ -96,21 +96,14 @@ async def test_a_tap_takes_messages_of_growing_and_shrinking_size(bench: Bench) 
 
 @pytest.mark.parametrize("announced", [True, False])
 async def test_messages_from_before_the_node_was_added_are_delivered(
-    context: Any,
-    node: Node,
-    feed: Feed,
-    topic: str,
-    monkeypatch: pytest.MonkeyPatch,
-    announced: bool,
+    node: Bench, feed: Feed, monkeypatch: pytest.MonkeyPatch, announced: bool
 ) -> None:
     if not announced:  # another middleware may announce later messages only
         monkeypatch.setattr(announcements, "watch", lambda *_: None)
         monkeypatch.setattr(announcements, "unwatch", lambda *_: None)
-    got: list[int] = []
-    subscription = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 100)
-    await feed(subscription, [1, 2, 3])
-    async with AsyncioExecutor(context) as executor:
-        executor.add_node(node)
+    got = node.hear(depth=100)
+    await feed(got.entity, [1, 2, 3])
+    async with opened(node):
         await until(lambda: got == [1, 2, 3])
 
 
@@ -144,13 +137,12 @@ async def test_matched_events_come_when_the_other_side_appears_and_goes(
 
 
 async def test_an_incompatible_offer_from_before_the_node_was_added_counts_as_one(
-    context: Any, node: Node, peer: Peer, topic: str
+    node: Bench, peer: Peer
 ) -> None:
     seen: list[Any] = []
-    await meet_incompatible(node, peer, topic, seen.append)
-    await until(lambda: node.count_publishers(topic))
-    async with AsyncioExecutor(context) as executor:
-        executor.add_node(node)
+    await meet_incompatible(node, peer, node.topic, seen.append)
+    await until(lambda: node.count_publishers(node.topic))
+    async with opened(node):
         await until(lambda: seen)
     event = seen[0]
     assert (event.total_count, event.total_count_change) == (1, 1)
@@ -238,8 +230,8 @@ class ForeignWaitable(Waitable):
 
 
 @pytest.fixture
-def waitable(node: Node, topic: str) -> Iterator[ForeignWaitable]:
-    made = ForeignWaitable(node, f"{topic}/foreign")
+def waitable(node: Bench) -> Iterator[ForeignWaitable]:
+    made = ForeignWaitable(node, f"{node.topic}/foreign")
     node.add_waitable(made)
     yield made
     node.remove_waitable(made)
@@ -255,11 +247,10 @@ def foreign(executor: AsyncioExecutor, waitable: ForeignWaitable) -> ForeignWait
 
 
 async def test_a_foreign_waitable_is_waited_for_taken_and_executed(
-    foreign: ForeignWaitable, node: Node, topic: str
+    foreign: ForeignWaitable, node: Bench
 ) -> None:
-    publisher = node.create_publisher(UInt64, f"{topic}/foreign", 10)
     for value in (1, 2, 3):
-        publisher.publish(UInt64(data=value))
+        node.publish(value, topic=f"{node.topic}/foreign")
 
         def is_executed(value: int = value) -> bool:
             return foreign.executed == list(range(1, value + 1))
@@ -269,10 +260,8 @@ async def test_a_foreign_waitable_is_waited_for_taken_and_executed(
 
 @pytest.mark.parametrize("method", ["get_num_entities", "add_to_wait_set", "is_ready", "take_data"])
 async def test_a_foreign_waitable_that_raises_is_reported_and_disturbs_no_guard_condition(
-    context: Any,
-    node: Node,
+    node: Bench,
     waitable: ForeignWaitable,
-    topic: str,
     comes_to_rest: Callable[[], Awaitable[bool]],
     monkeypatch: pytest.MonkeyPatch,
     method: str,
@@ -283,11 +272,8 @@ async def test_a_foreign_waitable_that_raises_is_reported_and_disturbs_no_guard_
     monkeypatch.setattr(waitable, method, fail)
     reported: list[str] = []
     fired: list[int] = []
-    async with AsyncioExecutor(
-        context, on_exception=lambda error, where: reported.append(str(error))
-    ) as executor:
-        executor.add_node(node)
-        node.create_publisher(UInt64, f"{topic}/foreign", 10).publish(UInt64(data=1))
+    async with opened(node, lambda error, where: reported.append(str(error))):
+        node.publish(1, topic=f"{node.topic}/foreign")
         guard = node.create_guard_condition(lambda: fired.append(1))
         await until(lambda: reported)
         assert await comes_to_rest()
@@ -298,28 +284,25 @@ async def test_a_foreign_waitable_that_raises_is_reported_and_disturbs_no_guard_
     assert set(reported) == {"no"}
 
 
-async def test_a_match_from_before_the_node_was_added_is_told_once(
-    context: Any, node: Node, peer: Peer, topic: str
-) -> None:
+async def test_a_match_from_before_the_node_was_added_is_told_once(node: Bench, peer: Peer) -> None:
     seen: list[int] = []
 
     def tell(event: Any) -> None:
         seen.append(event.current_count)
 
-    await peer("listen", topic=topic)
+    await peer("listen", topic=node.topic)
     callbacks = PublisherEventCallbacks(matched=tell)
-    publisher = node.create_publisher(UInt64, topic, 10, event_callbacks=callbacks)
+    publisher = node.create_publisher(UInt64, node.topic, 10, event_callbacks=callbacks)
     await until(publisher.get_subscription_count)
     reference: list[int] = []
-    async with AsyncioExecutor(context) as executor:
-        executor.add_node(node)
+    async with opened(node):
         node.create_timer(0.01, lambda: reference.append(1))
         await until(lambda: seen and len(reference) >= 5)
     assert seen == [1]
 
 
 async def test_what_an_executor_of_rclpy_has_told_is_not_told_again(
-    context: Any, node: Node, peer: Peer, topic: str
+    context: Any, node: Bench, peer: Peer
 ) -> None:
     seen: list[tuple[int, int, int]] = []
 
@@ -327,8 +310,8 @@ async def test_what_an_executor_of_rclpy_has_told_is_not_told_again(
         seen.append((event.total_count, event.total_count_change, event.current_count_change))
 
     callbacks = PublisherEventCallbacks(matched=tell)
-    node.create_publisher(UInt64, topic, 10, event_callbacks=callbacks)
-    await peer("listen", topic=topic)
+    node.create_publisher(UInt64, node.topic, 10, event_callbacks=callbacks)
+    await peer("listen", topic=node.topic)
     theirs = SingleThreadedExecutor(context=context)
     theirs.add_node(node)
 
@@ -340,15 +323,11 @@ async def test_what_an_executor_of_rclpy_has_told_is_not_told_again(
     theirs.remove_node(node)
     theirs.shutdown()
     assert seen == [(1, 1, 1)]
-    local = node.create_subscription(UInt64, topic, lambda _: None, 10)
-    turns: list[int] = []
-    node.create_timer(0.01, lambda: turns.append(1))
-    async with AsyncioExecutor(context) as executor:
-        executor.add_node(node)
+    local, turns = node.listen(lambda _: None), node.ticks()
+    async with opened(node):
         await until(lambda: len(seen) >= 2)
     turns.clear()
-    async with AsyncioExecutor(context) as executor:  # Nor by a publisher of this process.
-        executor.add_node(node)
+    async with opened(node):  # Nor by a publisher of this process.
         await until(lambda: len(turns) >= 5)
     assert seen == [(1, 1, 1), (2, 1, 1)]
     node.destroy_subscription(local)
@@ -435,7 +414,7 @@ async def test_messages_that_waited_for_their_callback_group_are_all_delivered(
 
 
 async def test_a_foreign_waitable_parked_behind_its_group_does_not_turn_the_loop(
-    foreign: ForeignWaitable, node: Node, topic: str, comes_to_rest: Callable[[], Awaitable[bool]]
+    foreign: ForeignWaitable, node: Bench, comes_to_rest: Callable[[], Awaitable[bool]]
 ) -> None:
     release = asyncio.Event()
     busy: list[int] = []
@@ -444,12 +423,10 @@ async def test_a_foreign_waitable_parked_behind_its_group_does_not_turn_the_loop
         busy.append(1)
         await release.wait()
 
-    node.create_subscription(UInt64, topic, hold, 10)
-    node.create_publisher(UInt64, topic, 10).publish(UInt64())
+    node.listen(hold)
+    node.publish(0)
     await until(lambda: busy)
-    publisher = node.create_publisher(UInt64, f"{topic}/foreign", 10)
-    publisher.publish(UInt64(data=1))
-    publisher.publish(UInt64(data=2))
+    node.publish(1, 2, topic=f"{node.topic}/foreign")
     assert await comes_to_rest()
     assert foreign.executed == []
     release.set()

@@ -32,6 +32,7 @@ from robotctl.ros.graph.endpoints import PROCESS_BYTES, gid_of, node_of
 from robotctl.ros.session import Session
 from robotctl.ros.tap import tap
 from robotctl.ros.tap.tap import Tap
+from tests.ros.conftest import Taken
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
@@ -134,11 +135,11 @@ async def test_a_topic_that_nobody_publishes_for_long_is_given_back(
 
 
 async def test_of_several_types_the_most_published_is_taken_and_others_are_named_until_they_go(
-    session: Session, new_taken: Callable[[], Any], node: Any, other_node: Any, topic: str
+    session: Session, node: Any, other_node: Any, topic: str
 ) -> None:
     other = text_publisher(other_node, topic)
     kept = [publisher(node, topic), publisher(node, topic), other]
-    taken = new_taken()
+    taken = Taken()
     tap = Tap(session, taken.open)
     await until(lambda: len(tap.node.get_publishers_info_by_topic(topic)) == len(kept))
     await look_until(tap, lambda: topic in taken.topics)
@@ -284,13 +285,12 @@ async def test_hundreds_of_topics_take_one_file_each(
 
 async def test_a_topic_too_many_is_named_and_the_process_keeps_its_files(
     session: Session,
-    new_taken: Callable[[], Any],
     node: Any,
     topic: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda what: (2, 2))
-    taken = new_taken()
+    taken = Taken()
     tap = Tap(session, taken.open)
     kept = [publisher(node, f"{topic}_{index}") for index in range(2)]
     await until(lambda: all(tap.node.count_publishers(each.topic_name) for each in kept))

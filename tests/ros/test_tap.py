@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 from array import array
-from collections.abc import Callable
 from random import Random
 from threading import Event
 from typing import Any
@@ -34,6 +33,7 @@ from robotctl.ros.tap import subscription as subscription_module
 from robotctl.ros.tap.on_demand import OnDemandTap
 from robotctl.ros.tap.subscription import MAX_GAPS, MAX_PUBLISHERS, LatchedMerge
 from robotctl.ros.tap.tap import MAX_ENDPOINTS, Tap, mismatch
+from tests.ros.conftest import Taken
 from tests.support.waiting import loop_until as until
 
 
@@ -66,10 +66,8 @@ async def test_a_foreign_topic_is_taken_with_all_that_describes_it(
     assert received == [(True, 1), (True, 2)]
 
 
-async def test_our_own_topic_is_taken_from_its_first_message(
-    session: Session, new_taken: Callable[[], Any], topic: str
-) -> None:
-    taken = new_taken()
+async def test_our_own_topic_is_taken_from_its_first_message(session: Session, topic: str) -> None:
+    taken = Taken()
     Tap(session, taken.open).subscribe_own(OwnTopic(topic, UInt64, qos.COMMAND))
     publisher(session.node("ours"), topic).publish(number(1))
     await until(lambda: taken.messages[topic])

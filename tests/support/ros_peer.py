@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
 from nav_msgs.msg import Odometry, Path
 from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from robot_controller.msg import RobotStatus
@@ -50,11 +50,11 @@ def fields(message: Any) -> dict[str, Any]:
     return {name: getattr(message, name) for name in message.get_fields_and_field_types()}
 
 
-def run_peer(make: Callable[[], NodePeer]) -> None:
+def run_peer(make: Callable[[], NodePeer], *, threads: int = 1) -> None:
     """Run the process of a peer until stdin is closed."""
     rclpy.init(args=[])
     peer = make()
-    with spinning(peer.node):
+    with spinning(peer.node, threads):
         obey(peer)
     peer.end()
     peer.node.destroy_node()
@@ -62,9 +62,13 @@ def run_peer(make: Callable[[], NodePeer]) -> None:
 
 
 @contextmanager
-def spinning(node: Node) -> Iterator[None]:
+def spinning(node: Node, threads: int = 1) -> Iterator[None]:
     """Run the callbacks of the node until the end of the block."""
-    executor = SingleThreadedExecutor(context=node.context)
+    executor: Any = (
+        SingleThreadedExecutor(context=node.context)
+        if threads == 1
+        else MultiThreadedExecutor(threads, context=node.context)
+    )
     executor.add_node(node)
     spinner = threading.Thread(target=executor.spin)
     spinner.start()

@@ -230,7 +230,7 @@ ONLY_IF_CLOSED: Mapping[str, Kind] = {
     ),
     "ledger: a command more received": edits.counted(COMMANDS, "received", 1),
 }
-"""Edits that are found in a recording that was closed. One that was killed ends edits.anywhere, has no
+"""Edits that are found in a recording that was closed. One that was killed ends anywhere, has no
 ledger, and no snapshot after its last entries: an end cut off at a commit is what a kill leaves.
 The first inputs may lack, because the recorder finds a publisher later than the control loop."""
 
