@@ -275,8 +275,8 @@ class RecordingEnds:
     def check(self, events_before_snapshot: int) -> None:
         """Check who wrote the journal, how it begins and ends, and the loss ledger.
 
-        The ledger is in the last file if the recording was closed. What is reported as missing
-        after this call does not excuse differences: `Ending.has_gaps` stays as it is now.
+        The ledger is in the last file if the recording was closed. Gaps that are reported after
+        this call do not excuse differences.
         """
         ledger = read_ledger(self._recording.metadata_of_file(-1))
         self.origin.check(self._report)

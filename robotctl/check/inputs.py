@@ -61,7 +61,7 @@ GAP_NS = NS_PER_S // 10
 """Of the time between two messages, at most this counts towards UNHEARD_NS: the rest is a pause."""
 
 BEGIN_NS = 3 * NS_PER_S
-"""Used for UNHEARD_NS until the first input, when the control loop may not be connected yet."""
+"""How long messages may fail to become inputs at first: the control loop may not be connected."""
 
 MAX_WAITING = 100_000
 """The number of messages, and of inputs, that may wait to be compared; the oldest are dropped."""

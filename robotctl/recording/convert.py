@@ -357,7 +357,7 @@ class ChannelTable:
         self._schema_ids: dict[tuple[object, ...], int] = {}
 
     def add(self, channel: Channel, schema: Schema | None) -> int:
-        """Return the channel's id in the result, new or not; raise UnreadableFile if it is full."""
+        """Return the channel's id in the result, perhaps new; UnreadableFile if no id is left."""
         metadata = dict(channel.metadata)
         if _QOS in metadata:
             metadata[_QOS] = named_policies(metadata[_QOS])

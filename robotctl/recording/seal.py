@@ -248,7 +248,7 @@ class Keyring:
     def _locked(self) -> Iterator[None]:
         """Keep other processes from changing keys or journal during the block.
 
-        First, the list of an early version is moved into the journal; a kill may duplicate lines.
+        First, move OLD_LIST, if it exists, into the journal; a kill meanwhile may duplicate lines.
         """
         make_private(self._folder)
         old = self._folder / OLD_LIST

@@ -93,7 +93,7 @@ def metadata_text(path: Path) -> str:
 
 
 def read_metadata(path: Path) -> str:
-    """Return the `metadata.yaml` of a recording (folder or file), "" if it does not exist.
+    """Return the `metadata.yaml` of a recording (folder or file), "" without one or for a URL.
 
     Raises:
         OSError: The file cannot be read.
