@@ -184,7 +184,7 @@ class InputPairs:
     """Compares the inputs of one topic with its messages, by number and value."""
 
     def __init__(self, *, hears_all: bool) -> None:
-        """`hears_all`: the control loop makes each message that it receives an input."""
+        """`hears_all` says that each message that the control loop receives becomes an input."""
         self._hears_all = hears_all
         self.tolerance = 0.0
         """Tolerance for the angle of odometry [rad], which a C library may have rounded."""
@@ -211,7 +211,7 @@ class InputPairs:
         """Messages that never became an input, although earlier and later ones did."""
 
         self.repeated = 0
-        """Messages whose number and time of sending are not above those of the previous message."""
+        """Messages whose number is not above the previous one, unless `_has_others` explains it."""
 
         self.later_ns: list[int] = []
         """The log times of the messages with higher numbers than all that were paired."""
@@ -237,7 +237,7 @@ class InputPairs:
 
         self._first_ns = self._last_ns = self._newest = self._sent_ns = 0
         self._has_others = False
-        """Whether a later message had a lower number: another publisher sent it."""
+        """Whether a message was sent later, with a lower number, by another publisher."""
 
     @property
     def has_one_publisher(self) -> bool:
@@ -392,7 +392,7 @@ class InputCheck:
         self._is_on = False
 
     def message(self, message: Message) -> None:
-        """Read a message; skip the repeat of a latched message at the beginning of a file."""
+        """Read a message; skip the copy of a latched message, with which each file begins."""
         if not self._is_on or (self._is_latched and self._repeats.observe(message)):
             return
         value = self._read(message.data)

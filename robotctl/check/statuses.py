@@ -88,7 +88,7 @@ class ShownModes:
         self._statuses.clear()
 
     def end(self, *, is_closed: bool) -> None:
-        """Compare the statuses that are still kept, unless the journal may have ended before."""
+        """Compare the kept statuses; unless `is_closed`, only those before the last event."""
         self._judge(inf if is_closed else self._t_ns)
 
     def _judge(self, until_ns: float) -> None:
@@ -146,9 +146,9 @@ class StatusCheck:
         return {} if self.topic is None else {self.topic: self._message}
 
     def _message(self, message: Message) -> None:
-        """Check a status; skip the repeats of the last ones, with which each file and clip begins.
+        """Check a status; skip the copies of earlier ones, with which each file and clip begins.
 
-        If the recorder lags, such a repeat may come before its original, and before earlier ones.
+        If the recorder lags, a copy may precede the status itself, and others before that status.
         """
         if not self.is_on:
             return

@@ -53,7 +53,7 @@ class RobotTopics:
         """The metadata of the recorder."""
 
         self.clip_begin_ns = number_in(info.metadata.get(CLIP_RECORD, {}), "start_ns", 0.0)
-        """A clip has no messages from before this time [ns since the epoch], but the journal."""
+        """Begin of a clip [ns since the epoch], else 0: only the journal may have earlier times."""
 
         self.types = {topic.name: topic.type_name for topic in info.topics}
         self.namespace = journal_topic.removesuffix(f"/{TOPIC}")
@@ -114,21 +114,21 @@ MAX_REPEATED: Final = 1_000
 
 
 class RepeatedLatched:
-    """Counts where messages of a latched topic repeat earlier ones, of one or more publishers.
+    """Counts the log times at which messages of a latched topic repeat earlier ones.
 
-    Each file begins with a snapshot and such repeats, which have one log time, so that as many log
-    times as snapshots are allowed, even in joined files. A received journal has its snapshots
-    elsewhere, so that at least as many as files are allowed.
+    A recorder begins each file with a snapshot, and repeats the last message of each publisher with
+    one log time. So one time per snapshot is allowed (joined files keep their snapshots), and at
+    least one per file: a journal that was received has its snapshots at other places.
     """
 
     def __init__(self, info: RecordingInfo) -> None:
         self._files = len(info.files)
         self._snapshots = 0
         self._seen: dict[Message, tuple[int, int]] = {}
-        """For each message, the newest last: its last log time, and how many repeats had that."""
+        """Message -> its last log time, number of its repeats at that time; the newest last."""
 
         self._repeats: set[tuple[int, int]] = set()
-        """The values of `_seen` of all repeats."""
+        """The counted repeats: log time, and the number of this repeat as in `_seen`."""
 
     def observe(self, message: Message) -> bool:
         """Observe a message; return whether it equals an earlier one, except in log time."""
@@ -150,7 +150,7 @@ class RepeatedLatched:
 
     @property
     def excess(self) -> int:
-        """The number of repeats above the number that is allowed, at least 0."""
+        """By how many the repeats exceed the number that is allowed, at least 0."""
         return max(len(self._repeats) - max(self._files, self._snapshots), 0)
 
 
