@@ -135,7 +135,7 @@ class CourseParams(MotionParams, frozen=True, forbid_unknown_fields=True, kw_onl
     reverse: bool = False
     open_loop: bool = False
     laps: Annotated[int, Meta(ge=0, le=MAX_LAPS)] | None = None
-    """0: drive until stopped."""
+    """The number of laps; 0: drive until stopped."""
     speed_mps: Annotated[float, Meta(ge=MIN_SPEED_MPS, le=MAX_SPEED_MPS)] | None = None
 
 

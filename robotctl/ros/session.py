@@ -79,7 +79,7 @@ class Session:
         return full(topic)
 
     def logger_name(self, node_name: str) -> str:
-        """Return the name that a node's logger has on ROS; `node_name` is its default name."""
+        """Return the name of a node's logger on ROS; `node_name` is the node's default name."""
         full = f"{self._namespace}/{self._node_names.get(node_name, node_name)}"
         return full.strip("/").replace("/", ".")
 

@@ -63,8 +63,8 @@ class VelocityPublisher(Node):
     publishes zeros instead, and logs why, while another node publishes on the topic, while a node
     that may be a robot subscribes to it, or if discovery reaches beyond this machine.
 
-    If the parameter `sweep` is true, the node sweeps in these cases too; if it is false, never.
-    The method `set_velocity` ends the sweep.
+    If the parameter `sweep` is true, the node sweeps in these cases too; if `sweep` is false, it
+    never sweeps. The method `set_velocity` ends the sweep.
     """
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:

@@ -36,12 +36,12 @@ class Goal:
     """The fields of a goal of DrivePattern.action."""
 
     pattern: str
-    """The name of a pattern; "": the configured one."""
+    """The name of a pattern; "": the configured pattern."""
     size_m: float
-    """0: the default."""
+    """The size of the pattern; 0: the default."""
     laps: int
     speed_mps: float
-    """0: the default."""
+    """The speed; 0: the default."""
     replace: bool
     """Whether to replace the present drive."""
 

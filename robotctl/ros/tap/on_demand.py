@@ -21,7 +21,7 @@ POLL_S: Final = 0.1
 """The time between two looks at the graph while it changes."""
 
 CALM_S: Final = 1.0
-"""The time between two looks while rcl announces no change: it does not announce a new QoS."""
+"""The time between two looks at the graph without an announced change; rcl announces no new QoS."""
 
 MAX_TOPICS: Final = 5_000
 """Limit on the topics that are reported; other processes may create any number."""
