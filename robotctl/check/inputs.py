@@ -211,7 +211,7 @@ class InputPairs:
         """Messages that never became an input, although earlier and later ones did."""
 
         self.repeated = 0
-        """Messages whose number is not above the previous one, unless `_has_others` explains it."""
+        """Messages whose number is not above the previous one, except those of other publishers."""
 
         self.later_ns: list[int] = []
         """The log times of the messages with higher numbers than all that were paired."""
