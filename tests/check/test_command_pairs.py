@@ -124,10 +124,10 @@ def test_zeros_that_no_stall_counts_are_found(tmp_path: Path, zeros: int, withhe
 
 def test_commands_of_the_file_before_may_be_recorded_after_the_snapshot(tmp_path: Path) -> None:
     whole = recorded(drive(4.0, snapshots_s=(0.0, 2.0)))
-    journal = [at for at, each in enumerate(whole.messages) if b"Snapshot" in each.data]
-    before = [each for each in whole.messages[: journal[1]] if each.topic == COMMANDS][-4:]
+    begin = whole.snapshots()[1]
+    before = [each for each in whole.messages[:begin] if each.topic == COMMANDS][-4:]
     file = whole.copy()
-    file.messages = whole.messages[journal[1] :]
+    file.messages = whole.messages[begin:]
     file.messages[8:8] = before
     report = check_recording(write_contents(tmp_path / "run", file).joinpath("run_0.mcap"))
     assert (report.verdict, report.violations) == (Verdict.SAME, []), report

@@ -23,17 +23,18 @@ from robotctl.check.run import check_recording
 from robotctl.check.times import ClockChanges, MissingTicks, TickSchedule
 from robotctl.check.topics import RobotTopics
 from robotctl.kernel.constants import NS_PER_S
+from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import ModeRequested, Tick
 from robotctl.recording import read_info
 from robotctl.recording.format.journal import JournalEntry
-from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
+from robotctl.recording.format.names import INFO_RECORD
 from robotctl.recording.read.messages import Message
 from robotctl.testing.drives import BEGIN_NS, START_NS, Written, drive_requested, record
 from tests.support.cases import for_each
 from tests.support.checked_drives import drive_of_3_s
 from tests.support.edited_recordings import Contents, Stored, contents_of, edit, write_contents
 from tests.support.heard_drives import SET_MODE, STATUS, heard_drive, received, sent
-from tests.tampering.edits import check_edited, journal
+from tests.tampering.edits import changed, check_edited, journal, metadata, renamed, with_mode
 
 
 @cache
@@ -46,7 +47,7 @@ def test_the_status_of_before_the_journal_may_show_another_mode(tmp_path: Path) 
 
     def another(number: int, message: Stored) -> Stored:
         publish_ns = message.publish_ns - 10 * NS_PER_S
-        other = replace(message, data=with_mode(message, 3), publish_ns=publish_ns)
+        other = replace(with_mode(message, Mode.EMERGENCY_STOP), publish_ns=publish_ns)
         return message if number else other
 
     report = check_edited(tmp_path, edit(heard(), STATUS, another))
@@ -63,14 +64,10 @@ def test_a_status_that_is_missing_was_lost_where_losses_are_not_counted(tmp_path
 def test_a_wall_clock_that_is_set_is_held_against_no_status(tmp_path: Path, set_s: int) -> None:
     middle_ns = heard().messages[len(heard().messages) // 2].log_ns
     edited = heard().copy()
-    edited.messages = [
-        replace(
-            each,
-            log_ns=each.log_ns + set_s * 10**9 * (each.log_ns >= middle_ns),
-            publish_ns=each.publish_ns + set_s * 10**9 * (each.log_ns >= middle_ns),
-        )
-        for each in heard().messages
-    ]
+    for at, each in enumerate(edited.messages):
+        by_ns = set_s * NS_PER_S * (each.log_ns >= middle_ns)
+        later = replace(each, log_ns=each.log_ns + by_ns, publish_ns=each.publish_ns + by_ns)
+        edited.messages[at] = later
     report = check_edited(tmp_path, edited)
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
 
@@ -83,39 +80,21 @@ def test_a_status_that_a_file_repeats_before_it_was_sent_is_no_difference(tmp_pa
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
 
 
-def renamed(contents: Contents, topic: str) -> Contents:
-    """Return the recording with statuses on another topic, as its metadata says."""
-    edited = edit(contents, STATUS, lambda at, each: replace(each, topic=topic))
-    edited.types = [
-        (replace(each, topic=topic) if each.topic == STATUS else each, schema)
-        for each, schema in contents.types
-    ]
-    edited.counts[topic] = edited.counts[STATUS]
-    for name, values in edited.metadata:
-        if name == INFO_RECORD:
-            values["topic.robot_status"] = topic
-        elif name == LEDGER_RECORD:
-            values[topic] = values.pop(STATUS)
-    return edited
-
-
-@pytest.mark.parametrize(("mode", "verdict"), [(1, Verdict.SAME), (2, Verdict.BROKEN)])
+@pytest.mark.parametrize(
+    ("mode", "verdict"), [(Mode.MOVING, Verdict.SAME), (Mode.ERROR, Verdict.BROKEN)]
+)
 def test_a_status_topic_with_another_name_is_compared(
-    tmp_path: Path, mode: int, verdict: Verdict
+    tmp_path: Path, mode: Mode, verdict: Verdict
 ) -> None:
     """The third status shows that the robot is MOVING."""
-    edited = edit(
-        renamed(heard(), "/shown"),
-        "/shown",
-        lambda at, each: replace(each, data=with_mode(each, mode)) if at == 2 else each,
+    report = check_edited(
+        tmp_path,
+        heard(),
+        changed(STATUS, lambda m, _: with_mode(m, mode), lambda m: m.sequence == 3),
+        renamed(STATUS),
+        metadata(INFO_RECORD, "topic.robot_status", f"/other{STATUS}"),
     )
-    report = check_edited(tmp_path, edited)
     assert (report.verdict, report.missing) == (verdict, [])
-
-
-def with_mode(message: Stored, mode: int) -> bytes:
-    """Return the data of a status with another mode."""
-    return message.data[:14] + bytes((mode,)) + message.data[15:]
 
 
 def test_a_status_topic_that_is_told_and_not_recorded_is_missed(tmp_path: Path) -> None:

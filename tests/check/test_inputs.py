@@ -40,12 +40,12 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.messages.inputs import encode_twist
-from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
+from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.names import INFO_RECORD
 from robotctl.testing.drives import BEGIN_NS, drive_requested
 from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, TOPICS, WANTED, safety_message
 from tests.support.edited_recordings import Contents, Stored, edit, write_contents
-from tests.support.heard_drives import JOURNAL, heard_drive
+from tests.support.heard_drives import heard_drive
 from tests.tampering.edits import check_edited, entries_dropped
 
 
@@ -154,13 +154,8 @@ def test_the_first_messages_of_a_later_file_may_be_in_the_file_before(
     tmp_path: Path, count: int, verdict: Verdict
 ) -> None:
     """After a stall the recorder takes many messages, and begins a file, before they are heard."""
-    begin = [
-        at
-        for at, each in enumerate(heard().messages)
-        if each.topic == JOURNAL and decode(each.data).kind is EntryKind.SNAPSHOT
-    ][1]
     later = heard().copy()
-    later.messages = heard().messages[begin:]
+    del later.messages[: heard().snapshots()[1]]
     first = next(each.sequence for each in later.messages if each.topic == ODOMETRY)
     edited = edit(later, ODOMETRY, lambda at, each: None if each.sequence < first + count else each)
     (file,) = write_contents(tmp_path / "run", edited).glob("*.mcap")

@@ -26,7 +26,7 @@ from robotctl.check.topics import MAX_TEXT
 from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.types import CommandPublishersSeen, Twist
 from robotctl.messages.inputs import encode_twist
-from robotctl.recording.format.journal import EntryKind, decode
+from robotctl.recording.format.journal import decode
 from robotctl.recording.format.names import LEDGER_RECORD
 from robotctl.recording.format.rosbag2 import METADATA_RECORD
 from robotctl.recording.read.whole_recording import verify_recording
@@ -56,11 +56,7 @@ def halves(contents: Contents, *, queued: int = 0) -> tuple[Contents, Contents]:
 
     The ledger of the first one may count journal entries that were `queued` for the second.
     """
-    at = [
-        number
-        for number, each in enumerate(contents.messages)
-        if each.topic == JOURNAL and decode(each.data).kind is EntryKind.SNAPSHOT
-    ][1]
+    at = contents.snapshots()[1]
     first, second = contents.copy(), contents.copy()
     first.messages, second.messages = contents.messages[:at], contents.messages[at:]
     second.counts = Counter(each.topic for each in second.messages)  # its ledger counts both files

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import random
 import re
-import time
 from pathlib import Path
 from typing import Any
 
@@ -125,8 +124,7 @@ def recorded_twice(folder: Path) -> tuple[Path, bytes]:
     """Return a recording of 500 messages, and the content of its file at 200 messages."""
     recorder = Tape(folder, chunk_bytes=1024)
     recorder.commands(range(1, 201))
-    while recorder.stats().queued:
-        time.sleep(0.001)
+    recorder.settle()
     earlier = recorder.stats().file.read_bytes()
     recorder.commands(range(201, 501))
     return recorder.close().file, earlier

@@ -128,19 +128,11 @@ def test_a_recording_that_is_still_written_is_whole(tmp_path: Path) -> None:
     assert [file.state for file in found.files] == [FileState.LIVE]
 
 
-def cut(data: bytes) -> bytes:
-    return data[:-1]
-
-
-def appended(data: bytes) -> bytes:
-    return data + b"\0"
-
-
-def second_end(data: bytes) -> bytes:
-    return data + data[-37:]
-
-
-@pytest.mark.parametrize("change", [cut, appended, second_end])
+@pytest.mark.parametrize(
+    "change",
+    [lambda data: data[:-1], lambda data: data + b"\0", lambda data: data + data[-37:]],
+    ids=["cut", "appended", "a second end"],
+)
 def test_what_lies_behind_the_end_and_what_is_missing_there_is_found(
     finished: Path, tmp_path: Path, change: Callable[[bytes], bytes]
 ) -> None:

@@ -69,6 +69,10 @@ class Contents:
         edited.types = [each for each in edited.types if each[0].topic != topic]
         return edited
 
+    def snapshots(self) -> list[int]:
+        """Return the positions of the snapshots among the messages."""
+        return [at for at, each in enumerate(self.messages) if b"Snapshot" in each.data[:60]]
+
     def copy(self) -> Contents:
         """Return a copy that can be edited; both share the messages, which are immutable."""
         metadata = [(name, dict(values)) for name, values in self.metadata]

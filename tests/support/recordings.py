@@ -149,22 +149,20 @@ def record_in_real_time(folder: Path, compression: str, period_s: float, ready: 
 def record_up_to_file_size(folder: Path, limit: int, result: Connection) -> None:
     """Record while no file may grow beyond `limit` bytes; send failures and final counts."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-    failures: list[str] = []
-    options = RecorderOptions(compression=Compression.NONE, chunk_bytes=16384, flush_s=0.01)
-    recorder = Recorder(folder, options, on_failure=failures.append)
-    channel = recorder.add_topic(TWIST)
+    recorder = Tape(
+        folder, may_fail=True, compression=Compression.NONE, chunk_bytes=16384, flush_s=0.01
+    )
     number = 0
-    while not failures:
-        write_numbered(recorder, channel, range(number + 1, number + 101))
+    while not recorder.failures:
+        recorder.commands(range(number + 1, number + 101))
         number += 100
         time.sleep(0.001)
-    result.send((failures, number, recorder.close()))
+    result.send((recorder.failures, number, recorder.close()))
 
 
 def record_without_memory(folder: Path, result: Connection) -> None:
     """Record large messages with 12 MB of free address space; send failures and counts."""
-    failures: list[str] = []
-    recorder = Recorder(folder, on_failure=failures.append)
+    recorder = Tape(folder, may_fail=True)
     channel = recorder.add_topic(TWIST)
     now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     most = resource.getrlimit(resource.RLIMIT_AS)[1]
@@ -175,7 +173,7 @@ def record_without_memory(folder: Path, result: Connection) -> None:
         recorder.write(channel, data, number, number, number, GID)
         recorder.write(channel, data[: number * 1000], number, number, number, GID)
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    result.send((failures, 2 * number, recorder.close()))
+    result.send((recorder.failures, 2 * number, recorder.close()))
 
 
 CHUNK_BYTES = 1024

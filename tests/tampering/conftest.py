@@ -67,6 +67,5 @@ def honest() -> dict[str, Contents]:
         for name, requests in REQUESTS.items()
     }
     killed = made["stopped"].unclosed()
-    last = max(i for i, each in enumerate(killed.messages) if b"Snapshot" in each.data[:60])
-    del killed.messages[last]
+    del killed.messages[killed.snapshots()[-1]]
     return {**made, "killed": killed}

@@ -315,9 +315,8 @@ def counted(contents: Contents, random: Random, topic: str, count: str, more: in
 
 def cut_behind_snapshot(contents: Contents, random: Random) -> Contents:
     """Cut off the end of all topics, so that a snapshot is the last entry of the journal."""
-    snapshots = [at for at, each in enumerate(contents.messages) if b"Snapshot" in each.data[:60]]
     edited = contents.copy()
-    del edited.messages[random.choice(snapshots[1:-1]) + 1 :]
+    del edited.messages[random.choice(contents.snapshots()[1:-1]) + 1 :]
     return edited
 
 
