@@ -302,12 +302,16 @@ class ServiceCheck:
             return
         unasked, unheard, first = [], [], 0
         pairs: list[tuple[Asked, Call]] = []
+        is_part = ending.is_clip or not ending.has_begin
+        begin_ns = (
+            (self._begin_ns or 0) if is_part else 0
+        )  # the requests of earlier calls are before
         for call in self._calls:
-            if call.was_refused_as_busy:
+            if call.was_refused_as_busy or call.publish_ns < begin_ns:
                 continue
             ahead = range(first, min(first + MAX_AHEAD, len(self._asked)))
-            # A clip lacks the calls of the requests before it, and each call precedes its request.
-            least_ns = call.publish_ns if ending.is_clip and not self._clock.note else 0
+            # A clip and a later file lack the calls of the first requests, which calls precede.
+            least_ns = call.publish_ns if is_part and not self._clock.note else 0
             later = (at for at in ahead if self._asked[at].moments[1] >= least_ns)
             at = next((at for at in later if _fits(self._asked[at], call, self._clock)), None)
             if at is None:

@@ -493,9 +493,10 @@ class CommandCheck:
         cut = CUT if ending.is_clip else 0
         self._pairs.end(cut, is_own=ending.is_own, is_closed=ending.is_closed)
         if counts.foreign:
-            names = ", ".join(sorted(ending.invariants.foreign))
             text = _without_decision(counts.foreign, counts.foreign_example)
-            notes.append(f"{text}: {names} published as well")
+            notes.append(
+                f"{text}: {', '.join(sorted(ending.invariants.foreign))} published as well"
+            )
         if counts.extra:
             ending.accuse(_without_decision(counts.extra, counts.extra_example))
         self._tell_missing(ending, counts)

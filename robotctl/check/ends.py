@@ -304,14 +304,12 @@ class RecordingEnds:
         if not is_queued and has_ended and self._last_snapshot == self._last_seq:
             return
         self._goes_on = True
-        if not recording.path.is_dir():
-            if not self._is_clip:
-                self._report.notes.append(SINGLE_FILE)
-            return
-        why = "messages were still to be written" if is_queued else "its journal ends before"
-        self._report.miss(
-            f"the file with which it was closed is not here, or not whole: {why}", is_outside=True
-        )
+        if recording.path.is_dir():
+            why = "messages were still to be written" if is_queued else "its journal ends before"
+            text = f"it was not closed, or its last file is not here, or not whole: {why}"
+            self._report.miss(text, is_outside=True)
+        elif not self._is_clip:
+            self._report.notes.append(SINGLE_FILE)
 
     def _check_ledger(self, ledger: Mapping[str, Mapping[str, int]]) -> None:
         if ledger:

@@ -28,6 +28,7 @@ from robotctl.check.topics import (
 )
 from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.constants import COMMAND_TYPES, NS_PER_S, TWIST_STAMPED
+from robotctl.kernel.params import OdometryQos
 from robotctl.kernel.safety_inputs import REPEATS_PER_TIMEOUT, SafetyInput, SafetyInputParams, Use
 from robotctl.kernel.types import (
     BatteryReceived,
@@ -549,8 +550,12 @@ class InputChecks:
         if self._topics.values.get("parameter.guard") == str(True):
             wanted = topics.recorded("guard_topic", "cmd_vel_nav", *COMMAND_TYPES)
         decode = decode_twist_stamped if wanted.type_name == TWIST_STAMPED else decode_twist
+        # A reliable subscription does not hear publishers that offer best effort.
+        hears_all = topics.values.get("parameter.odometry.qos") != OdometryQos.RELIABLE.value
         self._checks: dict[object, InputCheck] = {
-            OdomReceived: InputCheck(report, topics, "odometry", odometry, read_sample),
+            OdomReceived: InputCheck(
+                report, topics, "odometry", odometry, read_sample, is_always_heard=hears_all
+            ),
             BatteryReceived: InputCheck(report, topics, "the battery", battery, read_battery_level),
             ScanReceived: InputCheck(report, topics, "the scan", scan, read_sectors),
             GuardedCommandReceived: InputCheck(

@@ -234,7 +234,7 @@ class StatusCheck:
             self._accuse(ending, "no robot status is recorded")
         elif has_none and ending.is_whole:
             report.miss(f"no robot status is recorded; {ending.unknown_losses}")
-        if self._unordered:
+        if self._unordered and not self._foreign:
             report.miss(
                 f"{self._unordered} robot statuses are out of order, or another node publishes them"
             )

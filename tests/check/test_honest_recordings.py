@@ -19,7 +19,13 @@ from robotctl.check.run import check_recording
 from robotctl.config import Config
 from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.params import CommandParams, KernelParams, WhenIdle
+from robotctl.kernel.params import (
+    CommandParams,
+    KernelParams,
+    OdometryParams,
+    OdometryQos,
+    WhenIdle,
+)
 from robotctl.kernel.safety_inputs import EstopParams, SafetyInput, SafetyInputParams, Use
 from robotctl.kernel.types import (
     Event,
@@ -35,10 +41,10 @@ from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message
 from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.testing.drives import BEGIN_NS, drive, record
-from robotctl.testing.hearing import BATTERY, TOPICS, WANTED
+from robotctl.testing.hearing import BATTERY, ODOMETRY, TOPICS, WANTED
 from tests.check.test_recording_ends import halves, write_files
 from tests.support.edited_recordings import Contents
-from tests.support.heard_drives import COMMANDS, STATUS, heard_drive, status
+from tests.support.heard_drives import COMMANDS, ESTOP, STATUS, heard_drive, status
 from tests.tampering.edits import check_edited, metadata
 
 BUTTON = TOPICS[SafetyInput.ESTOP]
@@ -224,6 +230,43 @@ def test_latched_statuses_of_another_node_are_no_gap(tmp_path: Path) -> None:
     second.messages[0:0] = [replace(own, data=status(2, 0.5), sequence=1), own]
     folder = write_files(tmp_path / "run", second)
     report = check_recording((folder / "run_0.mcap").rename(folder / "run_1.mcap"))
+    assert (report.verdict, report.missing) == (Verdict.SAME, []), report
+
+
+def test_a_later_file_may_begin_with_calls_of_requests_before_it(tmp_path: Path) -> None:
+    events = [asked(1.95, Mode.EMERGENCY_STOP), asked(2.1, Mode.EMERGENCY_STOP)]
+    first, second = halves(heard_drive(4.0, snapshots_s=(0.0, 2.0), requests=events))
+    second.messages[1:1] = [each for each in first.messages if each.topic == ESTOP]
+    folder = write_files(tmp_path / "run", second.unclosed())
+    report = check_recording((folder / "run_0.mcap").rename(folder / "run_1.mcap"))
+    assert (report.verdict, report.missing) == (Verdict.SAME, []), report
+
+
+def test_another_node_may_overtake_the_numbers_of_our_statuses(tmp_path: Path) -> None:
+    made = heard_drive(5.0)
+    place = [i for i, each in enumerate(made.messages) if each.topic == STATUS][2]
+    own = made.messages[place]
+    made.messages[place + 1 : place + 1] = [
+        replace(own, data=status(2, 0.5), sequence=number) for number in range(1, 9)
+    ]
+    report = check_edited(tmp_path, made.unclosed())
+    assert (report.verdict, report.missing) == (Verdict.SAME, []), report
+
+
+def test_the_control_loop_may_hear_reliable_odometry_alone(tmp_path: Path) -> None:
+    params = KernelParams(odometry=OdometryParams(qos=OdometryQos.RELIABLE))
+    made = heard_drive(3.0, config=Config(kernel=params))
+    report = check_edited(tmp_path, beside(made.unclosed(), ODOMETRY))
+    assert (report.verdict, report.missing) == (Verdict.SAME, []), report
+
+
+def test_the_zeros_of_another_node_may_have_our_numbers(tmp_path: Path) -> None:
+    made = heard_drive(5.0, requests=[ForeignCommandHeard(at(3.0), "/teleop")])
+    place = next(i for i, each in enumerate(made.messages) if b"/teleop" in each.data)
+    number = max(each.sequence for each in made.messages[:place] if each.topic == COMMANDS) + 1
+    zero = replace(made.messages[place], topic=COMMANDS, data=encode_twist(Twist()))
+    made.messages[place:place] = [replace(zero, sequence=number + n) for n in (2, 1, 0)]
+    report = check_edited(tmp_path, made.unclosed())
     assert (report.verdict, report.missing) == (Verdict.SAME, []), report
 
 
