@@ -66,7 +66,6 @@ def scanned() -> Contents:
         for number in range(50)
     ]
     requests: list[Event] = [*scans, drive_requested()]
-    requests.sort(key=lambda event: event.t_ns)
     return heard_drive(6.0, requests=requests, config=Config(kernel=params))
 
 
@@ -208,7 +207,6 @@ def pressed() -> Contents:
         for kind, value in STOPS.items():
             said = value if number >= 30 else 0.0
             requests.append(SafetyInputReceived(t_ns, kind, said, detail_of(kind)))
-    requests.sort(key=lambda event: event.t_ns)
     config = Config(kernel=replace(KernelParams(), inputs=inputs))
     return heard_drive(6.0, requests=requests, config=config, snapshots_s=(0.0, 3.05))
 

@@ -22,10 +22,9 @@ from robotctl.recording.format.recorded_events import ERRORS, RecordedEvent
 from robotctl.recording.keep.listing import CLIPS_FOLDER, set_kept
 from robotctl.testing.drives import START_NS
 from tests.cli.conftest import Cli, note_recordings
-from tests.support.bags import ODOMETRY, VOLATILE, Line, odometry, write_bag
+from tests.support.bags import ODOMETRY, SAMPLES, VOLATILE, Line, needs_samples, odometry, write_bag
 from tests.support.recordings import Tape, read_strictly
 
-SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 OLDER, NEWER = "robot_20260101_120000", "robot_20260101_120000-2"
 
 
@@ -216,7 +215,7 @@ def test_a_folder_is_recovered_file_by_file(library: Path, cli: Cli) -> None:
     assert cli("recover", OLDER).exit_code == 4
 
 
-@pytest.mark.skipif(not SAMPLES.is_dir(), reason="no sample bags")
+@needs_samples
 def test_bags_of_rosbag2_are_shown_recovered_and_cut(cli: Cli, tmp_path: Path) -> None:
     for bag in sorted(SAMPLES.iterdir()):
         found = cli("info", str(bag), "--json").summary

@@ -19,17 +19,15 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
-    AttachmentIndex,
     Channel,
+    Chunk,
     ChunkIndex,
-    Header,
+    DataEnd,
+    Footer,
     McapRecord,
-    MessageIndex,
     Metadata,
-    MetadataIndex,
     Schema,
     Statistics,
-    SummaryOffset,
 )
 from mcap.records import Message as MessageRecord
 from mcap.writer import CompressionType, IndexType, Writer
@@ -39,23 +37,12 @@ from robotctl.recording.format.records import MAGIC, record_bytes
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.read.messages import open_readable
 from tests.recording.mcap_files import CHANNEL, DATA_START, chunk, finished
+from tests.support.bags import SAMPLES, needs_samples
 from tests.support.recordings import salvaged
 
 Content = MessageRecord | Attachment | Metadata
 _PADDING: Final = b"\x01\xff\xff"
-PADDED: Final[tuple[type[McapRecord], ...]] = (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    ChunkIndex,
-    Header,
-    MessageIndex,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+PADDED: Final = {*McapRecord.__subclasses__()} - {Chunk, DataEnd, Footer, MessageRecord}
 """Not those whose last field fills the rest, or whose length is fixed."""
 
 SCHEMA: Final = Schema(id=1, name="Example", encoding="c", data=b"\x04\x05\x06")
@@ -298,10 +285,6 @@ def assert_read(path: Path, variant: Variant, *, whole: bool) -> None:
         assert counts == (len(expected), len(attachments)), variant.name
         assert not (whole and salvage.lost), (variant.name, salvage.lost)
     target.unlink(missing_ok=True)
-
-
-SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
-needs_samples = pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"no sample bags at {SAMPLES}")
 
 
 @needs_samples

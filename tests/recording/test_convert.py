@@ -48,7 +48,7 @@ from robotctl.recording.read.messages import ALWAYS
 from robotctl.recording.read.whole_recording import RecordingProof, verify_recording
 from robotctl.rerun import Verdict, check_recording
 from robotctl.testing.drives import drive, record
-from tests.support.bags import START_NS, data, talk, write_bag
+from tests.support.bags import SAMPLES, START_NS, data, needs_samples, talk, write_bag
 from tests.support.lines import run_python
 from tests.support.recordings import (
     Stored,
@@ -63,7 +63,6 @@ from tests.support.recordings import (
 )
 
 GOLDEN = Path(__file__).parents[1] / "golden"
-SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TEXT = "std_msgs/msg/String"
@@ -339,7 +338,7 @@ def test_nothing_is_overwritten_and_a_full_disk_leaves_nothing(tmp_path: Path) -
     assert [each.name for each in tmp_path.iterdir()] == ["copy"]
 
 
-@pytest.mark.skipif(not SAMPLES.is_dir(), reason="the sample bags of rosbag2 are not here")
+@needs_samples
 def test_the_bags_of_the_real_rosbag2_are_converted(tmp_path: Path) -> None:
     for bag in SAMPLES.iterdir():
         done = convert(bag, tmp_path / bag.name, Form(one_file=True))

@@ -120,21 +120,16 @@ def test_a_latched_message_without_memory_gives_back_the_room_of_the_one_before(
     assert (channel.latched_messages(), channel.not_kept) == ([], 1)
 
 
-def recorded_twice(folder: Path) -> tuple[Path, bytes]:
-    """Return a recording of 500 messages, and the content of its file at 200 messages."""
-    recorder = Tape(folder, chunk_bytes=1024)
-    recorder.commands(range(1, 201))
-    recorder.settle()
-    earlier = recorder.stats().file.read_bytes()
-    recorder.commands(range(201, 501))
-    return recorder.close().file, earlier
-
-
 @pytest.mark.parametrize("by_folder", [True, False])
 def test_an_earlier_state_of_a_file_is_not_taken_for_all_of_it(
     tmp_path: Path, by_folder: bool
 ) -> None:
-    file, earlier = recorded_twice(tmp_path / "run")
+    recorder = Tape(tmp_path / "run", chunk_bytes=1024)
+    recorder.commands(range(1, 201))
+    recorder.settle()
+    earlier = recorder.stats().file.read_bytes()
+    recorder.commands(range(201, 501))
+    file = recorder.close().file
     file.write_bytes(earlier)  # a whole and valid file
     path = file.parent if by_folder else file
     named = "run_0.mcap: metadata.yaml counts 500 messages, and 200 are there"

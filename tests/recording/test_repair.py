@@ -30,6 +30,7 @@ from robotctl.recording.read.indexing import find_unfinished_commit, index_from_
 from robotctl.recording.read.records import InputFile
 from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.testing.faults import FailingFile, mutated, zero
+from tests.support.bags import SAMPLES, needs_samples
 from tests.support.recordings import (
     Stored,
     Tape,
@@ -43,9 +44,6 @@ from tests.support.recordings import (
     recorded,
     summary_of,
 )
-
-SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
-needs_samples = pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"no sample bags at {SAMPLES}")
 
 
 def theirs(path: Path, count: int, *, attachment: bool = False, **options: object) -> Path:

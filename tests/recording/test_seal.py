@@ -261,11 +261,6 @@ def test_a_repair_says_so_and_forges_no_link(tmp_path: Path, keys: Keyring) -> N
     assert all(is_signed(each.signed(), each.signature, seal.opening.key) for each in seal.links)
 
 
-def the_file(path: Path) -> WholeFile:
-    (file,) = verify_recording(path).files
-    return file
-
-
 def links_in(path: Path) -> list[Link]:
     """Return all links in the data of a file, signed or not."""
     with InputFile(path) as file:
@@ -275,7 +270,7 @@ def links_in(path: Path) -> list[Link]:
 
 def test_a_recovered_file_says_repaired_and_forges_no_link(tmp_path: Path, keys: Keyring) -> None:
     (file,) = record_sealed(tmp_path / "run", keys)
-    original = the_file(file).seal
+    original = sealed(file)[0].seal
     copy = tmp_path / "copy.mcap"
     recover(file, copy)
     found = verify_recording(copy)
@@ -316,7 +311,7 @@ def test_a_copy_of_another_file_breaks_the_chain(tmp_path: Path, keys: Keyring) 
     others = keyring(tmp_path / "others")
     foreign = record_sealed(tmp_path / "other", others, splits=1)[1]
     recover(foreign, tmp_path / "copy.mcap")
-    files = [the_file(path) for path in (first, tmp_path / "copy.mcap", third)]
+    files = [sealed(path)[0] for path in (first, tmp_path / "copy.mcap", third)]
     assert check_chain(files).absent == [
         f"file 2 is not here, between {first.name} and {third.name}"
     ]

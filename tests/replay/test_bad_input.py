@@ -12,11 +12,21 @@ from zstandard import ZstdCompressor
 
 from robotctl.cli import app
 from tests.replay.conftest import Stage
-from tests.support.bags import STRING, TWIST, Line, data, in_order, talk, text, twist, write_bag
+from tests.support.bags import (
+    SAMPLES,
+    STRING,
+    TWIST,
+    Line,
+    data,
+    in_order,
+    needs_samples,
+    talk,
+    text,
+    twist,
+    write_bag,
+)
 from tests.support.recordings import flip
 from tests.support.waiting import loop_until as until
-
-SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 
 
 async def test_a_damaged_chunk_costs_its_own_messages_and_is_named(stage: Stage) -> None:
@@ -50,7 +60,7 @@ async def test_messages_that_rosbag2_compressed_one_by_one_are_sent_as_they_were
     await until(lambda: stage.heard["/alpha"] == data(lines))
 
 
-@pytest.mark.skipif(not SAMPLES.is_dir(), reason="the sample recordings are not here")
+@needs_samples
 @pytest.mark.parametrize(
     ("bag", "services", "sent", "unserved", "skipped"),
     [

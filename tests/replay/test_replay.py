@@ -24,12 +24,14 @@ from tests.replay.conftest import Stage
 from tests.support.bags import (
     LATCHED,
     OTHER_HASH,
+    SAMPLES,
     SENSOR,
     STRING,
     TWIST,
     Line,
     data,
     in_order,
+    needs_samples,
     padded,
     talk,
     text,
@@ -226,22 +228,17 @@ async def test_what_was_latched_before_the_offset_is_latched_again(stage: Stage)
     assert stage.heard["/map"] == data(latched[-1:])
 
 
+@needs_samples
 @pytest.mark.parametrize("bag", [pytest.param("talker", marks=pytest.mark.slow), "split_bag"])
 async def test_a_folder_of_rosbag2_is_played_in_order(bag: str, stage: Stage) -> None:
     from robotctl.recording import read_messages
 
-    folder = next(
-        (each / bag for each in (Path(__file__).parents[3] / "shared" / "samples").glob("rosbag2")),
-        None,
-    )
-    if folder is None:
-        pytest.skip("the sample recordings are not here")
     recorded: dict[str, list[bytes]] = {}
-    for message in read_messages(folder):
+    for message in read_messages(SAMPLES / bag):
         if message.type_name == STRING:
             recorded.setdefault(f"/{message.topic.lstrip('/')}", []).append(padded(message.data))
     stage.listen(*recorded)
-    ran = await stage.replay(folder, "--rate", "max")
+    ran = await stage.replay(SAMPLES / bag, "--rate", "max")
     assert ran.exit_code == 0, ran.err
     await until(lambda: stage.heard == recorded)
 

@@ -31,6 +31,10 @@ from tests.support.waiting import loop_until, until
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
+Feed = Callable[[Any, list[int]], Awaitable[None]]
+RunPython = Callable[..., subprocess.CompletedProcess[str]]
+
+
 @pytest.fixture(scope="module")
 def domain_id() -> Iterator[int]:
     """A ROS domain that no other process uses."""
@@ -208,7 +212,7 @@ def peer(domain_id: int) -> Iterator[Peer]:
 
 
 @pytest.fixture
-def feed(peer: Peer) -> Callable[[Any, list[int]], Awaitable[None]]:
+def feed(peer: Peer) -> Feed:
     """Lets the peer publish to a subscription after both sides have matched.
 
     A message that is published earlier arrives 3 s late at best, with the next heartbeat of the
@@ -245,7 +249,7 @@ def topic() -> str:
 
 
 @pytest.fixture
-def run_python(domain_id: int) -> Callable[..., subprocess.CompletedProcess[str]]:
+def run_python(domain_id: int) -> RunPython:
     """Runs a script in a process of its own, in the module's domain."""
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
     return partial(lines.run_python, cwd=lines.ROOT, env=environment)

@@ -6,7 +6,6 @@ Errors for wrong uses of an executor say what to do.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,11 +19,10 @@ from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import RclCallFailed
+from tests.ros.conftest import Peer
 from tests.ros.open_executor import Bench, Node, opened, populate, sources_of
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
-
-Peer = Callable[..., Awaitable[Any]]
 
 
 @pytest.fixture

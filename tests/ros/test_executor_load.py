@@ -12,8 +12,7 @@ import gc
 import os
 import threading
 import time
-from collections.abc import Awaitable, Callable, Coroutine
-from subprocess import CompletedProcess
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
@@ -29,11 +28,10 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import RawTap, Ticker
+from tests.ros.conftest import Feed, Peer, RunPython
 from tests.ros.open_executor import Bench, loop_descriptors, opened, populate
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
-
-Peer = Callable[..., Coroutine[Any, Any, Any]]
 
 
 async def test_a_tap_sees_every_sequence_number_of_a_fast_publisher(
@@ -108,12 +106,8 @@ async def test_10_khz_for_10_minutes_never_hangs(bench: Bench, peer: Peer) -> No
     assert after[1] - before[1] <= 1
 
 
-StartPeer = Callable[..., Awaitable[Any]]
-Feed = Callable[[Any, list[int]], Awaitable[None]]
-
-
 async def test_entities_may_be_created_and_destroyed_in_any_callback(
-    bench: Bench, peer: StartPeer, feed: Feed
+    bench: Bench, peer: Peer, feed: Feed
 ) -> None:
     got: list[int] = []
     made: list[Any] = []
@@ -190,9 +184,6 @@ async def test_entities_destroyed_with_something_pending_disturb_nothing(
     count = len(alive)
     await until(lambda: len(alive) >= count + 3)
     await until(lambda: len(bench.sources) < 20)
-
-
-RunPython = Callable[..., CompletedProcess[str]]
 
 
 async def test_60_starts_and_stops_under_traffic_leave_nothing_behind(node: Bench) -> None:

@@ -18,9 +18,8 @@ import pytest
 import robotctl.ros
 from robotctl.ros import AsyncioExecutor, executor
 from robotctl.ros.executor import UnsupportedPlatform, announcements, raw_tap
+from tests.ros.conftest import RunPython
 from tests.support.waiting import DEADLINE_S
-
-RunPython = Callable[..., CompletedProcess[str]]
 
 IMPORTED = """
 import sys

@@ -6,7 +6,7 @@ Responses wait for clients whose readers are not discovered yet.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Container
+from collections.abc import Callable, Container
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,11 +24,10 @@ from robotctl.ros.executor import replies, requester
 from robotctl.ros.executor.replies import MAX_WAITING, Replies
 from robotctl.ros.executor.services import ServiceSource
 from robotctl.ros.graph.endpoints import gid_of
+from tests.ros.conftest import Peer
 from tests.ros.open_executor import Bench
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
-
-Peer = Callable[..., Awaitable[Any]]
 
 
 async def client_of(bench: Bench, peer: Peer, service: str, **options: Any) -> Any:

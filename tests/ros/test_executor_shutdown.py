@@ -6,7 +6,6 @@ import asyncio
 import signal
 import threading
 from collections.abc import Callable
-from subprocess import CompletedProcess
 from typing import Any
 
 import pytest
@@ -18,11 +17,10 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
+from tests.ros.conftest import RunPython
 from tests.ros.open_executor import Bench, engine_of, loop_descriptors, opened, populate
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
-
-RunPython = Callable[..., CompletedProcess[str]]
 
 
 class SlowToEnd:

@@ -23,12 +23,10 @@ from std_msgs.msg import String, UInt64
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import announcements, subscriptions
 from robotctl.ros.executor.raw_tap import LARGE_BYTES, SerializedTaker
+from tests.ros.conftest import Feed, Peer
 from tests.ros.open_executor import Bench, Node, opened
 from tests.support.waiting import loop_until as until
 from tests.support.waiting import until as wait_until
-
-Peer = Callable[..., Awaitable[Any]]
-Feed = Callable[[Any, list[int]], Awaitable[None]]
 
 
 async def test_a_typed_subscription_delivers_every_message_in_order(

@@ -9,7 +9,6 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable
 from itertools import pairwise
-from typing import Any
 
 import pytest
 from rclpy.clock import Clock
@@ -17,11 +16,11 @@ from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
 
 from robotctl.ros import Tick, Ticker
+from tests.ros.conftest import Peer
 from tests.ros.open_executor import Bench, loop_descriptors
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
-Peer = Callable[..., Awaitable[Any]]
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 

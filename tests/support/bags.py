@@ -8,9 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import pytest
 from mcap.writer import Writer
 
 START_NS: Final = 1_700_000_000_000_000_000
+
+SAMPLES: Final = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
+"""Bags that rosbag2 wrote; not every machine has them."""
+
+needs_samples = pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"no sample bags at {SAMPLES}")
 
 VOLATILE: Final = """\
 - history: keep_last

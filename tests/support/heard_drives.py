@@ -69,6 +69,7 @@ def heard_drive(
     config = config or Config()
     kernel = HearingKernel(config)
     asked = [drive_requested()] if requests is None else requests
+    asked = sorted(asked, key=lambda event: event.t_ns)
     end_ns = BEGIN_NS + round(seconds * NS_PER_S)
 
     def steps() -> Iterable[tuple[Event, tuple[Effect, ...]]]:

@@ -60,7 +60,7 @@ def honest() -> dict[str, Contents]:
     made = {
         name: heard_drive(
             3.6,
-            requests=sorted(requests, key=lambda event: event.t_ns),
+            requests=requests,
             snapshots_s=(0.0, 2.0),
             config=BUTTON if name == "pressed" else None,
         )
