@@ -155,7 +155,7 @@ _SILENT = "a silence is zero at once, and ends the motion"
 class Why:
     """The explanation of an incident; a field is empty if there is nothing to say.
 
-    In order: what happened, advice to the operator (in a recording of 0.1.0, a part of `what`),
+    In order: what happened, advice to the operator (robotctl 0.1.0 recorded it within `what`),
     input, facts known to the kernel, rule, who requested the motion, effects, what followed.
     """
 

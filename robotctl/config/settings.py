@@ -323,7 +323,7 @@ def as_in_file(value: Any) -> object:
 
 
 def keyed_leaves(config: Config) -> Iterator[tuple[str, Leaf]]:
-    """Yield each dotted key with its parameter; keys of the kernel's parameters have no prefix."""
+    """Yield each dotted key, without a leading `kernel.`, with the parameter that it names."""
     for leaf in leaves(config):
         yield ".".join(leaf.path[1:] if leaf.path[0] == "kernel" else leaf.path), leaf
 

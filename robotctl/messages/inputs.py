@@ -286,10 +286,10 @@ UNIT_TOLERANCE = 0.1
 
 
 def reader_of(kind: SafetyInput, *, button: int, robot: str) -> Reader:
-    """Return the reader of an input.
+    """Return a new reader of an input.
 
-    The reader of JOY reads the button with the number `button`. The reader of DIAGNOSTICS ignores
-    the diagnostics of `robot` itself.
+    The reader of JOY reads the button with the number `button`. The reader of DIAGNOSTICS remembers
+    earlier messages, and skips the statuses that robotctl sends for `robot`.
     """
     readers: dict[SafetyInput, Reader] = {
         SafetyInput.ESTOP: _bool,

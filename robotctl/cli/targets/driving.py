@@ -60,10 +60,10 @@ class Background(threading.Thread, Generic[T]):
 
 @contextmanager
 def interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
-    """Make signals that would end this process raise KeyboardInterrupt, as Ctrl-C does.
+    """Make each of `numbers` that would end this process raise KeyboardInterrupt, as Ctrl-C does.
 
-    After the first such signal, all are ignored until the end of the block: a terminal that
-    closes sends several, and the reaction to the first must be completed.
+    After the first such signal, all of these are ignored until the end of the block: a terminal
+    that closes sends several, and the reaction to the first must be completed.
     """
     previous = {
         number: signal.getsignal(number)

@@ -95,7 +95,7 @@ class Pending(Generic[T]):
 
 
 class PendingRequests:
-    """What requests wait for: their replies, and the ends of the drives that they start."""
+    """The ids of requests, and the futures of their replies and of the ends of their drives."""
 
     def __init__(self) -> None:
         self.replies: Pending[Reply] = Pending()

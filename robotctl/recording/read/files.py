@@ -340,7 +340,7 @@ def each_with_progress(
 
 
 def absent_files(text: str, present: list[Path]) -> list[str]:
-    """Return a sentence for each file that `text`, a `metadata.yaml`, lists and `present` lacks."""
+    """Return a sentence for each file that `metadata.yaml` (`text`) lists, but not `present`."""
     return [
         f"{name}: metadata.yaml names it, but it is not there"
         for name in absent_names(text, present)

@@ -519,7 +519,7 @@ def _wrong_record(
     """Yield a sentence for each thing that is wrong with one record of the summary."""
     if opcode not in _LISTED:
         if opcode < FIRST_PRIVATE_OPCODE or (data.own and opcode != LINK_OPCODE):
-            yield f"no record of kind {opcode} belongs into a summary"
+            yield f"no record of kind {opcode} belongs in a summary"
         data.private_in_summary.append((opcode, content))
         return
     try:
