@@ -52,7 +52,7 @@ def listening_socket(host: str, port: int | None) -> socket.socket:
     except UnicodeError as error:  # a label of the name is empty or too long
         raise _no_host(host, "it cannot be a name") from error
     family, *_, (name, _, *rest) = found[0]
-    both = family is socket.AF_INET6
+    both = family is socket.AF_INET6 and socket.has_dualstack_ipv6()
     try:
         try:
             address = (name, DEFAULT_PORT if port is None else port, *rest)

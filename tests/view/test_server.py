@@ -9,6 +9,7 @@ import os
 import random
 import socket
 from contextlib import suppress
+from unittest.mock import Mock
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
@@ -295,6 +296,13 @@ def test_a_host_of_another_computer_is_named_with_its_option(host: str, port: in
         listening_socket(host, port)
     assert repr(host) in str(caught.value)
     assert "port" not in str(caught.value)
+
+
+def test_a_kernel_without_ipv6_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    absent = OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
+    monkeypatch.setattr(socket, "socket", Mock(side_effect=absent))
+    with pytest.raises(Refused, match=os.strerror(errno.EAFNOSUPPORT)):
+        listening_socket("::1", None)
 
 
 def test_no_other_process_gets_the_port_before_the_view_accepts() -> None:
