@@ -334,18 +334,20 @@ def test_a_thousand_endpoints_cost_no_million_pairs() -> None:
 
 
 async def test_a_mismatch_is_named_as_long_as_both_are_there(
-    taken: Any, node: Any, topic: str
+    taken: Any, node: Any, topic: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     said = taken.tap.mismatches.warnings
     node.create_publisher(Empty, topic, BEST_EFFORT)
     await until(lambda: topic in taken.topics)
     assert list(said()) == []
-    deaf = node.create_subscription(Empty, topic, print, RELIABLE)
-    await until(lambda: list(said()))
-    (told,) = said()
-    assert told.endswith(f" on {topic}: reliability best_effort is offered, reliable asked for")
-    node.destroy_subscription(deaf)
-    await until(lambda: not list(said()))
+    for begun in (1, 2):
+        deaf = node.create_subscription(Empty, topic, print, RELIABLE)
+        await until(lambda: list(said()))
+        (told,) = said()
+        assert told.endswith(f" on {topic}: reliability best_effort is offered, reliable asked for")
+        assert caplog.messages.count(told) == begun
+        node.destroy_subscription(deaf)
+        await until(lambda: not list(said()))
 
 
 LARGE = raw_tap.LARGE_BYTES + 1

@@ -44,6 +44,7 @@ class Sentences:
         self.by_topic: dict[str, str] = {}
         self._most, self._more = most, more
         self._said: set[str] = set()
+        self._logged = 0
 
     def note(self, topic: str, sentence: str) -> None:
         """Set the sentence about a topic, which stays until `clear`."""
@@ -62,9 +63,10 @@ class Sentences:
             yield f"{len(self.by_topic) - self._most} more topics {self._more}"
 
     def say(self, sentence: str) -> None:
-        """Log a sentence, unless it was logged before, or MAX_SAID other sentences were logged."""
-        if sentence not in self._said and len(self._said) < MAX_SAID:
+        """Log a sentence, unless it was logged before, or MAX_SAID sentences were logged."""
+        if sentence not in self._said and self._logged < MAX_SAID:
             self._said.add(sentence)
+            self._logged += 1
             _log.warning("%s", sentence)
 
 
@@ -88,6 +90,8 @@ class QosMismatches(Sentences):
         self._counts[topic] = counts
         offers = endpoints.publishers(self._node, topic)
         if sentence := mismatch(topic, offers, endpoints.subscriptions(self._node, topic)):
+            if sentence != self.by_topic.get(topic):
+                self._said.discard(sentence)  # a mismatch is logged each time it begins
             self.note(topic, sentence)
         else:
             self.clear([topic])
