@@ -73,7 +73,7 @@ class ResultStore:
         except (FileNotFoundError, ValueError):
             return None
         except OSError as error:
-            raise Refused(f"cannot read results: {error}") from error
+            raise self._refusal("read", error) from error
         return result if result.key == key else None
 
     def put(self, result: Judgement) -> Judgement:
@@ -103,7 +103,7 @@ class ResultStore:
             with replaced_file(self.folder / name) as file:
                 file.write(data)
         except OSError as error:
-            raise Refused(f"cannot write results: {error}") from error
+            raise self._refusal("write", error) from error
 
     def has_token(self, name: str) -> bool:
         """Return whether the token with this name is in the folder."""
@@ -118,7 +118,10 @@ class ResultStore:
         try:
             (self.folder / name).unlink(missing_ok=True)
         except OSError as error:
-            raise Refused(f"cannot write results: {error}") from error
+            raise self._refusal("write", error) from error
+
+    def _refusal(self, verb: str, error: OSError) -> Refused:
+        return Refused(f"cannot {verb} results in {self.folder}: {error.strerror or error}")
 
 
 def _sealed(result: Judgement) -> bytes:
